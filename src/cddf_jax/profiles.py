@@ -1,0 +1,155 @@
+"""Quantities that vary along the arc length: constant, linear, piecewise, spline.
+
+A profile is any pytree that is callable on arc lengths s (m), element by element. Its numbers may be
+traced, differentiated and vmapped over. A profile that is not smooth names the arc lengths
+where it bends or jumps in `breakpoints`, so that the solver ends its panels there.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+Profile = Callable[[Any], Any]
+Number = Array | np.ndarray
+Scalar = Float[Number, ""]
+Points = Float[ArrayLike, "*points"]
+
+
+def as_number(value: Any) -> Any:
+    """Keep what JAX traces as it is; hold every other number as a NumPy float64 array."""
+    return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
+
+
+class Constant(eqx.Module):
+    """The same value along the whole length."""
+
+    value: Scalar = eqx.field(converter=as_number)
+
+    def __call__(self, arc_length: Points) -> Float[Array, "*points"]:
+        return jnp.broadcast_to(jnp.asarray(self.value), jnp.shape(arc_length))
+
+
+class Linear(eqx.Module):
+    """A straight taper from `base` at s = 0 to `tip` at s = `length`."""
+
+    base: Scalar = eqx.field(converter=as_number)
+    tip: Scalar = eqx.field(converter=as_number)
+    length: Scalar = eqx.field(converter=as_number)
+
+    def __call__(self, arc_length: Points) -> Float[Array, "*points"]:
+        return jnp.asarray(self.base) + (self.tip - self.base) * (arc_length / self.length)
+
+
+class Piecewise(eqx.Module):
+    """Profiles joined end to end: `pieces[i]` holds up to `ends[i]`, the last one to the tip.
+
+    Args:
+        ends: arc lengths (m) at which one piece gives way to the next, increasing,
+            one fewer than there are pieces. At such an arc length the next piece holds.
+        pieces: profiles, each a function of the arc length counted from the base of the body.
+
+    Raises:
+        ValueError: when the number of ends does not fit the number of pieces.
+    """
+
+    ends: Float[Number, " joints"] = eqx.field(converter=as_number)
+    pieces: tuple[Profile, ...]
+
+    def __init__(self, ends: Any, pieces: Sequence[Profile]):
+        self.ends = as_number(ends)
+        self.pieces = tuple(pieces)
+        if np.ndim(self.ends) != 1 or len(self.pieces) != np.shape(self.ends)[0] + 1:
+            raise ValueError(
+                f"Piecewise: {len(self.pieces)} pieces need {len(self.pieces) - 1} ends in one list, "
+                f"got ends of shape {np.shape(self.ends)}"
+            )
+
+    @classmethod
+    def linear(cls, arc_length: Any, values: Any) -> "Piecewise":
+        """Straight lines through the points (`arc_length`, `values`), the first at s = 0."""
+        knots, heights = as_number(arc_length), as_number(values)
+        if np.ndim(knots) != 1 or np.shape(knots) != np.shape(heights) or np.shape(knots)[0] < 2:
+            raise ValueError(
+                "Piecewise.linear: arc_length and values must be two lists of one length, 2 or more, "
+                f"got shapes {np.shape(knots)} and {np.shape(heights)}"
+            )
+        lines = []
+        for i in range(np.shape(knots)[0] - 1):
+            slope = (heights[i + 1] - heights[i]) / (knots[i + 1] - knots[i])
+            lines.append(Linear(heights[i] - slope * knots[i], heights[i] + slope * (1.0 - knots[i]), 1.0))
+        return cls(knots[1:-1], lines)
+
+    @property
+    def breakpoints(self) -> Float[Array, " n"]:
+        return jnp.concatenate([jnp.asarray(self.ends), *(breakpoints(piece) for piece in self.pieces)])
+
+    def __call__(self, arc_length: Points) -> Float[Array, "*points"]:
+        index = jnp.sum(jnp.asarray(arc_length)[..., None] >= jnp.asarray(self.ends), axis=-1)
+        values = jnp.stack([piece(arc_length) for piece in self.pieces], axis=-1)
+        return jnp.take_along_axis(values, index[..., None], axis=-1)[..., 0]
+
+
+class Spline(eqx.Module):
+    """The cubic spline through (`arc_length`, `values`), twice continuously differentiable.
+
+    The ends are "not-a-knot": a cubic polynomial is met exactly. Outside the knots the end
+    polynomials go on.
+
+    Args:
+        arc_length: knots (m), increasing, four or more.
+        values: the profile at the knots.
+
+    Raises:
+        ValueError: for fewer than four knots or lists of different length.
+    """
+
+    arc_length: Float[Number, " knots"] = eqx.field(converter=as_number)
+    values: Float[Number, " knots"] = eqx.field(converter=as_number)
+
+    def __check_init__(self):
+        shapes = np.shape(self.arc_length), np.shape(self.values)
+        if shapes[0] != shapes[1] or len(shapes[0]) != 1 or shapes[0][0] < 4:
+            raise ValueError(
+                "Spline: arc_length and values must be two lists of one length, 4 or more, "
+                f"got shapes {shapes[0]} and {shapes[1]}; for fewer points use Linear or Piecewise.linear"
+            )
+
+    @property
+    def breakpoints(self) -> Float[Array, " inner"]:
+        """The knots where the third derivative jumps: all but the two at either end."""
+        return jnp.asarray(self.arc_length)[2:-2]
+
+    def __call__(self, arc_length: Points) -> Float[Array, "*points"]:
+        arc_length, knots, values = jnp.asarray(arc_length), jnp.asarray(self.arc_length), jnp.asarray(self.values)
+        bend = _second_derivatives(knots, values)
+        i = jnp.clip(jnp.searchsorted(knots, arc_length, side="right") - 1, 0, knots.shape[0] - 2)
+        width = knots[i + 1] - knots[i]
+        right = (arc_length - knots[i]) / width
+        left = 1.0 - right
+        chord = left * values[i] + right * values[i + 1]
+        return chord + width**2 / 6 * ((left**3 - left) * bend[i] + (right**3 - right) * bend[i + 1])
+
+
+def _second_derivatives(knots: Float[Array, " n"], values: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Second derivatives of the not-a-knot cubic spline at its knots, from the continuity of the first."""
+    n = knots.shape[0]
+    width, chord = jnp.diff(knots), jnp.diff(values) / jnp.diff(knots)
+    inner = jnp.arange(1, n - 1)
+    matrix = jnp.zeros((n, n), knots.dtype)
+    matrix = matrix.at[inner, inner - 1].set(width[:-1])
+    matrix = matrix.at[inner, inner].set(2 * (width[:-1] + width[1:]))
+    matrix = matrix.at[inner, inner + 1].set(width[1:])
+    # not-a-knot: the third derivative does not jump at the second and the last but one knot
+    matrix = matrix.at[0, :3].set(jnp.stack([width[1], -width[0] - width[1], width[0]]))
+    matrix = matrix.at[-1, -3:].set(jnp.stack([width[-1], -width[-2] - width[-1], width[-2]]))
+    return jnp.linalg.solve(matrix, jnp.zeros_like(values).at[inner].set(6 * jnp.diff(chord)))
+
+
+def breakpoints(profile: Profile) -> Float[Array, " n"]:
+    """The arc lengths (m) at which a profile is not smooth; none unless it names some."""
+    return jnp.asarray(getattr(profile, "breakpoints", np.zeros(0)))
