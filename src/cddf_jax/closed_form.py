@@ -1,0 +1,62 @@
+"""The closed form of the tension, where one exists; the oracle of every solver here."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .manipulator import Manipulator
+from .profiles import Constant, Linear
+from .quadrature import Panels, panels
+
+
+def closed_form_tension(
+    manipulator: Manipulator, base_tension: Any, arc_length: Any, *, nodes: int = 32
+) -> Float[Array, "*points"]:
+    """T(s) = T_base / (1 + (mu / E) T_base G(s)) with G(s) = integral of d / J from 0 to s.
+
+    Holds for one tendon that slides in, without external load: in the published kinematics with any
+    offset, in the exact kinematics with a constant one while d kappa < 1 (not checked). Then
+    kappa_c = T d / (E J) exactly, so that T' = -mu kappa_c T can be integrated. This goes beyond
+    Liu et al. (2020), whose eq. (8) and (14) it solves.
+
+    Args:
+        base_tension: T_base, N, a number.
+        arc_length: s, m, a number or an array; NaN comes back outside 0 to L. Beyond the anchor of
+            a tendon its tension there is kept.
+        nodes: Gauss nodes for G in each smooth piece of the body.
+
+    Raises:
+        ValueError: for more tendons than one, or an offset that varies in the exact kinematics.
+    """
+    if manipulator.num_tendons != 1:
+        raise ValueError(f"closed_form_tension holds for one tendon, not for {manipulator.num_tendons}; use solve")
+    tendon = manipulator.tendons[0]
+    if manipulator.kinematics == "exact" and not _surely_constant(tendon.offset):
+        raise ValueError(
+            "closed_form_tension holds in the exact kinematics for a Constant tendon offset only, "
+            f"not for {type(tendon.offset).__name__}; use solve, or kinematics='published'"
+        )
+    s = jnp.asarray(arc_length, float)
+    length = jnp.asarray(manipulator.length, s.dtype)
+    whole = panels(length, jnp.asarray(manipulator.breakpoints, s.dtype), nodes)
+    reach = s if tendon.end is None else jnp.minimum(s, tendon.end)
+    compliance = _integral_up_to(whole, lambda x: manipulator.offset(x)[0] / manipulator.second_moment(x), reach)
+    ratio = 1.0 + manipulator.tendon_friction[0] / manipulator.youngs_modulus * base_tension * compliance
+    return jnp.where((s >= 0) & (s <= length), base_tension / ratio, jnp.nan)
+
+
+def _surely_constant(offset: Any) -> bool:
+    if isinstance(offset, Linear):
+        ends = offset.base, offset.tip
+        return all(isinstance(end, np.ndarray) for end in ends) and bool(ends[0] == ends[1])
+    return isinstance(offset, Constant)
+
+
+def _integral_up_to(whole: Panels, function: Any, arc_length: Float[Array, "*points"]) -> Float[Array, "*points"]:
+    """The integral of `function` from 0 to each arc length, panel by panel, with the Gauss rule on what is covered."""
+    starts = whole.edges[:-1]
+    covered = jnp.clip(arc_length[..., None] - starts, 0.0, whole.width)
+    at = starts[:, None] + covered[..., None] * whole.constant("nodes")
+    return jnp.sum(covered * (function(at) @ whole.constant("weights")), axis=-1)

@@ -1,0 +1,147 @@
+"""What a solve returns: the equilibrium, its fields along the body, and the code that says how it went."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from . import mechanics
+from .manipulator import CrossSection, Manipulator
+from .quadrature import Panels
+from .solver import State, guarded_section, tension_of
+
+PerTendon = Float[Array, " tendons"]
+
+
+class RESULTS(eqx.Enumeration):
+    """How a solve ended. The member's text says what happened and what helps."""
+
+    successful = ""
+    direction_contradicted = (
+        "A tendon travels against its stated direction: the model holds, its friction has the wrong sign. "
+        "Give direction=-1 for a tendon that slides out."
+    )
+    inaccurate = "The error estimate exceeds 1e-5: the body is too rough for its nodes. Raise nodes=."
+    crossing = (
+        "offset * curvature reaches 1: fibres of the body would cross at the tendon. "
+        "Lower the tension or the offset, or stiffen the body."
+    )
+    not_converged = "The iteration did not settle. Raise nodes= or max_sweeps, or lower the tension."
+    locked = (
+        "A tendon that slides out locks: its tension grows without bound before the tip. "
+        "Lower its base tension, friction or wrap."
+    )
+    unphysical = (
+        "The body or its load is not physical (NaN, negative tension, modulus or friction, a wall of no thickness, "
+        "a direction other than +1 or -1). Call manipulator.validate() to see which."
+    )
+
+
+class SolveError(RuntimeError):
+    """A solve failed; the message is that of its result."""
+
+
+class Fields(eqx.Module):
+    """What varies along the body, at one or several arc lengths; per tendon first."""
+
+    arc_length: Float[Array, " points"]  # s, m
+    curvature: Float[Array, " points"]  # kappa, 1/m, positive towards +n
+    heading: Float[Array, " points"]  # phi, rad
+    position: Float[Array, "points 2"]  # u, m, in the fixed frame at the base
+    tension: Float[Array, "tendons points"]  # T, N; zero beyond the anchor of a tendon
+    wrap_angle: Float[Array, "tendons points"]  # theta, rad, counted from the base
+    normal_force: Float[Array, "tendons points 2"]  # F_CDDN on the body, N/m, fixed frame
+    friction_force: Float[Array, "tendons points 2"]  # F_CDDF on the body, N/m, fixed frame
+
+
+class Equilibrium(eqx.Module):
+    """A manipulator in static equilibrium. Where a solve fails, its numbers are NaN and `result` says why.
+
+    Every attribute of `Fields` is found here as well, at the base, the Gauss nodes and the tip.
+    """
+
+    along: Fields
+    tip_tension: Float[Array, " tendons"]  # N; at its anchor for a tendon that ends before the tip
+    tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction
+    tendon_displacement: Float[Array, " tendons"]  # m, pulled in at the base since the straight body: positive
+    direction_contradicted: Bool[Array, " tendons"]  # True where a tendon travels against its direction
+    error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
+    num_iterations: Int[Array, ""]
+    result: RESULTS
+    _dense: "Dense"
+
+    arc_length = property(lambda self: self.along.arc_length, doc="s, m, from 0 to L.")
+    curvature = property(lambda self: self.along.curvature, doc="kappa, 1/m.")
+    heading = property(lambda self: self.along.heading, doc="phi, rad.")
+    position = property(lambda self: self.along.position, doc="u, m, (points, 2).")
+    tension = property(lambda self: self.along.tension, doc="T, N, (tendons, points).")
+    wrap_angle = property(lambda self: self.along.wrap_angle, doc="theta, rad, (tendons, points).")
+    normal_force = property(lambda self: self.along.normal_force, doc="F_CDDN, N/m, (tendons, points, 2).")
+    friction_force = property(lambda self: self.along.friction_force, doc="F_CDDF, N/m, (tendons, points, 2).")
+    tip_position = property(lambda self: self.along.position[..., -1, :], doc="u(L), m.")
+    tip_angle = property(lambda self: self.along.heading[..., -1], doc="phi(L), rad.")
+
+    def at(self, arc_length: Any) -> Fields:
+        """The same fields anywhere along the body.
+
+        Args:
+            arc_length: s, m, a number or an array of any shape; NaN comes back outside 0 to L.
+        """
+        s = jnp.asarray(arc_length, self.arc_length.dtype)
+        fields = jax.vmap(self._dense)(s.ravel())
+        return tendons_first(jax.tree.map(lambda x: x.reshape(s.shape + x.shape[1:]), fields), s.ndim)
+
+
+class Dense(eqx.Module):
+    """The collocation polynomials of a solution."""
+
+    manipulator: Manipulator
+    base_tension: PerTendon
+    direction: PerTendon
+    panels: Panels
+    starts: State
+    nodes: State
+    solved: Bool[Array, ""]
+
+    def __call__(self, arc_length: Float[Array, ""]) -> Fields:
+        """The fields at one arc length, tendons last."""
+        cut, count = self.panels, self.base_tension.shape[0]
+        columns = cut.interpolate(_columns(self.starts), _columns(self.nodes), arc_length)
+        state = State(columns[:count], columns[count : 2 * count], columns[-3], columns[-2:])
+        section = guarded_section(self.manipulator, arc_length)
+        fields = fields_at(section, self.base_tension, self.direction, arc_length, state)
+        inside = (arc_length >= 0) & (arc_length <= cut.edges[-1])
+        return nan_unless(self.solved & inside, fields)
+
+
+def _columns(state: State) -> Float[Array, "*points columns"]:
+    return jnp.concatenate([state.ratio, state.wrap_angle, state.heading[..., None], state.position], axis=-1)
+
+
+def fields_at(
+    section: CrossSection, base_tension: PerTendon, direction: PerTendon, arc_length: Float[Array, ""], state: State
+) -> Fields:
+    """The fields at one cross-section, tendons last."""
+    tension = tension_of(section, base_tension, state.ratio)
+    kappa = mechanics.curvature(section, tension)
+    rate = mechanics.rates(section, kappa, tension, direction)
+    forces = mechanics.distributed_forces(section, state.heading, kappa, tension, direction, rate)
+    return Fields(
+        arc_length, kappa, state.heading, state.position, tension, state.wrap_angle, forces.normal, forces.friction
+    )
+
+
+def tendons_first(fields: Fields, points_ndim: int) -> Fields:
+    """Move the axis of the tendons before those of the points."""
+
+    def per_tendon(fields):
+        return fields.tension, fields.wrap_angle, fields.normal_force, fields.friction_force
+
+    return eqx.tree_at(per_tendon, fields, [jnp.moveaxis(x, points_ndim, 0) for x in per_tendon(fields)])
+
+
+def nan_unless(good: Bool[Array, ""], tree: Any) -> Any:
+    """NaN where a solve failed: no number to mistake for a result, and no NaN in anyone else's derivative."""
+    return jax.tree.map(lambda x: jnp.where(good, x, jnp.nan), tree)

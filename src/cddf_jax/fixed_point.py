@@ -1,0 +1,89 @@
+"""A fixed point with implicit derivatives that is at home in jit, vmap, scan and shard_map."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+Values = Float[Array, "*values"]
+Scalar = Float[Array, ""]
+
+
+class FixedPointResult(NamedTuple):
+    value: Values
+    num_sweeps: Scalar
+    change: Scalar  # in the last sweep, as `size` measures it
+    converged: Bool[Array, ""]
+
+
+def relative_size(change: Values, value: Values) -> Scalar:
+    """The largest change over the largest value."""
+    return jnp.max(jnp.abs(change)) / jnp.maximum(jnp.max(jnp.abs(value)), jnp.finfo(value.dtype).tiny)
+
+
+def round_off(dtype: jnp.dtype) -> float:
+    """The relative change below which repeated sweeps only stir rounding errors."""
+    return 32 * float(jnp.finfo(dtype).eps)
+
+
+def fixed_point(
+    sweep: Callable[[Values], Values],
+    start: Values,
+    *,
+    tolerance: float,
+    max_sweeps: int,
+    size: Callable[[Values, Values], Scalar] = relative_size,
+    acceptable: Callable[[Values], Bool[Array, ""]] = lambda value: jnp.all(jnp.isfinite(value)),
+) -> FixedPointResult:
+    """Solve y = sweep(y) by repetition; differentiate it implicitly.
+
+    Derivatives come from the same kind of sweeps on the linearised equation v = sweep'(y) v + b, in
+    both modes and to any order, and no Jacobian is formed. Nothing is ever thrown: where the sweeps
+    do not settle or end on a value that is not acceptable, `converged` is false, the value is
+    `start`, and the derivatives are those of the linearisation there, finite unless the sweep's are not.
+
+    Args:
+        sweep: the map; it may close over traced values and is differentiated through them.
+        start: first guess.
+        tolerance: the sweeps stop when the last change was no larger.
+        max_sweeps: the sweeps stop here at the latest.
+        size: (change, value) -> how large a change is, to be compared with `tolerance`. The
+            linearised sweeps always go on until only rounding errors change.
+        acceptable: whether a value may count as a solution.
+    """
+
+    def solve(residual, first):
+        value, change, count = _repeat(lambda y: y - residual(y), first, size, tolerance, max_sweeps)
+        good = (change <= tolerance) & acceptable(value)
+        return jnp.where(good, value, first), (count, change, good.astype(count.dtype))
+
+    def solve_linear(operator, b):
+        settled = round_off(b.dtype)
+        value, change, _ = _repeat(lambda v: b + v - operator(v), b, relative_size, settled, max_sweeps)
+        return jnp.where(change <= 1e3 * settled, value, jnp.nan)
+
+    def solve_tangent(operator, b):
+        return jax.lax.custom_linear_solve(operator, b, solve=solve_linear, transpose_solve=solve_linear)
+
+    value, (count, change, good) = jax.lax.custom_root(
+        lambda y: y - sweep(y), start, solve, solve_tangent, has_aux=True
+    )
+    return FixedPointResult(value, count, change, good > 0.5)
+
+
+def _repeat(step, first, size, tolerance, max_sweeps):
+    # the carry derives from `first`, so that shard_map sees on which devices it varies
+    zero = 0.0 * size(first, first)
+
+    def unsettled(carry):
+        _, change, count = carry
+        return (change > tolerance) & (count < max_sweeps)
+
+    def body(carry):
+        value, _, count = carry
+        new = step(value)
+        return new, size(new - value, new), count + 1.0
+
+    return jax.lax.while_loop(unsettled, body, (first, zero + jnp.inf, zero))

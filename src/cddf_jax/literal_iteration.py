@@ -1,0 +1,157 @@
+"""The paper's algorithm as it stands, as a method of `solve` and step by step. Liu et al. (2020), section III."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from . import mechanics
+from .fixed_point import fixed_point
+from .manipulator import Manipulator
+from .quadrature import Panels
+from .solver import Path, Problem, State, integrate_shape, lay_out, turning_along
+from .statics import one_precision, per_tendon
+
+
+class LiteralIteration(eqx.Module):
+    """The paper's algorithm, Liu et al. (2020), section III: kappa_new = M[kappa_old] / (E J).
+
+    It starts from the frictionless shape, eq. (17), evaluates eq. (14) at the last shape, and stops
+    when the tip moves by less than the threshold, eq. (18). In the published kinematics it contracts
+    only where T d^2 < E J all along the body.
+
+    Args:
+        tip_tolerance: e_tip,th, m.
+        max_updates: it stops here at the latest.
+    """
+
+    tip_tolerance: float = eqx.field(default=1e-4, static=True)
+    max_updates: int = eqx.field(default=100, static=True)
+
+    def __call__(self, problem: Problem) -> Path:
+        cut = problem.panels
+
+        def tip_motion(change, curvature):
+            moved = _tip(cut, curvature) - _tip(cut, curvature - change)
+            return jnp.sqrt(jnp.sum(moved**2))
+
+        answer = fixed_point(
+            lambda kappa: literal_update(problem, kappa),
+            frictionless_curvature(problem),
+            tolerance=self.tip_tolerance,
+            max_sweeps=self.max_updates,
+            size=tip_motion,
+        )
+        gain = problem.direction * problem.manipulator.tendon_friction
+        wrap_edges, wrap = literal_wrap_angle(problem, answer.value)
+        (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
+        edges = State(jnp.exp(gain * wrap_edges), wrap_edges, heading_edges, position_edges)
+        return Path(
+            starts=jax.tree.map(lambda x: x[:-1], edges),
+            nodes=State(jnp.exp(gain * wrap), wrap, heading, position),
+            tip=jax.tree.map(lambda x: x[-1], edges),
+            num_iterations=answer.num_sweeps,
+            residual=answer.change / cut.edges[-1],
+            converged=answer.converged,
+            locked=jnp.zeros_like(answer.converged),
+        )
+
+
+def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
+    return integrate_shape(cut, curvature)[1][0][-1]
+
+
+def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
+    """Kappa with T = T_base everywhere, the start of the paper's iteration. Liu et al. (2020), eq. (17)."""
+    ones = jnp.ones_like(problem.nodes.offset)
+    return turning_along(problem, problem.nodes, ones)[0]
+
+
+def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:
+    """Theta at edges and nodes for a given shape, eq. (8). Its kappa' is that of the shape."""
+    if problem.has_joints:
+        raise ValueError(
+            "LiteralIteration does not know tendons that turn by a finite angle between two pieces of the body; "
+            "use FixedPoint"
+        )
+    t = jax.vmap(jax.vmap(mechanics.tangent))(problem.nodes, curvature)
+    turning = t.turning + t.turning_slope * problem.panels.differentiate(curvature)[..., None]
+    return problem.panels.integrate(jnp.where(problem.nodes.present, jnp.abs(turning), 0.0))
+
+
+def literal_update(problem: Problem, curvature: Float[Array, "P p"]) -> Float[Array, "P p"]:
+    """One update of the paper's algorithm: eq. (14) at the last shape, its double integral done by parts."""
+    _, wrap = literal_wrap_angle(problem, curvature)
+    section = problem.nodes
+    tension = problem.base_tension * jnp.exp(-problem.direction * section.friction_coefficient * wrap)
+    t = jax.vmap(jax.vmap(mechanics.tangent))(section, curvature)
+    moment = jnp.where(section.present, section.side * section.offset * tension * t.along, 0.0)
+    return jnp.sum(moment, axis=-1) / section.stiffness
+
+
+class IterationHistory(eqx.Module):
+    """Iterate 0 is the frictionless start, iterate k the shape after k updates.
+
+    Every iterate up to the last allowed is there; `num_updates` says where the paper would have stopped.
+    """
+
+    arc_length: Float[Array, " points"]  # s, m: 0, the nodes, L
+    curvature: Float[Array, "iterates nodes"]  # kappa, 1/m, at the nodes
+    position: Float[Array, "iterates points 2"]  # u, m
+    tip_tension: Float[Array, "iterates tendons"]  # N, that goes with the shape by eq. (8)
+    tip_error: Float[Array, " updates"]  # e_tip, m: how far update k + 1 moved the tip, eq. (18)
+    tip_tolerance: float = eqx.field(static=True)  # e_tip,th, m
+    num_updates: Int[Array, ""]  # updates until e_tip < e_tip,th; all of them if that never came
+    converged: Bool[Array, ""]
+
+
+def iteration_history(
+    manipulator: Manipulator,
+    base_tension: Any,
+    *,
+    direction: Any = +1,
+    tip_tolerance: float = 1e-4,
+    max_updates: int = 30,
+    nodes: int = 16,
+) -> IterationHistory:
+    """Run the algorithm of Liu et al. (2020), section III, and keep every shape.
+
+    Args:
+        base_tension, direction, nodes: as in `solve`.
+        tip_tolerance: e_tip,th, m.
+        max_updates: how many updates are made, whatever the threshold.
+    """
+    problem = lay_out(*one_precision(manipulator, *per_tendon(manipulator, base_tension, direction)), nodes)
+    cut = problem.panels
+    start = frictionless_curvature(problem)
+
+    def update(curvature, _):
+        new = literal_update(problem, curvature)
+        return new, new
+
+    _, later = jax.lax.scan(update, start, None, length=max_updates)
+    curvature = jnp.concatenate([start[None], later])
+
+    def observe(curvature):
+        _, (edges, at_nodes) = integrate_shape(cut, curvature)
+        wrap = literal_wrap_angle(problem, curvature)[0][-1]
+        gain = problem.direction * manipulator.tendon_friction
+        points = jnp.concatenate([edges[:1], at_nodes.reshape(-1, 2), edges[-1:]])
+        return points, problem.base_tension * jnp.exp(-gain * wrap)
+
+    position, tip_tension = jax.vmap(observe)(curvature)
+    step = jnp.diff(position[:, -1], axis=0)
+    tip_error = jnp.sqrt(jnp.sum(step**2, axis=-1))
+    below = tip_error < tip_tolerance
+    return IterationHistory(
+        arc_length=jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]]),
+        curvature=curvature.reshape(max_updates + 1, -1),
+        position=position,
+        tip_tension=tip_tension,
+        tip_error=tip_error,
+        tip_tolerance=tip_tolerance,
+        num_updates=jnp.where(jnp.any(below), jnp.argmax(below) + 1, max_updates),
+        converged=jnp.any(below),
+    )

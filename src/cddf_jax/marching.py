@@ -1,0 +1,97 @@
+"""One pass from base to tip, a check on the fixed point."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .solver import (
+    ACCURACY,
+    Number,
+    Path,
+    Problem,
+    State,
+    edge_nudge,
+    guarded_section,
+    ones_at_base,
+    turn_at_joint,
+    turning_of,
+)
+
+
+class Marching(eqx.Module):
+    """One pass from base to tip with the classical Runge-Kutta method, a check on the fixed point.
+
+    It integrates r, wrap angle, heading and position together, from node to node. The pass is made
+    a second time with half the step, and `residual` is what Richardson's rule makes of the difference.
+
+    Args:
+        steps: Runge-Kutta steps between neighbouring nodes in the coarser pass.
+    """
+
+    steps: int = eqx.field(default=4, static=True)
+
+    def __call__(self, problem: Problem) -> Path:
+        coarse, _ = _march(problem, self.steps)
+        tip, (starts, along) = _march(problem, 2 * self.steps)
+        length = problem.panels.edges[-1]
+        scale = State(tip.ratio, jnp.ones_like(tip.ratio), jnp.ones_like(length), length)
+        differences = [jnp.max(jnp.abs((a - b) / c)) for a, b, c in zip(tip, coarse, scale, strict=True)]
+        residual = jnp.max(jnp.stack(differences)) / 15
+        positive = jnp.all(along.ratio > 0)
+        return Path(
+            starts=starts,
+            nodes=jax.tree.map(lambda x: x[:, :-1], along),
+            tip=tip,
+            num_iterations=jnp.ones_like(length),
+            residual=residual,
+            converged=positive & (residual <= ACCURACY),
+            locked=~positive,
+        )
+
+
+def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
+    """The state at the tip; at the start of every panel; at every node and the end of every panel."""
+    cut = problem.panels
+    stops = jnp.concatenate([cut.nodes, cut.edges[1:, None]], axis=1)
+    nudge = edge_nudge(cut)
+
+    def rate(state: State, arc_length: Number) -> State:
+        section = guarded_section(problem.manipulator, arc_length)
+        kappa, wrap_rate = turning_of(problem, section, state.ratio)
+        growth = problem.direction * section.friction_coefficient * wrap_rate * state.ratio
+        return State(growth, wrap_rate, kappa, jnp.stack([jnp.cos(state.heading), jnp.sin(state.heading)]))
+
+    def panel(state, inputs):
+        before, after, start, end, stops = inputs
+        if problem.has_joints:
+            turn, ratio = turn_at_joint(problem, before, after, state.ratio)
+            state = state._replace(ratio=ratio, wrap_angle=state.wrap_angle + turn)
+
+        def inside(state, arc_length):  # stay on this panel's side of its edges
+            return rate(state, jnp.clip(arc_length, start + nudge, end - nudge))
+
+        def leg(carry, stop):
+            state, here = carry
+            step = (stop - here) / steps
+            state = jax.lax.fori_loop(0, steps, lambda i, y: _runge_kutta(inside, y, here + i * step, step), state)
+            return (state, stop), state
+
+        (end_state, _), along = jax.lax.scan(leg, (state, start), stops)
+        return end_state, (state, along)
+
+    ones = ones_at_base(problem)
+    zero = 0.0 * ones[0]
+    base = State(ones, 0.0 * ones, zero, jnp.stack([zero, zero]))
+    inputs = problem.before, problem.after, cut.edges[:-1], cut.edges[1:], stops
+    return jax.lax.scan(panel, base, inputs)
+
+
+def _runge_kutta(rate, state: State, arc_length: Number, step: Number) -> State:
+    def advanced(slope, fraction):
+        return jax.tree.map(lambda y, f: y + fraction * step * f, state, slope)
+
+    k1 = rate(state, arc_length)
+    k2 = rate(advanced(k1, 0.5), arc_length + step / 2)
+    k3 = rate(advanced(k2, 0.5), arc_length + step / 2)
+    k4 = rate(advanced(k3, 1.0), arc_length + step)
+    return jax.tree.map(lambda y, a, b, c, d: y + step / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4)

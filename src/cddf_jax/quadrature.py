@@ -1,0 +1,118 @@
+"""Gauss panels: integration and interpolation along the arc length.
+
+The body is cut into panels, in each of which everything is smooth. A panel carries `order` Gauss
+nodes; a function sampled there is integrated to every node by one small matrix and to the end of
+the panel by the Gauss weights, whose error falls like rho^(-2 order) for an analytic function.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.polynomial import legendre
+
+
+class Rule(NamedTuple):
+    """The Gauss rule on a panel scaled to [0, 1], as NumPy constants; p = order."""
+
+    nodes: np.ndarray  # (p,)
+    weights: np.ndarray  # (p,) integral over the panel
+    integration: np.ndarray  # (p, p) integral from 0 to each node
+    differentiation: np.ndarray  # (p, p) derivative at each node
+    series: np.ndarray  # (p, p) values at the nodes -> Legendre coefficients
+    interpolation: np.ndarray  # (p + 1, p + 1) values at 0 and the nodes -> Legendre coefficients
+
+
+@lru_cache
+def gauss_rule(order: int) -> Rule:
+    """The rule with `order` nodes, exact for polynomials of degree 2 order - 1."""
+    roots, weights = legendre.leggauss(order)
+    values = legendre.legvander(roots, order - 1)
+    series = values.T * weights * (np.arange(order)[:, None] + 0.5)
+    identity = np.eye(order)
+    integrals = np.stack([legendre.legval(roots, legendre.legint(row, lbnd=-1)) for row in identity], axis=1)
+    slopes = np.stack([legendre.legval(roots, legendre.legder(row)) for row in identity], axis=1)
+    return Rule(
+        nodes=(roots + 1) / 2,
+        weights=weights / 2,
+        integration=integrals @ series / 2,
+        differentiation=2 * slopes @ series,
+        series=series,
+        interpolation=np.linalg.inv(legendre.legvander(np.concatenate([[-1.0], roots]), order)),
+    )
+
+
+class Panels(eqx.Module):
+    """Panels along the body, P of them with p nodes each."""
+
+    edges: Float[Array, " P+1"]  # arc length, m, from 0 to L
+    order: int = eqx.field(static=True)
+
+    @property
+    def rule(self) -> Rule:
+        return gauss_rule(self.order)
+
+    @property
+    def width(self) -> Float[Array, " P"]:
+        return jnp.diff(self.edges)
+
+    @property
+    def nodes(self) -> Float[Array, "P p"]:
+        return self.edges[:-1, None] + self.width[:, None] * self.constant("nodes")
+
+    def constant(self, name: str) -> Float[Array, "..."]:
+        """A matrix of the rule in the precision of the edges."""
+        return jnp.asarray(getattr(self.rule, name), self.edges.dtype)
+
+    def integrate(self, rate: Float[Array, "P p *k"]) -> tuple[Float[Array, "P+1 *k"], Float[Array, "P p *k"]]:
+        """The integral of `rate` from the base to every edge and to every node."""
+        width = self.width.reshape((-1, *[1] * (rate.ndim - 2)))
+        gain = width * jnp.einsum("j,pj...->p...", self.constant("weights"), rate)
+        at_edges = jnp.concatenate([jnp.zeros_like(gain[:1]), jnp.cumsum(gain, axis=0)])
+        within = width[:, None] * jnp.einsum("ij,pj...->pi...", self.constant("integration"), rate)
+        return at_edges, at_edges[:-1, None] + within
+
+    def differentiate(self, values: Float[Array, "P p"]) -> Float[Array, "P p"]:
+        """The derivative along s of the polynomials through the nodes of each panel."""
+        width = jnp.where(self.width > 0, self.width, 1.0)
+        return jnp.einsum("ij,pj->pi", self.constant("differentiation"), values) / width[:, None]
+
+    def truncation(self, rate: Float[Array, "P p *k"]) -> Float[Array, " *k"]:
+        """Estimated error of the integral of `rate` over the body.
+
+        The Legendre coefficients of a smooth rate fall geometrically; their decay, read off the
+        last few, is carried on to the degree 2p, the first that the Gauss weights get wrong.
+        """
+        size = jnp.abs(jnp.einsum("ij,pj...->pi...", self.constant("series"), rate))
+        few = max(2, (self.order - 2) // 2)
+        last = jnp.max(size[:, -few:], axis=1)
+        before = jnp.maximum(jnp.max(size[:, -2 * few : -few], axis=1), jnp.finfo(rate.dtype).tiny)
+        decay = jnp.minimum(last / before, 1.0) ** (1 / few)
+        width = self.width.reshape((-1, *[1] * (rate.ndim - 2)))
+        return jnp.sum(width * last * decay**self.order, axis=0)
+
+    def interpolate(
+        self, start: Float[Array, "P k"], values: Float[Array, "P p k"], arc_length: Float[Array, ""]
+    ) -> Float[Array, " k"]:
+        """The polynomial through the start and the nodes of the panel that holds `arc_length`."""
+        i = jnp.clip(jnp.searchsorted(self.edges, arc_length, side="right") - 1, 0, self.edges.shape[0] - 2)
+        width = self.width[i]
+        x = 2 * (arc_length - self.edges[i]) / jnp.where(width > 0, width, 1.0) - 1
+        basis = [jnp.ones_like(x), x]
+        for n in range(1, self.order):
+            basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
+        samples = jnp.concatenate([start[i][None], values[i]])
+        return jnp.stack(basis) @ self.constant("interpolation") @ samples
+
+
+def panels(length: Float[Array, ""], breakpoints: Float[Array, " n"], nodes: int) -> Panels:
+    """Panels between the breakpoints, with at least `nodes` Gauss nodes in each smooth piece."""
+    per_piece = max(1, round(nodes / 8))
+    order = max(4, -(-nodes // per_piece))
+    joints = jnp.sort(jnp.clip(jnp.concatenate([jnp.zeros_like(length)[None], breakpoints, length[None]]), 0.0, length))
+    fraction = jnp.arange(per_piece) / per_piece
+    starts = joints[:-1, None] + jnp.diff(joints)[:, None] * fraction.astype(length.dtype)
+    return Panels(jnp.concatenate([starts.ravel(), joints[-1:]]), order)
