@@ -39,6 +39,16 @@ class RESULTS(eqx.Enumeration):
     )
 
 
+NOTEWORTHY = (
+    RESULTS.unphysical,
+    RESULTS.locked,
+    RESULTS.not_converged,
+    RESULTS.crossing,
+    RESULTS.inaccurate,
+    RESULTS.direction_contradicted,
+)
+
+
 class SolveError(RuntimeError):
     """A solve failed; the message is that of its result."""
 

@@ -71,7 +71,7 @@ def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
 
 def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:
     """Theta at edges and nodes for a given shape, eq. (8). Its kappa' is that of the shape."""
-    if problem.has_joints:
+    if problem.joints is not None:
         raise ValueError(
             "LiteralIteration does not know tendons that turn by a finite angle between two pieces of the body; "
             "use FixedPoint"

@@ -62,10 +62,9 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
         return State(growth, wrap_rate, kappa, jnp.stack([jnp.cos(state.heading), jnp.sin(state.heading)]))
 
     def panel(state, inputs):
-        before, after, start, end, stops = inputs
-        if problem.has_joints:
-            turn, ratio = turn_at_joint(problem, before, after, state.ratio)
-            state = state._replace(ratio=ratio, wrap_angle=state.wrap_angle + turn)
+        joint, start, end, stops = inputs
+        turn, ratio = turn_at_joint(problem, joint, state.ratio)
+        state = state._replace(ratio=ratio, wrap_angle=state.wrap_angle + turn)
 
         def inside(state, arc_length):  # stay on this panel's side of its edges
             return rate(state, jnp.clip(arc_length, start + nudge, end - nudge))
@@ -82,7 +81,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
     ones = ones_at_base(problem)
     zero = 0.0 * ones[0]
     base = State(ones, 0.0 * ones, zero, jnp.stack([zero, zero]))
-    inputs = problem.before, problem.after, cut.edges[:-1], cut.edges[1:], stops
+    inputs = problem.joints, cut.edges[:-1], cut.edges[1:], stops
     return jax.lax.scan(panel, base, inputs)
 
 

@@ -22,6 +22,13 @@ Number = Float[Array, ""]
 ACCURACY = 1e-5  # an error estimate above this is not called successful
 
 
+class Joints(NamedTuple):
+    """Where two smooth pieces of the body may meet: both sides of the start of every panel, leading axis P."""
+
+    before: CrossSection
+    after: CrossSection
+
+
 class Problem(eqx.Module):
     """A body under load, cut into panels, its cross-sections evaluated once."""
 
@@ -29,16 +36,10 @@ class Problem(eqx.Module):
     base_tension: PerTendon
     direction: PerTendon
     panels: Panels
+    base: CrossSection
     nodes: CrossSection  # leading axes: P panels, p nodes
-    before: CrossSection  # leading axis P: the start of every panel, seen from the base side
-    after: CrossSection  # the same, seen from the tip side
     tip: CrossSection
-
-    @property
-    def has_joints(self) -> bool:
-        """Whether a tendon may turn by a finite angle where two smooth pieces of the body meet."""
-        body = self.manipulator
-        return body.kinematics == "exact" and body.slanted and body.breakpoints.shape[0] > 0
+    joints: Joints | None  # None where no tendon can turn by a finite angle
 
 
 class State(NamedTuple):
@@ -71,17 +72,20 @@ class Method(Protocol):
 def lay_out(manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, nodes: int) -> Problem:
     """Cut the body into panels and evaluate its cross-sections."""
     cut = panels(jnp.asarray(manipulator.length), manipulator.breakpoints, nodes)
+    nudge = edge_nudge(cut)
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
-    starts, nudge = cut.edges[:-1], edge_nudge(cut)
+    along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
+    turns = manipulator.kinematics == "exact" and manipulator.slanted and manipulator.breakpoints.shape[0] > 0
+    starts = cut.edges[:-1]
     return Problem(
         manipulator,
         base_tension,
         direction,
         cut,
-        nodes=jax.vmap(section)(cut.nodes),
-        before=section(jnp.maximum(starts - nudge, 0.0)),
-        after=section(starts + nudge),
-        tip=guarded_section(manipulator, cut.edges[-1] - nudge),
+        base=jax.tree.map(lambda x: x[0], along),
+        nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
+        tip=jax.tree.map(lambda x: x[-1], along),
+        joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(starts + nudge)) if turns else None,
     )
 
 
@@ -119,10 +123,11 @@ def ratio_rate(problem: Problem, section: CrossSection, ratio: PerTendon) -> Per
     return problem.direction * section.friction_coefficient * wrap_rate * ratio
 
 
-def turn_at_joint(
-    problem: Problem, before: CrossSection, after: CrossSection, ratio: PerTendon
-) -> tuple[PerTendon, PerTendon]:
+def turn_at_joint(problem: Problem, joint: Joints | None, ratio: PerTendon) -> tuple[PerTendon, PerTendon]:
     """The finite angle by which a tendon turns where two pieces meet (exact kinematics), and r beyond it."""
+    if joint is None:
+        return jnp.zeros_like(ratio), ratio
+    before, after = joint
 
     def angle(section, ratio):
         kappa = mechanics.curvature(section, tension_of(section, problem.base_tension, ratio))
@@ -180,8 +185,8 @@ class FixedPoint(eqx.Module):
         integration, weights = cut.constant("integration"), cut.constant("weights")
 
         def panel(ratio, inputs):
-            section, before, after, width = inputs
-            turn, start = turn_at_joint(problem, before, after, ratio) if problem.has_joints else (0 * ratio, ratio)
+            section, joint, width = inputs
+            turn, start = turn_at_joint(problem, joint, ratio)
             answer = fixed_point(
                 lambda r: start + width * integration @ ratio_rates(problem, section, r),
                 jnp.broadcast_to(start, (cut.order, *start.shape)),
@@ -192,7 +197,7 @@ class FixedPoint(eqx.Module):
             end = start + width * weights @ ratio_rates(problem, section, answer.value)
             return jnp.where(end > 0, end, 1.0), (start, answer, turn, jnp.all(end > 0))
 
-        inputs = problem.nodes, problem.before, problem.after, cut.width
+        inputs = problem.nodes, problem.joints, cut.width
         tip, (starts, answer, turns, positive) = jax.lax.scan(panel, ones_at_base(problem), inputs)
         settled = answer.change <= tolerance
         return _follow(
@@ -206,8 +211,7 @@ class FixedPoint(eqx.Module):
 
 def ones_at_base(problem: Problem) -> PerTendon:
     """R = 1 at the base, made so that under shard_map it varies over the same devices as r further on."""
-    base = jax.tree.map(lambda x: x[0], problem.after)
-    rate = ratio_rate(problem, base, problem.base_tension)
+    rate = ratio_rate(problem, problem.base, problem.base_tension)
     return jnp.where(rate == rate, jnp.ones_like(rate), 1.0)
 
 

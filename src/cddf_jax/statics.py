@@ -179,7 +179,7 @@ def _along(problem: Problem, path: Path) -> Fields:
 
     cut = problem.panels
     arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
-    sections = jax.tree.map(line_up, first(problem.after), problem.nodes, problem.tip)
+    sections = jax.tree.map(line_up, problem.base, problem.nodes, problem.tip)
     states = jax.tree.map(line_up, first(path.starts), path.nodes, path.tip)
     fields = jax.vmap(fields_at, (0, None, None, 0, 0))
     return tendons_first(fields(sections, problem.base_tension, problem.direction, arc_length, states), 1)
