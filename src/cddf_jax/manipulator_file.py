@@ -1,0 +1,230 @@
+"""Manipulators in TOML files with units.
+
+    name = "Smooth-Sil 940"              # optional free text, like description; for people, not kept
+    length = "140 mm"
+    outer_radius = { base = "20 mm", tip = "13 mm" }
+    inner_radius = "7 mm"
+    youngs_modulus = "1.4 MPa"
+    friction_coefficient = 0.42
+    density = "1070 kg/m^3"              # optional, 0 unless given
+    kinematics = "published"             # optional, "exact" unless given
+    offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
+
+    [[tendons]]                          # one such table per tendon
+    offset = "10 mm"
+    side = 1                             # optional, 1 or -1
+    end = "100 mm"                       # optional, the tip unless given
+    friction_coefficient = 0.3           # optional, the manipulator's unless given
+
+A profile (radius, offset) is written in one of these forms; arc lengths count from the base:
+
+    "7 mm"                                                               Constant
+    { base = "20 mm", tip = "13 mm" }                                    Linear; length = "..." if not the body's
+    { ends = ["40 mm"], pieces = ["20 mm", { base = ..., tip = ... }] }  Piecewise, of profiles in turn
+    { lines = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ...] }             Piecewise.linear: [arc length, value]
+    { spline = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ...] }            Spline: [arc length, value], four or more
+
+What is written reads back to the last bit, in float64.
+"""
+
+import os
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from .artifacts import write_all
+from .errors import InputError
+from .manipulator import Manipulator, Tendon
+from .profiles import Constant, Linear, Piecewise, Profile, Spline
+from .units import Dimension, quantity, written
+
+_Table = Mapping[str, Any]
+_NUMBERS: dict[str, Dimension] = {
+    "length": "length",
+    "youngs_modulus": "pressure",
+    "friction_coefficient": "dimensionless",
+    "density": "density",
+}
+_PROFILES = ("outer_radius", "inner_radius")
+_REQUIRED = ("length", *_PROFILES, "youngs_modulus", "friction_coefficient", "tendons")
+_OPTIONAL = ("density", "kinematics", "offsets_outside_wall", "name", "description")
+_FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
+
+
+def read_manipulator(path: str | os.PathLike[str]) -> Manipulator:
+    """The manipulator in a TOML file, validated; the module's text shows the format.
+
+    Raises:
+        InputError: names the file, the key, the value and the remedy.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        outside = table.get("offsets_outside_wall", False)
+        if not isinstance(outside, bool):
+            raise InputError(f"offsets_outside_wall must be true or false, got {outside!r}")
+        return _manipulator(table).validate(offsets_outside_wall=outside)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f'{path}: is not TOML: {error}; quantities are quoted, as in length = "140 mm"') from None
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def write_manipulator(
+    manipulator: Manipulator, path: str | os.PathLike[str], *, offsets_outside_wall: bool = False
+) -> None:
+    """Write a manipulator as TOML, complete or not at all.
+
+    Args:
+        manipulator: its profiles must be those of this package.
+        path: the file, replaced if there is one.
+        offsets_outside_wall: allow tendons in the bore or outside the body, and say so in the file.
+
+    Raises:
+        InputError: for a manipulator that `validate` refuses, a profile of another kind, or a file
+            that cannot be written.
+    """
+    import tomli_w
+
+    manipulator.validate(offsets_outside_wall=offsets_outside_wall)
+    table = _table(manipulator)
+    if offsets_outside_wall:
+        table["offsets_outside_wall"] = True
+    path = Path(path)
+    try:
+        write_all(path.parent, {path.name: tomli_w.dumps(table)})
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); check the folder and its permissions"
+        ) from None
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+def _manipulator(table: _Table) -> Manipulator:
+    _check_keys("", table, _REQUIRED, _OPTIONAL)
+    numbers = {key: quantity(table[key], kind, key) for key, kind in _NUMBERS.items() if key in table}
+    tendons, length = table["tendons"], numbers["length"]
+    if not isinstance(tendons, list) or not tendons or not all(isinstance(tendon, dict) for tendon in tendons):
+        raise InputError("tendons must be one table per tendon; write each below a line [[tendons]]")
+    return Manipulator(
+        **numbers,
+        **{key: _profile(table[key], length, key) for key in _PROFILES},
+        tendons=[_tendon(tendon, length, f"tendon {number}") for number, tendon in enumerate(tendons, 1)],
+        kinematics=table.get("kinematics", "exact"),
+    )
+
+
+def _tendon(table: _Table, length: float, where: str) -> Tendon:
+    _check_keys(f"{where}: ", table, ("offset",), ("side", "end", "friction_coefficient"))
+    side = table.get("side", 1)
+    if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
+        raise InputError(f"{where}: side must be 1 or -1, got {side!r}")
+    kinds: dict[str, Dimension] = {"end": "length", "friction_coefficient": "dimensionless"}
+    optional = {key: quantity(table[key], kind, f"{where}: {key}") for key, kind in kinds.items() if key in table}
+    return Tendon(_profile(table["offset"], length, f"{where}: offset"), int(side), **optional)
+
+
+def _profile(value: Any, length: float, where: str) -> Profile:
+    match value:
+        case str() | int() | float():
+            return Constant(quantity(value, "length", where))
+        case {"base": base, "tip": tip, **rest} if rest.keys() <= {"length"}:
+            ends = quantity(base, "length", f"{where}: base"), quantity(tip, "length", f"{where}: tip")
+            return Linear(*ends, length=quantity(rest["length"], "length", f"{where}: length") if rest else length)
+        case {"ends": list(ends), "pieces": list(pieces), **rest} if not rest:
+            joints = [quantity(end, "length", f"{where}: ends") for end in ends]
+            parts = [_profile(piece, length, f"{where}: piece {number}") for number, piece in enumerate(pieces, 1)]
+            return _built(where, Piecewise, joints, parts)
+        case {"lines": list(points), **rest} if not rest:
+            return _built(where, Piecewise.linear, *_points(points, f"{where}: lines"))
+        case {"spline": list(points), **rest} if not rest:
+            return _built(where, Spline, *_points(points, f"{where}: spline"))
+    raise InputError(f"{where} is no profile, got {value!r}; write {_FORMS}")
+
+
+def _points(points: Sequence[Any], where: str) -> tuple[list[float], list[float]]:
+    for point in points:
+        if not isinstance(point, list) or len(point) != 2:
+            raise InputError(f'{where} holds pairs [arc length, value], got {point!r}; write ["60 mm", "15 mm"]')
+    knots, values = ([quantity(point[i], "length", where) for point in points] for i in (0, 1))
+    for i in range(1, len(knots)):
+        if knots[i] <= knots[i - 1]:
+            raise InputError(f"{where}: arc lengths must increase, got {points[i][0]!r} after {points[i - 1][0]!r}")
+    return knots, values
+
+
+def _built(where: str, make: Callable[..., Profile], *arguments: Any) -> Profile:
+    """The profile, or its own complaint about the number of values with the place in the file."""
+    try:
+        return make(*arguments)
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
+    known = (*required, *optional)
+    for key in table:
+        if key not in known:
+            close = get_close_matches(key, known, 1)
+            remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+            raise InputError(f"{where}unknown key {key!r}; {remedy}")
+    for key in required:
+        if key not in table:
+            raise InputError(f"{where}{key} is missing; add it")
+
+
+# --- writing -------------------------------------------------------------------------------------
+
+
+def _table(manipulator: Manipulator) -> dict[str, Any]:
+    length = manipulator.length
+    return {
+        "length": _text(length),
+        **{key: _form(getattr(manipulator, key), length, key) for key in _PROFILES},
+        "youngs_modulus": written(float(manipulator.youngs_modulus), "pressure"),
+        "friction_coefficient": float(manipulator.friction_coefficient),
+        "density": written(float(manipulator.density), "density"),
+        "kinematics": manipulator.kinematics,
+        "tendons": [
+            _tendon_table(tendon, length, f"tendon {number}") for number, tendon in enumerate(manipulator.tendons, 1)
+        ],
+    }
+
+
+def _tendon_table(tendon: Tendon, length: Any, where: str) -> dict[str, Any]:
+    table = {"offset": _form(tendon.offset, length, f"{where}: offset"), "side": tendon.side}
+    if tendon.end is not None:
+        table["end"] = _text(tendon.end)
+    if tendon.friction_coefficient is not None:
+        table["friction_coefficient"] = float(tendon.friction_coefficient)
+    return table
+
+
+def _form(profile: Profile, length: Any, where: str) -> Any:
+    """A profile in one of the forms that `_profile` reads."""
+    match profile:
+        case Constant():
+            return _text(profile.value)
+        case Linear():
+            own = {} if profile.length == length else {"length": _text(profile.length)}
+            return {"base": _text(profile.base), "tip": _text(profile.tip), **own}
+        case Piecewise():
+            pieces = [_form(piece, length, f"{where}: piece {i}") for i, piece in enumerate(profile.pieces, 1)]
+            return {"ends": [_text(end) for end in profile.ends], "pieces": pieces}
+        case Spline():
+            return {"spline": [[_text(s), _text(v)] for s, v in zip(profile.arc_length, profile.values, strict=True)]}
+    raise InputError(
+        f"{where}: a profile of type {type(profile).__name__} cannot be written to a file; "
+        "sample it into a Spline or Piecewise.linear"
+    )
+
+
+def _text(value: Any) -> str:
+    return written(float(value), "length")

@@ -1,0 +1,134 @@
+"""Quantities with units, at the edge: text such as "140 mm" in, SI numbers out, and back.
+
+Decimal text is converted in decimal arithmetic and rounded once, so that "140 mm" is 0.14 to the
+last bit. pint knows the units; it is imported when the first one is met.
+"""
+
+import math
+import re
+from decimal import Context, Decimal
+from functools import cache
+from typing import Any, Literal, NamedTuple, cast
+
+import numpy as np
+
+from .errors import InputError
+
+Dimension = Literal["length", "force", "pressure", "density", "angle", "dimensionless"]
+
+
+class _Units(NamedTuple):
+    si: str
+    preferred: str  # what an engineer writes
+
+
+_UNITS: dict[Dimension, _Units] = {
+    "length": _Units("m", "mm"),
+    "force": _Units("N", "N"),
+    "pressure": _Units("Pa", "MPa"),
+    "density": _Units("kg/m^3", "kg/m^3"),
+    "angle": _Units("rad", "deg"),
+}
+
+_EXACT = Context(prec=40, traps=[])  # a float64 has 17 digits, a unit's factor 28 at most
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)\s*([^\d\s.,+-].*)?", re.I)
+
+
+def quantity(text: Any, dimension: Dimension, what: str) -> float:
+    """The SI value of a number with its unit, such as "140 mm", "1.4 MPa" or "30 deg".
+
+    Args:
+        text: number and unit; for "dimensionless" a plain number, as text or not.
+        dimension: what is measured: "length", "force", "pressure", "density", "angle" or "dimensionless".
+        what: the name of the quantity, with which an error message begins.
+
+    Raises:
+        InputError: for text that is no number, a missing, unknown or unfit unit, NaN or infinity.
+    """
+    match = None if isinstance(text, bool) else _QUANTITY.fullmatch(str(text).rstrip())
+    plain = dimension == "dimensionless"
+    example = "0.42" if plain else repr(f"12.5 {_UNITS[dimension].preferred}")
+    if match is None:
+        raise InputError(f"{what} is not a number, got {text!r}; write for example {example}")
+    number, unit = match.groups()
+    if plain and unit:
+        raise InputError(f"{what} is a plain number, got {text!r}; leave the unit {unit!r} out")
+    factor = Decimal(1) if plain else _factor(unit or "", dimension, what, f"got {text!r}", example)
+    value = _rounded(_EXACT.create_decimal(number), factor)
+    if not math.isfinite(value):
+        raise InputError(f"{what} must be finite, got {text!r}; write for example {example}")
+    return value
+
+
+def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.ndarray:
+    """A whole column of numbers in one `unit`, converted to SI.
+
+    Args:
+        values: the numbers, float64.
+        unit: of all of them, such as "mm".
+        dimension: what is measured, not "dimensionless".
+        what: the name of the column, with which an error message begins.
+
+    Raises:
+        InputError: for a missing, unknown or unfit unit.
+    """
+    example = f"[{_UNITS[dimension].preferred}]"
+    factor = _factor(unit, dimension, what, f"got [{unit}]" if unit else "got none", example)
+    inverse = _EXACT.divide(Decimal(1), factor)
+    if factor < 1 and inverse == inverse.to_integral_value():  # division by 1000 rounds once
+        return values / float(inverse)
+    return values * float(factor)
+
+
+def written(value: float, dimension: Dimension) -> str:
+    """The text of a finite SI value, such as "140 mm", that `quantity` turns back into the same float64.
+
+    The unit is the engineer's where that is exact, the SI unit otherwise.
+    """
+    same = repr(float(value))
+    if dimension == "dimensionless":
+        return same
+    si, preferred = _UNITS[dimension]
+    exact, factor = Decimal(same), _EXACT.divide(_root(preferred)[0], _root(si)[0])
+    for digits in (15, 16, 17):
+        number = Context(prec=digits).divide(exact, factor)
+        if repr(_rounded(number, factor)) == same:
+            return f"{_plain(number)} {preferred}"
+    return f"{_plain(exact)} {si}"
+
+
+def _rounded(number: Decimal, factor: Decimal) -> float:
+    return float(_EXACT.multiply(number, factor))
+
+
+def _plain(number: Decimal) -> str:
+    """The shortest text of a decimal: 140, 0.5, 1.2E-9."""
+    number = number.normalize()
+    return f"{number:f}" if -6 <= number.adjusted() <= 15 else f"{number}"
+
+
+def _factor(unit: str, dimension: Dimension, what: str, got: str, example: str) -> Decimal:
+    """How many SI units of the dimension one `unit` is."""
+    size, base = _root(unit)
+    si_size, si_base = _root(_UNITS[dimension].si)
+    if unit and size is not None and base == si_base:
+        return _EXACT.divide(size, si_size)
+    unknown = f" with the unknown unit {unit!r}" if unit and size is None else ""
+    raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")
+
+
+@cache
+def _root(unit: str) -> tuple[Any, Any]:
+    """A unit's size in base units, and which they are; (None, None) for a unit that nobody knows."""
+    try:
+        size, base = _registry().get_root_units(_registry().parse_units(unit))
+    except Exception:  # pint's parser raises errors of many kinds, AssertionError and TokenError among them
+        return None, None
+    return Decimal(size), base
+
+
+@cache
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry(non_int_type=cast(Any, Decimal))  # pint's own annotation allows float only

@@ -1,0 +1,217 @@
+"""Checks on the host that the numbers of a manipulator describe a body, with messages for people."""
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from .errors import InputError
+from .manipulator import Manipulator, Tendon
+from .profiles import Piecewise, Profile, Spline, breakpoints
+
+if TYPE_CHECKING:
+    from .equilibrium import Equilibrium
+
+_SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
+_POINTS = 1001
+
+
+def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> None:
+    """Check numbers, wall and tendons, the latter two along the whole length.
+
+    Args:
+        manipulator: one manipulator, not a batch.
+        offsets_outside_wall: allow tendons in the bore or outside the body.
+
+    Raises:
+        InputError: for the first violation from the base; names quantity, arc length, value and remedy.
+        TypeError: when a number is traced.
+    """
+    _check_leaves(manipulator)
+    _check_scalars(manipulator)
+    _check_knots(manipulator)
+    with jax.enable_x64(True):  # a profile is judged in float64, whatever the caller computes in
+        s = _stations(manipulator)
+        _check_wall(manipulator, s)
+        for number, tendon in enumerate(manipulator.tendons, 1):
+            _check_tendon(f"tendon {number}", manipulator, tendon, s, offsets_outside_wall)
+
+
+def describe_crossing(equilibrium: "Equilibrium") -> str:
+    """Where offset * curvature is largest on the inside of a bend, as "tendon 1: offset * curvature is 1.08 at ..."."""
+    body, s = equilibrium._dense.manipulator, np.asarray(equilibrium.arc_length)
+    side = np.asarray([tendon.side for tendon in body.tendons])[:, None]
+    reach = np.asarray([body.length if tendon.end is None else tendon.end for tendon in body.tendons])[:, None]
+    crossing = np.where(s <= reach, side * np.asarray(body.offset(s)) * np.asarray(equilibrium.curvature), 0.0)
+    tendon, point = np.unravel_index(np.argmax(crossing), crossing.shape)
+    return f"tendon {tendon + 1}: offset * curvature is {crossing[tendon, point]:.3g} at s = {_mm(s[point])}"
+
+
+# --- single numbers ------------------------------------------------------------------------------
+
+
+def _check_leaves(manipulator: Manipulator) -> None:
+    """Every number concrete and finite."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(manipulator):
+        name = jax.tree_util.keystr(path).removeprefix(".")
+        if isinstance(leaf, Tracer):
+            raise TypeError(f"validate: {name} is traced; call validate() before jit, grad or vmap")
+        values = np.ravel(leaf) if isinstance(leaf, jax.Array | np.ndarray) else np.zeros(0)
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}; correct its value")
+
+
+def _check_scalars(manipulator: Manipulator) -> None:
+    length = manipulator.length
+    _demand_number("length", length, above=0.0, unit="m")
+    _demand_number("youngs_modulus", manipulator.youngs_modulus, above=0.0, unit="Pa")
+    _demand_number("friction_coefficient", manipulator.friction_coefficient, least=0.0)
+    _demand_number("density", manipulator.density, least=0.0, unit="kg/m^3")
+    for number, tendon in enumerate(manipulator.tendons, 1):
+        if tendon.friction_coefficient is not None:
+            _demand_number(f"tendon {number}: friction_coefficient", tendon.friction_coefficient, least=0.0)
+        if tendon.end is not None:
+            _demand_number(f"tendon {number}: end", tendon.end, above=0.0, unit="m")
+            if tendon.end > length:
+                raise InputError(
+                    f"tendon {number}: end at s = {_mm(tendon.end)} lies beyond the tip at {_mm(length)}; "
+                    "anchor it on the body, or leave end out for the tip"
+                )
+
+
+def _demand_number(name: str, value: Any, *, above: float = -np.inf, least: float = -np.inf, unit: str = "") -> None:
+    if np.ndim(value) != 0:
+        raise InputError(f"{name} must be one number, got shape {np.shape(value)}; validate one manipulator at a time")
+    if not (value > above and value >= least):
+        demand = "above 0" if above == 0 else "0 or more"
+        raise InputError(f"{name} must be {demand}, got {f'{float(value):.6g} {unit}'.strip()}; correct its value")
+
+
+def _check_knots(manipulator: Manipulator) -> None:
+    """Knots and joints increasing."""
+    for name, profile in _named_profiles(manipulator):
+        for part in _parts(profile):
+            knots = part.ends if isinstance(part, Piecewise) else part.arc_length if isinstance(part, Spline) else ()
+            falls = np.flatnonzero(np.diff(knots) <= 0)
+            if falls.size:
+                left, right = knots[falls[0]], knots[falls[0] + 1]
+                raise InputError(f"{name}: its knots must increase, got {_mm(left)} before {_mm(right)}; sort them")
+
+
+def _named_profiles(manipulator: Manipulator) -> Iterator[tuple[str, Profile]]:
+    yield "outer_radius", manipulator.outer_radius
+    yield "inner_radius", manipulator.inner_radius
+    for number, tendon in enumerate(manipulator.tendons, 1):
+        yield f"tendon {number}: offset", tendon.offset
+
+
+def _parts(profile: Profile) -> Iterator[Profile]:
+    """The profile, and if it is piecewise the pieces in it."""
+    yield profile
+    if isinstance(profile, Piecewise):
+        for piece in profile.pieces:
+            yield from _parts(piece)
+
+
+# --- along the length ----------------------------------------------------------------------------
+
+
+def _stations(manipulator: Manipulator) -> np.ndarray:
+    """Arc lengths at which to look: a dense grid and both sides of every breakpoint."""
+    length = float(manipulator.length)
+    sides = _sides(manipulator.breakpoints, length)
+    return np.sort(np.concatenate([np.linspace(0.0, length, _POINTS), *sides]))
+
+
+def _sides(breakpoints: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Just before and just behind each breakpoint; those not between base and `end` have both sides in one place."""
+    joints, nudge = np.sort(np.asarray(breakpoints, float)), 1e-9 * end
+    return np.clip(joints - nudge, 0.0, end - nudge), np.clip(joints + nudge, 0.0, end - nudge)
+
+
+def _check_wall(manipulator: Manipulator, s: np.ndarray) -> None:
+    outer = _values("outer_radius", manipulator.outer_radius, s)
+    inner = _values("inner_radius", manipulator.inner_radius, s)
+    _demand(
+        inner >= 0,
+        lambda i: f"inner_radius must be 0 or more: at s = {_mm(s[i])} it is {_mm(inner[i])}; enlarge it there",
+    )
+    _demand(
+        outer > inner,
+        lambda i: (
+            f"outer_radius must exceed inner_radius: at s = {_mm(s[i])} they are {_mm(outer[i])} and "
+            f"{_mm(inner[i])}; make the wall thicker there or shorten the body"
+        ),
+    )
+
+
+def _check_tendon(
+    name: str, manipulator: Manipulator, tendon: Tendon, s: np.ndarray, offsets_outside_wall: bool
+) -> None:
+    reach = float(manipulator.length if tendon.end is None else tendon.end)
+    beyond = s > reach
+    offset = _values(f"{name}: offset", tendon.offset, s, beyond)
+    _demand(
+        (offset >= 0) | beyond,
+        lambda i: (
+            f"{name}: offset must be 0 or more: at s = {_mm(s[i])} it is {_mm(offset[i])}; "
+            "give the distance from the neutral axis, and the side by side=-1"
+        ),
+    )
+    _check_jumps(name, tendon, reach)
+    if offsets_outside_wall:
+        return
+    outer, inner = _at(manipulator.outer_radius, s), _at(manipulator.inner_radius, s)
+    slack = _SLACK * float(manipulator.length)
+    _demand(
+        ((offset >= inner - slack) & (offset <= outer + slack)) | beyond,
+        lambda i: (
+            f"{name}: offset must lie inside the wall: at s = {_mm(s[i])} it is {_mm(offset[i])} and the wall runs "
+            f"from {_mm(inner[i])} to {_mm(outer[i])}; move the tendon, or allow it with offsets_outside_wall"
+        ),
+    )
+
+
+def _check_jumps(name: str, tendon: Tendon, reach: float) -> None:
+    sides = _sides(breakpoints(tendon.offset), reach)
+    before, after = (_at(tendon.offset, side) for side in sides)
+    _demand(
+        np.abs(after - before) <= _SLACK * reach,
+        lambda i: (
+            f"{name}: offset must not jump: at s = {_mm(sides[0][i])} it goes from {_mm(before[i])} to "
+            f"{_mm(after[i])}; make the pieces meet"
+        ),
+    )
+
+
+def _values(name: str, profile: Profile, s: np.ndarray, unused: Any = False) -> np.ndarray:
+    values = _at(profile, s)
+    if values.shape != s.shape:
+        raise InputError(
+            f"{name} must give one value per arc length, got shape {values.shape} for {s.shape}; "
+            "work element by element, and validate one manipulator at a time"
+        )
+    _demand(
+        np.isfinite(values) | unused,
+        lambda i: f"{name} must be finite: at s = {_mm(s[i])} it is {values[i]}; correct the profile there",
+    )
+    return values
+
+
+def _at(profile: Profile, s: np.ndarray) -> np.ndarray:
+    return np.asarray(eqx.filter_jit(profile)(jnp.asarray(s)))
+
+
+def _demand(good: np.ndarray, message: Callable[[int], str]) -> None:
+    """Raise for the first place that is not good."""
+    bad = np.flatnonzero(~good)
+    if bad.size:
+        raise InputError(message(int(bad[0])))
+
+
+def _mm(value: Any) -> str:
+    return f"{1e3 * float(value):.6g} mm"
