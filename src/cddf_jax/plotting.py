@@ -1,0 +1,221 @@
+"""Figures in the house style, made from plain arrays.
+
+They are `matplotlib.figure.Figure` objects without pyplot: no display is needed and no global state
+is touched. Colours (Okabe and Ito's, safe for colour-blind readers) always come with a line style or a
+marker of their own, so that a grey print can be read.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
+
+SINGLE_COLUMN, DOUBLE_COLUMN = 3.5, 7.16  # inches, the columns of IEEE's two-column page
+BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
+    *("#000000", "#E69F00", "#56B4E9", "#009E73"),
+    *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
+)
+GREY, PALE = "#7F7F7F", "#E8E8E8"
+# one style per curve: a colour, a dash pattern and a marker that belong together
+CURVES: tuple[dict[str, Any], ...] = tuple(
+    {"color": color, "linestyle": dashes, "marker": marker}
+    for color, dashes, marker in (
+        (BLUE, "-", "o"),
+        (VERMILION, "--", "s"),
+        (GREEN, "-.", "^"),
+        (PURPLE, ":", "D"),
+        (ORANGE, (0, (5, 1, 1, 1, 1, 1)), "v"),
+        (BLACK, (0, (6, 2)), "x"),
+    )
+)
+STYLE: dict[Any, Any] = {
+    "font.family": "STIXGeneral",
+    "font.size": 8.5,
+    "mathtext.fontset": "stix",
+    "axes.titlesize": 8.5,
+    "axes.labelsize": 8.5,
+    "axes.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.2,
+    "errorbar.capsize": 1.8,
+    "savefig.dpi": 300,
+    "pdf.fonttype": 42,  # fonts that editors of journals accept
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The house style within the block, nothing changed outside it."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(STYLE)
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches; call it within `house_style`."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def render(figure: Figure, name: str) -> dict[str, bytes]:
+    """The figure as PDF and PNG (300 dpi) by file name; the same bytes for the same figure."""
+    files = {}
+    with house_style():
+        for suffix, metadata in (("pdf", {"CreationDate": None}), ("png", {"Software": None})):
+            buffer = BytesIO()
+            figure.savefig(buffer, format=suffix, metadata=metadata)
+            files[f"{name}.{suffix}"] = buffer.getvalue()
+    return files
+
+
+# --- the body and the forces on it ---------------------------------------------------------------
+
+
+class Body(NamedTuple):
+    """A bent body as it is drawn: lengths in one unit, headings in radians, points along the body first."""
+
+    midline: np.ndarray  # (points, 2)
+    heading: np.ndarray
+    outer_radius: np.ndarray
+    inner_radius: np.ndarray
+    tendon: np.ndarray  # signed distance of the tendon from the midline, positive to the left
+
+    def at_distance(self, distance: Any) -> np.ndarray:
+        """The line at a signed distance to the left of the midline, (points, 2)."""
+        left = np.stack([-np.sin(self.heading), np.cos(self.heading)], axis=-1)
+        return self.midline + np.asarray(distance)[..., None] * left
+
+
+def draw_body(axes: Axes, body: Body) -> None:
+    """Wall and bore to scale, the midline dash-dotted and the tendon as a line."""
+    for side in (+1, -1):
+        outside, inside = body.at_distance(side * body.outer_radius), body.at_distance(side * body.inner_radius)
+        axes.fill(*np.concatenate([outside, inside[::-1]]).T, facecolor=PALE, edgecolor=GREY, linewidth=0.5)
+    axes.plot(*body.midline.T, color=GREY, linestyle=(0, (8, 2, 1, 2)), linewidth=0.6)
+    axes.plot(*body.at_distance(body.tendon).T, color=BLACK, linewidth=0.5)
+    axes.set_aspect("equal")
+
+
+def draw_arrows(axes: Axes, points: np.ndarray, vectors: Any, scale: float, **style: Any) -> Quiver:
+    """Vectors as arrows from points, both (points, 2); `scale` is vector units per unit of the axes."""
+    look = {"angles": "xy", "scale_units": "xy", "units": "inches", "width": 0.011, "zorder": 3}
+    axes.update_datalim(points + vectors / scale)
+    axes.autoscale_view()
+    return axes.quiver(*points.T, *vectors.T, scale=scale, **(look | style))
+
+
+def round_number(value: float) -> float:
+    """The greatest of 1, 2 and 5 times a power of ten that does not exceed a positive value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(digit for digit in (1, 2, 5) if digit * power <= value * (1 + 1e-12)))
+
+
+# --- data and model ------------------------------------------------------------------------------
+
+
+class Levels(NamedTuple):
+    """Repeated readings gathered by level; `deviation` is NaN where a level was read once."""
+
+    x: np.ndarray
+    mean: np.ndarray
+    deviation: np.ndarray  # standard deviation over the readings of a level
+
+
+def by_level(x: Any, y: Any) -> Levels:
+    """Gather the readings y whose x agree within 2 % of the range of x, the scatter of a set point."""
+    x, y = np.asarray(x, float), np.asarray(y, float)
+    order = np.argsort(x, kind="stable")
+    new_level = np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1
+    groups = np.split(order, new_level)
+    return Levels(
+        x=np.array([x[group].mean() for group in groups]),
+        mean=np.array([y[group].mean() for group in groups]),
+        deviation=np.array([y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]),
+    )
+
+
+def draw_band(axes: Axes, x: Any, lower: Any, upper: Any, **style: Any) -> None:
+    """The region between two lines."""
+    axes.fill_between(x, lower, upper, **({"color": SKY, "alpha": 0.5, "linewidth": 0} | style))
+
+
+def draw_levels(axes: Axes, x: Any, y: Any, **style: Any) -> None:
+    """Mean and standard deviation of y at each level of x, as markers with error bars."""
+    levels = by_level(x, y)
+    look = {"fmt": "o", "color": BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
+    axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
+
+
+class FitPanel(NamedTuple):
+    """What one column of `fit_figure` shows; arrays in the units of the labels.
+
+    The rows of the data are `x`, `observed` and `residual` = observed - predicted; the model is a line
+    `predicted` over `grid` with the limits `lower` and `upper` of its 95 % band.
+    """
+
+    x: Any
+    observed: Any
+    residual: Any
+    grid: Any
+    predicted: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    x_label: str
+    y_label: str
+    residual_label: str
+    data_label: str = "data, mean ± sd"
+
+
+def fit_figure(panels: Sequence[FitPanel]) -> Figure:
+    """Data with error bars and the fitted model with its 95 % band; the residuals below on the same x axis.
+
+    The band is drawn about the residuals too, where a narrow one can be seen. One panel fills a
+    column of a page, two or more stand side by side over both columns.
+    """
+    columns = len(panels)
+    width = SINGLE_COLUMN if columns == 1 else DOUBLE_COLUMN
+    with house_style():
+        figure = new_figure(width, 3.2)
+        axes = figure.subplots(2, columns, squeeze=False, sharex="col", height_ratios=(3, 1))
+        for (top, bottom), panel in zip(axes.T, panels, strict=True):
+            _draw_fit(top, panel)
+            draw_band(bottom, panel.grid, panel.lower - panel.predicted, panel.upper - panel.predicted)
+            draw_residuals(bottom, panel.x, panel.residual)
+            bottom.set(xlabel=panel.x_label, ylabel=panel.residual_label)
+        figure.align_ylabels()
+    return figure
+
+
+def _draw_fit(axes: Axes, panel: FitPanel) -> None:
+    draw_band(axes, panel.grid, panel.lower, panel.upper, label="95 % band")
+    axes.plot(panel.grid, panel.predicted, color=BLUE, label="model")
+    draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
+    axes.set_ylabel(panel.y_label)
+    axes.legend(loc="best")
+
+
+def draw_residuals(axes: Axes, x: Any, residual: Any) -> None:
+    """Every residual as a dot, mean and standard deviation at each level over them, about a line at zero."""
+    axes.axhline(0.0, color=BLUE)
+    axes.plot(x, residual, ".", color=GREY, markersize=3.5, markeredgewidth=0)
+    draw_levels(axes, x, residual, markersize=2.5)
+    reach = 1.15 * np.max(np.abs(np.asarray(residual)), initial=0.0) or 1.0
+    axes.set_ylim(-reach, reach)

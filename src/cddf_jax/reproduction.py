@@ -1,0 +1,311 @@
+"""The figures and numbers of Liu et al. (2020), section IV, computed anew and set beside the paper's."""
+
+import itertools
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from . import plotting as draw
+from .artifacts import as_json, plain, write_all
+from .equilibrium import RESULTS, Fields
+from .errors import InputError
+from .literal_iteration import IterationHistory, iteration_history
+from .manipulator import Manipulator
+from .measurements import Measurements
+from .statics import solve
+
+PULL = 75.0  # N, the base tension of Fig. 4, 5 and 6
+LIGHT_PULL = 10.0  # N, the other one of Fig. 6
+PULLS = np.arange(0.0, 85.1, 2.5)  # N, the model's line in Fig. 8
+HISTORY_PULLS = np.array([10.0, 25.0, 40.0, 55.0, 75.0, 85.0])  # N, Fig. 3
+HISTORY_UPDATES = 10
+PER_METRE = "N m$^{-1}$"
+
+
+class Results(NamedTuple):
+    """Everything that is drawn and tabulated, as NumPy arrays in SI units."""
+
+    manipulator: Manipulator
+    along: Fields  # base tensions `PULLS` first
+    tip_tension: np.ndarray  # at `PULLS`
+    history: IterationHistory  # base tensions `HISTORY_PULLS` first
+    load_cells: Measurements
+    predicted: np.ndarray  # tip tension by the model at the load cells' base tensions
+
+    @property
+    def trials(self) -> str:
+        return "simulated trials" if self.load_cells.simulated else "trials"
+
+    def at_pull(self, base_tension: float) -> Fields:
+        return jax.tree.map(lambda x: x[np.searchsorted(PULLS, base_tension)], self.along)
+
+    def history_at_pull(self) -> IterationHistory:
+        return jax.tree.map(lambda x: x[np.searchsorted(HISTORY_PULLS, PULL)], self.history)
+
+
+def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Path) -> dict[str, Any]:
+    """Write the paper's Fig. 3, 4, 5, 6 and 8 (PDF and PNG) and a table of its numbers beside ours.
+
+    Args:
+        manipulator: the paper's, with one tendon.
+        load_cells: trials with the columns base_tension and tip_tension; what is simulated is called so.
+        out: folder for the figures, reproduction.md and reproduction.json; all are written or none.
+
+    Returns:
+        What reproduction.json holds: `table`, a list of rows in SI units, and `files`, their names.
+
+    Raises:
+        InputError: for a manipulator with several tendons, or trials without tip tensions.
+        SolveError: when the body has no equilibrium at one of the tensions.
+    """
+    if manipulator.num_tendons != 1:
+        raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; leave one")
+    if "tip_tension" not in load_cells:
+        raise InputError(f"{load_cells.name}: the column tip_tension is missing; Fig. 8 shows it over base_tension")
+    results = _compute(manipulator, load_cells)
+    figures = {
+        "fig3_tip_error": tip_error_figure(results),
+        "fig4_iterations": iterations_figure(results),
+        "fig5_distributed_forces": distributed_forces_figure(results),
+        "fig6_shapes": shapes_figure(results),
+        "fig8_tip_tension": tip_tension_figure(results),
+    }
+    contents: dict[str, str | bytes] = {}
+    for name, figure in figures.items():
+        contents |= draw.render(figure, name)
+    rows = table(results)
+    contents["reproduction.md"] = as_markdown(rows)
+    answer = plain({"table": [row.as_dict() for row in rows], "files": [*contents, "reproduction.json"]})
+    write_all(out, contents | {"reproduction.json": as_json(answer)})
+    return answer
+
+
+def _compute(manipulator: Manipulator, load_cells: Measurements) -> Results:
+    pulls = np.concatenate([PULLS, load_cells["base_tension"]])
+    arc_length = np.linspace(0.0, manipulator.length, 141)
+    fields, tip_tension, good = jax.tree.map(np.asarray, _pull(manipulator, pulls, arc_length))
+    if not np.all(good):
+        solve(manipulator, pulls[np.argmin(good)])  # raises and says why
+    history = jax.tree.map(np.asarray, _histories(manipulator, HISTORY_PULLS))
+    model, predicted = np.split(tip_tension, [len(PULLS)])
+    return Results(manipulator, fields, model, history, load_cells, predicted)
+
+
+@eqx.filter_jit
+def _pull(manipulator: Manipulator, base_tension: Any, arc_length: Any) -> tuple[Fields, Any, Any]:
+    """Fields along the body, tip tension, and whether all is well, at each base tension."""
+
+    def one(pull):
+        equilibrium = solve(manipulator, pull, throw=False)
+        return equilibrium.at(arc_length), equilibrium.tip_tension[0], equilibrium.result == RESULTS.successful
+
+    return jax.vmap(one)(base_tension)
+
+
+@eqx.filter_jit
+def _histories(manipulator: Manipulator, base_tension: Any) -> IterationHistory:
+    def one(pull):
+        return iteration_history(manipulator, pull, max_updates=HISTORY_UPDATES, nodes=64)
+
+    return jax.vmap(one)(base_tension)
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def tip_error_figure(results: Results) -> Figure:
+    """Fig. 3: how far each update of the paper's algorithm moves the tip."""
+    history = results.history
+    updates = np.arange(1, HISTORY_UPDATES + 1)
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 2.5)
+        axes = figure.subplots()
+        for pull, error, curve in zip(HISTORY_PULLS, history.tip_error, draw.CURVES, strict=True):
+            axes.semilogy(updates, 1e3 * error, label=f"{pull:g} N", **curve)
+        threshold = 1e3 * history.tip_tolerance
+        axes.axhline(threshold, color=draw.GREY, linewidth=0.8)
+        axes.text(
+            HISTORY_UPDATES, 1.1 * threshold, f"$e_\\mathrm{{tip,th}}$ = {threshold:g} mm", ha="right", va="bottom"
+        )
+        axes.set(xlabel="Update", ylabel="Tip error $e_\\mathrm{tip}$ (mm)", ylim=(1e-5, 1e2), xticks=updates)
+        axes.legend(title="$T_\\mathrm{base}$", ncols=2)
+    return figure
+
+
+def iterations_figure(results: Results) -> Figure:
+    """Fig. 4: the midline at each iteration, from the frictionless start."""
+    history = results.history_at_pull()
+    midlines = 1e3 * history.position[: int(history.num_updates) + 1]
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 2.45)
+        axes = figure.subplots()
+        near_tip = axes.inset_axes((0.09, 0.42, 0.48, 0.56))
+        axes.plot(*midlines[0].T, color=draw.BLACK, linestyle="--", label="start, no friction")
+        for k, curve in zip(range(1, len(midlines)), itertools.cycle(draw.CURVES)):
+            axes.plot(*midlines[k].T, **dict(curve, marker=""))
+            near_tip.plot(*midlines[k].T, **curve, markevery=[-1])
+            axes.plot([], [], **curve, label=f"update {k}")
+        middle, reach = np.mean(midlines[1:, -1], axis=0), np.ptp(midlines[1:, -1], axis=0)
+        low, high = middle - 0.9 * reach, middle + 0.9 * reach
+        near_tip.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        near_tip.spines[:].set_visible(True)
+        axes.indicate_inset_zoom(near_tip, edgecolor=draw.GREY, linewidth=0.5)
+        axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)", aspect="equal")
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def distributed_forces_figure(results: Results) -> Figure:
+    """Fig. 5: normal and friction force per length, and the tension, along the body."""
+    fields = results.at_pull(PULL)
+    s = 1e3 * fields.arc_length
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 3.2)
+        forces, tension = figure.subplots(2, sharex=True, height_ratios=(3, 2))
+        forces.plot(s, _size(fields.normal_force[0]), color=draw.BLUE, label="normal, $|F_\\mathrm{CDDN}|$")
+        forces.plot(
+            s, _size(fields.friction_force[0]), "--", color=draw.VERMILION, label="friction, $|F_\\mathrm{CDDF}|$"
+        )
+        forces.set(ylabel=f"Distributed force ({PER_METRE})", ylim=(0, None))
+        forces.legend()
+        tension.plot(s, fields.tension[0], color=draw.BLACK)
+        tension.set(xlabel="Arc length $s$ (mm)", ylabel="Tension $T$ (N)", ylim=(0, None), xlim=(0, s[-1]))
+        figure.align_ylabels()
+    return figure
+
+
+def shapes_figure(results: Results) -> Figure:
+    """Fig. 6: the body to scale with the forces of its tendon, under a light and a strong pull."""
+    with draw.house_style():
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.6)
+        for axes, pull in zip(figure.subplots(1, 2, sharex=True, sharey=True), (LIGHT_PULL, PULL), strict=True):
+            _draw_loaded_body(axes, results, pull)
+            axes.set(title=f"$T_\\mathrm{{base}}$ = {pull:g} N", xlabel="$X$ (mm)")
+            axes.label_outer()
+        figure.axes[0].set_ylabel("$Y$ (mm)")
+    return figure
+
+
+def _draw_loaded_body(axes: Any, results: Results, pull: float) -> None:
+    manipulator, fields = results.manipulator, results.at_pull(pull)
+    s = fields.arc_length
+    outer, inner = 1e3 * np.asarray(manipulator.outer_radius(s)), 1e3 * np.asarray(manipulator.inner_radius(s))
+    tendon = 1e3 * manipulator.tendons[0].side * np.asarray(manipulator.offset(s))[0]
+    body = draw.Body(1e3 * np.asarray(fields.position), np.asarray(fields.heading), outer, inner, tendon)
+    draw.draw_body(axes, body)
+    every = slice(6, None, 14)
+    forces = {"normal": (fields.normal_force[0], draw.BLUE), "friction": (fields.friction_force[0], draw.VERMILION)}
+    strongest = np.max(_size(fields.normal_force[0]))
+    key = draw.round_number(strongest)
+    for height, (name, (force, color)) in zip((0.95, 0.87), forces.items(), strict=True):
+        points = body.at_distance(tendon)[every]
+        arrows = draw.draw_arrows(axes, points, force[every], strongest / 20.0, color=color)  # at most 20 mm long
+        label = f"{name} force, {key:g} {PER_METRE}"
+        axes.quiverkey(arrows, 0.17, height, key, label, labelpos="E", color=color)
+
+
+def tip_tension_figure(results: Results) -> Figure:
+    """Fig. 8: tip over base tension, the model's line and the simulated trials, with what lies between them below."""
+    base, tip = results.load_cells["base_tension"], results.load_cells["tip_tension"]
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 3.6)
+        axes, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+        axes.plot(PULLS, PULLS, ":", color=draw.GREY, label="no friction, $T_\\mathrm{tip} = T_\\mathrm{base}$")
+        axes.plot(PULLS, results.tip_tension, color=draw.BLUE, label="model")
+        draw.draw_levels(axes, base, tip, label=f"{results.trials}, mean ± sd")
+        axes.set(ylabel="Tip tension $T_\\mathrm{tip}$ (N)", ylim=(0, None), xlim=(0, None))
+        axes.legend()
+        draw.draw_residuals(below, base, tip - results.predicted)
+        below.set(xlabel="Base tension $T_\\mathrm{base}$ (N)", ylabel="Trials − model (N)")
+        figure.align_ylabels()
+    return figure
+
+
+def _size(vectors: Any) -> np.ndarray:
+    return np.linalg.norm(vectors, axis=-1)
+
+
+# --- table ---------------------------------------------------------------------------------------
+
+
+class Shown(NamedTuple):
+    """How a quantity in SI units is shown."""
+
+    unit: str  # the SI unit
+    factor: float
+    form: str
+
+
+FRACTION, COUNT = Shown("", 100.0, "{:.2f} %"), Shown("", 1.0, "{:.0f}")
+FORCE, FORCE_PER_LENGTH = Shown("N", 1.0, "{:.2f} N"), Shown("N/m", 1.0, "{:.1f} N/m")
+LENGTH, ANGLE = Shown("m", 1e3, "{:.2f} mm"), Shown("rad", 180 / np.pi, "{:.2f}°")
+
+
+NO_NUMBER = "not comparable: no number printed"
+
+
+class Row(NamedTuple):
+    """One number of the paper beside ours, in SI units; `paper` is None where the paper prints none."""
+
+    name: str
+    quantity: str
+    shown: Shown
+    ours: Any
+    paper: float | None = None
+    comparable: bool = False
+    note: str = NO_NUMBER
+
+    @property
+    def difference(self) -> float | None:
+        return self.ours - self.paper if self.comparable and self.paper is not None else None
+
+    def as_dict(self) -> dict[str, Any]:
+        kept = ("name", "quantity", "paper", "ours", "difference", "comparable", "note")
+        return {"unit": self.shown.unit} | {key: getattr(self, key) for key in kept}
+
+    def as_markdown(self) -> str:
+        def show(value: Any) -> str:
+            return "-" if value is None else self.shown.form.format(self.shown.factor * value)
+
+        cells = (self.quantity, show(self.paper), show(self.ours), show(self.difference), self.note)
+        return f"| {' | '.join(cells)} |"
+
+
+def table(results: Results) -> list[Row]:
+    """The numbers of section IV that the paper prints, and those that its figures only show."""
+    fields, history = results.at_pull(PULL), results.history_at_pull()
+    base, observed = results.load_cells["base_tension"], results.load_cells["tip_tension"]
+    tip, updates = results.tip_tension[np.searchsorted(PULLS, PULL)], int(history.num_updates)
+    levels = len(draw.by_level(base, observed).x)
+    error = np.mean(np.abs(results.predicted - observed)[observed > 0] / observed[observed > 0])
+    strongest = [np.max(_size(force[0])) for force in (fields.normal_force, fields.friction_force)]
+    at = f"at {PULL:g} N"
+    return [
+        Row("tension_loss", f"tension loss {at}", FRACTION, 1 - tip / PULL, 0.40, True,
+            'the paper: "about 40 %"; the difference is in percentage points'),
+        Row("iterations", f"iterations {at}", COUNT, updates + 1, 6, True,
+            f'the paper: "6 iterations", which counts the start; ours: the start and {updates} updates'),
+        Row("levels", "levels of base tension", COUNT, levels, 18, True,
+            "5 to 85 N in 5 N steps, as the paper says too, are 17 levels"),
+        Row("mean_error", "mean error of the tip tension", FRACTION, error, 0.1466, False,
+            f"not comparable: the paper's is against its measured trials, ours against {results.trials}"),
+        Row("tip_tension", f"tip tension {at}", FORCE, tip),
+        Row("tip_angle", f"tip angle {at}", ANGLE, fields.heading[-1]),
+        Row("tip_x", f"tip position X {at}", LENGTH, fields.position[-1, 0]),
+        Row("tip_y", f"tip position Y {at}", LENGTH, fields.position[-1, 1]),
+        Row("normal_force", f"largest normal force {at}", FORCE_PER_LENGTH, strongest[0],
+            note=f"{NO_NUMBER}; ours by eq. (9)"),
+        Row("friction_force", f"largest friction force {at}", FORCE_PER_LENGTH, strongest[1],
+            note=f"{NO_NUMBER}; ours by the second line of eq. (10), the one that closes eq. (13)"),
+    ]  # fmt: skip
+
+
+def as_markdown(rows: list[Row]) -> str:
+    """The table as Markdown."""
+    head = ["| quantity | the paper | ours | difference | note |", "| --- | ---: | ---: | ---: | --- |"]
+    title = ["# Liu et al. (2020), section IV, reproduced", ""]
+    return "\n".join([*title, *head, *(row.as_markdown() for row in rows)]) + "\n"
