@@ -9,20 +9,63 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .closed_form import closed_form_tension
     from .equilibrium import RESULTS, Equilibrium, Fields, SolveError
+    from .errors import InputError
+    from .identification import Fit, fit
+    from .least_squares import Determination, LeastSquaresFit, least_squares_fit
     from .literal_iteration import IterationHistory, LiteralIteration, iteration_history
     from .manipulator import Manipulator, Tendon, conical
+    from .manipulator_file import read_manipulator, write_manipulator
     from .marching import Marching
+    from .measurements import Measurements, read_measurements
     from .profiles import Constant, Linear, Piecewise, Spline
+    from .pulley import pulling_tension
     from .solver import FixedPoint
     from .statics import solve
 
 _HOME = {
     "closed_form": ("closed_form_tension",),
-    "equilibrium": ("RESULTS", "Equilibrium", "Fields", "SolveError"),
-    "literal_iteration": ("IterationHistory", "LiteralIteration", "iteration_history"),
-    "manipulator": ("Manipulator", "Tendon", "conical"),
-    "profiles": ("Constant", "Linear", "Piecewise", "Spline"),
+    "equilibrium": (
+        "RESULTS",
+        "Equilibrium",
+        "Fields",
+        "SolveError",
+    ),
+    "errors": ("InputError",),
+    "identification": (
+        "Fit",
+        "fit",
+    ),
+    "least_squares": (
+        "Determination",
+        "LeastSquaresFit",
+        "least_squares_fit",
+    ),
+    "literal_iteration": (
+        "IterationHistory",
+        "LiteralIteration",
+        "iteration_history",
+    ),
+    "manipulator": (
+        "Manipulator",
+        "Tendon",
+        "conical",
+    ),
+    "manipulator_file": (
+        "read_manipulator",
+        "write_manipulator",
+    ),
     "marching": ("Marching",),
+    "measurements": (
+        "Measurements",
+        "read_measurements",
+    ),
+    "profiles": (
+        "Constant",
+        "Linear",
+        "Piecewise",
+        "Spline",
+    ),
+    "pulley": ("pulling_tension",),
     "solver": ("FixedPoint",),
     "statics": ("solve",),
 }
@@ -32,22 +75,33 @@ __version__ = "0.1.0"
 __all__ = [
     "RESULTS",
     "Constant",
+    "Determination",
     "Equilibrium",
     "Fields",
+    "Fit",
     "FixedPoint",
+    "InputError",
     "IterationHistory",
+    "LeastSquaresFit",
     "Linear",
     "LiteralIteration",
     "Manipulator",
     "Marching",
+    "Measurements",
     "Piecewise",
     "SolveError",
     "Spline",
     "Tendon",
     "closed_form_tension",
     "conical",
+    "fit",
     "iteration_history",
+    "least_squares_fit",
+    "pulling_tension",
+    "read_manipulator",
+    "read_measurements",
     "solve",
+    "write_manipulator",
 ]
 
 

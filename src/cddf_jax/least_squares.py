@@ -27,6 +27,7 @@ IDENTIFIED, NOT_IDENTIFIED, PRIOR_ONLY, AT_BOUND, FIXED = (
     "fixed",
 )
 SUCCESSFUL = "successful"
+NOISE_ROUNDS = 50
 RELATIVE_RANK = 1e-9  # singular values below this times the largest are zero
 LARGEST_RELATIVE_ERROR = 0.5  # of a parameter that is called identified
 MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
@@ -122,15 +123,15 @@ def least_squares_fit(
     prior = _priors_of(names, priors or {})
     problem = _Problem(predict, unravel, data.values, space, prior)
 
-    noise = data.first_guess()
-    for _ in range(50):
-        outcome = _minimise(problem, noise, max_steps)
+    noise, settled = data.first_guess(), False
+    outcome = _minimise(problem, noise, max_steps)
+    for _ in range(NOISE_ROUNDS):  # weights from residuals, residuals from weights
         improved = data.estimate_noise(noise, outcome)
         settled = all(np.allclose(a, b, rtol=1e-4) for a, b in zip(noise, improved, strict=True))
-        noise = improved
+        noise, outcome = improved, _minimise(problem, improved, max_steps)
         if settled:
             break
-    return _conclude(names, unravel, space, prior, data, noise, outcome)
+    return _conclude(names, unravel, space, prior, data, noise, outcome, settled)
 
 
 # --- parameters and data -------------------------------------------------------------------------
@@ -288,7 +289,7 @@ class _Problem(eqx.Module):
     space: _Space
     prior: dict[int, Prior]
 
-    def residual(self, z: Float[Array, " n"], noise: tuple[Array, ...]) -> Float[Array, " m"]:
+    def residual(self, z: Float[Array, " n"], noise: tuple[Any, ...]) -> Float[Array, " m"]:
         """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors."""
         parameters = self.space.parameters(z)
         predicted = jax.tree.leaves(self.predict(self.unravel(parameters)))
@@ -314,7 +315,7 @@ def _minimise(problem: _Problem, noise: tuple[np.ndarray, ...], max_steps: int) 
 
 
 @eqx.filter_jit
-def _levenberg_marquardt(problem: _Problem, noise: tuple[Array, ...], max_steps: int):
+def _levenberg_marquardt(problem: _Problem, noise: tuple[np.ndarray, ...], max_steps: int):
     def with_slope(z):
         def push(tangent):
             return jax.jvp(lambda z: problem.residual(z, noise), (z,), (tangent,))
@@ -472,7 +473,8 @@ def _combinations(
         within = np.where(lost, direction, 0.0)
         if singular * LARGEST_RELATIVE_ERROR <= 1 or np.linalg.norm(within) < 0.99:
             continue  # not known well enough, or not of these parameters
-        powers = within / within[np.argmax(np.abs(within))]
+        first = min((i for i in range(len(names)) if abs(within[i]) > 0.02), key=lambda i: names[i])
+        powers = within * np.sign(within[first]) / np.abs(within).max()  # the first in the alphabet stands above
         whole = np.round(powers)
         powers = np.where(np.abs(powers - whole) < 0.02, whole, np.round(powers, 2))
         product = float(np.exp(np.sum(powers[lost] * np.log(value[lost]))))
@@ -503,7 +505,9 @@ def _verdict(outcome: _Outcome) -> str:
     return SUCCESSFUL
 
 
-def _conclude(names, unravel, space: _Space, prior, data: _Data, noise, outcome: _Outcome) -> LeastSquaresFit:
+def _conclude(
+    names, unravel, space: _Space, prior, data: _Data, noise, outcome: _Outcome, settled: bool
+) -> LeastSquaresFit:
     cuts = np.cumsum([v.size for v in data.values])
     *rows, prior_rows = np.split(outcome.jacobian, cuts)
     *residuals, _ = np.split(outcome.residual, cuts)
@@ -519,7 +523,7 @@ def _conclude(names, unravel, space: _Space, prior, data: _Data, noise, outcome:
     )
     determined = _determine(evidence)
     freedom = outcome.residual.size - determined.rank
-    result = _verdict(outcome)
+    result = _verdict(outcome) if settled else "the noise estimates did not settle; give the noise of some data"
     observed_less_predicted = [-r.reshape(v.shape) * s for r, s, v in zip(residuals, noise, data.values, strict=True)]
     return LeastSquaresFit(
         **vars(determined),
