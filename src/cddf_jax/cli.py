@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="Friction in tendon-driven continuum manipulators: predict it, and read it off measurements.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
@@ -149,7 +148,7 @@ def _equilibrium_text(equilibrium: "Equilibrium") -> str:
 def fit(
     robot: Robot,
     data: Annotated[list[Path], typer.Argument(help="CSV files with the unit in the header.", show_default=False)],
-    free: Annotated[list[str] | None, typer.Option(help="What is fitted.", show_default="friction_coefficient and youngs_modulus")] = None,
+    free: Annotated[list[str] | None, typer.Option(help="What is fitted.", show_default="friction and modulus")] = None,
     prior: Annotated[
         list[str] | None, typer.Option(help='Gaussian, "youngs_modulus=1.4 MPa +- 0.1 MPa".', show_default=False)
     ] = None,

@@ -36,7 +36,7 @@ from typing import Any
 
 from .artifacts import write_all
 from .errors import InputError
-from .manipulator import Manipulator, Tendon
+from .manipulator import KINEMATICS, Manipulator, Tendon
 from .profiles import Constant, Linear, Piecewise, Profile, Spline
 from .units import Dimension, quantity, written
 
@@ -113,11 +113,14 @@ def _manipulator(table: _Table) -> Manipulator:
     tendons, length = table["tendons"], numbers["length"]
     if not isinstance(tendons, list) or not tendons or not all(isinstance(tendon, dict) for tendon in tendons):
         raise InputError("tendons must be one table per tendon; write each below a line [[tendons]]")
+    kinematics = table.get("kinematics", "exact")
+    if kinematics not in KINEMATICS:
+        raise InputError(f"kinematics must be one of {KINEMATICS}, got {kinematics!r}")
     return Manipulator(
         **numbers,
         **{key: _profile(table[key], length, key) for key in _PROFILES},
         tendons=[_tendon(tendon, length, f"tendon {number}") for number, tendon in enumerate(tendons, 1)],
-        kinematics=table.get("kinematics", "exact"),
+        kinematics=kinematics,
     )
 
 

@@ -137,6 +137,8 @@ class Levels(NamedTuple):
     x: np.ndarray
     mean: np.ndarray
     deviation: np.ndarray  # standard deviation over the readings of a level
+    lowest: np.ndarray
+    highest: np.ndarray
 
 
 def by_level(x: Any, y: Any) -> Levels:
@@ -149,6 +151,8 @@ def by_level(x: Any, y: Any) -> Levels:
         x=np.array([x[group].mean() for group in groups]),
         mean=np.array([y[group].mean() for group in groups]),
         deviation=np.array([y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]),
+        lowest=np.array([y[group].min() for group in groups]),
+        highest=np.array([y[group].max() for group in groups]),
     )
 
 

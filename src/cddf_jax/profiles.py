@@ -42,7 +42,7 @@ class Linear(eqx.Module):
     length: Scalar = eqx.field(converter=as_number)
 
     def __call__(self, arc_length: Points) -> Float[Array, "*points"]:
-        return jnp.asarray(self.base) + (self.tip - self.base) * (arc_length / self.length)
+        return jnp.asarray(self.base) + (self.tip - self.base) * (jnp.asarray(arc_length) / self.length)
 
 
 class Piecewise(eqx.Module):
@@ -78,6 +78,8 @@ class Piecewise(eqx.Module):
                 "Piecewise.linear: arc_length and values must be two lists of one length, 2 or more, "
                 f"got shapes {np.shape(knots)} and {np.shape(heights)}"
             )
+        if isinstance(knots, np.ndarray) and not np.all(np.diff(knots) > 0):
+            raise ValueError(f"Piecewise.linear: arc_length must increase, got {knots.tolist()}")
         lines = []
         for i in range(np.shape(knots)[0] - 1):
             slope = (heights[i + 1] - heights[i]) / (knots[i + 1] - knots[i])

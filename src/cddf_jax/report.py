@@ -15,7 +15,11 @@ from .pulley import pulling_tension
 # what to multiply SI by, and the unit that then holds
 SHOWN = {"youngs_modulus": (1e-6, "MPa"), "length": (1e3, "mm"), "density": (1.0, "kg/m^3")}
 DEGREE = np.degrees(1.0)
-COLUMNS = {"tip_angle": (DEGREE, "tip angle", "deg"), "tip_x": (1e3, "tip x", "mm"), "tip_y": (1e3, "tip y", "mm")}
+COLUMNS = {
+    "tip_angle": (DEGREE, "Tip angle", "deg"),
+    "tip_x": (1e3, "Tip position X", "mm"),
+    "tip_y": (1e3, "Tip position Y", "mm"),
+}
 
 
 def as_dict(fit: Fit) -> dict[str, Any]:
@@ -116,7 +120,7 @@ def _data_label(table: Measurements) -> str:
 
 
 def _bench_panel(fit: Fit, name: str, table: Measurements, column: str) -> draw.FitPanel:
-    scale, quantity, unit = COLUMNS.get(column, (1.0, "tip tension", "N"))
+    scale, quantity, unit = COLUMNS.get(column, (1.0, "Tip tension", "N"))
     tension = table["base_tension"]
     grid = np.linspace(tension.min(), tension.max(), 100)
     value, half_width, _ = fit.predict(column, grid)
@@ -128,9 +132,9 @@ def _bench_panel(fit: Fit, name: str, table: Measurements, column: str) -> draw.
         predicted=scale * value,
         lower=scale * (value - half_width),
         upper=scale * (value + half_width),
-        x_label="base tension / N",
-        y_label=f"{quantity} / {unit}",
-        residual_label=f"residual / {unit}",
+        x_label="Base tension (N)",
+        y_label=f"{quantity} ({unit})",
+        residual_label=f"Residual ({unit})",
         data_label=_data_label(table),
     )
 
@@ -151,8 +155,8 @@ def _pulley_panel(fit: Fit, name: str, table: Measurements) -> draw.FitPanel:
         predicted=ratio,
         lower=ratio - half_width,
         upper=ratio + half_width,
-        x_label="wrap angle / deg",
-        y_label="pulling tension / weight",
-        residual_label="residual",
+        x_label="Wrap angle (deg)",
+        y_label="Pulling tension / weight",
+        residual_label="Residual",
         data_label=_data_label(table),
     )

@@ -211,14 +211,17 @@ def _draw_loaded_body(axes: Any, results: Results, pull: float) -> None:
 def tip_tension_figure(results: Results) -> Figure:
     """Fig. 8: tip over base tension, the model's line and the simulated trials, with what lies between them below."""
     base, tip = results.load_cells["base_tension"], results.load_cells["tip_tension"]
+    trials, left = draw.by_level(base, tip), draw.by_level(base, tip - results.predicted)
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 3.6)
         axes, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         axes.plot(PULLS, PULLS, ":", color=draw.GREY, label="no friction, $T_\\mathrm{tip} = T_\\mathrm{base}$")
         axes.plot(PULLS, results.tip_tension, color=draw.BLUE, label="model")
+        draw.draw_band(axes, trials.x, trials.lowest, trials.highest, label=f"{results.trials}, range")
         draw.draw_levels(axes, base, tip, label=f"{results.trials}, mean ± sd")
         axes.set(ylabel="Tip tension $T_\\mathrm{tip}$ (N)", ylim=(0, None), xlim=(0, None))
         axes.legend()
+        draw.draw_band(below, left.x, left.lowest, left.highest)
         draw.draw_residuals(below, base, tip - results.predicted)
         below.set(xlabel="Base tension $T_\\mathrm{base}$ (N)", ylabel="Trials − model (N)")
         figure.align_ylabels()

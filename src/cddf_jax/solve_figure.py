@@ -26,11 +26,11 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium) -> Fi
             )
             position, heading, outer, inner = (np.asarray(line) for line in lines)
             draw.draw_body(shape, draw.Body(1e3 * position, heading, 1e3 * outer, 1e3 * inner, 1e3 * distance))
-        shape.set(xlabel="X / mm", ylabel="Y / mm")
+        shape.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         for i, (values, style) in enumerate(zip(np.asarray(along.tension), draw.CURVES, strict=False), start=1):
             line = {key: style[key] for key in ("color", "linestyle")}
             tension.plot(1e3 * arc_length, values, label=f"tendon {i}", **line)
-        tension.set(xlabel="arc length / mm", ylabel="tension / N")
+        tension.set(xlabel="Arc length $s$ (mm)", ylabel="Tension $T$ (N)")
         tension.set_ylim(bottom=0.0)
         tension.legend()
     return figure

@@ -5,7 +5,7 @@ r' = direction mu theta' r. With one unloaded tendon in the published kinematics
 depend on r, and one sweep of the fixed point is exact.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -63,6 +63,7 @@ class Path(NamedTuple):
     locked: Bool[Array, ""]  # the tension of a tendon sliding out grows without bound
 
 
+@runtime_checkable
 class Method(Protocol):
     """A way to resolve shape and tension. Its settings are static."""
 

@@ -13,6 +13,7 @@ from . import mechanics
 from .equilibrium import RESULTS, Dense, Equilibrium, Fields, SolveError, fields_at, nan_unless, tendons_first
 from .manipulator import Manipulator
 from .solver import ACCURACY, FixedPoint, Method, Path, Problem, lay_out, tension_of, truncation_error
+from .validation import describe_crossing
 
 PerTendon = Float[Array, " tendons"]
 
@@ -74,6 +75,8 @@ def _raise_if_failed(equilibrium: Equilibrium) -> None:
     code = equilibrium.result
     if isinstance(code._value, Tracer) or np.ndim(code._value) > 0:
         return
+    if code == RESULTS.crossing:
+        raise SolveError(f"{describe_crossing(equilibrium)}. {RESULTS[code]}")
     if not (code == RESULTS.successful) and not (code == RESULTS.direction_contradicted):
         raise SolveError(RESULTS[code])
 
@@ -159,7 +162,7 @@ def _is_physical(manipulator: Manipulator, base_tension: PerTendon, direction: P
         jnp.all(stiffness > 0)
         & (problem.panels.edges[-1] > 0)
         & jnp.all(manipulator.tendon_friction >= 0)
-        & jnp.all(problem.nodes.offset >= 0)
+        & jnp.all((problem.nodes.offset >= 0) | ~problem.nodes.present)
         & jnp.all(base_tension >= 0)
         & jnp.all(jnp.abs(direction) == 1)
     )

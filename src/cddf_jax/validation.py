@@ -1,7 +1,7 @@
 """Checks on the host that the numbers of a manipulator describe a body, with messages for people."""
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,12 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from .equilibrium import Equilibrium
 from .errors import InputError
 from .manipulator import Manipulator, Tendon
 from .profiles import Piecewise, Profile, Spline, breakpoints
-
-if TYPE_CHECKING:
-    from .equilibrium import Equilibrium
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
 _POINTS = 1001
@@ -41,7 +39,7 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
             _check_tendon(f"tendon {number}", manipulator, tendon, s, offsets_outside_wall)
 
 
-def describe_crossing(equilibrium: "Equilibrium") -> str:
+def describe_crossing(equilibrium: Equilibrium) -> str:
     """Where offset * curvature is largest on the inside of a bend, as "tendon 1: offset * curvature is 1.08 at ..."."""
     body, s = equilibrium._dense.manipulator, np.asarray(equilibrium.arc_length)
     side = np.asarray([tendon.side for tendon in body.tendons])[:, None]

@@ -1,0 +1,113 @@
+"""The simulated data sets: made by their script, called what they are, and true to the model within their noise."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from cddf_jax.measurements import read_measurements
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+NAMES = ("load_cells_simulated.csv", "pulley_simulated.csv", "tip_angle_simulated.csv")
+
+# data/README.md: the truth, and the noise that every file declares
+MU, E, D = 0.42, 1.4e6, 0.010
+CELL_FLOOR, CELL_FRACTION, GAIN, BASE_SD, ANGLE_SD, SCATTER = 0.1, 0.01, 1.001, 0.05, np.deg2rad(0.5), 0.01
+
+
+def compliance() -> float:
+    """G(L), the integral of d / J along the paper's cone; design.md section 3 gives 2.942783188998e4 m^-2."""
+
+    def d_over_j(s):
+        return D / (np.pi / 4 * ((0.020 - 0.007 * s / 0.14) ** 4 - 0.007**4))
+
+    return quad(d_over_j, 0, 0.14, epsabs=0, epsrel=1e-12)[0]
+
+
+def tip_tension(base_tension):
+    """The closed form; it holds in both kinematics, the offset being constant."""
+    return base_tension / (1 + MU / E * base_tension * compliance())
+
+
+def standardised_tip_tension(table):
+    """(reading - truth) / sd, with everything that the file declares in the sd."""
+    base, truth = table["base_tension"], tip_tension(table["base_tension"])
+    loss = 1 - truth / base
+    by_base = (truth / base) ** 2 * BASE_SD  # dT_tip / dT_base = (T_tip / T_base)^2
+    by_friction = truth * loss * SCATTER  # dT_tip / dln(mu) = -T_tip (1 - T_tip / T_base)
+    sd = np.sqrt(CELL_FLOOR**2 + (CELL_FRACTION * truth) ** 2 + by_base**2 + by_friction**2)
+    return (table["tip_tension"] - GAIN * truth) / sd
+
+
+def assert_standard_normal(z):
+    """No reading beyond 4 sd, and a scatter that is neither absent nor greater than declared."""
+    assert np.max(np.abs(z)) < 4
+    assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
+
+
+def test_the_script_gives_the_shipped_bytes(tmp_path):
+    spec = importlib.util.spec_from_file_location("make_simulated", DATA / "make_simulated.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    script.write(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(NAMES)
+    for name in NAMES:
+        assert (tmp_path / name).read_bytes() == (DATA / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_file_says_what_it_is(name):
+    table = read_measurements(DATA / name)
+    notes = " ".join(table.notes)
+    assert table.simulated
+    assert notes.startswith("SIMULATED, not measured: written by data/make_simulated.py, random seed (2020, ")
+    assert all(word in notes for word in ("Truth: ", "mu 0.42", "Noise, normal: "))
+    assert table.warnings == ()
+
+
+def test_kinematics_are_named():
+    assert "PUBLISHED kinematics" in " ".join(read_measurements(DATA / "load_cells_simulated.csv").notes)
+    assert "EXACT kinematics" in " ".join(read_measurements(DATA / "tip_angle_simulated.csv").notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "levels", "trials"),
+    [("load_cells_simulated.csv", np.arange(5, 86, 5), 6), ("tip_angle_simulated.csv", np.arange(10, 81, 10), 3)],
+)
+def test_levels_and_trials(name, levels, trials):
+    table = read_measurements(DATA / name)
+    assert len(table.trial_labels) == trials
+    base = table["base_tension"].reshape(trials, len(levels))
+    assert np.max(np.abs(base - levels)) < 4 * BASE_SD
+
+
+def test_compliance_of_the_body():
+    assert compliance() == pytest.approx(2.942783188998e4, rel=1e-12)  # design.md section 3
+
+
+def test_load_cells_are_true():
+    assert_standard_normal(standardised_tip_tension(read_measurements(DATA / "load_cells_simulated.csv")))
+
+
+def test_tip_angles_are_true():
+    table = read_measurements(DATA / "tip_angle_simulated.csv")
+    assert_standard_normal(standardised_tip_tension(table))
+    # constant offset, exact kinematics: tip angle = ln(T_base / T_tip) / mu, design.md section 4
+    base = table["base_tension"]
+    truth = np.log(base / tip_tension(base)) / MU
+    slope = tip_tension(base) * compliance() / (E * base)  # dangle / dT_base
+    by_friction = (slope * base - truth) * SCATTER  # dangle / dln(mu)
+    sd = np.sqrt(ANGLE_SD**2 + (slope * BASE_SD) ** 2 + by_friction**2)
+    assert_standard_normal((table["tip_angle"] - truth) / sd)
+
+
+def test_pulley_is_true():
+    table = read_measurements(DATA / "pulley_simulated.csv")
+    assert len(table) == 30
+    np.testing.assert_allclose(np.unique(table["wrap_angle"]), [np.pi / 2, np.pi], rtol=1e-15)
+    truth = table["weight"] * np.exp(MU * table["wrap_angle"])  # Liu et al. (2020), eq. (5)
+    assert_standard_normal((table["pulling_tension"] - truth) / np.hypot(CELL_FLOOR, CELL_FRACTION * truth))

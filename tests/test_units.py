@@ -1,0 +1,137 @@
+"""Quantities with units: exact decimal conversion, what is refused, and the way back to text."""
+
+import math
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cddf_jax.errors import InputError
+from cddf_jax.units import quantity, to_si, written
+
+DIMENSIONS = ("length", "force", "pressure", "density", "angle", "dimensionless")
+
+
+def bits(value):
+    return struct.pack("<d", value)
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "value"),
+    [  # the value is the decimal one, as Python rounds its literal
+        ("140 mm", "length", 0.14),
+        ("140mm", "length", 0.14),
+        (" 1.4e2  mm ", "length", 0.14),
+        ("-5.3 µm", "length", -5.3e-6),
+        ("1 in", "length", 0.0254),  # the inch by definition
+        ("75 N", "force", 75.0),
+        ("7.5 kgf", "force", 73.549875),  # 7.5 * 9.80665 by hand
+        ("1.4 MPa", "pressure", 1400000.0),
+        ("1.4 N/mm^2", "pressure", 1400000.0),
+        ("1.07 g/cm^3", "density", 1070.0),
+        ("0.42", "dimensionless", 0.42),
+        (0.42, "dimensionless", 0.42),
+        (1, "dimensionless", 1.0),
+        ("2 rad", "angle", 2.0),
+        ("180 deg", "angle", math.pi),
+        ("0.5 turn", "angle", math.pi),
+    ],
+)
+def test_quantity_is_exact(text, dimension, value):
+    assert bits(quantity(text, dimension, "x")) == bits(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "message"),
+    [
+        ("140", "length", "L needs a unit of length, got '140'; write for example '12.5 mm'"),
+        (140, "length", "L needs a unit of length, got 140; write"),
+        ("140 N", "length", "L needs a unit of length, got '140 N'; write for example '12.5 mm'"),
+        ("140 rad m", "length", "L needs a unit of length, got '140 rad m'"),
+        ("5 %", "angle", "L needs a unit of angle, got '5 %'; write for example '12.5 deg'"),
+        ("3", "angle", "L needs a unit of angle, got '3'"),
+        (
+            "140 furlogns",
+            "length",
+            "L needs a unit of length, got '140 furlogns' with the unknown unit 'furlogns'; write",
+        ),
+        ("140 (mm", "length", "with the unknown unit '(mm'"),
+        ("140 mm/", "length", "with the unknown unit 'mm/'"),
+        ("0.42 mm", "dimensionless", "L is a plain number, got '0.42 mm'; leave the unit 'mm' out"),
+        ("long", "length", "L is not a number, got 'long'; write for example '12.5 mm'"),
+        ("", "length", "L is not a number, got ''"),
+        ("mm", "length", "L is not a number, got 'mm'"),
+        ("0,42", "dimensionless", "L is not a number, got '0,42'; write for example 0.42"),
+        ("1.2.3 mm", "length", "L is not a number, got '1.2.3 mm'"),
+        (True, "dimensionless", "L is not a number, got True"),
+        ([1], "dimensionless", "L is not a number, got [1]"),
+        ("nan mm", "length", "L must be finite, got 'nan mm'; write"),
+        (math.inf, "dimensionless", "L must be finite, got inf; write"),
+        ("1e400 N", "force", "L must be finite, got '1e400 N'"),
+        ("1e9999999999999999999999 N", "force", "L must be finite"),
+    ],
+)
+def test_quantity_refuses(text, dimension, message):
+    with pytest.raises(InputError) as error:
+        quantity(text, dimension, "L")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_columns_are_converted_like_single_numbers():
+    numbers = np.random.default_rng(0).uniform(-200, 200, 2000).round(2)
+    for unit, dimension in [("mm", "length"), ("kN", "force"), ("deg", "angle"), ("lbf", "force"), ("m", "length")]:
+        single = [quantity(f"{number} {unit}", dimension, "x") for number in numbers]
+        np.testing.assert_array_max_ulp(
+            to_si(numbers, unit, dimension, "x"), np.array(single), maxulp=2
+        )  # factor and product are rounded
+    np.testing.assert_array_equal(to_si(numbers, "mm", "length", "x"), numbers / 1000)
+
+
+@pytest.mark.parametrize(
+    ("unit", "message"),
+    [
+        ("N", "column tip_x needs a unit of length, got [N]; write for example [mm]"),
+        ("", "column tip_x needs a unit of length, got none; write for example [mm]"),
+        ("mmm", "column tip_x needs a unit of length, got [mmm] with the unknown unit 'mmm'; write for example [mm]"),
+    ],
+)
+def test_columns_refuse(unit, message):
+    with pytest.raises(InputError, match="^" + message.replace("[", r"\[") + "$"):
+        to_si(np.zeros(3), unit, "length", "column tip_x")
+
+
+@pytest.mark.parametrize(
+    ("value", "dimension", "text"),
+    [
+        (0.14, "length", "140 mm"),
+        (1.4e6, "pressure", "1.4 MPa"),
+        (75.0, "force", "75 N"),
+        (0.1 + 0.2, "length", "300.00000000000004 mm"),
+        (1.2e-12, "length", "1.2E-9 mm"),
+        (math.pi / 2, "angle", "90 deg"),
+        (0.42, "dimensionless", "0.42"),
+        (-0.0, "force", "-0 N"),
+    ],
+)
+def test_written_as_an_engineer_would(value, dimension, text):
+    assert written(value, dimension) == text
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False), st.sampled_from(DIMENSIONS))
+def test_written_reads_back_to_the_last_bit(value, dimension):
+    assert bits(quantity(written(value, dimension), dimension, "x")) == bits(value)
+
+
+def test_pint_is_imported_when_a_unit_is_met():
+    program = (
+        "import sys, cddf_jax.units as u, cddf_jax.measurements, cddf_jax.manipulator_file; "
+        "assert u.quantity('0.42', 'dimensionless', 'mu') == 0.42; "
+        "assert not {'pint', 'matplotlib', 'typer', 'rich', 'tomli_w'} & set(sys.modules); "
+        "u.quantity('1 m', 'length', 'L'); assert 'pint' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
