@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .measurements import Measurements, read_measurements
     from .profiles import Constant, Linear, Piecewise, Spline
     from .pulley import pulling_tension
+    from .report import write_fit
     from .solver import FixedPoint
     from .statics import solve
 
@@ -52,6 +53,7 @@ _HOME = {
     ),
     "manipulator_file": (
         "read_manipulator",
+        "write_fit",
         "write_manipulator",
     ),
     "marching": ("Marching",),
@@ -66,6 +68,7 @@ _HOME = {
         "Spline",
     ),
     "pulley": ("pulling_tension",),
+    "report": ("write_fit",),
     "solver": ("FixedPoint",),
     "statics": ("solve",),
 }
@@ -101,6 +104,7 @@ __all__ = [
     "read_manipulator",
     "read_measurements",
     "solve",
+    "write_fit",
     "write_manipulator",
 ]
 

@@ -174,12 +174,11 @@ def fit(
         noise=dict(_noise(text) for text in noise or []),
         nodes=nodes,
     )
-    from .report import as_dict
+    from .report import as_dict, write_fit
 
-    answer = as_dict(found)
     if out is not None:
-        _write_fit(found, answer, out)
-    _say(as_json, answer, _fit_text(found))
+        write_fit(found, out)
+    _say(as_json, as_dict(found), _fit_text(found))
     if not found.success:
         _stop(f"the fit failed: {found.result}", 1)
 
@@ -215,17 +214,6 @@ def _noise(text: str) -> tuple[str, float]:
     if not equals:
         raise InputError(f'--noise {text!r}: write a column and a standard deviation as in "tip_tension=0.5 N"')
     return column, quantity(number, _DIMENSION.get(column, "force"), f"--noise {column}")
-
-
-def _write_fit(found: "Fit", answer: dict[str, Any], out: Path) -> None:
-    from .artifacts import as_json, write_all
-    from .plotting import render
-    from .report import as_markdown, fit_figures
-
-    contents: dict[str, str | bytes] = {}
-    for name, figure in fit_figures(found).items():
-        contents |= render(figure, name)
-    write_all(out, contents | {"fit.md": as_markdown(found), "fit.json": as_json(answer)})
 
 
 def _fit_text(found: "Fit") -> str:

@@ -1,12 +1,14 @@
 """A fit as people read it: figures, a report, and a dictionary for JSON."""
 
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from . import plotting as draw
+from .artifacts import as_json, write_all
 from .identification import Fit
 from .least_squares import NOT_IDENTIFIED, Determination
 from .measurements import Measurements
@@ -20,6 +22,14 @@ COLUMNS = {
     "tip_x": (1e3, "Tip position X", "mm"),
     "tip_y": (1e3, "Tip position Y", "mm"),
 }
+
+
+def write_fit(fit: Fit, folder: str | Path) -> None:
+    """Write fit.md, fit.json and the figures (PDF and PNG) into a folder, all of them or none."""
+    contents: dict[str, str | bytes] = {}
+    for name, figure in fit_figures(fit).items():
+        contents |= draw.render(figure, name)
+    write_all(folder, contents | {"fit.md": as_markdown(fit), "fit.json": as_json(as_dict(fit))})
 
 
 def as_dict(fit: Fit) -> dict[str, Any]:

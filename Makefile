@@ -1,0 +1,35 @@
+# Two commands do everything: `make fit` and `make test`. Both make .venv first where it is missing.
+PYTHON ?= python3
+BIN := .venv/bin
+ROBOT := data/smooth_sil_940.toml
+TRIALS := data/load_cells_simulated.csv
+
+.PHONY: fit test lint studies benchmark clean
+
+fit: .venv/ready  ## fit the shipped bench data and reproduce the paper's figures, into out/
+	$(BIN)/cddf fit $(ROBOT) data/pulley_simulated.csv $(TRIALS) --out out/fit
+	$(BIN)/cddf reproduce $(ROBOT) $(TRIALS) --out out/reproduce
+
+test: .venv/ready  ## all tests, on every core
+	$(BIN)/python -m pytest -n auto --dist loadgroup
+
+lint: .venv/ready
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+studies: .venv/ready  ## every study of fitting/, into out/fitting/
+	for study in fitting/*.py; do $(BIN)/python $$study || exit 1; done
+
+benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
+	$(BIN)/python benchmarks/methods.py
+	$(BIN)/python benchmarks/cold_start.py
+
+.venv/ready: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("cddf_jax needs Python 3.11 or newer")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[test,lint]"
+	touch $@
+
+clean:
+	rm -rf .venv out
