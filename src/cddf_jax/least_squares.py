@@ -315,22 +315,26 @@ def _minimise(problem: _Problem, noise: tuple[np.ndarray, ...], max_steps: int) 
 
 
 @eqx.filter_jit
+def _residual_and_slope(problem: _Problem, noise: tuple[np.ndarray, ...], z: Float[Array, " n"]):
+    """The residual and its Jacobian by z, forward mode."""
+
+    def push(tangent):
+        return jax.jvp(lambda z: problem.residual(z, noise), (z,), (tangent,))
+
+    return jax.vmap(push, out_axes=(None, 1))(jnp.eye(z.shape[0]))
+
+
+@eqx.filter_jit
 def _levenberg_marquardt(problem: _Problem, noise: tuple[np.ndarray, ...], max_steps: int):
-    def with_slope(z):
-        def push(tangent):
-            return jax.jvp(lambda z: problem.residual(z, noise), (z,), (tangent,))
-
-        value, slope = jax.vmap(push, out_axes=(None, 1))(jnp.eye(z.shape[0]))
-        return value, slope
-
-    # handed an explicit Jacobian, the optimiser compiles the model once instead of once per product with it
+    # Handed an explicit Jacobian, the optimiser need not differentiate the model for every product with it;
+    # asked for in one place, it is traced once.
     @jax.custom_jvp
     def residual(z):
-        return problem.residual(z, noise)
+        return _residual_and_slope(problem, noise, z)[0]
 
     @residual.defjvp
     def _(primals, tangents):
-        value, slope = with_slope(*primals)
+        value, slope = _residual_and_slope(problem, noise, *primals)
         return value, slope @ tangents[0]
 
     solution = optx.least_squares(
@@ -342,7 +346,7 @@ def _levenberg_marquardt(problem: _Problem, noise: tuple[np.ndarray, ...], max_s
         throw=False,
     )
     parameters, stretch = jax.jvp(problem.space.parameters, (solution.value,), (jnp.ones_like(solution.value),))
-    value, slope = with_slope(solution.value)
+    value, slope = _residual_and_slope(problem, noise, solution.value)
     slope = slope / jnp.where(stretch == 0, 1.0, stretch)
     return parameters, value, slope, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
 
