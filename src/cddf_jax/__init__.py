@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .closed_form import closed_form_tension
+    from .determination import Determination
     from .equilibrium import RESULTS, Equilibrium, Fields, SolveError
     from .errors import InputError
     from .identification import Fit, fit
-    from .least_squares import Determination, LeastSquaresFit, least_squares_fit
+    from .least_squares import LeastSquaresFit, least_squares_fit
     from .literal_iteration import IterationHistory, LiteralIteration, iteration_history
     from .manipulator import Manipulator, Tendon, conical
     from .manipulator_file import read_manipulator, write_manipulator

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .determination import FIXED, IDENTIFIED, NOT_IDENTIFIED, Determination
 from .equilibrium import NOTEWORTHY, RESULTS, Equilibrium
 from .errors import InputError
-from .least_squares import FIXED, IDENTIFIED, NOT_IDENTIFIED, Determination, LeastSquaresFit, least_squares_fit
+from .least_squares import LeastSquaresFit, least_squares_fit
 from .manipulator import Manipulator
 from .measurements import Measurements
 from .pulley import pulling_tension

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from . import plotting as draw
 from .artifacts import as_json, write_all
+from .determination import NOT_IDENTIFIED, Determination
 from .identification import Fit
-from .least_squares import NOT_IDENTIFIED, Determination
 from .measurements import Measurements
 from .pulley import pulling_tension
 

@@ -1,0 +1,194 @@
+"""What data determine about parameters, read off the thin SVD of the Jacobian at an estimate.
+
+The Jacobian is scaled by the noise of the data and the size of the parameters, so that a singular value of s
+stands for a standard error of 1 / s, relative, along its direction.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+IDENTIFIED, NOT_IDENTIFIED, PRIOR_ONLY, AT_BOUND, FIXED = (
+    "identified",
+    "not identified",
+    "prior only",
+    "at bound",
+    "fixed",
+)
+RELATIVE_RANK = 1e-9  # singular values below this times the largest are zero
+LARGEST_RELATIVE_ERROR = 0.5  # of a parameter that is called identified
+
+
+class Estimate(NamedTuple):
+    value: float
+    standard_error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Determination:
+    """What some data determine about the parameters. Dictionaries go by name, arrays by the order of `names`."""
+
+    names: tuple[str, ...]
+    value: dict[str, float]
+    standard_error: dict[str, float]  # inf where the data do not determine the parameter
+    confidence_interval: dict[str, tuple[float, float]]  # 95 %, t-statistics where noise was estimated
+    status: dict[str, str]
+    combinations: dict[str, Estimate]  # what is identified of the parameters that are not
+    covariance: np.ndarray  # of the directions that the data determine
+    correlation: np.ndarray
+    singular_values: np.ndarray  # of the Jacobian scaled by noise and size of the parameters
+    rank: int
+    condition_number: float
+    sloppy_direction: dict[str, float]  # powers of the parameters in the least determined combination
+    quantile: float  # half-width of a 95 % interval over its standard error
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The rows of the scaled Jacobian at an estimate, by group of data."""
+
+    names: tuple[str, ...]
+    start: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    value: np.ndarray
+    size: np.ndarray  # of each parameter, the unit of the Jacobian's columns
+    at_bound: np.ndarray
+    rows: dict[str, np.ndarray]  # by group, (rows, parameters)
+    prior_rows: dict[int, np.ndarray]  # by parameter
+    noise_estimated: dict[str, bool]
+
+    def of(self, groups: Collection[str]) -> "Evidence":
+        rows = {name: self.rows[name] for name in groups}
+        estimated = {name: self.noise_estimated[name] for name in groups}
+        return replace(self, rows=rows, prior_rows={}, noise_estimated=estimated)
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        return without_nan(np.concatenate([*self.rows.values(), *self.prior_rows.values()]))
+
+
+def without_nan(matrix: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(matrix), matrix, 0.0)
+
+
+class Spectrum(NamedTuple):
+    """The thin SVD of a scaled Jacobian."""
+
+    values: np.ndarray
+    directions: np.ndarray  # rows
+    determined: np.ndarray  # which are not zero
+    covariance: np.ndarray  # relative, of the determined directions
+    relative_error: np.ndarray  # of each parameter, inf where a direction that is not determined holds it
+
+
+def spectrum_of(jacobian: np.ndarray) -> Spectrum:
+    _, values, directions = np.linalg.svd(jacobian, full_matrices=False)
+    determined = values > RELATIVE_RANK * max(values.max(initial=0.0), 1e-300)
+    scaled = directions[determined] / values[determined, None]
+    covariance = scaled.T @ scaled
+    reached = np.sum(directions[determined] ** 2, axis=0)  # 1 for a parameter within the determined directions
+    error = np.where(reached < 1 - 1e-12, np.inf, np.sqrt(np.diag(covariance)))
+    return Spectrum(values, directions, determined, covariance, error)
+
+
+def determine(evidence: Evidence) -> Determination:
+    names, value, size = evidence.names, evidence.value, evidence.size
+    jacobian = evidence.jacobian
+    spectrum = spectrum_of(jacobian)
+    rank = int(spectrum.determined.sum())
+    freedom = jacobian.shape[0] - rank
+    error = spectrum.relative_error * size
+    quantile = float(ndtri(0.975))
+    if any(evidence.noise_estimated.values()):
+        quantile = float(stdtrit(max(freedom, 1), 0.975))
+        error = error if freedom > 0 else np.full_like(error, np.inf)  # no data left to tell the noise
+
+    status = _statuses(evidence, error, quantile)
+    lost = np.array([word == NOT_IDENTIFIED for word in status])
+    open_ended = lost | np.array([word == AT_BOUND for word in status])
+    low, high = value - quantile * error, value + quantile * error
+    low, high = np.where(open_ended, evidence.lower, low), np.where(open_ended, evidence.upper, high)
+    spread = np.sqrt(np.diag(spectrum.covariance))
+    sloppy = spectrum.directions[-1] / max(np.abs(spectrum.directions[-1]).max(), 1e-300)
+
+    def by_name(values: Any) -> dict[str, Any]:
+        return dict(zip(names, values, strict=True))
+
+    return Determination(
+        names=names,
+        value=by_name(value.tolist()),
+        standard_error=by_name(np.where(open_ended, np.inf, error).tolist()),
+        confidence_interval=by_name(zip(low.tolist(), high.tolist(), strict=True)),
+        status=by_name(status),
+        combinations=_combinations(names, value, lost, spectrum),
+        covariance=spectrum.covariance * np.outer(size, size),
+        correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), 1e-300),
+        singular_values=spectrum.values,
+        rank=rank,
+        condition_number=float(spectrum.values[0] / spectrum.values[-1]) if rank == len(names) else np.inf,
+        sloppy_direction=by_name(sloppy.tolist()),
+        quantile=quantile,
+    )
+
+
+def _statuses(evidence: Evidence, error: np.ndarray, quantile: float) -> list[str]:
+    """By the rule: an interval that closes inside the bounds, and a relative standard error below 0.5."""
+    value = evidence.value
+    start = np.where(
+        np.isfinite(evidence.lower), 0.0, np.abs(evidence.start)
+    )  # what may be 0 is measured by its start too
+    known = error < LARGEST_RELATIVE_ERROR * np.maximum(evidence.size, start)
+    closed = (value - quantile * error > evidence.lower) & (value + quantile * error < evidence.upper)
+    data_error = spectrum_of(without_nan(np.concatenate([*evidence.rows.values()]))).relative_error * evidence.size
+    result = []
+    for i in range(len(value)):
+        prior_row = evidence.prior_rows.get(i)
+        # alone the data say nothing, and together they leave the prior as wide as it was
+        prior_only = (
+            prior_row is not None
+            and not data_error[i] < np.inf
+            and error[i] * np.abs(prior_row[0, i]) > 0.98 * evidence.size[i]
+        )
+        if evidence.at_bound[i]:
+            result.append(AT_BOUND)
+        elif prior_only:
+            result.append(PRIOR_ONLY)
+        else:
+            result.append(IDENTIFIED if known[i] and closed[i] else NOT_IDENTIFIED)
+    return result
+
+
+def _combinations(
+    names: tuple[str, ...], value: np.ndarray, lost: np.ndarray, spectrum: Spectrum
+) -> dict[str, Estimate]:
+    """Products of powers of the unidentified parameters that the data do determine."""
+    found = {}
+    if np.count_nonzero(lost) < 2 or np.any(value[lost] <= 0):
+        return found
+    for singular, direction in zip(spectrum.values, spectrum.directions, strict=True):
+        within = np.where(lost, direction, 0.0)
+        if singular * LARGEST_RELATIVE_ERROR <= 1 or np.linalg.norm(within) < 0.99:
+            continue  # not known well enough, or not of these parameters
+        first = min((i for i in range(len(names)) if abs(within[i]) > 0.02), key=lambda i: names[i])
+        powers = within * np.sign(within[first]) / np.abs(within).max()  # the first in the alphabet stands above
+        whole = np.round(powers)
+        powers = np.where(np.abs(powers - whole) < 0.02, whole, np.round(powers, 2))
+        product = float(np.exp(np.sum(powers[lost] * np.log(value[lost]))))
+        along = spectrum.directions[spectrum.determined] @ powers / spectrum.values[spectrum.determined]
+        found[_product_name(names, powers)] = Estimate(product, product * float(np.linalg.norm(along)))
+    return found
+
+
+def _product_name(names: tuple[str, ...], powers: np.ndarray) -> str:
+    """For example `friction_coefficient / youngs_modulus`."""
+
+    def factor(name: str, power: float) -> str:
+        return name if power == 1 else f"{name}^{power:g}"
+
+    above = [factor(n, p) for n, p in zip(names, powers, strict=True) if p > 0]
+    below = [factor(n, -p) for n, p in zip(names, powers, strict=True) if p < 0]
+    return " * ".join(above or ["1"]) + "".join(f" / {name}" for name in below)
