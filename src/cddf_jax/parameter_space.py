@@ -97,5 +97,6 @@ class Space(eqx.Module):
 
     def at_bound(self, value: np.ndarray) -> np.ndarray:
         """Whether the optimiser pushed a parameter against a bound."""
-        width = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, self.size(value))
+        unit = self.size(np.zeros_like(value))
+        width = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, unit)
         return np.minimum(value - self.lower, self.upper - value) < 1e-5 * width
