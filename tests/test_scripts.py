@@ -1,0 +1,75 @@
+"""The README's example and the studies of fitting/ run and say what they should."""
+
+import json
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+G = 2.942783188998e4  # int_0^L d/J ds of the paper's body, m^-2, design.md section 3
+BOTH = ("friction_coefficient", "youngs_modulus")
+STATUS = {
+    "pulley": ("identified", "fixed"),
+    "tensions_only": ("not identified", "not identified"),
+    "pulley_then_tensions": ("identified", "identified"),
+    "tensions_with_tip_angle": ("identified", "identified"),
+}
+
+
+def readme_example() -> str:
+    return re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S).group(1)
+
+
+def test_readme_example(capsys):
+    names: dict = {}
+    exec(compile(readme_example(), "README.md", "exec"), names)
+    ratio = 0.42 / 1.4e6 * 75.0 * G
+    # the closed form: T_tip = T / (1 + mu / E T G), and its derivative by mu
+    np.testing.assert_allclose(names["eq"].tip_tension, 75.0 / (1 + ratio), rtol=1e-10)
+    np.testing.assert_allclose(names["slope"].friction_coefficient, -75.0 * ratio / 0.42 / (1 + ratio) ** 2, rtol=1e-9)
+    pulls = np.linspace(5.0, 85.0, 17)
+    np.testing.assert_allclose(names["loss"], 1 - 1 / (1 + 0.42 / 1.4e6 * pulls * G), rtol=1e-9)
+    assert "0.117343" in capsys.readouterr().out  # tip X of the exact kinematics, design.md section 3
+
+
+def test_readme_example_is_short():
+    lines = [line for line in readme_example().splitlines() if line.strip()]
+    assert len(lines) <= 12
+
+
+def test_readme_names_commands_that_exist():
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
+    used = re.findall(r"`?make ([a-z]+)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert {"fit", "test"} <= set(used) <= set(targets)
+
+
+def test_every_study_is_expected():
+    assert {path.stem for path in (ROOT / "fitting").glob("*.py")} == set(STATUS)
+
+
+@pytest.mark.parametrize("name", STATUS)
+def test_study(name):
+    fit = runpy.run_path(str(ROOT / "fitting" / f"{name}.py"))["study"]()
+    assert fit.success
+    assert tuple(fit.status[p] for p in BOTH) == STATUS[name]
+    # the truth of the simulated data, data/README.md; 4 standard errors, for one draw with friction that
+    # differs from trial to trial, which the standard error does not know
+    for parameter, truth in zip(BOTH, (0.42, 1.4e6), strict=True):
+        if fit.status[parameter] == "identified":
+            assert abs(fit.value[parameter] - truth) < 4 * fit.standard_error[parameter]
+
+
+def test_study_as_a_script(tmp_path):
+    script = ROOT / "fitting" / "pulley.py"
+    environment = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PATH": "", "HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "friction_coefficient = 0.4" in done.stdout
+    written = json.loads((tmp_path / "out/fitting/pulley/fit.json").read_text())
+    assert written["status"]["friction_coefficient"] == "identified"
+    assert (tmp_path / "out/fitting/pulley/fit_pulley_simulated.png").stat().st_size > 10_000
