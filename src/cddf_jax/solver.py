@@ -111,7 +111,7 @@ def tension_of(section: CrossSection, base_tension: PerTendon, ratio: PerTendon)
 
 
 def turning_of(problem: Problem, section: CrossSection, ratio: PerTendon) -> tuple[Number, PerTendon]:
-    """Kappa and theta' of each tendon, from the tensions at one cross-section."""
+    """The curvature kappa, and theta' of each tendon, from the tensions at one cross-section."""
     tension = tension_of(section, problem.base_tension, ratio)
     kappa = mechanics.curvature(section, tension)
     turning = mechanics.rates(section, kappa, tension, problem.direction).turning
@@ -119,7 +119,7 @@ def turning_of(problem: Problem, section: CrossSection, ratio: PerTendon) -> tup
 
 
 def ratio_rate(problem: Problem, section: CrossSection, ratio: PerTendon) -> PerTendon:
-    """R' = direction mu theta' r."""
+    """The growth r' = direction mu theta' r."""
     _, wrap_rate = turning_of(problem, section, ratio)
     return problem.direction * section.friction_coefficient * wrap_rate * ratio
 
@@ -182,7 +182,7 @@ class FixedPoint(eqx.Module):
 
     def __call__(self, problem: Problem) -> Path:
         cut = problem.panels
-        tolerance = self.tolerance or max(1e-12, round_off(cut.edges.dtype))
+        tolerance = max(1e-12, round_off(cut.edges.dtype)) if self.tolerance is None else self.tolerance
         integration, weights = cut.constant("integration"), cut.constant("weights")
 
         def panel(ratio, inputs):
@@ -211,7 +211,7 @@ class FixedPoint(eqx.Module):
 
 
 def ones_at_base(problem: Problem) -> PerTendon:
-    """R = 1 at the base, made so that under shard_map it varies over the same devices as r further on."""
+    """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
     rate = ratio_rate(problem, problem.base, problem.base_tension)
     return jnp.where(rate == rate, jnp.ones_like(rate), 1.0)
 
