@@ -64,13 +64,13 @@ def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
 
 
 def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
-    """Kappa with T = T_base everywhere, the start of the paper's iteration. Liu et al. (2020), eq. (17)."""
+    """The shape with T = T_base everywhere, where the paper starts. Liu et al. (2020), eq. (17)."""
     ones = jnp.ones_like(problem.nodes.offset)
     return turning_along(problem, problem.nodes, ones)[0]
 
 
 def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:
-    """Theta at edges and nodes for a given shape, eq. (8). Its kappa' is that of the shape."""
+    """The wrap angle theta at edges and nodes for a given shape, eq. (8). Its kappa' is that of the shape."""
     if problem.joints is not None:
         raise ValueError(
             "LiteralIteration does not know tendons that turn by a finite angle between two pieces of the body; "

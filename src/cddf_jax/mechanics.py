@@ -99,7 +99,7 @@ def rates(
     direction: PerTendon,
     external_moment_rate: float | Number = 0.0,
 ) -> Rates:
-    """Kappa' and psi' from the derivative of the equilibrium along s, with T' = -direction mu |psi'| T.
+    """The rates kappa' and psi' from the derivative of the equilibrium along s, with T' = -direction mu |psi'| T.
 
     In the exact kinematics psi' of a slanted tendon contains kappa', which contains T'; the
     equation is linear once the signs of psi' are known. They are first taken without friction.

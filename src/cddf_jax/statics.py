@@ -63,7 +63,8 @@ def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> t
     count = manipulator.num_tendons
 
     def checked(name, value):
-        value = value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
+        traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
+        value = jnp.asarray(value) if traced else np.asarray(value, dtype=np.float64)
         if value.shape not in ((), (count,)):
             raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got shape {value.shape}")
         return value
@@ -202,7 +203,7 @@ def _tendon_displacement(problem: Problem, path: Path) -> PerTendon:
 
 
 def _crossing(problem: Problem, along: Fields) -> Float[Array, " P*p"]:
-    """Sigma d kappa at the nodes, the largest of the tendons that are there."""
+    """The product sigma d kappa at the nodes, the largest of the tendons that are there."""
     section, kappa = problem.nodes, along.curvature[1:-1].reshape(problem.panels.nodes.shape)
     crossing = jnp.where(section.present, section.side * section.offset * kappa[..., None], 0.0)
     return jnp.max(crossing, axis=-1)
