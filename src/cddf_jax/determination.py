@@ -57,6 +57,7 @@ class Evidence:
     value: np.ndarray
     size: np.ndarray  # of each parameter, the unit of the Jacobian's columns
     at_bound: np.ndarray
+    open_profile: np.ndarray  # whether the data hardly mind that the parameter moves far
     rows: dict[str, np.ndarray]  # by group, (rows, parameters)
     prior_rows: dict[int, np.ndarray]  # by parameter
     noise_estimated: dict[str, bool]
@@ -64,7 +65,8 @@ class Evidence:
     def of(self, groups: Collection[str]) -> "Evidence":
         rows = {name: self.rows[name] for name in groups}
         estimated = {name: self.noise_estimated[name] for name in groups}
-        return replace(self, rows=rows, prior_rows={}, noise_estimated=estimated)
+        closed = np.zeros_like(self.open_profile)
+        return replace(self, rows=rows, prior_rows={}, noise_estimated=estimated, open_profile=closed)
 
     @property
     def jacobian(self) -> np.ndarray:
@@ -124,7 +126,7 @@ def determine(evidence: Evidence) -> Determination:
         standard_error=by_name(np.where(open_ended, np.inf, error).tolist()),
         confidence_interval=by_name(zip(low.tolist(), high.tolist(), strict=True)),
         status=by_name(status),
-        combinations=_combinations(names, value, lost, spectrum),
+        combinations=_combinations(names, value, lost, spectrum) if np.any(np.isfinite(error)) or freedom > 0 else {},
         covariance=spectrum.covariance * np.outer(size, size),
         correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), 1e-300),
         singular_values=spectrum.values,
@@ -157,7 +159,7 @@ def _statuses(evidence: Evidence, error: np.ndarray, quantile: float) -> list[st
         elif prior_only:
             result.append(PRIOR_ONLY)
         else:
-            result.append(IDENTIFIED if known[i] and closed[i] else NOT_IDENTIFIED)
+            result.append(IDENTIFIED if known[i] and closed[i] and not evidence.open_profile[i] else NOT_IDENTIFIED)
     return result
 
 
@@ -169,6 +171,8 @@ def _combinations(
     if np.count_nonzero(lost) < 2 or np.any(value[lost] <= 0):
         return found
     for singular, direction in zip(spectrum.values, spectrum.directions, strict=True):
+        if len(found) == np.count_nonzero(lost) - 1:
+            break  # were one more known, so would be the parameters themselves
         within = np.where(lost, direction, 0.0)
         if singular * LARGEST_RELATIVE_ERROR <= 1 or np.linalg.norm(within) < 0.99:
             continue  # not known well enough, or not of these parameters

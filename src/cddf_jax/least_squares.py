@@ -4,20 +4,18 @@ The optimiser sees dimensionless unknowns of order one. Noise that is not given 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
-from jaxtyping import Array, Float
 
-from .determination import Determination, Evidence, determine, spectrum_of, without_nan
+from .determination import IDENTIFIED, Determination, Evidence, determine, spectrum_of, without_nan
 from .errors import InputError
-from .parameter_space import Prior, Space, bounds_of, names_of, priors_of
+from .levenberg_marquardt import LeastSquaresProblem, Outcome, chi_square, minimise
+from .parameter_space import Space, bounds_of, names_of, priors_of
 
 SUCCESSFUL = "successful"
 NOISE_ROUNDS = 50
@@ -76,22 +74,28 @@ def least_squares_fit(
         InputError: for float32, a start outside its bounds, names that are none, data that are not finite.
     """
     _refuse_single_precision()
+    if not jax.tree.leaves(start):
+        raise InputError("there is no parameter to fit")
     flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
     names = names_of(start)
     data = _grouped(observed, sigma)
     space = Space(np.asarray(flat), *bounds_of(names, np.asarray(flat), bounds or {}))
     prior = priors_of(names, priors or {})
-    problem = _Problem(predict, unravel, data.values, space, prior)
+    problem = LeastSquaresProblem(predict, unravel, data.values, space, prior)
 
     noise, settled = data.first_guess(), False
-    outcome = _minimise(problem, noise, max_steps)
+    outcome = minimise(problem, noise, max_steps=max_steps)
     for _ in range(NOISE_ROUNDS):  # weights from residuals, residuals from weights
         improved = data.estimate_noise(noise, outcome)
         settled = all(np.allclose(a, b, rtol=1e-4) for a, b in zip(noise, improved, strict=True))
-        noise, outcome = improved, _minimise(problem, improved, max_steps)
-        if settled:
+        noise, outcome = improved, minimise(problem, improved, outcome.z, max_steps=max_steps)
+        if settled or not np.all(np.isfinite(outcome.residual)):
             break
-    return _conclude(names, unravel, space, prior, data, noise, outcome, settled)
+
+    evidence = _evidence(names, space, prior, data, outcome)
+    profiles = _profiles(problem, noise, outcome, determine(evidence), max_steps)
+    result = _verdict(outcome, evidence, settled, profiles)
+    return _conclude(replace(evidence, open_profile=profiles.open), unravel, data, noise, outcome, result)
 
 
 def _refuse_single_precision() -> None:
@@ -121,7 +125,7 @@ class _Data:
         guesses = zip(self.sigma, self.scale, self.values, strict=True)
         return tuple(np.broadcast_to(0.05 * c if s is None else s, v.shape) for s, c, v in guesses)
 
-    def estimate_noise(self, noise: tuple[np.ndarray, ...], outcome: "_Outcome") -> tuple[np.ndarray, ...]:
+    def estimate_noise(self, noise: tuple[np.ndarray, ...], outcome: "Outcome") -> tuple[np.ndarray, ...]:
         """From the residuals of each group, less the degrees of freedom that the fit took from it."""
         count = sum(v.size for v in self.values)
         jacobian = without_nan(outcome.jacobian)
@@ -144,113 +148,42 @@ def _grouped(observed: Any, sigma: Any) -> _Data:
     for name, v in zip(names, values, strict=True):
         if not np.all(np.isfinite(v)):
             raise InputError(f"{name}: entry {int(np.argmin(np.isfinite(v.ravel())))} is not finite; leave it out")
-    if isinstance(sigma, Mapping | list | tuple):
-        sigmas = jax.tree.leaves(sigma, is_leaf=lambda x: x is None)
-        if len(sigmas) != len(values):
-            raise InputError(f"sigma has {len(sigmas)} entries for {len(values)} groups of data ({', '.join(names)})")
-    else:
-        sigmas = [sigma] * len(values)
+    sigmas = _per_group(sigma, names, observed)
     known = tuple(None if s is None else np.asarray(s, dtype=np.float64) for s in sigmas)
-    for name, s in zip(names, known, strict=True):
+    for name, s, v in zip(names, known, values, strict=True):
         if s is not None and not np.all(s > 0):
             raise InputError(f"sigma of {name} must be > 0")
+        if s is not None and s.shape not in ((), v.shape):
+            raise InputError(f"sigma of {name} must be one number or of shape {v.shape} like the data, got {s.shape}")
     return _Data(names, values, known, structure)
 
 
-# --- the minimum ---------------------------------------------------------------------------------
-
-
-class _Problem(eqx.Module):
-    predict: Callable[[Any], Any]
-    unravel: Callable[[Array], Any] = eqx.field(static=True)
-    values: tuple[np.ndarray | Array, ...]
-    space: Space
-    prior: dict[int, Prior]
-
-    def residual(self, z: Float[Array, " n"], noise: tuple[Any, ...]) -> Float[Array, " m"]:
-        """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors."""
-        parameters = self.space.parameters(z)
-        predicted = jax.tree.leaves(self.predict(self.unravel(parameters)))
-        groups = zip(predicted, self.values, noise, strict=True)
-        rows = [jnp.ravel((jnp.reshape(p, jnp.shape(v)) - v) / s) for p, v, s in groups]
-        pulls = [(parameters[i] - prior.mean) / prior.standard_deviation for i, prior in self.prior.items()]
-        return jnp.concatenate([*rows, jnp.stack(pulls)] if pulls else rows)
-
-
-class _Outcome(NamedTuple):
-    parameters: np.ndarray
-    size: np.ndarray  # of each parameter, its unit below
-    residual: np.ndarray
-    jacobian: np.ndarray  # of the residual by the parameters over their size
-    num_steps: int
-    solved: bool
-
-
-def _minimise(problem: _Problem, noise: tuple[np.ndarray, ...], max_steps: int) -> _Outcome:
-    parameters, residual, slope, steps, solved = jax.device_get(_levenberg_marquardt(problem, noise, max_steps))
-    size = problem.space.size(parameters)
-    return _Outcome(parameters, size, residual, slope * size, int(steps), bool(solved))
-
-
-@eqx.filter_jit
-def _residual_and_slope(problem: _Problem, noise: tuple[np.ndarray, ...], z: Float[Array, " n"]):
-    """The residual and its Jacobian by z, forward mode."""
-
-    def push(tangent):
-        return jax.jvp(lambda z: problem.residual(z, noise), (z,), (tangent,))
-
-    return jax.vmap(push, out_axes=(None, 1))(jnp.eye(z.shape[0]))
-
-
-@eqx.filter_jit
-def _levenberg_marquardt(problem: _Problem, noise: tuple[np.ndarray, ...], max_steps: int):
-    # Handed an explicit Jacobian, the optimiser need not differentiate the model for every product with it;
-    # asked for in one place, it is traced once.
-    @jax.custom_jvp
-    def residual(z):
-        return _residual_and_slope(problem, noise, z)[0]
-
-    @residual.defjvp
-    def _(primals, tangents):
-        value, slope = _residual_and_slope(problem, noise, *primals)
-        return value, slope @ tangents[0]
-
-    solution = optx.least_squares(
-        lambda z, _: residual(z),
-        optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
-        problem.space.first(),
-        options={"jac": "fwd"},
-        max_steps=max_steps,
-        throw=False,
-    )
-    parameters, stretch = jax.jvp(problem.space.parameters, (solution.value,), (jnp.ones_like(solution.value),))
-    value, slope = _residual_and_slope(problem, noise, solution.value)
-    slope = slope / jnp.where(stretch == 0, 1.0, stretch)
-    return parameters, value, slope, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
+def _per_group(sigma: Any, names: tuple[str, ...], observed: Any) -> list[Any]:
+    """The given sigma of each group, None where it is not known."""
+    if isinstance(observed, Mapping) and isinstance(sigma, Mapping):
+        for name in sigma:
+            if name not in names:
+                raise InputError(
+                    f"sigma is given for {name!r}, which is no group of data; there are {', '.join(names)}"
+                )
+        return [sigma.get(name) for name in names]
+    if isinstance(sigma, Mapping | list | tuple):
+        sigmas = jax.tree.leaves(sigma, is_leaf=lambda x: x is None)
+        if len(sigmas) != len(names):
+            raise InputError(f"sigma has {len(sigmas)} entries for {len(names)} groups of data ({', '.join(names)})")
+        return sigmas
+    return [sigma] * len(names)
 
 
 # --- the conclusion -------------------------------------------------------------------------------
 
 
-def _verdict(outcome: _Outcome) -> str:
-    if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
-        return "the model gave no number at the estimate; start closer, or leave out data beyond its reach"
-    column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
-    slope = np.abs(outcome.jacobian.T @ outcome.residual) / np.maximum(column * total, 1e-300)
-    exact = total <= 1e-6 * np.sqrt(outcome.residual.size)
-    if not exact and np.any(slope > (1e-4 if outcome.solved else 1e-6)):
-        return "the optimiser stopped short of a minimum; start closer, or allow more steps"
-    return SUCCESSFUL
-
-
-def _conclude(
-    names, unravel, space: Space, prior, data: _Data, noise, outcome: _Outcome, settled: bool
-) -> LeastSquaresFit:
-    cuts = np.cumsum([v.size for v in data.values])
-    *rows, prior_rows = np.split(outcome.jacobian, cuts)
-    *residuals, _ = np.split(outcome.residual, cuts)
-    estimated = {name: sigma is None for name, sigma in zip(data.names, data.sigma, strict=True)}
-    evidence = Evidence(
+def _evidence(names, space: Space, prior, data: _Data, outcome: Outcome) -> Evidence:
+    """The scaled Jacobian by groups; none of it where the model gave no number."""
+    finite = np.all(np.isfinite(outcome.residual))
+    jacobian = without_nan(outcome.jacobian) if finite else np.zeros_like(outcome.jacobian)
+    *rows, prior_rows = np.split(jacobian, np.cumsum([v.size for v in data.values]))
+    return Evidence(
         names=names,
         start=np.asarray(space.start),
         lower=np.asarray(space.lower),
@@ -258,20 +191,86 @@ def _conclude(
         value=outcome.parameters,
         size=outcome.size,
         at_bound=space.at_bound(outcome.parameters),
+        open_profile=np.zeros(len(names), bool),
         rows=dict(zip(data.names, rows, strict=True)),
         prior_rows={i: row[None] for i, row in zip(prior, prior_rows, strict=True)},
-        noise_estimated=estimated,
+        noise_estimated={name: sigma is None for name, sigma in zip(data.names, data.sigma, strict=True)},
     )
+
+
+class _Profiles(NamedTuple):
+    open: np.ndarray  # by parameter: whether its 95 % interval is open on a side, for all that was tried
+    least_rise: float  # of the sum of squares, over all that was tried
+
+
+def _profiles(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Determination, max_steps: int) -> _Profiles:
+    """Hold each parameter that looks identified at values ever farther off and fit the others again.
+
+    The curvature at a minimum can feign an interval where the valley is flat beyond. A side is closed where
+    the sum of squares has risen by what ends a 95 % interval.
+    """
+    opened, least = np.zeros(len(told.names), bool), 0.0
+
+    def closed(i: int, error: float, places: list[float]) -> bool:
+        nonlocal least
+        for place in places:
+            held = np.where(np.arange(len(opened)) == i, place, np.nan)
+            rise = chi_square(minimise(problem, noise, outcome.z, held, max_steps)) - chi_square(outcome)
+            least = min(least, rise) if np.isfinite(rise) else least
+            expected = ((place - outcome.parameters[i]) / error) ** 2
+            if not rise <= min(told.quantile**2, 0.5 * expected):  # NaN: the model ends there
+                return True
+        return False
+
+    for i, name in enumerate(told.names):
+        if told.status[name] == IDENTIFIED:
+            error = told.standard_error[name]
+            sides = _sides(problem.space, i, told.value[name], told.quantile * error)
+            opened[i] = not all(closed(i, error, places) for places in sides)
+    return _Profiles(opened, least)
+
+
+def _sides(space: Space, i: int, value: float, half_width: float) -> tuple[list[float], list[float]]:
+    """Places below and above an estimate: 2 and 10 half-widths of its interval off, and a fifth and five times it."""
+    lower, upper = float(space.lower[i]), float(space.upper[i])
+    below, above = ([value + sign * factor * half_width for factor in (2, 10)] for sign in (-1, 1))
+    if np.isfinite(lower):
+        below = [max(place, value - 0.9 * (value - lower)) for place in below]
+    if np.isfinite(upper):
+        above = [min(place, value + 0.9 * (upper - value)) for place in above]
+    if np.isfinite(lower) and not np.isfinite(upper):
+        below.append(lower + (value - lower) / 5)
+        above.append(lower + (value - lower) * 5)
+    return below, above
+
+
+def _verdict(outcome: Outcome, evidence: Evidence, settled: bool, profiles: _Profiles) -> str:
+    if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
+        return "the model gave no number at the estimate; start closer, or leave out data beyond its reach"
+    if not settled:
+        return "the noise estimates did not settle; give the noise of some data"
+    free = ~evidence.at_bound  # at a bound the sum of squares may well slope
+    column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
+    slope = np.abs(outcome.jacobian.T @ outcome.residual) / np.maximum(column * total, 1e-300)
+    exact = total <= 1e-3 * np.sqrt(outcome.residual.size)
+    if not exact and np.any(slope[free] > (1e-4 if outcome.solved else 1e-6)):
+        return "the optimiser stopped short of a minimum; start closer, or allow more steps"
+    if profiles.least_rise < -0.01:
+        return "a better minimum lies elsewhere; start closer"
+    return SUCCESSFUL
+
+
+def _conclude(evidence: Evidence, unravel, data: _Data, noise, outcome: Outcome, result: str) -> LeastSquaresFit:
     determined = determine(evidence)
     freedom = outcome.residual.size - determined.rank
-    result = _verdict(outcome) if settled else "the noise estimates did not settle; give the noise of some data"
+    *residuals, _ = np.split(outcome.residual, np.cumsum([v.size for v in data.values]))
     observed_less_predicted = [-r.reshape(v.shape) * s for r, s, v in zip(residuals, noise, data.values, strict=True)]
     return LeastSquaresFit(
         **vars(determined),
         noise={name: float(np.sqrt(np.mean(s**2))) for name, s in zip(data.names, noise, strict=True)},
-        noise_estimated=any(estimated.values()),
+        noise_estimated=any(evidence.noise_estimated.values()),
         residuals=jax.tree_util.tree_unflatten(data.structure, observed_less_predicted),
-        reduced_chi_square=float(np.sum(outcome.residual**2) / max(freedom, 1)),
+        reduced_chi_square=chi_square(outcome) / max(freedom, 1),
         degrees_of_freedom=freedom,
         num_steps=outcome.num_steps,
         success=result == SUCCESSFUL,

@@ -23,7 +23,7 @@ def names_of(start: Any) -> tuple[str, ...]:
     """One name per number: the key of a mapping, with an index where the value is an array."""
     names = []
     for path, leaf in jax.tree_util.tree_flatten_with_path(start)[0]:
-        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        name = jax.tree_util.keystr(path, simple=True, separator=".") or ("" if np.ndim(leaf) else "parameter")
         indices = np.ndindex(np.shape(leaf))
         names += [name + "".join(f"[{i}]" for i in index) for index in indices]
     return tuple(names)
@@ -77,7 +77,7 @@ class Space(eqx.Module):
 
     def first(self) -> Float[Array, " n"]:
         def inverse(kind, start, lower, upper):
-            return np.log((start - lower) / (upper - start)) if kind == "between" else 0.0
+            return jnp.log((start - lower) / (upper - start)) if kind == "between" else 0.0
 
         return jnp.asarray(
             [inverse(*args) for args in zip(self.kinds, self.start, self.lower, self.upper, strict=True)]
@@ -97,6 +97,7 @@ class Space(eqx.Module):
 
     def at_bound(self, value: np.ndarray) -> np.ndarray:
         """Whether the optimiser pushed a parameter against a bound."""
-        unit = self.size(np.zeros_like(value))
-        width = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, unit)
-        return np.minimum(value - self.lower, self.upper - value) < 1e-5 * width
+        start = np.asarray(self.start)
+        below = value - self.lower < 1e-5 * (start - self.lower)
+        above = self.upper - value < 1e-5 * (self.upper - start)
+        return (np.isfinite(self.lower) & below) | (np.isfinite(self.upper) & above)

@@ -1,0 +1,66 @@
+"""How programs set JAX up: double precision, a cache in the user's folder, and the user's own flags untouched."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+REPORT = """
+import json, os
+from cddf_jax.application import configure_jax
+configure_jax({arguments})
+import jax, jax.numpy as jnp
+number = jax.jit(lambda x: x + 1.0)(1.0)
+print(json.dumps({{
+    "dtype": str(number.dtype),
+    "cache": jax.config.jax_compilation_cache_dir,
+    "least": jax.config.jax_persistent_cache_min_compile_time_secs,
+    "flags": os.environ.get("XLA_FLAGS"),
+}}))
+"""
+
+
+def configured(tmp_path, arguments="", **environment):
+    """What a fresh process finds after `configure_jax`."""
+    kept = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", "JAX_ENABLE_X64")}
+    done = subprocess.run(
+        [sys.executable, "-c", REPORT.format(arguments=arguments)],
+        env=kept | {"XDG_CACHE_HOME": str(tmp_path)} | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cache")
+    return configured(folder), folder
+
+
+def test_double_precision(fresh):
+    assert fresh[0]["dtype"] == "float64"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="XDG_CACHE_HOME names the user's cache folder on Linux")
+def test_compiled_code_is_kept_in_the_cache_of_the_user(fresh):
+    report, folder = fresh
+    assert report["cache"] == str(folder / "cddf_jax" / "compiled")
+    assert report["least"] == 0.0
+    assert any((folder / "cddf_jax" / "compiled").iterdir())  # however quickly it was compiled
+
+
+def test_quick_compilation(fresh):
+    assert "--xla_backend_optimization_level=0" in fresh[0]["flags"]
+
+
+def test_flags_of_the_user_are_respected(tmp_path):
+    own = "--xla_force_host_platform_device_count=2"
+    assert configured(tmp_path, XLA_FLAGS=own)["flags"] == own
+
+
+def test_quick_compilation_can_be_declined(tmp_path):
+    assert configured(tmp_path, "quick_compilation=False")["flags"] is None

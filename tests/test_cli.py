@@ -1,0 +1,514 @@
+"""The command line: answers against the library, and every error in one line that names what to do."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bodies import paper_body
+
+import cddf_jax as cddf
+from cddf_jax import application, cli
+from cddf_jax.manipulator_file import write_manipulator
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+PAPER, LOAD_CELLS, PULLEY = (
+    str(DATA / name) for name in ("smooth_sil_940.toml", "load_cells_simulated.csv", "pulley_simulated.csv")
+)
+BOTH = ("friction_coefficient", "youngs_modulus")
+RATIO = "friction_coefficient / youngs_modulus"
+
+
+@pytest.fixture(autouse=True)
+def _tests_set_jax_up_themselves(monkeypatch):
+    """The tests' own settings hold; what `configure_jax` does is seen in a process of its own."""
+    monkeypatch.setattr(application, "configure_jax", lambda: None)
+
+
+@pytest.fixture
+def cddf_command(monkeypatch, capsys):
+    """Run `cddf` with some arguments in this process; exit code, standard output, standard error."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["cddf", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        return ended.value.code, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def answer_of(cddf_command):
+    """The one JSON object on standard output of a command that succeeds."""
+
+    def run(*arguments):
+        code, out, err = cddf_command(*arguments, "--json")
+        assert (code, err) == (0, "")
+        assert out.startswith("{")
+        return json.loads(out, parse_constant=lambda constant: pytest.fail(constant))
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def two_tendons(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "two.toml"
+    write_manipulator(paper_body("exact", num_tendons=2), path)
+    return path
+
+
+def separate_process(*arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-c", "from cddf_jax.cli import main; main()", *map(str, arguments)],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+    )
+
+
+# --- solve ---------------------------------------------------------------------------------------
+
+
+def test_solve_in_words(cddf_command):
+    code, out, err = cddf_command("solve", PAPER, "-t", "75 N")
+    assert (code, err) == (0, "")
+    # design.md section 3, published kinematics: (120.39593, 57.00182) mm, 63.16687 degrees, 45.1229 N, 39.84 %
+    assert "tip at (120.396, 57.002) mm, 63.167 deg" in out
+    assert "tendon 1: tip tension 45.1229 N, loss 39.84 %" in out
+    assert "successful" in out
+
+
+def test_solve_in_json_is_what_the_library_says(answer_of):
+    answer = answer_of("solve", PAPER, "-t", "75 N")
+    equilibrium = cddf.solve(cddf.read_manipulator(PAPER), 75.0)
+    assert answer["result"] == "successful"
+    for name in set(answer) - {"result"}:
+        np.testing.assert_allclose(answer[name], getattr(equilibrium, name), rtol=1e-12, err_msg=name)
+    assert answer["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)  # design.md section 3
+    assert {"arc_length", "curvature", "heading", "position", "tension", "normal_force"} <= set(answer)
+
+
+def test_units_of_the_tension(answer_of):
+    assert answer_of("solve", PAPER, "-t", "0.075 kN") == answer_of("solve", PAPER, "--base-tension", "75 N")
+
+
+def test_kinematics_instead_of_the_files(answer_of):
+    answer = answer_of("solve", PAPER, "-t", "75 N", "--kinematics", "exact")
+    assert np.degrees(answer["tip_angle"]) == pytest.approx(69.31393, abs=1e-5)  # design.md section 3
+    np.testing.assert_allclose(answer["tip_position"], [0.11734384, 0.06028179], atol=1e-8)
+
+
+def test_two_tendons_and_their_directions(answer_of, two_tendons):
+    tensions = ("--base-tension", "75 N", "--base-tension", "20 N")
+    answer = answer_of("solve", two_tendons, *tensions, "--direction", "1", "--direction", "-1")
+    # design.md section 2: 45.9 degrees and 28.0 N with the right signs, 54.0 degrees and 13.5 N with both "in"
+    assert np.degrees(answer["tip_angle"]) == pytest.approx(45.9, abs=0.05)
+    assert answer["tip_tension"][1] == pytest.approx(28.0, abs=0.05)
+    assert answer["direction_contradicted"] == [False, False]
+    both_in = answer_of("solve", two_tendons, *tensions)
+    assert np.degrees(both_in["tip_angle"]) == pytest.approx(54.0, abs=0.05)
+    assert both_in["tip_tension"][1] == pytest.approx(13.5, abs=0.05)
+    assert both_in["direction_contradicted"] == [False, True]
+    assert both_in["result"].startswith("A tendon travels against its stated direction")
+
+
+def test_one_tension_for_all_tendons(answer_of, two_tendons):
+    answer = answer_of("solve", two_tendons, "-t", "20 N")
+    assert answer["tip_angle"] == pytest.approx(0.0, abs=1e-12)  # pulled alike, it stays straight
+    assert answer["tip_tension"] == pytest.approx([20.0, 20.0])
+
+
+def test_solve_writes_files(answer_of, tmp_path):
+    answer = answer_of("solve", PAPER, "-t", "75 N", "--out", tmp_path / "new" / "folder")
+    files = {path.name: path for path in (tmp_path / "new" / "folder").iterdir()}
+    assert set(files) == {"solve.json", "solve.pdf", "solve.png"}
+    assert json.loads(files["solve.json"].read_text()) == answer
+    assert files["solve.pdf"].read_bytes().startswith(b"%PDF-")
+    assert files["solve.png"].read_bytes().startswith(b"\x89PNG")
+
+
+# --- fit -----------------------------------------------------------------------------------------
+
+
+def assert_the_fit(answer, fit):
+    """The JSON object is the library's fit."""
+    assert answer["status"] == fit.status
+    assert answer["verdict"] == list(fit.verdict)
+    for name in fit.value:
+        assert answer["value"][name] == pytest.approx(fit.value[name], rel=1e-9)
+        error = answer["standard_error"][name]
+        assert (np.inf if error is None else error) == pytest.approx(fit.standard_error[name], rel=1e-6)
+
+
+def test_fit_in_words_says_what_is_not_known(cddf_command):
+    code, out, err = cddf_command("fit", PAPER, LOAD_CELLS)
+    assert (code, err) == (0, "")
+    fit = cddf.fit(cddf.read_manipulator(PAPER), cddf.read_measurements(LOAD_CELLS))
+    assert out.splitlines()[: len(fit.verdict)] == list(fit.verdict)
+    assert "simulated data: load_cells_simulated.csv" in out
+
+
+def test_fit_of_two_tables_in_json_and_files(answer_of, tmp_path):
+    answer = answer_of("fit", PAPER, PULLEY, LOAD_CELLS, "--out", tmp_path)
+    tables = [cddf.read_measurements(path) for path in (PULLEY, LOAD_CELLS)]
+    assert_the_fit(answer, cddf.fit(cddf.read_manipulator(PAPER), tables))
+    assert answer["status"] == dict.fromkeys(BOTH, "identified")
+    figures = {f"fit_{name}_simulated.{suffix}" for name in ("pulley", "load_cells") for suffix in ("pdf", "png")}
+    assert {path.name for path in tmp_path.iterdir()} == {"fit.json", "fit.md", *figures}
+    assert json.loads((tmp_path / "fit.json").read_text()) == answer
+    assert (tmp_path / "fit.md").read_text().startswith("# ")
+    assert all((tmp_path / name).stat().st_size > 1000 for name in figures)
+
+
+def test_prior_noise_and_kinematics(answer_of):
+    # the offset is constant and only tensions are fitted: the kinematics change nothing but their name
+    options = ("--prior", "youngs_modulus=1.4 MPa +- 100 kPa", "--noise", "tip_tension=0.0005 kN")
+    answer = answer_of("fit", PAPER, LOAD_CELLS, *options, "--kinematics", "exact")
+    fit = cddf.fit(
+        paper_body("exact"),
+        cddf.read_measurements(LOAD_CELLS),
+        priors={"youngs_modulus": (1.4e6, 1e5)},
+        noise={"tip_tension": 0.5},
+    )
+    assert_the_fit(answer, fit)
+    assert answer["kinematics"] == "exact"
+    assert answer["noise"] == {"load_cells_simulated.csv: tip_tension": pytest.approx(0.5)}
+    assert answer["status"]["youngs_modulus"] == "prior only"
+
+
+@pytest.mark.parametrize("sign", ["+-", "±"])
+def test_prior_of_a_plain_number(answer_of, sign):
+    answer = answer_of("fit", PAPER, PULLEY, "--prior", f"friction_coefficient = 0.4 {sign} 0.0001")
+    # far narrower than the pulley's 0.0006, it decides: weights 36 to 1 about 0.4 and 0.41876
+    assert answer["value"]["friction_coefficient"] == pytest.approx(0.4, abs=1.5e-3)
+
+
+def test_one_free_parameter(answer_of):
+    answer = answer_of("fit", PAPER, PULLEY, "--free", "friction_coefficient")
+    assert answer["status"] == {"friction_coefficient": "identified", "youngs_modulus": "fixed"}
+
+
+# --- reproduce -----------------------------------------------------------------------------------
+
+
+def test_reproduce(answer_of, tmp_path):
+    answer = answer_of("reproduce", PAPER, LOAD_CELLS, "--out", tmp_path)
+    rows = {row["name"]: row for row in answer["table"]}
+    assert rows["tension_loss"]["ours"] == pytest.approx(1 - 45.122927013148 / 75, rel=1e-8)  # design.md section 3
+    assert rows["levels"]["ours"] == 17
+    assert {path.name for path in tmp_path.iterdir()} == set(answer["files"])
+    assert json.loads((tmp_path / "reproduction.json").read_text()) == answer
+
+
+def test_reproduce_in_words_and_in_its_own_folder(cddf_command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = cddf_command("reproduce", PAPER, LOAD_CELLS)
+    assert (code, err) == (0, "")
+    assert "| tension loss at 75 N | 40.00 % | 39.84 % |" in out
+    assert (tmp_path / "out" / "reproduce" / "fig8_tip_tension.pdf").exists()
+
+
+# --- help and processes --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arguments", [(), ("solve",), ("fit",), ("reproduce",)])
+def test_help(cddf_command, arguments):
+    code, out, err = cddf_command(*arguments, "--help")
+    assert (code, err) == (0, "")
+    assert "Usage: " in out
+    assert "--help" in out
+    assert all(name in out for name in arguments or ("solve", "fit", "reproduce"))
+
+
+@pytest.mark.parametrize("command", ["solve", "fit", "reproduce"])
+def test_help_imports_nothing_heavy(command):
+    script = (
+        "import sys; sys.argv = ['cddf', sys.argv[1], '--help']\n"
+        "from cddf_jax.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as ended: assert ended.code == 0\n"
+        "heavy = {'jax', 'jaxlib', 'equinox', 'optimistix', 'scipy', 'numpy', 'matplotlib', 'pint', 'xarray'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, command], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_process_of_its_own(tmp_path):
+    """As a shell runs it: settings, cache and all."""
+    done = separate_process("solve", PAPER, "-t", "75 N", "--json", XDG_CACHE_HOME=str(tmp_path))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)  # in double precision
+
+
+def test_an_error_in_a_process_of_its_own(tmp_path):
+    done = separate_process("fit", PAPER, tmp_path / "none.csv", XDG_CACHE_HOME=str(tmp_path))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert (
+        done.stderr == f"error: {tmp_path / 'none.csv'}: cannot be read (No such file or directory); check the path\n"
+    )
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def fails(cddf_command, tmp_path, monkeypatch):
+    """Run in an empty folder; the command must end in one line on standard error, and write nothing."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments, code=2, files=None):
+        for name, text in (files or {}).items():
+            (tmp_path / name).write_text(text)
+        before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+        ended, out, err = cddf_command(*arguments)
+        assert (ended, out) == (code, "")
+        assert err.startswith("error: ")
+        assert err.endswith("\n")
+        assert err.count("\n") == 1
+        assert "Traceback" not in err
+        assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+        return err.removeprefix("error: ").rstrip("\n")
+
+    return run
+
+
+PULL = ("-t", "75 N")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "Missing command. Try --help."),
+        (("bend",), "No such command 'bend'"),
+        (("--bogus",), "No such option: --bogus"),
+        (("solve",), "Missing argument 'robot'"),
+        (("fit", PAPER), "Missing argument 'data'"),
+        (("reproduce", PAPER), "Missing argument 'load_cells'"),
+        (("solve", PAPER), "Missing option '--base-tension' / '-t'"),
+        (("solve", PAPER, *PULL, "--bogus"), "No such option: --bogus"),
+        (("solve", PAPER, *PULL, "more"), "Got unexpected extra argument(s) (more)"),
+        (("solve", PAPER, "-t"), "Option '-t' requires an argument"),
+        (("solve", PAPER, *PULL, "--nodes", "3"), "Invalid value for '--nodes'"),
+        (("fit", PAPER, PULLEY, "--nodes", "two"), "Invalid value for '--nodes'"),
+        (("solve", PAPER, *PULL, "--direction", "in"), "Invalid value for '--direction'"),
+        (("solve", PAPER, *PULL, "--kinematics", "other"), "Invalid value for '--kinematics'"),
+    ],
+)
+def test_wrong_usage(fails, arguments, message):
+    assert fails(*arguments).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("tension", "message"),
+    [
+        ("75", "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
+        ("75 mm", "--base-tension needs a unit of force, got '75 mm'"),
+        ("75 stone", "--base-tension needs a unit of force, got '75 stone'"),
+        ("much", "--base-tension is not a number, got 'much'"),
+        ("", "--base-tension is not a number, got ''"),
+        ("nan N", "--base-tension must be finite, got 'nan N'"),
+        ("-5 N", "--base-tension"),
+    ],
+)
+def test_wrong_tensions(fails, tension, message):
+    assert fails("solve", PAPER, "-t", tension, "--out", "folder").startswith(message)
+
+
+def test_wrong_directions(fails):
+    message = fails("solve", PAPER, *PULL, "--direction", "2", "--out", "folder")
+    assert "--direction" in message
+    assert "2" in message
+
+
+def test_wrong_numbers_of_tensions_and_directions(fails, two_tendons):
+    assert fails("solve", PAPER, *PULL, *PULL) == "--base-tension: 2 given; give one for all, or one for each of 1"
+    message = "--base-tension: 3 given; give one for all, or one for each of 2"
+    assert fails("solve", two_tendons, *PULL, *PULL, *PULL) == message
+    directions = ["--direction", "1"] * 3
+    message = "--direction: 3 given; give one for all, or one for each of 2"
+    assert fails("solve", two_tendons, *PULL, *directions) == message
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("140 mm", "140 N"), "length needs a unit of length, got '140 N'; write for example '12.5 mm'"),
+        (("140 mm", "140"), "length needs a unit of length, got '140'"),
+        (('"140 mm"', "140 mm"), "is not TOML"),
+        (("1.4 MPa", "-1.4 MPa"), "youngs_modulus must be above 0, got -1.4e+06 Pa"),
+        (("= 0.42", "= -0.42"), "friction_coefficient must be 0 or more, got -0.42"),
+        (("= 0.42", '= "slippery"'), "friction_coefficient is not a number, got 'slippery'"),
+        (('"published"', '"printed"'), "kinematics must be one of ('published', 'exact'), got 'printed'"),
+        (("7 mm", "13 mm"), "outer_radius must exceed inner_radius: at s = 140 mm"),
+        (("side = 1", "side = 2"), "tendon 1: side must be 1 or -1, got 2"),
+        (("youngs_modulus", "young_modulus"), "unknown key 'young_modulus'; did you mean youngs_modulus?"),
+    ],
+)
+@pytest.mark.parametrize("command", [("solve", *PULL), ("fit", PULLEY)])
+def test_wrong_manipulators(fails, command, change, message):
+    text = Path(PAPER).read_text()
+    assert change[0] in text
+    said = fails(command[0], "robot.toml", *command[1:], files={"robot.toml": text.replace(*change)})
+    assert said.startswith(f"robot.toml: {message}")
+
+
+def test_files_that_are_not_there(fails):
+    remedy = "cannot be read (No such file or directory); check the path"
+    assert fails("solve", "none.toml", *PULL) == f"none.toml: {remedy}"
+    assert fails("fit", PAPER, PULLEY, "none.csv") == f"none.csv: {remedy}"
+    assert fails("reproduce", PAPER, "none.csv") == f"none.csv: {remedy}"
+    assert fails("fit", PAPER, ".").startswith(".: cannot be read (Is a directory)")
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("base_tension [N],tip_tension [N]\n5,4.8\n10,9.O1\n", "row 3, column tip_tension: '9.O1' is not a number"),
+        ("base_tension [N],tip_tension [N]\n5,\n", "row 2, column tip_tension: the cell is empty"),
+        ("base_tension [N],tip_tension [N]\n5,-4.8\n", "row 2, column tip_tension: must be 0 or more, got -4.8 N"),
+        ("# note\nbase_tension [N],tip_tension [N]\n5\n", "row 3 has 1 cells, the header 2"),
+        (
+            "base_tension [mm],tip_tension [N]\n5,4.8\n",
+            "row 1: the column base_tension needs a unit of force, got [mm]",
+        ),
+        ("base_tension [N],tip_tention [N]\n5,4.8\n", "unknown column 'tip_tention'; did you mean tip_tension?"),
+        ("base_tension [N],tip_tension [N]\n", "has a header but no rows"),
+        ("", "is empty"),
+        ("base_tension [N],direction,tip_tension [N]\n5,0,4.8\n", "row 2, column direction: must be 1 or -1, got 0"),
+        ("tip_tension [N]\n5\n", "the column base_tension is missing"),
+    ],
+)
+def test_wrong_tables(fails, table, message):
+    said = fails("fit", PAPER, PULLEY, "bench.csv", "--out", "folder", files={"bench.csv": table})
+    assert said.startswith("bench.csv: ")
+    assert message in said
+
+
+def test_tables_that_do_not_fit_the_manipulator(fails, two_tendons):
+    said = fails("fit", two_tendons, LOAD_CELLS)
+    assert said.endswith("no column 'base_tension_2'; a manipulator of 2 tendons needs it")
+    said = fails("fit", PAPER, "bench.csv", files={"bench.csv": "base_tension [N]\n5\n"})
+    assert said.startswith("bench.csv: nothing observed; add a column tip_tension [N]")
+    said = fails(
+        "fit", PAPER, "bench.csv", files={"bench.csv": "base_tension [N],tip_x [mm],tip_force_x [N]\n5,139,1\n"}
+    )
+    assert said.startswith("bench.csv: column 'tip_force_x': tip forces are not part of the model yet")
+    said = fails("reproduce", PAPER, PULLEY)
+    assert said.startswith("pulley_simulated.csv: the column tip_tension is missing")
+    assert fails("reproduce", two_tendons, LOAD_CELLS).startswith("the paper's manipulator has one tendon")
+
+
+@pytest.mark.parametrize(
+    ("prior", "message"),
+    [
+        ("youngs_modulus", "--prior 'youngs_modulus': write a parameter, mean and deviation as in"),
+        ("youngs_modulus=1.4 MPa", "--prior 'youngs_modulus=1.4 MPa': write a parameter, mean and deviation as in"),
+        ("mu=0.4 +- 0.1", "--prior 'mu=0.4 +- 0.1': write a parameter, mean and deviation as in"),
+        ("youngs_modulus=1.4 N +- 1 N", "--prior youngs_modulus needs a unit of pressure, got '1.4 N'"),
+        ("youngs_modulus=1.4 MPa +- 0.1", "--prior youngs_modulus needs a unit of pressure, got '0.1'"),
+        ("youngs_modulus=1.4 MPa +- 0 MPa", "prior for youngs_modulus: needs a mean and a standard deviation > 0"),
+        ("friction_coefficient=0.4 N +- 0.1", "--prior friction_coefficient is a plain number, got '0.4 N'"),
+        ("density=1 kg/m^3 +- 1 kg/m^3", "prior for 'density', which is not fitted; fitted are friction_coefficient"),
+    ],
+)
+def test_wrong_priors(fails, prior, message):
+    assert fails("fit", PAPER, PULLEY, "--prior", prior, "--out", "folder").startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        ("pulling_tension", "--noise 'pulling_tension': write a column and a standard deviation as in"),
+        ("pulling_tension=loud", "--noise pulling_tension is not a number, got 'loud'"),
+        ("pulling_tension=0.5 mm", "--noise pulling_tension needs a unit of force, got '0.5 mm'"),
+        ("pulling_tension=0.5", "--noise pulling_tension needs a unit of force, got '0.5'"),
+        ("tip_angle=1 N", "--noise tip_angle needs a unit of angle, got '1 N'"),
+        ("tip_angle=1 deg", "fit: noise is given for 'tip_angle', which no table holds; they hold pulling_tension"),
+        ("pulling_tension=0 N", "sigma of pulley_simulated.csv: pulling_tension must be > 0"),
+        ("pulling_tension=-1 N", "sigma of pulley_simulated.csv: pulling_tension must be > 0"),
+    ],
+)
+def test_wrong_noise(fails, noise, message):
+    assert fails("fit", PAPER, PULLEY, "--noise", noise, "--out", "folder").startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("free", "message"),
+    [
+        ("mu", "fit: 'mu' is no parameter that can be fitted; there are friction_coefficient, youngs_modulus"),
+        ("density", "density starts at 0, which is not inside its bounds"),
+    ],
+)
+def test_wrong_parameters(fails, free, message):
+    assert fails("fit", PAPER, PULLEY, "--free", free, "--out", "folder").startswith(message)
+
+
+@pytest.mark.parametrize("command", [("solve", PAPER, *PULL), ("fit", PAPER, PULLEY), ("reproduce", PAPER, LOAD_CELLS)])
+@pytest.mark.parametrize("place", ["taken", "taken/below"])
+def test_out_where_a_file_is(fails, command, place):
+    said = fails(*command, "--out", place, files={"taken": "kept"})
+    assert said.startswith(f"{place}: ")
+    assert said.endswith("; choose another place")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        # d kappa = T d^2 / (E J) reaches 1 at the base at 1733 N, exact kinematics
+        (("-t", "2500 N", "--kinematics", "exact"), "offset * curvature"),
+        # sliding out, T(s) = T / (1 - mu T G / E) has no end at T = E / (mu G(L)) = 113 N
+        (("-t", "120 N", "--direction", "-1"), "locks"),
+    ],
+)
+def test_a_solve_that_fails(fails, arguments, message):
+    assert message in fails("solve", PAPER, *arguments, "--out", "folder", code=1)
+
+
+LOCKED = "base_tension [N],tip_tension [N],direction\n200,300,-1\n210,305,-1\n220,310,-1\n"
+
+
+def test_a_fit_that_fails(cddf_command, tmp_path):
+    """At 200 N the model has no solution: one line on standard error, and what was found is called a failure."""
+    (tmp_path / "locked.csv").write_text(LOCKED)
+    code, out, err = cddf_command("fit", PAPER, tmp_path / "locked.csv", "--json")
+    assert code == 1
+    assert err.startswith("error: the fit failed: ")
+    assert err.count("\n") == 1
+    assert json.loads(out)["success"] is False
+
+
+def test_a_fit_that_fails_with_a_folder(cddf_command, tmp_path):
+    """No traceback from figures of numbers that are none; what is written is whole."""
+    (tmp_path / "locked.csv").write_text(LOCKED)
+    code, _, err = cddf_command("fit", PAPER, tmp_path / "locked.csv", "--out", tmp_path / "folder")
+    assert code == 1
+    assert err.startswith("error: the fit failed: ")
+    if (tmp_path / "folder").exists():
+        assert json.loads((tmp_path / "folder" / "fit.json").read_text())["success"] is False
+
+
+def test_a_failure_while_writing_leaves_nothing(fails, monkeypatch):
+    """A disk that is full shows as one line, and the folder holds no half of a result."""
+
+    def full(self, content):
+        raise OSError(28, "No space left on device", str(self))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    code = fails("solve", PAPER, *PULL, "--out", ".")
+    assert "No space left on device" in code
+
+
+def test_a_bug_of_ours_is_not_hidden(monkeypatch):
+    def broken(path):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("cddf_jax.manipulator_file.read_manipulator", broken)
+    monkeypatch.setattr(sys, "argv", ["cddf", "solve", PAPER, *PULL])
+    with pytest.raises(ZeroDivisionError, match="a bug"):
+        cli.main()

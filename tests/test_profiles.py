@@ -1,0 +1,123 @@
+"""Profiles along the arc length."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+import cddf_jax as cddf
+from cddf_jax.profiles import breakpoints
+
+KNOTS = np.array([0.0, 0.01, 0.035, 0.05, 0.09, 0.11, 0.14])
+HEIGHTS = np.array([0.010, 0.012, 0.009, 0.0085, 0.011, 0.008, 0.0075])
+spline_at = jax.jit(lambda knots, values, s: cddf.Spline(knots, values)(s))
+ROUNDING = 1e-12  # a few hundred operations in float64
+
+
+def test_constant_takes_the_shape_of_its_argument():
+    assert cddf.Constant(0.3)(0.1).shape == ()
+    np.testing.assert_array_equal(cddf.Constant(0.3)(np.zeros((2, 3))), np.full((2, 3), 0.3))
+
+
+def test_linear_is_the_straight_line_between_its_ends():
+    s = np.linspace(0, 0.14, 9)
+    np.testing.assert_allclose(cddf.Linear(0.02, 0.013, 0.14)(s), np.linspace(0.02, 0.013, 9), rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("s", [np.linspace(-0.01, 0.15, 57), KNOTS, KNOTS[1:-1] + 1e-9], ids=["grid", "knots", "right"])
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_spline_and_its_derivatives_are_those_of_scipy(s, order):
+    ours = cddf.Spline(KNOTS, HEIGHTS)
+    for _ in range(order):
+        ours = jax.grad(ours)
+    expected = CubicSpline(KNOTS, HEIGHTS, bc_type="not-a-knot")(s, order)
+    # each derivative divides by a knot distance of 0.01 m
+    np.testing.assert_allclose(jax.vmap(ours)(s), expected, rtol=1e-10, atol=ROUNDING * 100**order)
+
+
+@given(gaps=st.lists(st.floats(0.02, 1.0), min_size=6, max_size=6), seed=st.integers(0, 2**16))
+@settings(max_examples=15)
+def test_spline_over_random_knots_is_that_of_scipy(gaps, seed):
+    knots = np.concatenate([[0.0], np.cumsum(gaps)])
+    values = np.random.default_rng(seed).normal(size=knots.size)
+    s = np.linspace(0, knots[-1], 31)
+    expected = CubicSpline(knots, values, bc_type="not-a-knot")(s)
+    # gaps that differ by a factor of 50 magnify the spline, and rounding with it
+    np.testing.assert_allclose(spline_at(knots, values, s), expected, atol=1e-9 * np.max(np.abs(expected)), rtol=0)
+
+
+def test_spline_meets_a_cubic_exactly():
+    def cubic(s):
+        return 1.0 - 2.0 * s + 3.0 * s**2 - 4.0 * s**3
+
+    s = np.linspace(0, 0.14, 33)
+    np.testing.assert_allclose(cddf.Spline(KNOTS[:4], cubic(KNOTS[:4]))(s), cubic(s), rtol=1e-10)
+
+
+def test_spline_is_linear_in_its_values():
+    """The derivative by the values is the spline through the unit vectors (SciPy's)."""
+    jacobian = jax.jacrev(lambda values: cddf.Spline(KNOTS, values)(jnp.asarray(0.042)))(jnp.asarray(HEIGHTS))
+    expected = [CubicSpline(KNOTS, row, bc_type="not-a-knot")(0.042) for row in np.eye(KNOTS.size)]
+    np.testing.assert_allclose(jacobian, expected, atol=ROUNDING)
+
+
+def test_spline_breaks_where_its_third_derivative_jumps():
+    np.testing.assert_array_equal(breakpoints(cddf.Spline(KNOTS, HEIGHTS)), KNOTS[2:-2])
+
+
+@pytest.mark.parametrize(("s", "v"), [(KNOTS[:3], HEIGHTS[:3]), (KNOTS, HEIGHTS[:-1]), (0.0, 1.0)])
+def test_spline_refuses_too_few_points_or_lists_of_different_length(s, v):
+    with pytest.raises(ValueError, match=r"Spline: arc_length and values .* 4 or more, got shapes"):
+        cddf.Spline(s, v)
+
+
+def test_piecewise_changes_at_its_ends_and_the_next_piece_holds_there():
+    step = cddf.Piecewise([0.04, 0.1], [cddf.Constant(1.0), cddf.Linear(2.0, 4.0, 0.14), cddf.Constant(3.0)])
+    s = np.array([0.0, 0.0399, 0.04, 0.07, 0.0999, 0.1, 0.14])
+    expected = [1, 1, 2 + 2 * 0.04 / 0.14, 3, 2 + 2 * 0.0999 / 0.14, 3, 3]  # by hand
+    np.testing.assert_allclose(step(s), expected, rtol=ROUNDING)
+    np.testing.assert_allclose([step(x) for x in s], expected, rtol=ROUNDING)
+    assert step(s.reshape(7, 1)).shape == (7, 1)
+
+
+def test_piecewise_linear_is_that_of_numpy():
+    s = np.linspace(0, 0.14, 101)
+    line = cddf.Piecewise.linear(KNOTS, HEIGHTS)
+    np.testing.assert_allclose(line(s), np.interp(s, KNOTS, HEIGHTS), rtol=ROUNDING)
+    np.testing.assert_array_equal(breakpoints(line), KNOTS[1:-1])
+
+
+def test_piecewise_knows_the_breaks_of_its_pieces():
+    nested = cddf.Piecewise([0.07], [cddf.Spline(KNOTS, HEIGHTS), cddf.Constant(0.01)])
+    np.testing.assert_allclose(np.sort(breakpoints(nested)), np.sort([*KNOTS[2:-2], 0.07]))
+
+
+def test_smooth_profiles_have_no_breaks():
+    for profile in (cddf.Constant(1.0), cddf.Linear(1.0, 2.0, 3.0), jnp.sin):
+        assert breakpoints(profile).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("ends", "count", "message"),
+    [([0.1], 3, "3 pieces need 2 ends"), (0.1, 2, "2 pieces need 1 ends"), ([0.05, 0.1], 2, "got ends of shape")],
+)
+def test_piecewise_refuses_ends_that_do_not_fit_its_pieces(ends, count, message):
+    with pytest.raises(ValueError, match=f"Piecewise: .*{message}"):
+        cddf.Piecewise(ends, [cddf.Constant(1.0)] * count)
+
+
+def test_piecewise_linear_refuses_lists_of_different_length():
+    with pytest.raises(ValueError, match=r"Piecewise\.linear: .* got shapes \(3,\) and \(2,\)"):
+        cddf.Piecewise.linear([0.0, 0.1, 0.2], [1.0, 2.0])
+
+
+def test_profiles_are_trees_that_can_be_mapped_and_differentiated():
+    tips = jnp.array([1.0, 2.0, 3.0])
+    values = jax.vmap(lambda tip: cddf.Linear(0.0, tip, 2.0)(1.0))(tips)
+    np.testing.assert_allclose(values, tips / 2, rtol=ROUNDING)
+    slope = jax.grad(lambda line: line(1.0))(cddf.Linear(jnp.array(1.0), jnp.array(2.0), jnp.array(4.0)))
+    # d/d(base, tip, length) of base + (tip - base) s / length at s = 1, by hand
+    np.testing.assert_allclose([slope.base, slope.tip, slope.length], [3 / 4, 1 / 4, -1 / 16], rtol=ROUNDING)

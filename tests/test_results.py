@@ -1,0 +1,230 @@
+"""What comes back: codes, messages, fields anywhere along the body, displacements, and what is refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import fields_at, paper_body, paper_plain, replaced, two_slanted_tendons
+from scipy.integrate import quad
+
+import cddf_jax as cddf
+
+R = cddf.RESULTS
+FIELDS = ("arc_length", "curvature", "heading", "position", "tension", "wrap_angle", "normal_force", "friction_force")
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return cddf.solve(two_slanted_tendons(), (75.0, 20.0), direction=(+1, -1))
+
+
+# --- codes ---------------------------------------------------------------------------------------
+
+
+def test_success_has_no_message():
+    assert cddf.RESULTS[cddf.solve(paper_body("exact"), 75.0).result] == ""
+
+
+FAILURES = {
+    "unphysical: modulus": (paper_body("exact", youngs_modulus=-1.0), 30.0, +1, R.unphysical, "not physical"),
+    "unphysical: friction": (paper_body("exact", friction_coefficient=-0.1), 30.0, +1, R.unphysical, "validate"),
+    "unphysical: NaN": (paper_body("exact", youngs_modulus=np.nan), 30.0, +1, R.unphysical, "NaN"),
+    "unphysical: wall": (paper_body("exact", inner_radius=0.0135), 30.0, +1, R.unphysical, "a wall of no thickness"),
+    "unphysical: length": (paper_body("exact", length=0.0), 30.0, +1, R.unphysical, "not physical"),
+    "unphysical: offset": (paper_body("exact", tendon_offset=-0.01), 30.0, +1, R.unphysical, "not physical"),
+    "unphysical: tension": (paper_body("exact"), -30.0, +1, R.unphysical, "negative tension"),
+    "unphysical: direction": (paper_body("exact"), 30.0, 0.5, R.unphysical, r"direction other than \+1 or -1"),
+    "crossing": (paper_body("exact", youngs_modulus=3e5, friction_coefficient=0.05), 200.0, +1, R.crossing, "cross"),
+    "locked": (paper_body("exact"), 1.01 * 1.4e6 / 0.42 / 2.942783188998e4, -1, R.locked, "locks"),
+}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_failure_has_its_code_and_is_raised_with_its_message(failure):
+    body, tension, direction, expected, message = FAILURES[failure]
+    solution = cddf.solve(body, tension, direction=direction, throw=False)
+    assert solution.result == expected
+    with pytest.raises(cddf.SolveError, match=message):
+        cddf.solve(body, tension, direction=direction)
+
+
+def test_a_crossing_keeps_its_numbers_and_is_one():
+    """Offset times curvature at the tip by the closed form: d^2 T / (E J) >= 1."""
+    body, tension, *_ = FAILURES["crossing"]
+    plain = paper_plain("exact", youngs_modulus=3e5, friction=[0.05])
+    assert 0.010**2 * plain.closed_form(tension, 0.14) / (3e5 * plain.second_moment(0.14)) > 1
+    solution = cddf.solve(body, tension, throw=False)
+    np.testing.assert_allclose(solution.tip_tension, [plain.closed_form(tension, 0.14)], rtol=1e-6)
+
+
+def test_the_other_failures_have_no_numbers():
+    solution = cddf.solve(paper_body("exact"), -30.0, throw=False)
+    for name in (*FIELDS, "tip_tension", "tension_loss", "tendon_displacement", "tip_position", "error_estimate"):
+        assert np.all(np.isnan(getattr(solution, name))), name
+    assert np.all(np.isnan(solution.at(0.07).position))
+
+
+def test_nothing_is_raised_under_a_transformation():
+    values = jax.jit(jax.vmap(lambda t: cddf.solve(paper_body("exact"), t).tip_tension))(jnp.array([30.0, -30.0]))
+    assert np.isfinite(values[0, 0])
+    assert np.isnan(values[1, 0])
+
+
+def test_a_solve_error_is_a_runtime_error():
+    assert issubclass(cddf.SolveError, RuntimeError)
+
+
+def test_a_contradicted_direction_is_said_and_not_raised():
+    solution = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0))
+    assert solution.result == R.direction_contradicted
+    np.testing.assert_array_equal(solution.direction_contradicted, [False, True])
+    assert solution.tendon_displacement[1] < 0
+    assert "Give direction=-1" in cddf.RESULTS[solution.result]
+    right = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=(+1, -1))
+    assert right.result == R.successful
+    assert not np.any(right.direction_contradicted)
+
+
+def test_a_slack_tendon_contradicts_nothing():
+    """Without tension there is no friction whose sign could be wrong."""
+    assert cddf.solve(paper_body("exact", num_tendons=2), (75.0, 0.0)).result == R.successful
+
+
+# --- arguments -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tension", [(1.0, 2.0, 3.0), np.ones((2, 1)), [[1.0]]], ids=["three", "column", "nested"])
+def test_a_wrong_number_of_tensions(tension):
+    with pytest.raises(ValueError, match=r"solve: base_tension must be a number or one per tendon \(2\), got shape"):
+        cddf.solve(two_slanted_tendons(), tension)
+
+
+def test_a_wrong_number_of_directions():
+    with pytest.raises(ValueError, match=r"solve: direction must be a number or one per tendon \(1\), got shape \(2,"):
+        cddf.solve(paper_body(), 75.0, direction=(+1, -1))
+
+
+@pytest.mark.parametrize("nodes", [3, 0, -8, 16.0, True, "16", None])
+def test_nodes_are_a_whole_number_of_four_or_more(nodes):
+    with pytest.raises(ValueError, match="solve: nodes must be a whole number of 4 or more, got"):
+        cddf.solve(paper_body(), 75.0, nodes=nodes)
+
+
+def test_one_number_serves_every_tendon():
+    body = two_slanted_tendons()
+    one, each = cddf.solve(body, 30.0, direction=+1), cddf.solve(body, (30.0, 30.0), direction=(+1, +1))
+    np.testing.assert_array_equal(one.tip_tension, each.tip_tension)
+
+
+# --- fields --------------------------------------------------------------------------------------
+
+
+def test_shapes(pair):
+    assert pair.arc_length.shape == pair.curvature.shape == pair.heading.shape == (18,)
+    assert pair.position.shape == (18, 2)
+    assert pair.tension.shape == pair.wrap_angle.shape == (2, 18)
+    assert pair.normal_force.shape == pair.friction_force.shape == (2, 18, 2)
+    for value in (pair.tip_tension, pair.tension_loss, pair.tendon_displacement, pair.direction_contradicted):
+        assert value.shape == (2,)
+    assert pair.tip_position.shape == (2,)
+    assert pair.tip_angle.shape == pair.error_estimate.shape == pair.num_iterations.shape == ()
+
+
+def test_the_ends_of_the_fields(pair):
+    assert pair.arc_length[0] == 0.0
+    assert pair.arc_length[-1] == 0.14
+    assert np.all(np.diff(pair.arc_length) > 0)
+    np.testing.assert_array_equal(pair.position[0], 0.0)
+    np.testing.assert_array_equal(pair.heading[0], 0.0)
+    np.testing.assert_array_equal(pair.wrap_angle[:, 0], 0.0)
+    np.testing.assert_allclose(pair.tension[:, 0], [75.0, 20.0], rtol=1e-14)
+    np.testing.assert_allclose(pair.tension[:, -1], pair.tip_tension, rtol=1e-14)
+    np.testing.assert_allclose(pair.tension_loss, 1 - np.asarray(pair.tip_tension) / [75.0, 20.0], rtol=1e-12)
+    np.testing.assert_array_equal(pair.tip_position, pair.position[-1])
+    np.testing.assert_array_equal(pair.tip_angle, pair.heading[-1])
+
+
+def test_the_capstan_law_along_the_body(pair):
+    """Eq. (8): T = T_base exp(-mu theta) sliding in, exp(+mu theta) sliding out."""
+    sign = np.array([[1.0], [-1.0]])
+    expected = np.array([[75.0], [20.0]]) * np.exp(-sign * 0.42 * np.asarray(pair.wrap_angle))
+    # at inner nodes tension and wrap angle are collocated apart
+    np.testing.assert_allclose(pair.tension, expected, rtol=1e-7)
+    np.testing.assert_allclose(pair.tip_tension, expected[:, -1], rtol=1e-9)
+
+
+def test_at_gives_the_nodes_at_the_nodes(pair):
+    at = fields_at(pair, pair.arc_length)
+    for name in FIELDS:
+        ours, theirs = getattr(at, name), getattr(pair, name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10 * np.max(np.abs(theirs)), err_msg=name)
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 3)], ids=str)
+def test_at_takes_any_shape(pair, shape):
+    at = pair.at(np.full(shape, 0.07))
+    assert at.arc_length.shape == at.curvature.shape == at.heading.shape == shape
+    assert at.position.shape == (*shape, 2)
+    assert at.tension.shape == at.wrap_angle.shape == (2, *shape)
+    assert at.normal_force.shape == at.friction_force.shape == (2, *shape, 2)
+
+
+def test_at_between_the_nodes_is_smooth(pair):
+    """More nodes give the same there: the interpolant of 9 points per panel."""
+    s = jnp.linspace(0.0, 0.14, 23)
+    fine = cddf.solve(two_slanted_tendons(), (75.0, 20.0), direction=(+1, -1), nodes=48)
+    ours, theirs = fields_at(pair, s), fields_at(fine, s)
+    np.testing.assert_allclose(ours.position, theirs.position, atol=1e-7 * 0.14)
+    np.testing.assert_allclose(ours.tension, theirs.tension, rtol=1e-6)
+    np.testing.assert_allclose(ours.curvature, theirs.curvature, rtol=1e-6)
+
+
+def test_at_outside_the_body_is_nan(pair):
+    at = fields_at(pair, jnp.array([-1e-9, 0.0, 0.14, 0.14 + 1e-9, jnp.nan]))
+    outside = [True, False, False, True, True]
+    np.testing.assert_array_equal(np.isnan(at.heading), outside)
+    np.testing.assert_array_equal(np.isnan(at.position[:, 0]), outside)
+    np.testing.assert_array_equal(np.isnan(at.tension[0]), outside)
+
+
+def test_at_can_be_differentiated(pair):
+    """Of the heading the curvature, of the position the axis t: design.md section 1."""
+    s = jnp.asarray(0.0613)
+    slope = jax.jit(jax.jacfwd(lambda s: (pair.at(s).heading, pair.at(s).position)))(s)
+    at = fields_at(pair, s)
+    np.testing.assert_allclose(slope[0], at.curvature, rtol=1e-5)  # the slope of an interpolant of degree 8
+    np.testing.assert_allclose(slope[1], [np.cos(at.heading), np.sin(at.heading)], rtol=1e-5)
+
+
+# --- displacement --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+def test_displacement_of_a_parallel_tendon_is_offset_times_angle(kinematics):
+    """The integral of 1 - |1 - d kappa| = d kappa: both kinematics, both sides."""
+    solution = cddf.solve(paper_body(kinematics, num_tendons=2), (75.0, 20.0), direction=(+1, -1))
+    expected = 0.010 * float(solution.tip_angle) * np.array([1.0, -1.0])
+    np.testing.assert_allclose(solution.tendon_displacement, expected, rtol=1e-9)
+
+
+def test_displacement_of_slanted_tendons_is_the_change_of_their_length(pair):
+    """SciPy's integral of sqrt(1 + d'^2) - |u_c'| over the solved curvature, u_c' of design.md section 2."""
+    dense = jax.jit(lambda s: pair.at(s).curvature)
+    slope = -0.003 / 0.14
+
+    def shortening(s, side):
+        q = 1 - side * (0.012 + slope * s) * float(dense(s))
+        return np.sqrt(1 + slope**2) - np.sqrt(q**2 + slope**2)
+
+    expected = [quad(shortening, 0, 0.14, args=(side,), epsrel=1e-10, limit=200)[0] for side in (+1, -1)]
+    np.testing.assert_allclose(pair.tendon_displacement, expected, rtol=1e-7)
+
+
+def test_a_solution_is_a_tree_that_passes_through_jit(pair):
+    doubled = jax.jit(lambda solution: 2 * solution.tip_tension)(pair)
+    np.testing.assert_allclose(doubled, 2 * pair.tip_tension)
+
+
+def test_an_unphysical_lane_does_not_hide_what_is_physical():
+    body = replaced(paper_body("exact"), youngs_modulus=jnp.asarray(1.4e6))
+    assert cddf.solve(body, 0.0).result == R.successful
