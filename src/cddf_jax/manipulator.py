@@ -101,8 +101,9 @@ class Manipulator(eqx.Module):
     def breakpoints(self) -> Float[Array, " n"]:
         """Arc lengths (m), unsorted, at which the body or a tendon is not smooth."""
         profiles = [self.outer_radius, self.inner_radius, *(tendon.offset for tendon in self.tendons)]
-        ends = [jnp.asarray(tendon.end) for tendon in self.tendons if tendon.end is not None]
-        return jnp.concatenate([*map(breakpoints, profiles), jnp.asarray(ends)])
+        ends = [jnp.asarray(tendon.end)[None] for tendon in self.tendons if tendon.end is not None]
+        named = [points for points in (*map(breakpoints, profiles), *ends) if points.shape[0] > 0]
+        return jnp.concatenate(named) if named else jnp.zeros_like(jnp.asarray(self.length), shape=0)
 
     @property
     def slanted(self) -> bool:

@@ -13,6 +13,7 @@ from .solver import (
     edge_nudge,
     guarded_section,
     ones_at_base,
+    ratio_rate,
     turn_at_joint,
     turning_of,
 )
@@ -58,7 +59,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
     def rate(state: State, arc_length: Number) -> State:
         section = guarded_section(problem.manipulator, arc_length)
         kappa, wrap_rate = turning_of(problem, section, state.ratio)
-        growth = problem.direction * section.friction_coefficient * wrap_rate * state.ratio
+        growth = ratio_rate(problem, section, state.ratio)
         return State(growth, wrap_rate, kappa, jnp.stack([jnp.cos(state.heading), jnp.sin(state.heading)]))
 
     def panel(state, inputs):

@@ -20,6 +20,7 @@ from .quadrature import Panels, panels
 PerTendon = Float[Array, " tendons"]
 Number = Float[Array, ""]
 ACCURACY = 1e-5  # an error estimate above this is not called successful
+SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
 
 
 class Joints(NamedTuple):
@@ -106,8 +107,9 @@ def edge_nudge(cut: Panels) -> Number:
 
 
 def tension_of(section: CrossSection, base_tension: PerTendon, ratio: PerTendon) -> PerTendon:
-    """T = T_base / r, zero beyond the anchor."""
-    return jnp.where(section.present, base_tension / jnp.where(ratio > 0, ratio, 1.0), 0.0)
+    """T = T_base / r, zero beyond the anchor. Where a tendon locks, r goes on below zero, and its size stands in."""
+    size = jnp.maximum(jnp.abs(ratio), jnp.finfo(ratio.dtype).eps)
+    return jnp.where(section.present, base_tension / size, 0.0)
 
 
 def turning_of(problem: Problem, section: CrossSection, ratio: PerTendon) -> tuple[Number, PerTendon]:
@@ -121,7 +123,7 @@ def turning_of(problem: Problem, section: CrossSection, ratio: PerTendon) -> tup
 def ratio_rate(problem: Problem, section: CrossSection, ratio: PerTendon) -> PerTendon:
     """The growth r' = direction mu theta' r."""
     _, wrap_rate = turning_of(problem, section, ratio)
-    return problem.direction * section.friction_coefficient * wrap_rate * ratio
+    return problem.direction * section.friction_coefficient * wrap_rate * jnp.abs(ratio)
 
 
 def turn_at_joint(problem: Problem, joint: Joints | None, ratio: PerTendon) -> tuple[PerTendon, PerTendon]:
@@ -155,14 +157,26 @@ def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[
     return heading, cut.integrate(jnp.stack([jnp.cos(heading[1]), jnp.sin(heading[1])], axis=-1))
 
 
-def truncation_error(problem: Problem, nodes: State, tip: State) -> Number:
-    """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest."""
-    kappa, wrap_rate = turning_along(problem, problem.nodes, nodes.ratio)
-    growth = problem.nodes.friction_coefficient * wrap_rate * nodes.ratio
-    axis = jnp.stack([jnp.cos(nodes.heading), jnp.sin(nodes.heading)], axis=-1)
-    error = problem.panels.truncation
-    length = problem.panels.edges[-1]
-    return jnp.max(jnp.concatenate([error(growth) / tip.ratio, error(axis) / length, error(kappa)[None]]))
+def truncation_error(problem: Problem, path: Path) -> Number:
+    """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest.
+
+    The rates along the polynomials of the solution are integrated once more with a few more nodes in
+    each panel; what differs is summed over the panels.
+    """
+    coarse, fine = problem.panels, problem.panels.finer()
+    sections = jax.vmap(jax.vmap(lambda s: guarded_section(problem.manipulator, s)))(fine.nodes)
+    ratio = coarse.resample(path.starts.ratio, path.nodes.ratio, fine.rule.nodes)
+    heading = coarse.resample(path.starts.heading, path.nodes.heading, fine.rule.nodes)
+
+    def gains(cut, sections, ratio, heading):
+        kappa, wrap_rate = turning_along(problem, sections, ratio)
+        growth = sections.friction_coefficient * wrap_rate * ratio / path.tip.ratio
+        axis = jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-1) / cut.edges[-1]
+        return cut.gain(jnp.concatenate([growth, axis, kappa[..., None]], axis=-1))
+
+    finely = gains(fine, sections, ratio, heading)
+    coarsely = gains(coarse, problem.nodes, path.nodes.ratio, path.nodes.heading)
+    return SAFETY * jnp.max(jnp.sum(jnp.abs(finely - coarsely), axis=0))
 
 
 class FixedPoint(eqx.Module):

@@ -64,7 +64,7 @@ def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> t
 
     def checked(name, value):
         traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
-        value = jnp.asarray(value) if traced else np.asarray(value, dtype=np.float64)
+        value = jnp.asarray(value) if traced else np.asarray(value, dtype=_precision(manipulator))
         if value.shape not in ((), (count,)):
             raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got shape {value.shape}")
         return value
@@ -95,7 +95,7 @@ def _solve(manipulator: Manipulator, base_tension: Any, direction: Any, method: 
     displacement = _tendon_displacement(problem, path)
     travel = jnp.where(problem.base_tension > 0, problem.direction * displacement, 0.0)
     contradicted = solved & (travel < -1e-6 * problem.panels.edges[-1])
-    truncation = truncation_error(problem, path.nodes, path.tip)
+    truncation = truncation_error(problem, path)
     crossing = jnp.max(_crossing(problem, along)) >= 1.0
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
 
@@ -135,11 +135,15 @@ def _first_of(*cases: tuple[Any, RESULTS]) -> RESULTS:
     return result
 
 
+def _precision(*trees: Any) -> jnp.dtype:
+    """The precision of the numbers of a pytree."""
+    numbers = [x for x in jax.tree.leaves(trees) if eqx.is_inexact_array(x)]
+    return jnp.result_type(jnp.float32, *(jax.dtypes.canonicalize_dtype(x.dtype) for x in numbers))
+
+
 def one_precision(manipulator: Manipulator, base_tension: Any, direction: Any) -> tuple[Manipulator, Array, Array]:
     """Everything in the precision of the manipulator, or of a tension that is a JAX array if that is higher."""
-    numbers = [x for x in jax.tree.leaves((manipulator, base_tension)) if isinstance(x, jax.Array)]
-    numbers += [x for x in jax.tree.leaves(manipulator) if eqx.is_inexact_array(x)]
-    dtype = jnp.result_type(float if not numbers else jnp.float32, *(x.dtype for x in numbers))
+    dtype = _precision(manipulator, base_tension)
     arrays, rest = eqx.partition(manipulator, eqx.is_inexact_array)
     manipulator = eqx.combine(jax.tree.map(lambda x: jnp.asarray(x, dtype), arrays), rest)
 
