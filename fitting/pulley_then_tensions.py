@@ -1,6 +1,7 @@
 """Study: the paper's own route, Liu et al. (2020) section IV.
 
-The pulley gives the friction, the load cells then the modulus. Both tables are fitted at once, so that the uncertainty of the friction reaches the modulus.
+The pulley gives the friction, the load cells then the modulus. Both tables are fitted at once, so that the
+uncertainty of the friction reaches the modulus.
 """
 
 from pathlib import Path

@@ -78,7 +78,11 @@ def test_a_wrong_minimum_is_never_called_success():
     problem = Problem("MGH17")
     fit = problem.fit("start1")
     if fit.success:
-        np.testing.assert_allclose(list(fit.value.values()), problem.value, rtol=1e-6)
+        # b1 + b2 exp(-x b4) + b3 exp(-x b5) is the same model with b2, b4 and b3, b5 exchanged: the certified
+        # minimum has two names, and either is right
+        b1, b2, b3, b4, b5 = fit.value.values()
+        exchanged = [b1, b3, b2, b5, b4] if b4 > b5 else [b1, b2, b3, b4, b5]
+        np.testing.assert_allclose(exchanged, problem.value, rtol=1e-6)
     else:
         assert fit.result != "successful"
 

@@ -50,7 +50,7 @@ def main() -> None:
     except Exception as error:
         usage = getattr(error, "format_message", None)  # wrong usage, as Typer found it
         if usage is not None:
-            _stop(f"{usage()} Try --help.", 2)
+            _stop(f"{usage().rstrip('.')}. Try --help.", 2)
         if type(error).__name__ == "SolveError":  # its module imports JAX
             _stop(str(error), 1)
         raise
@@ -85,6 +85,12 @@ def solve(
     from .units import quantity
 
     tension = [quantity(text, "force", "--base-tension") for text in base_tension]
+    for text, value in zip(base_tension, tension, strict=True):
+        if value < 0:
+            raise InputError(f"--base-tension {text!r}: a tendon cannot push; give 0 N or more")
+    for value in direction or []:
+        if value not in (+1, -1):
+            raise InputError(f"--direction {value}: give +1 for a tendon that slides in, -1 for one that slides out")
     equilibrium = solve(
         manipulator,
         _per_tendon("--base-tension", tension, manipulator),

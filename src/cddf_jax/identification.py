@@ -21,6 +21,8 @@ from .statics import solve
 
 PARAMETERS = ("friction_coefficient", "youngs_modulus", "density", "length")
 POSITIVE = (0.0, None)
+# what to multiply SI by, and the unit that then holds
+SHOWN = {"youngs_modulus": (1e-6, " MPa"), "length": (1e3, " mm"), "density": (1.0, " kg/m^3")}
 
 
 class Prediction(NamedTuple):
@@ -93,6 +95,7 @@ def fit(
         InputError: for float32, unknown parameters or columns, tables that do not fit the manipulator.
     """
     tables = (data,) if isinstance(data, Measurements) else tuple(data)
+    free = (free,) if isinstance(free, str) else tuple(free)
     for name in free:
         if name not in PARAMETERS:
             raise InputError(f"fit: {name!r} is no parameter that can be fitted; there are {', '.join(PARAMETERS)}")
@@ -289,23 +292,26 @@ def _warnings(fitted: Manipulator, parameters: Any, tables, model: _Model) -> li
     return found
 
 
+def shown(told: Determination, name: str) -> tuple[float, float, float, float, str]:
+    """Value, standard error and interval of a parameter in the unit in which engineers write it, and that unit."""
+    scale, unit = SHOWN.get(name, (1.0, ""))
+    numbers = told.value[name], told.standard_error[name], *told.confidence_interval[name]
+    value, error, low, high = (scale * number for number in numbers)
+    return value, error, low, high, unit
+
+
 def _verdict(fit: Fit) -> list[str]:
     lines = [] if fit.success else [f"The fit failed: {fit.result}."]
     for name, status in fit.status.items():
+        value, error, low, high, unit = shown(fit, name)
         if status == IDENTIFIED:
-            low, high = fit.confidence_interval[name]
-            lines.append(
-                f"{name} = {fit.value[name]:.4g} +- {fit.standard_error[name]:.2g} "
-                f"(95 %: {low:.4g} to {high:.4g}): identified"
-            )
-        elif status == FIXED:
-            lines.append(f"{name} = {fit.value[name]:.6g}: fixed")
+            lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
         elif status != NOT_IDENTIFIED:
-            lines.append(f"{name} = {fit.value[name]:.4g}: {status}")
+            lines.append(f"{name} = {value:.4g}{unit}: {status}")
         else:
             lines.append(f"{name}: not identified")
     for name, (value, error) in fit.combinations.items():
-        lines.append(f"{name} = {value:.4g} +- {error:.2g}: identified, though its factors are not")
+        lines.append(f"{name} = {value:.4g} +- {error:.2g} (SI): identified, though its factors are not")
     lost = {name for name, status in fit.status.items() if status == NOT_IDENTIFIED}
     return lines + [_advice(fit, lost)] * bool(lost)
 

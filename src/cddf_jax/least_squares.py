@@ -14,11 +14,12 @@ import numpy as np
 
 from .determination import IDENTIFIED, Determination, Evidence, determine, spectrum_of, without_nan
 from .errors import InputError
-from .levenberg_marquardt import LeastSquaresProblem, Outcome, chi_square, minimise
+from .levenberg_marquardt import LeastSquaresProblem, Outcome, chi_square, evaluate, minimise
 from .parameter_space import Space, bounds_of, names_of, priors_of
 
 SUCCESSFUL = "successful"
 NOISE_ROUNDS = 50
+CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
 MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
 
 
@@ -93,8 +94,12 @@ def least_squares_fit(
             break
 
     evidence = _evidence(names, space, prior, data, outcome)
-    profiles = _profiles(problem, noise, outcome, determine(evidence), max_steps)
+    told = determine(evidence)
+    profiles = _profiles(problem, noise, outcome, told, max_steps)
     result = _verdict(outcome, evidence, settled, profiles)
+    if np.any(profiles.open):
+        outcome = _nearest_to_start(problem, noise, outcome, profiles.open, told.quantile, max_steps)
+        evidence = _evidence(names, space, prior, data, outcome)
     return _conclude(replace(evidence, open_profile=profiles.open), unravel, data, noise, outcome, result)
 
 
@@ -207,7 +212,7 @@ def _profiles(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Deter
     """Hold each parameter that looks identified at values ever farther off and fit the others again.
 
     The curvature at a minimum can feign an interval where the valley is flat beyond. A side is closed where
-    the sum of squares has risen by what ends a 95 % interval.
+    the sum of squares has risen by twice what ends a 95 % interval.
     """
     opened, least = np.zeros(len(told.names), bool), 0.0
 
@@ -218,7 +223,7 @@ def _profiles(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Deter
             rise = chi_square(minimise(problem, noise, outcome.z, held, max_steps)) - chi_square(outcome)
             least = min(least, rise) if np.isfinite(rise) else least
             expected = ((place - outcome.parameters[i]) / error) ** 2
-            if not rise <= min(told.quantile**2, 0.5 * expected):  # NaN: the model ends there
+            if not rise <= min(CLOSING_RISE * told.quantile**2, 0.5 * expected):  # NaN: the model ends there
                 return True
         return False
 
@@ -228,6 +233,17 @@ def _profiles(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Deter
             sides = _sides(problem.space, i, told.value[name], told.quantile * error)
             opened[i] = not all(closed(i, error, places) for places in sides)
     return _Profiles(opened, least)
+
+
+def _nearest_to_start(
+    problem: LeastSquaresProblem, noise, outcome: Outcome, opened: np.ndarray, quantile: float, max_steps: int
+) -> Outcome:
+    """Along an open valley any place will do: the one at the start of the first open parameter, if it fits."""
+    i, first = int(np.argmax(opened)), np.asarray(problem.space.first())
+    held = np.where(np.arange(len(first)) == i, problem.space.start, np.nan)
+    moved = minimise(problem, noise, outcome.z, held, max_steps)
+    there = evaluate(problem, noise, np.where(np.isnan(held), moved.z, first))
+    return there if chi_square(there) - chi_square(outcome) <= CLOSING_RISE * quantile**2 else outcome
 
 
 def _sides(space: Space, i: int, value: float, half_width: float) -> tuple[list[float], list[float]]:

@@ -69,8 +69,18 @@ def minimise(
     return Outcome(end, parameters, size, residual, slope * size, int(steps), bool(solved))
 
 
+def evaluate(problem: LeastSquaresProblem, noise: tuple[np.ndarray, ...], z: np.ndarray) -> Outcome:
+    """The outcome of standing still at z."""
+    free = np.full(len(z), np.nan)
+    residual, by_z = jax.device_get(_residual_and_slope(problem, noise, free, z))
+    parameters, stretch = jax.jvp(problem.space.parameters, (jnp.asarray(z),), (jnp.ones(len(z)),))
+    parameters = np.asarray(parameters)
+    size = problem.space.size(parameters)
+    return Outcome(z, parameters, size, residual, by_z / np.asarray(stretch) * size, 0, True)
+
+
 @eqx.filter_jit
-def _residual_and_slope(problem: LeastSquaresProblem, noise: tuple[Any, ...], held: Any, z: Float[Array, " n"]):
+def _residual_and_slope(problem: LeastSquaresProblem, noise: tuple[Any, ...], held: Any, z: Any):
     """The residual and its Jacobian by z, forward mode."""
 
     def push(tangent):

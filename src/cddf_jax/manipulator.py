@@ -216,8 +216,10 @@ def conical(
 
 
 def _taper(name: str, value: Any, length: Any) -> Constant | Linear:
-    if np.ndim(value) == 0:
-        return Constant(value)
-    if np.shape(value) != (2,):
-        raise ValueError(f"conical: {name} must be a number or a pair (base, tip), got shape {np.shape(value)}")
-    return Linear(value[0], value[1], length)
+    if isinstance(value, tuple | list):
+        shape = (len(value), *np.shape(value[0])) if value else (0,)
+    else:
+        shape = np.shape(value)
+    if shape not in ((), (2,)):
+        raise ValueError(f"conical: {name} must be a number or a pair (base, tip), got shape {shape}")
+    return Linear(value[0], value[1], length) if shape else Constant(value)

@@ -1,5 +1,6 @@
 """A fit as people read it: figures, a report, and a dictionary for JSON."""
 
+import re
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,10 @@ from matplotlib.figure import Figure
 from . import plotting as draw
 from .artifacts import as_json, write_all
 from .determination import NOT_IDENTIFIED, Determination
-from .identification import Fit
+from .identification import Fit, shown
 from .measurements import Measurements
 from .pulley import pulling_tension
 
-# what to multiply SI by, and the unit that then holds
-SHOWN = {"youngs_modulus": (1e-6, "MPa"), "length": (1e3, "mm"), "density": (1.0, "kg/m^3")}
 DEGREE = np.degrees(1.0)
 COLUMNS = {
     "tip_angle": (DEGREE, "Tip angle", "deg"),
@@ -91,13 +90,11 @@ def parameter_rows(told: Determination) -> list[list[str]]:
     """Name, value, standard error, interval and status of each parameter and combination."""
     rows = []
     for name, status in told.status.items():
-        scale, unit = SHOWN.get(name, (1.0, ""))
         if status == NOT_IDENTIFIED:
             rows.append([name, "-", "-", "-", status])
             continue
-        value, error = told.value[name] * scale, told.standard_error[name] * scale
-        low, high = (limit * scale for limit in told.confidence_interval[name])
-        rows.append([name, f"{value:.5g} {unit}".rstrip(), f"{error:.2g}", f"{low:.5g} to {high:.5g}", status])
+        value, error, low, high, unit = shown(told, name)
+        rows.append([name, f"{value:.5g}{unit}", f"{error:.2g}", f"{low:.5g} to {high:.5g}", status])
     for name, (value, error) in told.combinations.items():
         rows.append([name, f"{value:.5g} (SI)", f"{error:.2g}", "-", "identified"])
     return rows
@@ -111,7 +108,10 @@ def in_words(told: Determination) -> str:
 
 
 def fit_figures(fit: Fit) -> dict[str, Figure]:
-    """One figure for each table: data, model with its 95 % band, residuals. Tables of several tendons have none."""
+    """One figure for each table: data, model with its 95 % band, residuals.
+
+    There is none for tables of several tendons, and none where the model gave no numbers.
+    """
     figures = {}
     for name, table in zip(fit.alone, fit.tables, strict=True):
         if "pulling_tension" in table:
@@ -121,7 +121,8 @@ def fit_figures(fit: Fit) -> dict[str, Figure]:
             panels = [_bench_panel(fit, name, table, column) for column in columns]
         else:
             continue
-        figures["fit_" + name.removesuffix(".csv").replace(" ", "_")] = draw.fit_figure(panels)
+        if all(np.all(np.isfinite(panel.predicted)) and np.all(np.isfinite(panel.residual)) for panel in panels):
+            figures["fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_")] = draw.fit_figure(panels)
     return figures
 
 
