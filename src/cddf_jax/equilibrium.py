@@ -56,14 +56,14 @@ class SolveError(RuntimeError):
 class Fields(eqx.Module):
     """What varies along the body, at one or several arc lengths; per tendon first."""
 
-    arc_length: Float[Array, " points"]  # s, m
-    curvature: Float[Array, " points"]  # kappa, 1/m, positive towards +n
-    heading: Float[Array, " points"]  # phi, rad
-    position: Float[Array, "points 2"]  # u, m, in the fixed frame at the base
-    tension: Float[Array, "tendons points"]  # T, N; zero beyond the anchor of a tendon
-    wrap_angle: Float[Array, "tendons points"]  # theta, rad, counted from the base
-    normal_force: Float[Array, "tendons points 2"]  # F_CDDN on the body, N/m, fixed frame
-    friction_force: Float[Array, "tendons points 2"]  # F_CDDF on the body, N/m, fixed frame
+    arc_length: Float[Array, "*points"]  # s, m
+    curvature: Float[Array, "*points"]  # kappa, 1/m, positive towards +n
+    heading: Float[Array, "*points"]  # phi, rad
+    position: Float[Array, "*points 2"]  # u, m, in the fixed frame at the base
+    tension: Float[Array, "tendons *points"]  # T, N; zero beyond the anchor of a tendon
+    wrap_angle: Float[Array, "tendons *points"]  # theta, rad, counted from the base
+    normal_force: Float[Array, "tendons *points 2"]  # F_CDDN on the body, N/m, fixed frame
+    friction_force: Float[Array, "tendons *points 2"]  # F_CDDF on the body, N/m, fixed frame
 
 
 class Equilibrium(eqx.Module):

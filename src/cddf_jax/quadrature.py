@@ -48,7 +48,7 @@ def gauss_rule(order: int) -> Rule:
 class Panels(eqx.Module):
     """Panels along the body, P of them with p nodes each."""
 
-    edges: Float[Array, " P+1"]  # arc length, m, from 0 to L
+    edges: Float[Array, " edges"]  # arc length, m, from 0 to L
     order: int = eqx.field(static=True)
 
     @property
@@ -67,14 +67,14 @@ class Panels(eqx.Module):
         """A matrix of the rule in the precision of the edges."""
         return jnp.asarray(getattr(self.rule, name), self.edges.dtype)
 
-    def _width_for(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *ones"]:
+    def _width_for(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *_"]:
         return self.width.reshape((-1, *[1] * (rate.ndim - 2)))
 
     def gain(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *k"]:
         """The integral of `rate` over each panel."""
         return self._width_for(rate) * jnp.einsum("j,pj...->p...", self.constant("weights"), rate)
 
-    def integrate(self, rate: Float[Array, "P p *k"]) -> tuple[Float[Array, "P+1 *k"], Float[Array, "P p *k"]]:
+    def integrate(self, rate: Float[Array, "P p *k"]) -> tuple[Float[Array, "edges *k"], Float[Array, "P p *k"]]:
         """The integral of `rate` from the base to every edge and to every node."""
         width, gain = self._width_for(rate), self.gain(rate)
         at_edges = jnp.concatenate([jnp.zeros_like(gain[:1]), jnp.cumsum(gain, axis=0)])

@@ -206,7 +206,7 @@ def _tendon_displacement(problem: Problem, path: Path) -> PerTendon:
     return problem.panels.integrate(jax.vmap(jax.vmap(shortening))(problem.nodes, path.nodes.ratio))[0][-1]
 
 
-def _crossing(problem: Problem, along: Fields) -> Float[Array, " P*p"]:
+def _crossing(problem: Problem, along: Fields) -> Float[Array, "P p"]:
     """The product sigma d kappa at the nodes, the largest of the tendons that are there."""
     section, kappa = problem.nodes, along.curvature[1:-1].reshape(problem.panels.nodes.shape)
     crossing = jnp.where(section.present, section.side * section.offset * kappa[..., None], 0.0)
