@@ -481,3 +481,15 @@ def test_refusals(changes, message):
 def test_single_precision_is_refused(pulley):
     with jax.enable_x64(False), pytest.raises(InputError, match="fits need double precision"):
         cddf.fit(paper_body(), pulley)
+
+
+def test_a_common_friction_that_no_tendon_uses_is_refused():
+    body = cddf.Manipulator(0.14, 0.02, 0.007, (cddf.Tendon(0.01, friction_coefficient=0.1),), 1.4e6, 0.42)
+    table = bench(np.array([10.0, 20.0]), tip_tension=np.array([9.0, 17.0]))
+    with pytest.raises(cddf.InputError, match="every tendon has its own friction coefficient"):
+        cddf.fit(body, table)
+
+
+def test_data_that_are_no_table_are_named():
+    with pytest.raises(cddf.InputError, match="read_measurements"):
+        cddf.fit(paper_body(), "bench.csv")

@@ -25,55 +25,24 @@ if TYPE_CHECKING:
     from .statics import solve
 
 _HOME = {
-    "closed_form": ("closed_form_tension",),
-    "equilibrium": (
-        "RESULTS",
-        "Equilibrium",
-        "Fields",
-        "SolveError",
-    ),
-    "errors": ("InputError",),
-    "identification": (
-        "Fit",
-        "fit",
-    ),
-    "least_squares": (
-        "Determination",
-        "LeastSquaresFit",
-        "least_squares_fit",
-    ),
-    "literal_iteration": (
-        "IterationHistory",
-        "LiteralIteration",
-        "iteration_history",
-    ),
-    "manipulator": (
-        "Manipulator",
-        "Tendon",
-        "conical",
-    ),
-    "manipulator_file": (
-        "read_manipulator",
-        "write_fit",
-        "write_manipulator",
-    ),
-    "marching": ("Marching",),
-    "measurements": (
-        "Measurements",
-        "read_measurements",
-    ),
-    "profiles": (
-        "Constant",
-        "Linear",
-        "Piecewise",
-        "Spline",
-    ),
-    "pulley": ("pulling_tension",),
-    "report": ("write_fit",),
-    "solver": ("FixedPoint",),
-    "statics": ("solve",),
+    "closed_form": "closed_form_tension",
+    "determination": "Determination",
+    "equilibrium": "RESULTS, Equilibrium, Fields, SolveError",
+    "errors": "InputError",
+    "identification": "Fit, fit",
+    "least_squares": "LeastSquaresFit, least_squares_fit",
+    "literal_iteration": "IterationHistory, LiteralIteration, iteration_history",
+    "manipulator": "Manipulator, Tendon, conical",
+    "manipulator_file": "read_manipulator, write_manipulator",
+    "marching": "Marching",
+    "measurements": "Measurements, read_measurements",
+    "profiles": "Constant, Linear, Piecewise, Spline",
+    "pulley": "pulling_tension",
+    "report": "write_fit",
+    "solver": "FixedPoint",
+    "statics": "solve",
 }
-_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names.split(", ")}
 
 __version__ = "0.1.0"
 __all__ = [
@@ -119,4 +88,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return list(__all__)

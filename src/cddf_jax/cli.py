@@ -192,7 +192,6 @@ def fit(
 _DIMENSION: "dict[str, Dimension]" = {
     "friction_coefficient": "dimensionless",
     "youngs_modulus": "pressure",
-    "density": "density",
     "length": "length",
     "tip_angle": "angle",
     "tip_x": "length",
@@ -205,7 +204,7 @@ def _prior(text: str) -> tuple[str, tuple[float, float]]:
 
     name, _, numbers = (part.strip() for part in text.partition("="))
     mean, plus_minus, deviation = numbers.replace("±", "+-").partition("+-")
-    if not plus_minus or name not in ("friction_coefficient", "youngs_modulus", "density", "length"):
+    if not plus_minus or name not in ("friction_coefficient", "youngs_modulus", "length"):
         raise InputError(
             f'--prior {text!r}: write a parameter, mean and deviation as in "youngs_modulus=1.4 MPa +- 0.1 MPa"'
         )
@@ -231,6 +230,7 @@ def _fit_text(found: "Fit") -> str:
         lines += [f"  {name}: {in_words(told)}" for name, told in found.alone.items()]
     simulated = [table.name for table in found.tables if table.simulated]
     lines += [f"simulated data: {', '.join(simulated)}"] if simulated else []
+    lines.append(f"kinematics: {found.manipulator.kinematics}")
     return "\n".join(lines + [f"warning: {warning}" for warning in found.warnings])
 
 

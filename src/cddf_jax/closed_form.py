@@ -4,6 +4,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .manipulator import Manipulator
@@ -25,10 +26,10 @@ def closed_form_tension(
         base_tension: T_base, N, a number.
         arc_length: s, m, a number or an array; NaN comes back outside 0 to L. Beyond the anchor of
             a tendon its tension there is kept.
-        nodes: Gauss nodes for G in each smooth piece of the body.
+        nodes: Gauss nodes for G in each smooth piece of the body; not checked to be enough for a rough one.
 
     Raises:
-        ValueError: for more tendons than one, or an offset that varies in the exact kinematics.
+        ValueError: for a negative tension, more tendons than one, or an offset that varies in the exact kinematics.
     """
     if manipulator.num_tendons != 1:
         raise ValueError(f"closed_form_tension holds for one tendon, not for {manipulator.num_tendons}; use solve")
@@ -38,6 +39,8 @@ def closed_form_tension(
             "closed_form_tension holds in the exact kinematics for a Constant tendon offset only, "
             f"not for {type(tendon.offset).__name__}; use solve, or kinematics='published'"
         )
+    if not isinstance(base_tension, Tracer) and np.any(np.asarray(base_tension) < 0):
+        raise ValueError(f"closed_form_tension: a tendon cannot push, got base_tension {base_tension}")
     s = jnp.asarray(arc_length, float)
     length = jnp.asarray(manipulator.length, s.dtype)
     whole = panels(length, jnp.asarray(manipulator.breakpoints, s.dtype), nodes)

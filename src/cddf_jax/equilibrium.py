@@ -21,7 +21,7 @@ class RESULTS(eqx.Enumeration):
     successful = ""
     direction_contradicted = (
         "A tendon travels against its stated direction: the model holds, its friction has the wrong sign. "
-        "Give direction=-1 for a tendon that slides out."
+        "Flip its direction: +1 slides in at the base, -1 slides out."
     )
     inaccurate = "The error estimate exceeds 1e-5: the body is too rough for its nodes. Raise nodes=."
     crossing = (
@@ -67,7 +67,10 @@ class Fields(eqx.Module):
 
 
 class Equilibrium(eqx.Module):
-    """A manipulator in static equilibrium. Where a solve fails, its numbers are NaN and `result` says why.
+    """A manipulator in static equilibrium.
+
+    Where there is none its numbers are NaN and `result` says why; `result` also says where numbers that are there
+    are to be doubted (`crossing`, `inaccurate`, `direction_contradicted`).
 
     Every attribute of `Fields` is found here as well, at the base, the Gauss nodes and the tip.
     """

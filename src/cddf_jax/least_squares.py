@@ -100,7 +100,8 @@ def least_squares_fit(
     if np.any(profiles.open):
         outcome = _nearest_to_start(problem, noise, outcome, profiles.open, told.quantile, max_steps)
         evidence = _evidence(names, space, prior, data, outcome)
-    return _conclude(replace(evidence, open_profile=profiles.open), unravel, data, noise, outcome, result)
+    doubtful = profiles.open | (result != SUCCESSFUL)  # a failed fit has identified nothing
+    return _conclude(replace(evidence, open_profile=doubtful), unravel, data, noise, outcome, result)
 
 
 def _refuse_single_precision() -> None:

@@ -12,7 +12,7 @@ from .fixed_point import fixed_point
 from .manipulator import Manipulator
 from .quadrature import Panels
 from .solver import Path, Problem, State, integrate_shape, lay_out, turning_along
-from .statics import one_precision, per_tendon
+from .statics import check_nodes, one_precision, per_tendon
 
 
 class LiteralIteration(eqx.Module):
@@ -23,7 +23,8 @@ class LiteralIteration(eqx.Module):
     only where T d^2 < E J all along the body.
 
     Args:
-        tip_tolerance: e_tip,th, m.
+        tip_tolerance: e_tip,th, m. The error estimate holds the last motion over the length, which falls short of
+            the error where the map contracts slowly.
         max_updates: it stops here at the latest.
     """
 
@@ -123,6 +124,7 @@ def iteration_history(
         tip_tolerance: e_tip,th, m.
         max_updates: how many updates are made, whatever the threshold.
     """
+    check_nodes(nodes)
     problem = lay_out(*one_precision(manipulator, *per_tendon(manipulator, base_tension, direction)), nodes)
     cut = problem.panels
     start = frictionless_curvature(problem)

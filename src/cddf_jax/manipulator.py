@@ -70,7 +70,7 @@ class Manipulator(eqx.Module):
         youngs_modulus: E, Pa.
         friction_coefficient: mu between tendon and body, for every tendon without its own.
         density: rho, kg/m^3; it matters under gravity only.
-        kinematics: "exact" or "published", see the documentation of the model.
+        kinematics: "exact" follows the tendon itself, "published" takes the paper as written; see `mechanics`.
 
     Values are not checked here, as they may be traced: `validate` does that on the host.
 
@@ -112,12 +112,12 @@ class Manipulator(eqx.Module):
 
     @property
     def tendon_friction(self) -> Float[Array, " tendons"]:
-        """Mu of each tendon."""
+        """The friction coefficient mu of each tendon."""
         own = (tendon.friction_coefficient for tendon in self.tendons)
         return jnp.stack([jnp.asarray(self.friction_coefficient if mu is None else mu) for mu in own])
 
     def offset(self, arc_length: Points) -> Float[Array, "tendons *points"]:
-        """D of each tendon, m."""
+        """The offset d of each tendon, m."""
         return jnp.stack([tendon.offset(arc_length) for tendon in self.tendons])
 
     def area(self, arc_length: Points) -> Float[Array, "*points"]:

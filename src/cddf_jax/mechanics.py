@@ -32,7 +32,7 @@ class Tangent(NamedTuple):
 
 
 def arm_ratio(section: CrossSection, curvature: Number) -> PerTendon:
-    """Q = 1 - sigma d kappa: length of the fibre through the tendon per length of the neutral axis."""
+    """The ratio q = 1 - sigma d kappa: length of the fibre through the tendon per length of the neutral axis."""
     return 1.0 - section.side * section.offset * curvature
 
 

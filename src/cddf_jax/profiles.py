@@ -51,7 +51,7 @@ class Piecewise(eqx.Module):
     Args:
         ends: arc lengths (m) at which one piece gives way to the next, increasing,
             one fewer than there are pieces. At such an arc length the next piece holds.
-        pieces: profiles, each a function of the arc length counted from the base of the body.
+        pieces: profiles or numbers, each a function of the arc length counted from the base of the body.
 
     Raises:
         ValueError: when the number of ends does not fit the number of pieces.
@@ -60,9 +60,9 @@ class Piecewise(eqx.Module):
     ends: Float[Number, " joints"] = eqx.field(converter=as_number)
     pieces: tuple[Profile, ...]
 
-    def __init__(self, ends: Any, pieces: Sequence[Profile]):
+    def __init__(self, ends: Any, pieces: Sequence[Any]):
         self.ends = as_number(ends)
-        self.pieces = tuple(pieces)
+        self.pieces = tuple(piece if callable(piece) else Constant(piece) for piece in pieces)
         if np.ndim(self.ends) != 1 or len(self.pieces) != np.shape(self.ends)[0] + 1:
             raise ValueError(
                 f"Piecewise: {len(self.pieces)} pieces need {len(self.pieces) - 1} ends in one list, "

@@ -90,6 +90,12 @@ class Panels(eqx.Module):
         """The same panels with a few more nodes each, to check an integral with."""
         return Panels(self.edges, self.order + 3)
 
+    def densely(self, times: int, order: int) -> "Panels":
+        """Every panel cut into `times`, to see what happens between the nodes."""
+        fraction = jnp.arange(times, dtype=self.edges.dtype) / times
+        starts = self.edges[:-1, None] + self.width[:, None] * fraction
+        return Panels(jnp.concatenate([starts.ravel(), self.edges[-1:]]), order)
+
     def resample(self, start: Float[Array, "P *k"], values: Float[Array, "P p *k"], nodes: np.ndarray) -> Array:
         """The polynomials through the starts and the nodes of the panels, at other places in [0, 1] of each."""
         basis = legendre.legvander(2 * nodes - 1, self.order) @ self.rule.interpolation

@@ -19,7 +19,7 @@ from .quadrature import Panels, panels
 
 PerTendon = Float[Array, " tendons"]
 Number = Float[Array, ""]
-ACCURACY = 1e-5  # an error estimate above this is not called successful
+ACCURACY = 1e-5  # a larger error of truncation is not called successful, nor a larger residual of Marching
 SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
 
 
@@ -176,7 +176,22 @@ def truncation_error(problem: Problem, path: Path) -> Number:
 
     finely = gains(fine, sections, ratio, heading)
     coarsely = gains(coarse, problem.nodes, path.nodes.ratio, path.nodes.heading)
-    return SAFETY * jnp.max(jnp.sum(jnp.abs(finely - coarsely), axis=0))
+    truncation = SAFETY * jnp.max(jnp.sum(jnp.abs(finely - coarsely), axis=0))
+    return jnp.maximum(truncation, _unseen_turning(problem))
+
+
+def _unseen_turning(problem: Problem) -> Number:
+    """What the nodes miss of the frictionless bend, the integral of T_base d / (E J), rad: a notch between them."""
+    body, coarse = problem.manipulator, problem.panels
+    dense = coarse.densely(times=32, order=4)
+
+    def bend(arc_length):
+        stiffness = body.bending_stiffness(arc_length)
+        return problem.base_tension * body.offset(arc_length) / jnp.where(stiffness > 0, stiffness, 1.0)
+
+    seen = coarse.gain(jax.vmap(jax.vmap(bend))(coarse.nodes))
+    there = dense.gain(jax.vmap(jax.vmap(bend))(dense.nodes)).reshape(seen.shape[0], -1, seen.shape[1]).sum(axis=1)
+    return jnp.max(jnp.sum(jnp.abs(there - seen), axis=0))
 
 
 class FixedPoint(eqx.Module):

@@ -39,19 +39,36 @@ def solve(
         method: `FixedPoint()`, `LiteralIteration()` or `Marching()`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. The default is accurate to
             1e-8 of the tip tension and 1e-7 of the length.
-        throw: raise where the values are known and the solve failed. Under a transformation nothing
-            is raised; look at `result`.
+        throw: raise where the values are known and the solve failed. Where they are traced, under jit or
+            vmap, nothing is raised; look at `result`.
+
+    A lane that fails has NaN for its numbers and 0 for its derivatives, so that it spoils no sum over a batch.
+    Two failures keep their numbers: `crossing`, where the model has left its range, and `inaccurate`.
+    Of the body only what makes the numbers meaningless is checked here (finite, a stiffness, friction and
+    offsets not negative); walls, anchors, knots and jumps are the business of `manipulator.validate()`.
 
     Raises:
         SolveError: with `throw`, when the result is neither successful nor `direction_contradicted`.
         ValueError: for a wrong number of tensions or directions, or nodes below 4.
+        TypeError: for a method that is none.
     """
-    if isinstance(nodes, bool) or not isinstance(nodes, int) or nodes < 4:
-        raise ValueError(f"solve: nodes must be a whole number of 4 or more, got {nodes!r}")
+    check_nodes(nodes)
+    if not isinstance(method, Method) or isinstance(method, type):
+        raise TypeError(f"solve: method must be one such as FixedPoint() or Marching(), got {method!r}")
     equilibrium = _solve(manipulator, *per_tendon(manipulator, base_tension, direction), method, nodes)
     if throw:
         _raise_if_failed(equilibrium)
     return equilibrium
+
+
+def check_nodes(nodes: Any) -> None:
+    """Refuse a number of nodes that is none.
+
+    Raises:
+        ValueError: unless it is a whole number of 4 or more.
+    """
+    if isinstance(nodes, bool) or not isinstance(nodes, int) or nodes < 4:
+        raise ValueError(f"nodes must be a whole number of 4 or more, got {nodes!r}")
 
 
 def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> tuple[Any, Any]:
@@ -85,7 +102,8 @@ def _raise_if_failed(equilibrium: Equilibrium) -> None:
 @eqx.filter_jit
 def _solve(manipulator: Manipulator, base_tension: Any, direction: Any, method: Method, nodes: int) -> Equilibrium:
     manipulator, base_tension, direction = one_precision(manipulator, base_tension, direction)
-    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((manipulator, base_tension))]))
+    numbers = jax.tree.leaves(eqx.filter((manipulator, base_tension), eqx.is_inexact_array))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(number)) for number in numbers]))
     problem = lay_out(*_harmless(manipulator, base_tension, direction), nodes)
     path = method(problem)
 
@@ -206,8 +224,12 @@ def _tendon_displacement(problem: Problem, path: Path) -> PerTendon:
     return problem.panels.integrate(jax.vmap(jax.vmap(shortening))(problem.nodes, path.nodes.ratio))[0][-1]
 
 
-def _crossing(problem: Problem, along: Fields) -> Float[Array, "P p"]:
-    """The product sigma d kappa at the nodes, the largest of the tendons that are there."""
-    section, kappa = problem.nodes, along.curvature[1:-1].reshape(problem.panels.nodes.shape)
-    crossing = jnp.where(section.present, section.side * section.offset * kappa[..., None], 0.0)
-    return jnp.max(crossing, axis=-1)
+def _crossing(problem: Problem, along: Fields) -> Float[Array, " points"]:
+    """The product sigma d kappa at base, nodes and tip, the largest of the tendons that are there."""
+
+    def inside(section, kappa):
+        return jnp.max(jnp.where(section.present, section.side * section.offset * kappa, 0.0), axis=-1)
+
+    at_nodes = inside(problem.nodes, along.curvature[1:-1].reshape(problem.panels.nodes.shape)[..., None])
+    ends = inside(problem.base, along.curvature[0]), inside(problem.tip, along.curvature[-1])
+    return jnp.concatenate([at_nodes.ravel(), jnp.stack(ends)])
