@@ -81,9 +81,6 @@ def test_the_core_imports_nothing_heavy(name):
 
 
 def test_the_statistics_know_nothing_of_manipulators():
-    statistics = SOURCE / "least_squares.py"
-    if not statistics.exists():
-        pytest.skip("no least_squares.py in this state of the project")
     assert not our_imports("least_squares") & (set(CORE) - {"profiles", "errors"})
 
 
