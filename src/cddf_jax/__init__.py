@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .identification import Fit, fit
     from .least_squares import LeastSquaresFit, least_squares_fit
     from .literal_iteration import IterationHistory, LiteralIteration, iteration_history
+    from .loads import Loads
     from .manipulator import Manipulator, Tendon, conical
     from .manipulator_file import read_manipulator, write_manipulator
     from .marching import Marching
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from .report import write_fit
     from .solver import FixedPoint
     from .statics import solve
+    from .targets import CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension
 
 _HOME = {
     "closed_form": "closed_form_tension",
@@ -32,6 +34,7 @@ _HOME = {
     "identification": "Fit, fit",
     "least_squares": "LeastSquaresFit, least_squares_fit",
     "literal_iteration": "IterationHistory, LiteralIteration, iteration_history",
+    "loads": "Loads",
     "manipulator": "Manipulator, Tendon, conical",
     "manipulator_file": "read_manipulator, write_manipulator",
     "marching": "Marching",
@@ -41,6 +44,7 @@ _HOME = {
     "report": "write_fit",
     "solver": "FixedPoint",
     "statics": "solve",
+    "targets": "CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension",
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names.split(", ")}
 
@@ -48,7 +52,9 @@ __version__ = "0.1.0"
 __all__ = [
     "RESULTS",
     "Constant",
+    "CurvatureAt",
     "Determination",
+    "Displacement",
     "Equilibrium",
     "Fields",
     "Fit",
@@ -58,6 +64,7 @@ __all__ = [
     "LeastSquaresFit",
     "Linear",
     "LiteralIteration",
+    "Loads",
     "Manipulator",
     "Marching",
     "Measurements",
@@ -65,6 +72,10 @@ __all__ = [
     "SolveError",
     "Spline",
     "Tendon",
+    "TipAngle",
+    "TipStiffness",
+    "TipTension",
+    "TotalTension",
     "closed_form_tension",
     "conical",
     "fit",

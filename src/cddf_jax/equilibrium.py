@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from . import mechanics
 from .manipulator import CrossSection, Manipulator
 from .quadrature import Panels
-from .solver import State, guarded_section, tension_of
+from .solver import State, guarded_section, moment_rate_of, tension_of
 
 PerTendon = Float[Array, " tendons"]
 
@@ -29,6 +29,23 @@ class RESULTS(eqx.Enumeration):
         "Lower the tension or the offset, or stiffen the body."
     )
     not_converged = "The iteration did not settle. Raise nodes= or max_sweeps, or lower the tension."
+    unstable = (
+        "The equilibrium is unstable: the smallest eigenvalue of its tangent is not positive, and no body stays there. "
+        "Lower the loads."
+    )
+    load_limit = (
+        "The path of equilibria, tensions first and then all loads together, ends before the full loads: the body "
+        "snaps. Lower the loads, or raise the tension that holds them."
+    )
+    slack = "A tendon would have to push to give its displacement; the answer is that of a tendon without tension."
+    unreachable = (
+        "No base tension between slack and crossing fibres gives what is wanted; the answer is the nearest found. "
+        "Change the target."
+    )
+    undetermined = (
+        "Other base tensions give what is wanted just as well: antagonists that do not stretch, say. "
+        "Give one of the tensions, or ask for something else."
+    )
     locked = (
         "A tendon that slides out locks: its tension grows without bound before the tip. "
         "Lower its base tension, friction or wrap."
@@ -43,7 +60,12 @@ NOTEWORTHY = (
     RESULTS.unphysical,
     RESULTS.locked,
     RESULTS.not_converged,
+    RESULTS.load_limit,
+    RESULTS.slack,
+    RESULTS.unreachable,
+    RESULTS.undetermined,
     RESULTS.crossing,
+    RESULTS.unstable,
     RESULTS.inaccurate,
     RESULTS.direction_contradicted,
 )
@@ -79,6 +101,12 @@ class Equilibrium(eqx.Module):
     tip_tension: Float[Array, " tendons"]  # N; at its anchor for a tendon that ends before the tip
     tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction
     tendon_displacement: Float[Array, " tendons"]  # m, pulled in at the base since the straight body: positive
+    base_tension: Float[Array, " tendons"]  # N; found where a target stood in its place
+    target_miss: Float[Array, " tendons"]  # reached less wanted, in the target's unit; 0 where the tension was given
+    base_moment: Float[Array, ""]  # M_ext(0), N m, that the dead loads put on the base
+    load_fraction: Float[Array, ""]  # of the loads, up to which there is an equilibrium: 1, or the limit load
+    num_load_steps: Int[Array, ""]  # in which the loads were put on; 1 where one step would do, 0 without loads
+    stable: Bool[Array, ""]  # at constant base tensions and dead loads, sliding as stated
     direction_contradicted: Bool[Array, " tendons"]  # True where a tendon travels against its direction
     error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
     num_iterations: Int[Array, ""]
@@ -118,19 +146,16 @@ class Dense(eqx.Module):
     nodes: State
     solved: Bool[Array, ""]
 
+    def state(self, arc_length: Float[Array, ""]) -> State:
+        """What was integrated, at one arc length."""
+        return self.panels.interpolate(self.starts, self.nodes, arc_length)
+
     def __call__(self, arc_length: Float[Array, ""]) -> Fields:
         """The fields at one arc length, tendons last."""
-        cut, count = self.panels, self.base_tension.shape[0]
-        columns = cut.interpolate(_columns(self.starts), _columns(self.nodes), arc_length)
-        state = State(columns[:count], columns[count : 2 * count], columns[-3], columns[-2:])
-        section = guarded_section(self.manipulator, arc_length)
+        section, state = guarded_section(self.manipulator, arc_length), self.state(arc_length)
         fields = fields_at(section, self.base_tension, self.direction, arc_length, state)
-        inside = (arc_length >= 0) & (arc_length <= cut.edges[-1])
+        inside = (arc_length >= 0) & (arc_length <= self.panels.edges[-1])
         return nan_unless(self.solved & inside, fields)
-
-
-def _columns(state: State) -> Float[Array, "*points columns"]:
-    return jnp.concatenate([state.ratio, state.wrap_angle, state.heading[..., None], state.position], axis=-1)
 
 
 def fields_at(
@@ -138,8 +163,8 @@ def fields_at(
 ) -> Fields:
     """The fields at one cross-section, tendons last."""
     tension = tension_of(section, base_tension, state.ratio)
-    kappa = mechanics.curvature(section, tension)
-    rate = mechanics.rates(section, kappa, tension, direction)
+    kappa = mechanics.curvature(section, tension, state.moment)
+    rate = mechanics.rates(section, kappa, tension, direction, moment_rate_of(state.heading, state.force))
     forces = mechanics.distributed_forces(section, state.heading, kappa, tension, direction, rate)
     return Fields(
         arc_length, kappa, state.heading, state.position, tension, state.wrap_angle, forces.normal, forces.friction

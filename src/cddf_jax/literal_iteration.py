@@ -11,7 +11,7 @@ from . import mechanics
 from .fixed_point import fixed_point
 from .manipulator import Manipulator
 from .quadrature import Panels
-from .solver import Path, Problem, State, integrate_shape, lay_out, turning_along
+from .solver import Path, Problem, State, curvature_along, integrate_shape, lay_out
 from .statics import check_nodes, one_precision, per_tendon
 
 
@@ -32,6 +32,8 @@ class LiteralIteration(eqx.Module):
     max_updates: int = eqx.field(default=100, static=True)
 
     def __call__(self, problem: Problem) -> Path:
+        if problem.loads is not None:
+            raise ValueError("LiteralIteration is the paper's and knows no loads; use FixedPoint")
         cut = problem.panels
 
         def tip_motion(change, curvature):
@@ -48,10 +50,12 @@ class LiteralIteration(eqx.Module):
         gain = problem.direction * problem.manipulator.tendon_friction
         wrap_edges, wrap = literal_wrap_angle(problem, answer.value)
         (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
-        edges = State(jnp.exp(gain * wrap_edges), wrap_edges, heading_edges, position_edges)
+        none = jnp.zeros_like(cut.edges), jnp.zeros_like(position_edges)
+        edges = State(jnp.exp(gain * wrap_edges), wrap_edges, heading_edges, position_edges, *none)
+        outboard = problem.outboard.nodes
         return Path(
             starts=jax.tree.map(lambda x: x[:-1], edges),
-            nodes=State(jnp.exp(gain * wrap), wrap, heading, position),
+            nodes=State(jnp.exp(gain * wrap), wrap, heading, position, jnp.zeros_like(heading), outboard),
             tip=jax.tree.map(lambda x: x[-1], edges),
             num_iterations=answer.num_sweeps,
             residual=answer.change / cut.edges[-1],
@@ -67,7 +71,7 @@ def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
 def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
     """The shape with T = T_base everywhere, where the paper starts. Liu et al. (2020), eq. (17)."""
     ones = jnp.ones_like(problem.nodes.offset)
-    return turning_along(problem, problem.nodes, ones)[0]
+    return curvature_along(problem, problem.nodes, ones, jnp.zeros_like(problem.panels.nodes))
 
 
 def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:
@@ -125,7 +129,7 @@ def iteration_history(
         max_updates: how many updates are made, whatever the threshold.
     """
     check_nodes(nodes)
-    problem = lay_out(*one_precision(manipulator, *per_tendon(manipulator, base_tension, direction)), nodes)
+    problem = lay_out(*one_precision(manipulator, *per_tendon(manipulator, base_tension, direction))[:3], nodes)
     cut = problem.panels
     start = frictionless_curvature(problem)
 

@@ -30,6 +30,8 @@ class Tendon(eqx.Module):
         side: sigma, +1 or -1. A tendon with side +1 pulled alone bends the body towards +n.
         end: arc length at which it is anchored, m; None for the tip of the body.
         friction_coefficient: its own mu; None for the manipulator's.
+        axial_stiffness: E A of the tendon, N; None for a tendon that does not stretch.
+        free_length: of the tendon between body and actuator, m, which stretches as well.
 
     Raises:
         ValueError: when side is neither +1 nor -1.
@@ -39,6 +41,8 @@ class Tendon(eqx.Module):
     side: int = eqx.field(default=+1, static=True)
     end: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     friction_coefficient: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    axial_stiffness: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    free_length: Scalar = eqx.field(default=0.0, converter=as_number)
 
     def __check_init__(self):
         if self.side not in (+1, -1):
@@ -115,6 +119,18 @@ class Manipulator(eqx.Module):
         """The friction coefficient mu of each tendon."""
         own = (tendon.friction_coefficient for tendon in self.tendons)
         return jnp.stack([jnp.asarray(self.friction_coefficient if mu is None else mu) for mu in own])
+
+    @property
+    def tendon_compliance(self) -> Float[Array, " tendons"]:
+        """Strain per tension of each tendon, 1 / (E A), 1/N; zero for one that does not stretch."""
+        stiffness = (tendon.axial_stiffness for tendon in self.tendons)
+        rigid = jnp.zeros_like(jnp.asarray(self.length))
+        return jnp.stack([rigid if EA is None else 1.0 / jnp.asarray(EA) for EA in stiffness])
+
+    @property
+    def tendon_free_length(self) -> Float[Array, " tendons"]:
+        """The length of each tendon outside the body, m."""
+        return jnp.stack([jnp.asarray(tendon.free_length) for tendon in self.tendons])
 
     def offset(self, arc_length: Points) -> Float[Array, "tendons *points"]:
         """The offset d of each tendon, m."""

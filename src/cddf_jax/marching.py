@@ -10,19 +10,23 @@ from .solver import (
     Path,
     Problem,
     State,
+    axis_of,
+    curvature_of,
     edge_nudge,
     guarded_section,
+    moment_rate_of,
     ones_at_base,
+    rates_of,
     ratio_rate,
     turn_at_joint,
-    turning_of,
+    weight_rate,
 )
 
 
 class Marching(eqx.Module):
     """One pass from base to tip with the classical Runge-Kutta method, a check on the fixed point.
 
-    It integrates r, wrap angle, heading and position together, from node to node. The pass is made
+    It integrates the whole state together, from node to node. The pass is made
     a second time with half the step, and `residual` is what Richardson's rule makes of the difference.
 
     Args:
@@ -35,7 +39,9 @@ class Marching(eqx.Module):
         coarse, _ = _march(problem, self.steps)
         tip, (starts, along) = _march(problem, 2 * self.steps)
         length = problem.panels.edges[-1]
-        scale = State(tip.ratio, jnp.ones_like(tip.ratio), jnp.ones_like(length), length)
+        one = jnp.ones_like(length)
+        force = jnp.max(jnp.abs(problem.outboard.starts)) + problem.moment_scale / length
+        scale = State(tip.ratio, jnp.ones_like(tip.ratio), one, length, problem.moment_scale, force)
         differences = [jnp.max(jnp.abs((a - b) / c)) for a, b, c in zip(tip, coarse, scale, strict=True)]
         residual = jnp.max(jnp.stack(differences)) / 15
         positive = jnp.all(along.ratio > 0)
@@ -58,13 +64,18 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
 
     def rate(state: State, arc_length: Number) -> State:
         section = guarded_section(problem.manipulator, arc_length)
-        kappa, wrap_rate = turning_of(problem, section, state.ratio)
-        growth = ratio_rate(problem, section, state.ratio)
-        return State(growth, wrap_rate, kappa, jnp.stack([jnp.cos(state.heading), jnp.sin(state.heading)]))
+        kappa = curvature_of(problem, section, state.ratio, state.moment)
+        moment_rate = moment_rate_of(state.heading, state.force)
+        turning = rates_of(problem, section, kappa, state.ratio, moment_rate).turning
+        growth = ratio_rate(problem, section, turning, state.ratio)
+        force_rate = 0.0 * state.force
+        if problem.loads is not None:
+            force_rate = -weight_rate(problem.manipulator, arc_length, problem.loads)
+        return State(growth, jnp.abs(turning), kappa, axis_of(state.heading), moment_rate, force_rate)
 
     def panel(state, inputs):
         joint, start, end, stops = inputs
-        turn, ratio = turn_at_joint(problem, joint, state.ratio)
+        turn, ratio = turn_at_joint(problem, joint, state.ratio, state.moment)
         state = state._replace(ratio=ratio, wrap_angle=state.wrap_angle + turn)
 
         def inside(state, arc_length):  # stay on this panel's side of its edges
@@ -81,7 +92,8 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
 
     ones = ones_at_base(problem)
     zero = 0.0 * ones[0]
-    base = State(ones, 0.0 * ones, zero, jnp.stack([zero, zero]))
+    force = problem.outboard.starts[0]
+    base = State(ones, 0.0 * ones, zero, 0.0 * force + zero, problem.base_moment + zero, force + zero)
     inputs = problem.joints, cut.edges[:-1], cut.edges[1:], stops
     return jax.lax.scan(panel, base, inputs)
 

@@ -6,9 +6,10 @@ the panel by the Gauss weights, whose error falls like rho^(-2 order) for an ana
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -102,18 +103,20 @@ class Panels(eqx.Module):
         samples = jnp.concatenate([start[:, None], values], axis=1)
         return jnp.einsum("ij,pj...->pi...", jnp.asarray(basis, self.edges.dtype), samples)
 
-    def interpolate(
-        self, start: Float[Array, "P k"], values: Float[Array, "P p k"], arc_length: Float[Array, ""]
-    ) -> Float[Array, " k"]:
-        """The polynomial through the start and the nodes of the panel that holds `arc_length`."""
+    def interpolate(self, start: Any, values: Any, arc_length: Float[Array, ""]) -> Any:
+        """The polynomials through the start and the nodes of the panel that holds `arc_length`.
+
+        Args:
+            start, values: trees of arrays with leading axes P and (P, p).
+        """
         i = jnp.clip(jnp.searchsorted(self.edges, arc_length, side="right") - 1, 0, self.edges.shape[0] - 2)
         width = self.width[i]
         x = 2 * (arc_length - self.edges[i]) / jnp.where(width > 0, width, 1.0) - 1
         basis = [jnp.ones_like(x), x]
         for n in range(1, self.order):
             basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
-        samples = jnp.concatenate([start[i][None], values[i]])
-        return jnp.stack(basis) @ self.constant("interpolation") @ samples
+        weights = jnp.stack(basis) @ self.constant("interpolation")
+        return jax.tree.map(lambda a, b: jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i]]), 1), start, values)
 
 
 def panels(length: Float[Array, ""], breakpoints: Float[Array, " n"], nodes: int) -> Panels:

@@ -9,10 +9,15 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from . import mechanics
+from .balance import Balance, Setup, equilibrate, inside_of_bend
 from .equilibrium import RESULTS, Dense, Equilibrium, Fields, SolveError, fields_at, nan_unless, tendons_first
+from .loads import Loads
 from .manipulator import Manipulator
-from .solver import ACCURACY, FixedPoint, Method, Path, Problem, lay_out, tension_of, truncation_error
+from .quadrature import panels
+from .solver import ACCURACY, FixedPoint, Method, Problem, guarded_section, truncation_error
+from .targets import Target, TipStiffness
+from .tendon_travel import tendon_displacement
+from .tension_search import Found, reach
 from .validation import describe_crossing
 
 PerTendon = Float[Array, " tendons"]
@@ -21,6 +26,7 @@ PerTendon = Float[Array, " tendons"]
 def solve(
     manipulator: Manipulator,
     base_tension: Any,
+    loads: Loads | None = None,
     *,
     direction: Any = +1,
     method: Method = FixedPoint(),
@@ -33,29 +39,46 @@ def solve(
 
     Args:
         manipulator: the body and its tendons.
-        base_tension: T_base >= 0, N, a number for all tendons or one per tendon.
+        base_tension: T_base >= 0, N, a number for all tendons or one per tendon. In place of a number may stand
+            what is to be reached, and its tension is found: `Displacement`, `TipAngle`, `TipTension`,
+            `CurvatureAt`, `TotalTension`, `TipStiffness`; as many targets as unknown tensions.
+        loads: dead loads on the tip and gravity; None for none.
         direction: +1 for a tendon that slides in at the base (pulled, as in the paper), -1 for one that
             slides out; a number or one per tendon.
-        method: `FixedPoint()`, `LiteralIteration()` or `Marching()`.
+        method: `FixedPoint()`, `Marching()` or, without loads, `LiteralIteration()`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. The default is accurate to
             1e-8 of the tip tension and 1e-7 of the length.
         throw: raise where the values are known and the solve failed. Where they are traced, under jit or
             vmap, nothing is raised; look at `result`.
 
+    Where loads leave several equilibria, it is the one on the path along which the tensions act first and then
+    all loads grow together from 0 to 1. `num_load_steps` counts the steps, `stable` judges the end, and where the
+    path ends early (`load_limit`) `load_fraction` says where.
+
     A lane that fails has NaN for its numbers and 0 for its derivatives, so that it spoils no sum over a batch.
-    Two failures keep their numbers: `crossing`, where the model has left its range, and `inaccurate`.
+    Some failures keep their numbers: `crossing`, where the model has left its range, `inaccurate` and `unstable`;
+    and `slack`, `unreachable` and `undetermined`, whose numbers are those of the nearest tensions, with the
+    `target_miss` that is left, and whose derivatives are taken at these tensions.
+    Derivatives are one-sided where the curvature is zero along a stretch of the body (no tension and no load, or
+    antagonists that cancel): friction acts on |kappa|, and its slope there is taken as 0. Isolated changes of
+    sign are located and are harmless to derivatives of any order.
     Of the body only what makes the numbers meaningless is checked here (finite, a stiffness, friction and
     offsets not negative); walls, anchors, knots and jumps are the business of `manipulator.validate()`.
 
     Raises:
         SolveError: with `throw`, when the result is neither successful nor `direction_contradicted`.
-        ValueError: for a wrong number of tensions or directions, or nodes below 4.
-        TypeError: for a method that is none.
+        ValueError: for a wrong number of tensions, directions or components of a load, or nodes below 4.
+        TypeError: for a method or loads that are none.
     """
     check_nodes(nodes)
     if not isinstance(method, Method) or isinstance(method, type):
         raise TypeError(f"solve: method must be one such as FixedPoint() or Marching(), got {method!r}")
-    equilibrium = _solve(manipulator, *per_tendon(manipulator, base_tension, direction), method, nodes)
+    given, targets = _split_actuation(manipulator, base_tension)
+    given, direction = per_tendon(manipulator, given, direction)
+    loads = _checked(loads)
+    if loads is None and any(isinstance(target, TipStiffness) for target in targets):
+        loads = Loads()
+    equilibrium = _solve(manipulator, given, targets, loads, direction, method, nodes)
     if throw:
         _raise_if_failed(equilibrium)
     return equilibrium
@@ -69,6 +92,39 @@ def check_nodes(nodes: Any) -> None:
     """
     if isinstance(nodes, bool) or not isinstance(nodes, int) or nodes < 4:
         raise ValueError(f"nodes must be a whole number of 4 or more, got {nodes!r}")
+
+
+def _split_actuation(manipulator: Manipulator, actuation: Any) -> tuple[Any, tuple[Target | None, ...]]:
+    """The tensions that are given, zero in the place of targets, and the targets, None in the place of tensions."""
+    count = manipulator.num_tendons
+    entries = actuation if isinstance(actuation, tuple | list) else [actuation]
+    if not any(_is_target(entry) for entry in entries):
+        return actuation, (None,) * count
+    if len(entries) != count:
+        raise ValueError(
+            f"solve: with a target, base_tension must hold one tension or target per tendon ({count}), "
+            f"got {len(entries)}"
+        )
+    return [0.0 if _is_target(x) else x for x in entries], tuple(x if _is_target(x) else None for x in entries)
+
+
+def _is_target(entry: Any) -> bool:
+    if isinstance(entry, type) and hasattr(entry, "reading"):
+        raise TypeError(f"solve: {entry.__name__} needs a value, as in {entry.__name__}(...)")
+    return isinstance(entry, Target)
+
+
+def _checked(loads: Any) -> Loads | None:
+    if loads is None:
+        return None
+    if not isinstance(loads, Loads):
+        raise TypeError(f"solve: loads must be a Loads, as in Loads(tip_force=(0.0, -1.0)), got {loads!r}")
+    shapes = {"tip_force": (2,), "tip_moment": (), "gravity": (2,)}
+    for name, shape in shapes.items():
+        found = np.shape(getattr(loads, name))
+        if found != shape:
+            raise ValueError(f"solve: loads.{name} must have shape {shape}, got {found}; batch with jax.vmap")
+    return loads
 
 
 def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> tuple[Any, Any]:
@@ -93,35 +149,58 @@ def _raise_if_failed(equilibrium: Equilibrium) -> None:
     code = equilibrium.result
     if isinstance(code._value, Tracer) or np.ndim(code._value) > 0:
         return
+    message = RESULTS[code]
+    if code == RESULTS.successful or code == RESULTS.direction_contradicted:
+        return
     if code == RESULTS.crossing:
-        raise SolveError(f"{describe_crossing(equilibrium)}. {RESULTS[code]}")
-    if not (code == RESULTS.successful) and not (code == RESULTS.direction_contradicted):
-        raise SolveError(RESULTS[code])
+        message = f"{describe_crossing(equilibrium)}. {message}"
+    if code == RESULTS.load_limit:
+        message = (
+            f"An equilibrium was found up to {100 * float(equilibrium.load_fraction):.3g} % of the loads. {message}"
+        )
+    if code == RESULTS.slack or code == RESULTS.unreachable:
+        missed = ", ".join(f"{miss:.4g}" for miss in np.asarray(equilibrium.target_miss))
+        message = f"The nearest that can be reached misses the targets by {missed} (SI). {message}"
+    raise SolveError(message)
 
 
 @eqx.filter_jit
-def _solve(manipulator: Manipulator, base_tension: Any, direction: Any, method: Method, nodes: int) -> Equilibrium:
-    manipulator, base_tension, direction = one_precision(manipulator, base_tension, direction)
-    numbers = jax.tree.leaves(eqx.filter((manipulator, base_tension), eqx.is_inexact_array))
-    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(number)) for number in numbers]))
-    problem = lay_out(*_harmless(manipulator, base_tension, direction), nodes)
-    path = method(problem)
+def _solve(
+    manipulator: Manipulator,
+    given: Any,
+    targets: tuple[Target | None, ...],
+    loads: Loads | None,
+    direction: Any,
+    method: Method,
+    nodes: int,
+) -> Equilibrium:
+    asked = one_precision(manipulator, given, direction, (targets, loads))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(asked)]))
+    manipulator, given, direction, (targets, loads) = _harmless(*asked)
+    setup = Setup(manipulator, direction, loads, method, nodes)
+    balance, found = _equilibrium(setup, given, targets)
+    problem, path = balance.problem, balance.path
 
-    physical = finite & _is_physical(manipulator, base_tension, direction, problem)
-    solved = physical & path.converged
-    along = _along(problem, path)
-    displacement = _tendon_displacement(problem, path)
-    travel = jnp.where(problem.base_tension > 0, problem.direction * displacement, 0.0)
-    contradicted = solved & (travel < -1e-6 * problem.panels.edges[-1])
+    physical = finite & _is_physical(*asked[:3], problem)
+    solved = physical & balance.load_path.converged
+    slides = jnp.where(problem.base_tension > 0, setup.direction * balance.load_path.travel, 0.0)
+    contradicted = solved & (slides < -1e-6 * problem.panels.edges[-1])
     truncation = truncation_error(problem, path)
-    crossing = jnp.max(_crossing(problem, along)) >= 1.0
+    crossing = jnp.max(inside_of_bend(problem, path)) >= 1.0
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
+    dense = Dense(manipulator, problem.base_tension, direction, problem.panels, path.starts, path.nodes, solved)
 
     return Equilibrium(
-        along=nan_unless(solved, along),
+        along=nan_unless(solved, _along(setup, balance, dense)),
         tip_tension=nan_unless(solved, problem.base_tension / path.tip.ratio),
         tension_loss=nan_unless(solved, 1.0 - 1.0 / path.tip.ratio),
-        tendon_displacement=nan_unless(solved, displacement),
+        tendon_displacement=nan_unless(solved, tendon_displacement(problem, path)),
+        base_tension=nan_unless(solved, problem.base_tension),
+        target_miss=nan_unless(solved, found.miss),
+        base_moment=nan_unless(solved, problem.base_moment),
+        load_fraction=balance.load_path.fraction,
+        num_load_steps=balance.load_path.num_steps.astype(int),
+        stable=solved & balance.load_path.stable,
         direction_contradicted=contradicted,
         error_estimate=nan_unless(solved, truncation + path.residual + round_off),
         num_iterations=path.num_iterations.astype(int),
@@ -129,20 +208,24 @@ def _solve(manipulator: Manipulator, base_tension: Any, direction: Any, method: 
             (~physical, RESULTS.unphysical),
             (path.locked, RESULTS.locked),
             (~path.converged, RESULTS.not_converged),
+            (~balance.load_path.converged, RESULTS.load_limit),
+            (found.slack, RESULTS.slack),
+            (~found.reached, RESULTS.unreachable),
+            (~found.determined, RESULTS.undetermined),
             (crossing, RESULTS.crossing),
+            (~balance.load_path.stable, RESULTS.unstable),
             (truncation > ACCURACY, RESULTS.inaccurate),
             (jnp.any(contradicted), RESULTS.direction_contradicted),
         ),
-        _dense=Dense(
-            problem.manipulator,
-            problem.base_tension,
-            problem.direction,
-            problem.panels,
-            path.starts,
-            path.nodes,
-            solved,
-        ),
+        _dense=dense,
     )
+
+
+def _equilibrium(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) -> tuple[Balance, Found]:
+    if any(target is not None for target in targets):
+        return reach(setup, given, targets)
+    yes = given[0] == given[0]
+    return equilibrate(setup, given), Found(jnp.zeros_like(given), yes, ~yes, yes)
 
 
 def _first_of(*cases: tuple[Any, RESULTS]) -> RESULTS:
@@ -159,24 +242,30 @@ def _precision(*trees: Any) -> jnp.dtype:
     return jnp.result_type(jnp.float32, *(jax.dtypes.canonicalize_dtype(x.dtype) for x in numbers))
 
 
-def one_precision(manipulator: Manipulator, base_tension: Any, direction: Any) -> tuple[Manipulator, Array, Array]:
-    """Everything in the precision of the manipulator, or of a tension that is a JAX array if that is higher."""
-    dtype = _precision(manipulator, base_tension)
-    arrays, rest = eqx.partition(manipulator, eqx.is_inexact_array)
-    manipulator = eqx.combine(jax.tree.map(lambda x: jnp.asarray(x, dtype), arrays), rest)
+def one_precision(manipulator: Manipulator, base_tension: Any, direction: Any, others: Any = None) -> tuple:
+    """Everything in the precision of the manipulator, or of a tension or load that is a JAX array if that is higher."""
+    dtype = _precision(manipulator, base_tension, others)
+
+    def cast(tree):
+        arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
+        return eqx.combine(jax.tree.map(lambda x: jnp.asarray(x, dtype), arrays), rest)
 
     def one_each(value):
         return jnp.broadcast_to(jnp.asarray(value, dtype), (manipulator.num_tendons,))
 
-    return manipulator, one_each(base_tension), one_each(direction)
+    return cast(manipulator), one_each(base_tension), one_each(direction), cast(others)
 
 
-def _harmless(manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon):
+def _harmless(manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, others: Any) -> tuple:
     """Stand-ins for numbers that would spoil, through 0 * NaN, the derivatives of neighbours in a batch."""
-    arrays, rest = eqx.partition(manipulator, eqx.is_inexact_array)
-    arrays = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 1.0), arrays)
+
+    def finite(tree, stand_in):
+        arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
+        return eqx.combine(jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, stand_in), arrays), rest)
+
     tension = jnp.where(jnp.isfinite(base_tension) & (base_tension >= 0), base_tension, 0.0)
-    return eqx.combine(arrays, rest), tension, jnp.where(jnp.abs(direction) == 1, direction, 1.0)
+    direction = jnp.where(jnp.abs(direction) == 1, direction, 1.0)
+    return finite(manipulator, 1.0), tension, direction, finite(others, 0.0)
 
 
 def _is_physical(manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, problem: Problem):
@@ -185,6 +274,9 @@ def _is_physical(manipulator: Manipulator, base_tension: PerTendon, direction: P
         jnp.all(stiffness > 0)
         & (problem.panels.edges[-1] > 0)
         & jnp.all(manipulator.tendon_friction >= 0)
+        & (jnp.asarray(manipulator.density) >= 0)
+        & jnp.all(jnp.isfinite(manipulator.tendon_compliance) & (manipulator.tendon_compliance >= 0))
+        & jnp.all(manipulator.tendon_free_length >= 0)
         & jnp.all((problem.nodes.offset >= 0) | ~problem.nodes.present)
         & jnp.all(base_tension >= 0)
         & jnp.all(jnp.abs(direction) == 1)
@@ -194,42 +286,22 @@ def _is_physical(manipulator: Manipulator, base_tension: PerTendon, direction: P
 # --- what is reported along the body -------------------------------------------------------------
 
 
-def _along(problem: Problem, path: Path) -> Fields:
-    """The fields at the base, the Gauss nodes and the tip."""
+def _along(setup: Setup, balance: Balance, dense: Dense) -> Fields:
+    """The fields at the base, the Gauss nodes of the smooth pieces of the body, and the tip."""
+    problem, path, body = balance.problem, balance.path, setup.manipulator
 
     def line_up(base, nodes, tip):
         return jnp.concatenate([base[None], nodes.reshape(-1, *nodes.shape[2:]), tip[None]])
 
-    def first(tree):
-        return jax.tree.map(lambda x: x[0], tree)
-
-    cut = problem.panels
+    first = jax.tree.map(lambda x: x[0], path.starts)
+    cut, sections, nodes = problem.panels, problem.nodes, path.nodes
+    pieces = panels(cut.edges[-1], body.breakpoints, setup.nodes)
+    if pieces.edges.shape != cut.edges.shape:  # nobody wants to see the panels that end at sign changes
+        cut = pieces
+        nodes = jax.vmap(jax.vmap(dense.state))(cut.nodes)
+        sections = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
     arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
-    sections = jax.tree.map(line_up, problem.base, problem.nodes, problem.tip)
-    states = jax.tree.map(line_up, first(path.starts), path.nodes, path.tip)
+    sections = jax.tree.map(line_up, problem.base, sections, problem.tip)
+    states = jax.tree.map(line_up, first, nodes, path.tip)
     fields = jax.vmap(fields_at, (0, None, None, 0, 0))
     return tendons_first(fields(sections, problem.base_tension, problem.direction, arc_length, states), 1)
-
-
-def _tendon_displacement(problem: Problem, path: Path) -> PerTendon:
-    """Length of each tendon in the straight body less that in the bent one, the integral of |u_c'|, m."""
-
-    def shortening(section, ratio):
-        kappa = mechanics.curvature(section, tension_of(section, problem.base_tension, ratio))
-        q, slope = mechanics.arm_ratio(section, kappa), section.offset_slope
-        # sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
-        rate = (1.0 - q) * (1.0 + q) / (jnp.sqrt(1.0 + slope**2) + jnp.sqrt(q**2 + slope**2))
-        return jnp.where(section.present, rate, 0.0)
-
-    return problem.panels.integrate(jax.vmap(jax.vmap(shortening))(problem.nodes, path.nodes.ratio))[0][-1]
-
-
-def _crossing(problem: Problem, along: Fields) -> Float[Array, " points"]:
-    """The product sigma d kappa at base, nodes and tip, the largest of the tendons that are there."""
-
-    def inside(section, kappa):
-        return jnp.max(jnp.where(section.present, section.side * section.offset * kappa, 0.0), axis=-1)
-
-    at_nodes = inside(problem.nodes, along.curvature[1:-1].reshape(problem.panels.nodes.shape)[..., None])
-    ends = inside(problem.base, along.curvature[0]), inside(problem.tip, along.curvature[-1])
-    return jnp.concatenate([at_nodes.ravel(), jnp.stack(ends)])

@@ -1,0 +1,113 @@
+"""Where a tendon changes the side to which it turns: there |psi'| has a kink, and a panel has to end.
+
+In the published kinematics and for tendons parallel to the axis all tendons turn with the body, and
+what changes sign is the curvature; in the exact kinematics a slanted tendon has a turning of its own.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .loads import Loads
+from .manipulator import CrossSection, Manipulator
+from .solver import Number, Path, Problem, State, curvature_of, guarded_section, moment_rate_of, rates_of
+
+NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
+REFINEMENTS = 10
+
+
+class Splits(NamedTuple):
+    """Where the panels are to end. Places that are not needed lie at the tip, and belong to no tendon."""
+
+    arc_length: Float[Array, " splits"]  # m
+    owner: Int[Array, " splits"]  # whose turning changes sign; -1 for none
+
+
+def num_splits(manipulator: Manipulator, loads: Loads | None) -> int:
+    """For how many sign changes there is room."""
+    own = _turns_on_its_own(manipulator)
+    if loads is None and manipulator.num_tendons == 1 and not own:
+        return 0
+    return 2 * min(manipulator.num_tendons, 2) if own else 2
+
+
+def _turns_on_its_own(manipulator: Manipulator) -> bool:
+    return manipulator.kinematics == "exact" and manipulator.slanted
+
+
+def unsplit(manipulator: Manipulator, loads: Loads | None) -> Splits:
+    """No sign change."""
+    count = num_splits(manipulator, loads)
+    return Splits(jnp.broadcast_to(jnp.asarray(manipulator.length), (count,)), jnp.full((count,), -1))
+
+
+def turning_at(problem: Problem, section: CrossSection, state: State) -> Float[Array, " owners"]:
+    """What may change sign at one cross-section: kappa, or psi' of every tendon, 1/m."""
+    kappa = curvature_of(problem, section, state.ratio, state.moment)
+    if not _turns_on_its_own(problem.manipulator):
+        return kappa[None]
+    return rates_of(problem, section, kappa, state.ratio, moment_rate_of(state.heading, state.force)).turning
+
+
+def locate(problem: Problem, path: Path) -> Splits:
+    """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
+    none = unsplit(problem.manipulator, problem.loads)
+    cut = problem.panels
+    ends = [(problem.base, jax.tree.map(lambda x: x[0], path.starts)), (problem.tip, path.tip)]
+    base, tip = (turning_at(problem, *end)[None] for end in ends)
+    inner = jax.vmap(jax.vmap(lambda *at: turning_at(problem, *at)))(problem.nodes, path.nodes)
+    turning = jnp.concatenate([base, inner.reshape(-1, base.shape[1]), tip])
+    arc_length = jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]])
+
+    sign = jnp.where(jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.sign(turning), 0.0)
+    index = jnp.arange(arc_length.shape[0])[:, None]
+    last = jax.lax.cummax(jnp.where(sign != 0, index, -1))
+    before = jnp.concatenate([-jnp.ones_like(last[:1]), last[:-1]])
+    flips = (before >= 0) & (sign * jnp.take_along_axis(sign, jnp.maximum(before, 0), axis=0) < 0)
+
+    order = jnp.argsort(jnp.where(flips, index, index.shape[0]).ravel())[: none.owner.shape[0]]
+    point, owner = order // flips.shape[1], order % flips.shape[1]
+    found = flips.ravel()[order]
+    left, right = arc_length[jnp.maximum(before[point, owner], 0)], arc_length[point]
+    place = jax.vmap(lambda *bracket: _refine(problem, path, *bracket))(left, right, owner)
+    return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner, -1))
+
+
+def _largest_bend(problem: Problem, turning: Array) -> Number:
+    """What one tendon alone or the largest turning would make of the curvature, 1/m."""
+    alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
+    return jnp.maximum(jnp.max(alone), jnp.max(jnp.abs(turning)))
+
+
+def _refine(problem: Problem, path: Path, left: Number, right: Number, owner: Int[Array, ""]) -> Number:
+    """The zero of one tendon's turning between two arc lengths, by the Illinois rule."""
+
+    def turning(arc_length):
+        state = problem.panels.interpolate(path.starts, path.nodes, arc_length)
+        return turning_at(problem, guarded_section(problem.manipulator, arc_length), state)[owner]
+
+    def narrow(_, bracket):
+        a, fa, b, fb = bracket
+        slope = jnp.where(fb == fa, 1.0, fb - fa)
+        c = jnp.where(fb == fa, (a + b) / 2, jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b)))
+        fc = turning(c)
+        crossed = fc * fb < 0
+        return jnp.where(crossed, b, a), jnp.where(crossed, fb, fa / 2), c, fc
+
+    bracket = (left, turning(left), right, turning(right))
+    return jax.lax.fori_loop(0, REFINEMENTS, narrow, bracket)[2]
+
+
+def turning_at_splits(problem: Problem, path: Path, splits: Splits) -> Float[Array, " splits"]:
+    """The turning that should vanish at each split; for one that is not needed, its distance from the tip, m."""
+
+    def residual(arc_length, owner):
+        start = jnp.argmin(jnp.abs(problem.panels.edges[:-1] - arc_length))
+        state = jax.tree.map(lambda x: x[start], path.starts)
+        section = guarded_section(problem.manipulator, arc_length)
+        turning = turning_at(problem, section, state)[jnp.maximum(owner, 0)]
+        return jnp.where(owner >= 0, turning, arc_length - problem.panels.edges[-1])
+
+    return jax.vmap(residual)(*splits)

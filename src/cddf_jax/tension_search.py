@@ -1,0 +1,147 @@
+"""The base tensions with which targets are reached, or the nearest to them that a tendon can give."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .balance import Balance, Settled, Setup, balance, inside_of_bend, missing_moment, place, settle, unsettled
+from .implicit import without_derivative
+from .solver import Number, PerTendon, Problem
+from .targets import Displacement, Target, bending_tension
+
+START = 0.05  # of the tension at which d kappa would come near 1
+FARTHEST = 100.0  # of the same: no target is looked for beyond
+OTHER_STARTS = (0.0, 0.5, 5.0)  # where there is no equilibrium at the start
+MAX_EVALUATIONS = 200
+REACHED = 1e-9  # of the size of a target
+LEAST_MOVE = 1e-11, 1e-7  # relative change of the tensions below which the search ends: undamped, damped
+WELL_DETERMINED = 1e-8  # smallest singular value over the largest
+
+
+class Found(NamedTuple):
+    """What became of the targets."""
+
+    miss: PerTendon  # reached less wanted, in the unit of the target; zero where the tension was given
+    reached: Bool[Array, ""]
+    slack: Bool[Array, ""]  # a tendon would have to push to give its displacement
+    determined: Bool[Array, ""]  # no other tensions nearby do the same
+
+
+class _Trial(NamedTuple):
+    tension: Float[Array, " unknowns"]  # over its scale
+    residual: Float[Array, " unknowns"]
+    jacobian: Float[Array, "unknowns unknowns"]
+    cost: Number
+    settled: Settled
+
+
+class _Search(NamedTuple):
+    best: _Trial
+    next: Float[Array, " unknowns"]
+    damping: Number
+    num_evaluations: Number
+    improved: Bool[Array, ""]
+    ended: Bool[Array, ""]
+
+
+def reach(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) -> tuple[Balance, Found]:
+    """The equilibrium in which targets are reached; its tensions have the derivatives of the implicit function.
+
+    Args:
+        setup: the manipulator and its loads.
+        given: T_base, N; where there is a target the entry is not used.
+        targets: one per tendon, None where the tension is given.
+    """
+    wanted = tuple(i for i, target in enumerate(targets) if target is not None)
+    which = jnp.asarray(wanted, int)
+    frozen = without_derivative((setup, given, targets))
+    scale = bending_tension(frozen[0])
+    best = _search(*frozen, wanted, scale)
+    singular = jnp.linalg.svd(jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0), compute_uv=False)
+    determined = singular[-1] > WELL_DETERMINED * singular[0]
+    reached = jnp.max(jnp.abs(best.residual)) <= max(REACHED, 1e2 * float(jnp.finfo(scale.dtype).eps))
+
+    def equations(problem, path):
+        held = (problem.base_tension[which] / scale) - best.tension
+        return jnp.where(reached & determined, _misses(setup, problem, path, targets, wanted), held)
+
+    tension = given.at[which].set(scale * best.tension)
+    sizes = jnp.stack([targets[i].size(setup) for i in wanted])
+    is_displacement = jnp.asarray([isinstance(targets[i], Displacement) for i in wanted])
+    pushes = is_displacement & (best.tension == 0) & (best.residual > 0)
+    miss = jnp.zeros_like(given).at[which].set(best.residual * sizes)
+    found = Found(miss, reached, ~reached & jnp.any(pushes), determined)
+    return balance(setup, tension, best.settled, wanted, equations), found
+
+
+def _misses(setup: Setup, problem: Problem, path, targets, wanted) -> Float[Array, " unknowns"]:
+    """Reached less wanted, over the sizes of the targets."""
+    misses = [targets[i].reading(setup, problem, path, i) - targets[i].value for i in wanted]
+    return jnp.stack([miss / targets[i].size(setup) for i, miss in zip(wanted, misses, strict=True)])
+
+
+def _search(setup: Setup, given: PerTendon, targets, wanted: tuple[int, ...], scale: Number) -> _Trial:
+    """Levenberg-Marquardt between slack and the farthest tension; every trial is an equilibrium of its own."""
+    which = jnp.asarray(wanted, int)
+
+    def evaluate(tension):
+        base_tension = given.at[which].set(scale * tension)
+        settled = settle(setup, base_tension)
+
+        def flow(tension, moment):
+            there = settled._replace(load_path=settled.load_path._replace(base_moment=moment))
+            problem = place(setup, given.at[which].set(scale * tension), there)
+            path = setup.method(problem)
+            rows = jnp.concatenate([_misses(setup, problem, path, targets, wanted), missing_moment(problem, path)])
+            return rows, path.converged & (jnp.max(inside_of_bend(problem, path)) < 1.0)
+
+        at = tension, settled.load_path.base_moment
+        basis = jnp.eye(len(wanted) + (setup.loads is not None), len(wanted) + 1, dtype=tension.dtype)
+
+        def push(row):
+            return jax.jvp(flow, at, (row[:-1], row[-1]), has_aux=True)
+
+        rows, slopes, fine = jax.vmap(push, out_axes=(None, 1, None))(basis)
+        count = len(wanted)
+        residual, jacobian = rows[:count], slopes[:count, :count]
+        if setup.loads is not None:  # the base moment follows the tensions so that M_ext(L) stays m
+            jacobian = jacobian - jnp.outer(slopes[:count, -1], slopes[-1, :count] / slopes[-1, -1])
+        fine = fine & settled.load_path.converged & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
+        return _Trial(tension, residual, jacobian, jnp.where(fine, jnp.sum(residual**2), jnp.inf), settled)
+
+    start = jnp.full(len(wanted), START) + 0.0 * (scale + jnp.sum(given))
+    blank, eye = unsettled(setup, given), jnp.eye(len(wanted), dtype=start.dtype)
+    zero = blank.load_path.num_steps
+    nothing = _Trial(start + zero, 0.0 * start + zero, eye + zero, zero + jnp.inf, blank)
+    state = _Search(nothing, start + zero, zero, zero, zero > 0, zero > 0)
+    return jax.lax.while_loop(lambda state: ~state.ended, lambda state: _judge(evaluate(state.next), state), state).best
+
+
+def _judge(trial: _Trial, state: _Search) -> _Search:
+    """Keep the better one, and choose where to look next."""
+    better = trial.cost < state.best.cost
+    best = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, state.best)
+    easier = jnp.where(state.improved, state.damping / 3.0, state.damping)
+    damping = jnp.where(better, easier, jnp.maximum(4.0 * state.damping, 1.0))
+    evaluations = state.num_evaluations + 1.0
+    nowhere = ~jnp.isfinite(best.cost)
+    others = jnp.asarray((*OTHER_STARTS, 0.0), damping.dtype)
+    elsewhere = others[jnp.minimum(evaluations.astype(int) - 1, len(OTHER_STARTS))]
+    following = jnp.where(nowhere, elsewhere, _step(best, damping))
+    move = jnp.max(jnp.abs(following - best.tension)) / (jnp.max(best.tension) + 1e-3)
+    least = jnp.where(damping >= 1.0, LEAST_MOVE[1], LEAST_MOVE[0])
+    done = jnp.where(nowhere, evaluations > len(OTHER_STARTS), move <= least)
+    return _Search(best, following, damping, evaluations, better, done | (evaluations >= MAX_EVALUATIONS))
+
+
+def _step(best: _Trial, damping: Number) -> Float[Array, " unknowns"]:
+    """The damped Gauss-Newton step of the tendons that are free to follow it."""
+    downhill = -best.jacobian.T @ best.residual
+    tension, tiny = best.tension, jnp.finfo(best.tension.dtype)
+    free = jnp.where(((tension <= 0) & (downhill < 0)) | ((tension >= FARTHEST) & (downhill > 0)), 0.0, 1.0)
+    normal = (best.jacobian * free).T @ (best.jacobian * free)
+    ridge = (damping + 4 * float(tiny.eps)) * jnp.maximum(jnp.max(jnp.diag(normal)), tiny.tiny)
+    step = jnp.linalg.solve(normal + ridge * jnp.eye(tension.shape[0], dtype=tension.dtype), downhill * free)
+    return jnp.clip(tension + step * free, 0.0, FARTHEST)
