@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .closed_form import closed_form_tension
     from .determination import Determination
+    from .energy import EnergyBalance, energy_balance
     from .equilibrium import RESULTS, Equilibrium, Fields, SolveError
     from .errors import InputError
     from .identification import Fit, fit
@@ -24,11 +25,13 @@ if TYPE_CHECKING:
     from .report import write_fit
     from .solver import FixedPoint
     from .statics import solve
+    from .stiffness import TipJacobian, tip_compliance, tip_jacobian
     from .targets import CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension
 
 _HOME = {
     "closed_form": "closed_form_tension",
     "determination": "Determination",
+    "energy": "EnergyBalance, energy_balance",
     "equilibrium": "RESULTS, Equilibrium, Fields, SolveError",
     "errors": "InputError",
     "identification": "Fit, fit",
@@ -44,6 +47,7 @@ _HOME = {
     "report": "write_fit",
     "solver": "FixedPoint",
     "statics": "solve",
+    "stiffness": "TipJacobian, tip_compliance, tip_jacobian",
     "targets": "CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension",
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names.split(", ")}
@@ -55,6 +59,7 @@ __all__ = [
     "CurvatureAt",
     "Determination",
     "Displacement",
+    "EnergyBalance",
     "Equilibrium",
     "Fields",
     "Fit",
@@ -73,11 +78,13 @@ __all__ = [
     "Spline",
     "Tendon",
     "TipAngle",
+    "TipJacobian",
     "TipStiffness",
     "TipTension",
     "TotalTension",
     "closed_form_tension",
     "conical",
+    "energy_balance",
     "fit",
     "iteration_history",
     "least_squares_fit",
@@ -85,6 +92,8 @@ __all__ = [
     "read_manipulator",
     "read_measurements",
     "solve",
+    "tip_compliance",
+    "tip_jacobian",
     "write_fit",
     "write_manipulator",
 ]

@@ -12,8 +12,8 @@ from .implicit import implicit, without_derivative
 from .load_path import LoadPath, follow_loads
 from .loads import Loads
 from .manipulator import Manipulator
+from .problem import Method, Number, Path, PerTendon, Problem, curvature_of, lay_out, loaded_to
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
-from .solver import Method, Number, Path, PerTendon, Problem, curvature_of, lay_out, loaded_to
 from .tendon_travel import tendon_displacement
 
 MAX_ROUNDS = 6
@@ -56,7 +56,7 @@ def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
     return loaded_to(problem, fraction, found.base_moment * problem.moment_scale)
 
 
-def missing_moment(problem: Problem, path: Path) -> Float[Array, " 0_or_1"]:
+def missing_moment(problem: Problem, path: Path) -> Float[Array, " equations"]:
     """M_ext(L) - m over the moment scale; empty without loads."""
     if problem.loads is None:
         return path.tip.moment[None][:0]
@@ -118,13 +118,14 @@ def balance(
 class _Round(NamedTuple):
     settled: Settled
     moved: Number
-    count: Number
+    num_rounds: Number
 
 
 def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     """Where `settle` starts: no loads, no sign changes."""
     # it derives from all numbers, so that as the carry of a loop shard_map sees on which devices it varies
-    zero = 0.0 * sum(jnp.sum(x) for x in jax.tree.leaves(eqx.filter((setup, base_tension), eqx.is_inexact_array)))
+    numbers = jax.tree.leaves(eqx.filter((setup, base_tension), eqx.is_inexact_array))
+    zero = 0.0 * jnp.sum(jnp.stack([jnp.sum(x) for x in numbers]))
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
     fraction, travel = (zero + 1.0 if setup.loads is None else zero), zero + jnp.zeros_like(base_tension)
     return Settled(LoadPath(zero, fraction, zero, zero == 0, zero == 0, travel), splits)
@@ -140,21 +141,21 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     def once(state: _Round) -> _Round:
         found, splits = state.settled
         problem = lay_out(setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads, splits.arc_length)
-        if setup.loads is None:
+        if problem.loads is None:
             path = setup.method(problem)
             found = found._replace(converged=path.converged)
         else:
             steps = found.num_steps
-            found, path = follow_loads(problem, setup.method, found.fraction, found.base_moment)
+            found, path = follow_loads(problem, problem.loads, setup.method, found.fraction, found.base_moment)
             found = found._replace(num_steps=jnp.maximum(found.num_steps, steps))
             problem = loaded_to(problem, found.fraction, found.base_moment * problem.moment_scale)
         new = locate(problem, path)
         moved = jnp.max(jnp.abs(new.arc_length - splits.arc_length)) / length
-        return _Round(Settled(found, new), moved, state.count + 1.0)
+        return _Round(Settled(found, new), moved, state.num_rounds + 1.0)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
-        return (state.moved > SETTLED) & (state.count < MAX_ROUNDS) & converged
+        return (state.moved > SETTLED) & (state.num_rounds < MAX_ROUNDS) & converged
 
     zero = start.load_path.num_steps
     return jax.lax.while_loop(goes_on, once, _Round(start, zero + jnp.inf, zero)).settled

@@ -10,7 +10,6 @@ import typer
 from .errors import InputError
 
 if TYPE_CHECKING:
-    from .equilibrium import Equilibrium
     from .identification import Fit
     from .manipulator import Manipulator
     from .units import Dimension
@@ -64,87 +63,69 @@ def _stop(message: str, code: int) -> NoReturn:
 # --- solve ---------------------------------------------------------------------------------------
 
 
+Pull = Annotated[
+    list[str],
+    typer.Option(
+        "--base-tension",
+        "-t",
+        help='"75 N", once for all tendons or once per tendon; in its place may stand what is to be reached: '
+        '"tip_angle=45 deg", "displacement=12 mm", "tip_tension=40 N", "curvature=8 1/m at 70 mm", '
+        '"total_tension=100 N", "tip_stiffness=350 N/m".',
+    ),
+]
+Direction = Annotated[
+    list[int] | None,
+    typer.Option(help="+1 slides in (pulled), -1 slides out; once, or once per tendon.", show_default="+1"),
+]
+TipForce = Annotated[str | None, typer.Option(help='Dead load (X, Y) on the tip, "0 N, -5 N".', show_default=False)]
+TipMoment = Annotated[str | None, typer.Option(help='On the tip, positive from X to Y, "0.1 N m".', show_default=False)]
+Gravity = Annotated[
+    str | None, typer.Option(help='Acceleration (X, Y), "0, -9.81 m/s^2"; needs a density.', show_default=False)
+]
+
+
 @app.command()
 def solve(
     robot: Robot,
-    base_tension: Annotated[
-        list[str], typer.Option("--base-tension", "-t", help='"75 N"; once for all tendons, or once per tendon.')
-    ],
-    direction: Annotated[
-        list[int] | None,
-        typer.Option(help="+1 slides in (pulled), -1 slides out; once, or once per tendon.", show_default="+1"),
-    ] = None,
+    base_tension: Pull,
+    direction: Direction = None,
+    tip_force: TipForce = None,
+    tip_moment: TipMoment = None,
+    gravity: Gravity = None,
     kinematics: KinematicsOption = None,
     nodes: Nodes = 16,
     as_json: AsJson = False,
     out: Out = None,
 ) -> None:
-    """Shape, tension and friction of a manipulator under tension."""
-    manipulator = _read(robot, kinematics)
-    from .statics import solve
-    from .units import quantity
+    """Shape, tension and friction of a manipulator under tension and dead loads.
 
-    tension = [quantity(text, "force", "--base-tension") for text in base_tension]
-    for text, value in zip(base_tension, tension, strict=True):
-        if value < 0:
-            raise InputError(f"--base-tension {text!r}: a tendon cannot push; give 0 N or more")
+    X runs along the straight body from its base, Y to the side of a tendon with side = 1.
+    """
+    manipulator = _read(robot, kinematics)
+    from . import solve_command
+    from .equilibrium import RESULTS
+
+    actuation = solve_command.read_actuation(base_tension, manipulator)
+    loads = solve_command.read_loads(tip_force, tip_moment, gravity, manipulator)
     for value in direction or []:
         if value not in (+1, -1):
             raise InputError(f"--direction {value}: give +1 for a tendon that slides in, -1 for one that slides out")
-    equilibrium = solve(
-        manipulator,
-        _per_tendon("--base-tension", tension, manipulator),
-        direction=_per_tendon("--direction", list(direction or [1]), manipulator),
-        nodes=nodes,
+    directions = solve_command.per_tendon("--direction", list(direction or [1]), manipulator.num_tendons)
+    equilibrium = solve_command.solve_or_explain(
+        manipulator, actuation, loads, base_tension, direction=directions, nodes=nodes
     )
-    answer = _equilibrium_dict(equilibrium)
+    answer = solve_command.as_dict(equilibrium, actuation, loads)
     if out is not None:
         from .artifacts import as_json as json_text
         from .artifacts import write_all
         from .plotting import render
         from .solve_figure import equilibrium_figure
 
-        write_all(
-            out, render(equilibrium_figure(manipulator, equilibrium), "solve") | {"solve.json": json_text(answer)}
-        )
-    _say(as_json, answer, _equilibrium_text(equilibrium))
-
-
-def _per_tendon(option: str, values: list[Any], manipulator: "Manipulator") -> Any:
-    if len(values) not in (1, manipulator.num_tendons):
-        raise InputError(
-            f"{option}: {len(values)} given; give one for all, or one for each of {manipulator.num_tendons}"
-        )
-    return values[0] if len(values) == 1 else values
-
-
-def _equilibrium_dict(equilibrium: "Equilibrium") -> dict[str, Any]:
-    names = (
-        *("tip_tension", "tension_loss", "tip_position", "tip_angle", "tendon_displacement", "error_estimate"),
-        *("num_iterations", "direction_contradicted", "arc_length", "curvature", "heading", "position", "tension"),
-        *("wrap_angle", "normal_force", "friction_force"),
-    )
-    return {"result": _result_text(equilibrium)} | {name: getattr(equilibrium, name) for name in names}
-
-
-def _result_text(equilibrium: "Equilibrium") -> str:
-    from .equilibrium import RESULTS
-
-    return RESULTS[equilibrium.result] or "successful"
-
-
-def _equilibrium_text(equilibrium: "Equilibrium") -> str:
-    import numpy as np
-
-    x, y = 1e3 * np.asarray(equilibrium.tip_position)
-    lines = [f"tip at ({x:.3f}, {y:.3f}) mm, {np.degrees(equilibrium.tip_angle):.3f} deg"]
-    tendons = zip(equilibrium.tip_tension, equilibrium.tension_loss, equilibrium.tendon_displacement, strict=True)
-    for i, (tension, loss, travel) in enumerate(tendons, start=1):
-        lines.append(
-            f"tendon {i}: tip tension {tension:.4f} N, loss {100 * loss:.2f} %, pulled in {1e3 * travel:.3f} mm"
-        )
-    result = _result_text(equilibrium)
-    return "\n".join([*lines, f"error estimate {float(equilibrium.error_estimate):.1e}; {result}"])
+        figure = equilibrium_figure(manipulator, equilibrium, loads)
+        write_all(out, render(figure, "solve") | {"solve.json": json_text(answer)})
+    _say(as_json, answer, solve_command.in_words(equilibrium, actuation, base_tension, loads))
+    if equilibrium.result == RESULTS.unstable:
+        _stop(RESULTS[equilibrium.result], 1)
 
 
 # --- fit -----------------------------------------------------------------------------------------

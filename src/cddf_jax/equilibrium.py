@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from . import mechanics
 from .manipulator import CrossSection, Manipulator
+from .problem import State, guarded_section, moment_rate_of, tension_of
 from .quadrature import Panels
-from .solver import State, guarded_section, moment_rate_of, tension_of
 
 PerTendon = Float[Array, " tendons"]
 
@@ -52,7 +52,7 @@ class RESULTS(eqx.Enumeration):
     )
     unphysical = (
         "The body or its load is not physical (NaN, negative tension, modulus or friction, a wall of no thickness, "
-        "a direction other than +1 or -1). Call manipulator.validate() to see which."
+        "a direction other than +1 or -1, a place off the body). Call manipulator.validate() to see which."
     )
 
 

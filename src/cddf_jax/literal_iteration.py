@@ -10,8 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 from . import mechanics
 from .fixed_point import fixed_point
 from .manipulator import Manipulator
+from .problem import Path, Problem, State, curvature_along, lay_out
 from .quadrature import Panels
-from .solver import Path, Problem, State, curvature_along, integrate_shape, lay_out
+from .solver import integrate_shape
 from .statics import check_nodes, one_precision, per_tendon
 
 
@@ -129,7 +130,9 @@ def iteration_history(
         max_updates: how many updates are made, whatever the threshold.
     """
     check_nodes(nodes)
-    problem = lay_out(*one_precision(manipulator, *per_tendon(manipulator, base_tension, direction))[:3], nodes)
+    given = per_tendon(manipulator, base_tension, direction)
+    manipulator, base_tension, direction, _ = one_precision(manipulator, *given)
+    problem = lay_out(manipulator, base_tension, direction, nodes)
     cut = problem.panels
     start = frictionless_curvature(problem)
 

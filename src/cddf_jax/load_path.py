@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .solver import Method, Number, Path, PerTendon, Problem, loaded_to
+from .loads import Loads
+from .problem import Method, Number, Path, PerTendon, Problem, loaded_to
 from .tendon_travel import tendon_displacement
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
@@ -59,7 +60,7 @@ class _Walk(NamedTuple):
 
 
 def follow_loads(
-    problem: Problem, method: Method, start_fraction: Number, start_moment: Number
+    problem: Problem, loads: Loads, method: Method, start_fraction: Number, start_moment: Number
 ) -> tuple[LoadPath, Path]:
     """Walk along the path of equilibria until all loads act.
 
@@ -67,14 +68,14 @@ def follow_loads(
     not settle, or where the body turns or misses its prediction by more than a path would let it.
 
     Args:
-        problem: under its full loads.
+        problem: under its full loads, which are these.
         method: makes a path of the body out of a problem with a given base moment.
         start_fraction, start_moment: a known equilibrium: 0 and 0, or 1 and one that is nearly right.
 
     Returns:
         Where it led, and the body there, up to the last correction, which is small.
     """
-    tip_moment = problem.loads.tip_moment
+    tip_moment = loads.tip_moment
     close = 4 * float(jnp.finfo(start_moment.dtype).eps) ** 0.5
 
     def flow(moment, fraction, pull):

@@ -15,6 +15,8 @@
     side = 1                             # optional, 1 or -1
     end = "100 mm"                       # optional, the tip unless given
     friction_coefficient = 0.3           # optional, the manipulator's unless given
+    axial_stiffness = "12 kN"            # optional, E A of the tendon, which does not stretch unless given
+    free_length = "300 mm"               # optional, 0 unless given: outside the body, up to the actuator
 
 A profile (radius, offset) is written in one of these forms; arc lengths count from the base:
 
@@ -23,6 +25,10 @@ A profile (radius, offset) is written in one of these forms; arc lengths count f
     { ends = ["40 mm"], pieces = ["20 mm", { base = ..., tip = ... }] }  Piecewise, of profiles in turn
     { lines = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ...] }             Piecewise.linear: [arc length, value]
     { spline = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ...] }            Spline: [arc length, value], four or more
+
+A passive tip link is a body that goes on beyond the `end` of its tendons, of any radius:
+
+    outer_radius = { lines = [["0 mm", "15 mm"], ["300 mm", "6 mm"], ["350 mm", "5 mm"]] }     and     end = "300 mm"
 
 What is written reads back to the last bit, in float64.
 """
@@ -46,6 +52,12 @@ _NUMBERS: dict[str, Dimension] = {
     "youngs_modulus": "pressure",
     "friction_coefficient": "dimensionless",
     "density": "density",
+}
+_TENDON_NUMBERS: dict[str, Dimension] = {
+    "end": "length",
+    "friction_coefficient": "dimensionless",
+    "axial_stiffness": "force",
+    "free_length": "length",
 }
 _PROFILES = ("outer_radius", "inner_radius")
 _REQUIRED = ("length", *_PROFILES, "youngs_modulus", "friction_coefficient", "tendons")
@@ -88,9 +100,15 @@ def write_manipulator(
     Raises:
         InputError: for a manipulator that `validate` refuses, a profile of another kind, or a file
             that cannot be written.
+        TypeError: for something else than a manipulator and a path, in this order.
     """
     import tomli_w
 
+    if not isinstance(manipulator, Manipulator) or not isinstance(path, str | os.PathLike):
+        raise TypeError(
+            "write_manipulator needs a Manipulator and a path, in this order, "
+            f"got {type(manipulator).__name__} and {type(path).__name__}"
+        )
     manipulator.validate(offsets_outside_wall=offsets_outside_wall)
     table = _table(manipulator)
     if offsets_outside_wall:
@@ -125,12 +143,13 @@ def _manipulator(table: _Table) -> Manipulator:
 
 
 def _tendon(table: _Table, length: float, where: str) -> Tendon:
-    _check_keys(f"{where}: ", table, ("offset",), ("side", "end", "friction_coefficient"))
+    _check_keys(f"{where}: ", table, ("offset",), ("side", *_TENDON_NUMBERS))
     side = table.get("side", 1)
     if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
         raise InputError(f"{where}: side must be 1 or -1, got {side!r}")
-    kinds: dict[str, Dimension] = {"end": "length", "friction_coefficient": "dimensionless"}
-    optional = {key: quantity(table[key], kind, f"{where}: {key}") for key, kind in kinds.items() if key in table}
+    optional = {
+        key: quantity(table[key], kind, f"{where}: {key}") for key, kind in _TENDON_NUMBERS.items() if key in table
+    }
     return Tendon(_profile(table["offset"], length, f"{where}: offset"), int(side), **optional)
 
 
@@ -203,10 +222,10 @@ def _table(manipulator: Manipulator) -> dict[str, Any]:
 
 def _tendon_table(tendon: Tendon, length: Any, where: str) -> dict[str, Any]:
     table = {"offset": _form(tendon.offset, length, f"{where}: offset"), "side": tendon.side}
-    if tendon.end is not None:
-        table["end"] = _text(tendon.end)
-    if tendon.friction_coefficient is not None:
-        table["friction_coefficient"] = float(tendon.friction_coefficient)
+    for key, kind in _TENDON_NUMBERS.items():
+        value = getattr(tendon, key)
+        if value is not None and not (key == "free_length" and value == 0):
+            table[key] = float(value) if kind == "dimensionless" else written(float(value), kind)
     return table
 
 

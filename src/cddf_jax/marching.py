@@ -4,8 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .solver import (
-    ACCURACY,
+from .problem import (
     Number,
     Path,
     Problem,
@@ -15,12 +14,12 @@ from .solver import (
     edge_nudge,
     guarded_section,
     moment_rate_of,
-    ones_at_base,
     rates_of,
     ratio_rate,
     turn_at_joint,
     weight_rate,
 )
+from .solver import ACCURACY, ones_at_base
 
 
 class Marching(eqx.Module):

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from .loads import Loads
 from .manipulator import CrossSection, Manipulator
-from .solver import Number, Path, Problem, State, curvature_of, guarded_section, moment_rate_of, rates_of
+from .problem import Number, Path, Problem, State, curvature_of, guarded_section, moment_rate_of, rates_of
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 REFINEMENTS = 10

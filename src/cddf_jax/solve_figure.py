@@ -8,7 +8,7 @@ from .equilibrium import Equilibrium
 from .manipulator import Manipulator
 
 
-def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium) -> Figure:
+def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads=None) -> Figure:
     """Body with walls, tendons and midline on the left; tension over arc length on the right."""
     arc_length = np.linspace(0.0, float(manipulator.length), 201)
     along = equilibrium.at(arc_length)

@@ -1,232 +1,40 @@
-"""The tensions along a body, resolved together with its shape by a fixed point.
+"""Tensions and shape of a body, resolved together by a fixed point.
 
 The state is r_i = T_base,i / T_i, for which the capstan law, Liu et al. (2020) eq. (8), reads
-r' = direction mu theta' r, and under dead loads the moment M_ext that they put on a cross-section,
-M_ext' = -(t x N). With one unloaded tendon in the published kinematics theta' r does not depend
-on r, and one sweep of the fixed point is exact.
+r' = direction mu theta' r, and under dead loads the moment M_ext. With one unloaded tendon in the published
+kinematics theta' r does not depend on r, and one sweep of the fixed point is exact.
 """
-
-from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from . import mechanics
 from .fixed_point import fixed_point, round_off
-from .loads import Loads, planar_cross
-from .manipulator import CrossSection, Manipulator
-from .quadrature import Panels, panels
+from .problem import (
+    AT_NODES,
+    Number,
+    Path,
+    PerTendon,
+    Problem,
+    State,
+    axis_of,
+    curvature_along,
+    curvature_of,
+    guarded_section,
+    moment_rate_of,
+    rates_along,
+    rates_of,
+    ratio_rate,
+    turn_at_joint,
+)
+from .quadrature import Panels
 
-PerTendon = Float[Array, " tendons"]
-Number = Float[Array, ""]
 ACCURACY = 1e-5  # a larger error of truncation is not called successful, nor a larger residual of Marching
 SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
-
-
-class Joints(NamedTuple):
-    """Where two smooth pieces of the body may meet: both sides of the start of every panel, leading axis P."""
-
-    before: CrossSection
-    after: CrossSection
-
-
-class Outboard(NamedTuple):
-    """N = F + integral of rho A g from s to the tip, N: the sum of the dead loads outboard of a cross-section."""
-
-    starts: Float[Array, "P 2"]
-    nodes: Float[Array, "P p 2"]
-    tip: Float[Array, "2"]
-
-
-class Problem(eqx.Module):
-    """A body under load, cut into panels, its cross-sections evaluated once."""
-
-    manipulator: Manipulator
-    base_tension: PerTendon
-    direction: PerTendon
-    panels: Panels
-    base: CrossSection
-    nodes: CrossSection  # leading axes: P panels, p nodes
-    tip: CrossSection
-    joints: Joints | None  # None where no tendon can turn by a finite angle
-    loads: Loads | None
-    outboard: Outboard  # zero without loads
-    base_moment: Number  # M_ext(0), N m; zero without loads
-
-    @property
-    def moment_scale(self) -> Number:
-        """E J / L at the base, N m."""
-        return self.base.stiffness / self.panels.edges[-1]
-
-
-class State(NamedTuple):
-    """What is integrated along the body; leading axes may be panels and nodes."""
-
-    ratio: Float[Array, "*points tendons"]  # r = T_base / T
-    wrap_angle: Float[Array, "*points tendons"]  # theta, rad
-    heading: Float[Array, "*points"]  # phi, rad
-    position: Float[Array, "*points 2"]  # u, m
-    moment: Float[Array, "*points"]  # M_ext, N m
-    force: Float[Array, "*points 2"]  # N, N
-
-
-class Path(NamedTuple):
-    """A method's answer."""
-
-    starts: State  # at the start of every panel
-    nodes: State  # at every Gauss node
-    tip: State
-    num_iterations: Number
-    residual: Number  # what the method itself left open, relative
-    converged: Bool[Array, ""]
-    locked: Bool[Array, ""]  # the tension of a tendon sliding out grows without bound
-
-
-@runtime_checkable
-class Method(Protocol):
-    """A way to resolve shape and tension from the base to the tip. Its settings are static."""
-
-    def __call__(self, problem: Problem) -> Path: ...
-
-
-def lay_out(
-    manipulator: Manipulator,
-    base_tension: PerTendon,
-    direction: PerTendon,
-    nodes: int,
-    loads: Loads | None = None,
-    splits: Float[Array, " splits"] | None = None,
-) -> Problem:
-    """Cut the body into panels, at `splits` as well, and evaluate its cross-sections."""
-    breaks = manipulator.breakpoints
-    cut = panels(jnp.asarray(manipulator.length), breaks if splits is None else jnp.append(breaks, splits), nodes)
-    nudge = edge_nudge(cut)
-    section = jax.vmap(lambda s: guarded_section(manipulator, s))
-    along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
-    turns = manipulator.kinematics == "exact" and manipulator.slanted and breaks.shape[0] > 0
-    starts = cut.edges[:-1]
-    return Problem(
-        manipulator,
-        base_tension,
-        direction,
-        cut,
-        base=jax.tree.map(lambda x: x[0], along),
-        nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
-        tip=jax.tree.map(lambda x: x[-1], along),
-        joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(starts + nudge)) if turns else None,
-        loads=loads,
-        outboard=_outboard(manipulator, cut, loads),
-        base_moment=0.0 * cut.edges[-1],
-    )
-
-
-def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None) -> Outboard:
-    if loads is None:
-        zero = jnp.zeros((*cut.nodes.shape, 2), cut.edges.dtype)
-        return Outboard(zero[:, 0], zero, zero[0, 0])
-    edges, nodes = cut.integrate(weight_rate(manipulator, cut.nodes, loads))
-    force = jnp.asarray(loads.tip_force)
-    return Outboard(force + edges[-1] - edges[:-1], force + edges[-1] - nodes, force)
-
-
-def weight_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points 2"]:
-    """The weight rho A g per length, N/m."""
-    return (manipulator.density * manipulator.area(arc_length))[..., None] * jnp.asarray(loads.gravity)
-
-
-def loaded_to(problem: Problem, fraction: Number, base_moment: Number) -> Problem:
-    """The problem with all dead loads scaled, and what is taken for M_ext(0)."""
-    outboard, loads = jax.tree.map(lambda x: fraction * x, (problem.outboard, problem.loads))
-    return eqx.tree_at(
-        lambda problem: (problem.outboard, problem.loads, problem.base_moment), problem, (outboard, loads, base_moment)
-    )
-
-
-def with_tip_force(problem: Problem, tip_force: Float[Array, "2"]) -> Problem:
-    """The problem with another force on its tip."""
-    more = tip_force - problem.outboard.tip
-    return eqx.tree_at(lambda problem: problem.outboard, problem, jax.tree.map(lambda x: x + more, problem.outboard))
-
-
-def guarded_section(manipulator: Manipulator, arc_length: Number) -> CrossSection:
-    """The cross-section, with a stand-in where a body that is none has no stiffness; `solve` reports that."""
-    section = manipulator.cross_section(arc_length)
-    stiffness = jnp.where(section.stiffness > 0, section.stiffness, 1.0)
-    return eqx.tree_at(lambda section: section.stiffness, section, stiffness)
-
-
-def edge_nudge(cut: Panels) -> Number:
-    """The least step off an edge, m, that surely tells its two sides apart."""
-    return 8 * float(jnp.finfo(cut.edges.dtype).eps) * cut.edges[-1]
-
-
-# --- one cross-section ---------------------------------------------------------------------------
-
-
-def tension_of(section: CrossSection, base_tension: PerTendon, ratio: PerTendon) -> PerTendon:
-    """T = T_base / r, zero beyond the anchor. Where a tendon locks, r goes on below zero, and its size stands in."""
-    size = jnp.maximum(jnp.abs(ratio), jnp.finfo(ratio.dtype).eps)
-    return jnp.where(section.present, base_tension / size, 0.0)
-
-
-def curvature_of(problem: Problem, section: CrossSection, ratio: PerTendon, moment: Number) -> Number:
-    """The curvature kappa, 1/m, from the tensions and the dead loads at one cross-section."""
-    return mechanics.curvature(section, tension_of(section, problem.base_tension, ratio), moment)
-
-
-def rates_of(
-    problem: Problem, section: CrossSection, curvature: Number, ratio: PerTendon, moment_rate: Number
-) -> mechanics.Rates:
-    """The rates kappa' and psi' at one cross-section; psi' is zero beyond the anchor."""
-    tension = tension_of(section, problem.base_tension, ratio)
-    rate = mechanics.rates(section, curvature, tension, problem.direction, moment_rate)
-    return rate._replace(turning=jnp.where(section.present, rate.turning, 0.0))
-
-
-def moment_rate_of(heading: Float[Array, "*points"], force: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
-    """M_ext' = -(t x N), N."""
-    return -planar_cross(axis_of(heading), force)
-
-
-def axis_of(heading: Float[Array, "*points"]) -> Float[Array, "*points 2"]:
-    """The unit vector t along the neutral axis."""
-    return jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-1)
-
-
-def ratio_rate(problem: Problem, section: CrossSection, turning: PerTendon, ratio: PerTendon) -> PerTendon:
-    """The growth r' = direction mu theta' r."""
-    return problem.direction * section.friction_coefficient * jnp.abs(turning) * jnp.abs(ratio)
-
-
-def turn_at_joint(
-    problem: Problem, joint: Joints | None, ratio: PerTendon, moment: Number
-) -> tuple[PerTendon, PerTendon]:
-    """The finite angle by which a tendon turns where two pieces meet (exact kinematics), and r beyond it."""
-    if joint is None:
-        return jnp.zeros_like(ratio), ratio
-    before, after = joint
-
-    def angle(section, ratio):
-        return mechanics.tangent_angle(section, curvature_of(problem, section, ratio, moment))
-
-    arriving, gain = angle(before, ratio), problem.direction * before.friction_coefficient
-    turn, beyond = jnp.zeros_like(ratio), ratio
-    for _ in range(6):  # the angle beyond depends on r there only by mu d d' kappa, so this contracts fast
-        turn = jnp.where(after.present, jnp.abs(angle(after, beyond) - arriving), 0.0)
-        beyond = ratio * jnp.exp(gain * turn)
-    return turn, beyond
-
-
-# --- the whole body ------------------------------------------------------------------------------
-
-_at_nodes = (None, 0, 0, 0)
-_curvatures = jax.vmap(curvature_of, _at_nodes)  # over the nodes of a panel
-_rates = jax.vmap(rates_of, (*_at_nodes, 0))
-_ratio_rates = jax.vmap(ratio_rate, _at_nodes)
-curvature_along = jax.vmap(_curvatures, _at_nodes)  # over panels and nodes
-rates_along = jax.vmap(_rates, (*_at_nodes, 0))
+_curvatures = jax.vmap(curvature_of, AT_NODES)  # over the nodes of a panel
+_rates = jax.vmap(rates_of, (*AT_NODES, 0))
+_ratio_rates = jax.vmap(ratio_rate, AT_NODES)
 
 
 def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -333,7 +141,7 @@ class FixedPoint(eqx.Module):
         (tip, _), (starts, answer, turns, positive) = jax.lax.scan(panel, (base, 0.0 * base[0]), inputs)
         settled = answer.change <= tolerance
         return _follow(
-            problem, *map(unpack, (starts, answer.value, tip)), turns,
+            problem, unpack(starts), unpack(answer.value), unpack(tip), turns,
             num_iterations=jnp.max(answer.num_sweeps),
             residual=jnp.max(answer.change),
             converged=jnp.all(answer.converged & positive),

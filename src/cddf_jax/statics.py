@@ -7,15 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .balance import Balance, Setup, equilibrate, inside_of_bend
 from .equilibrium import RESULTS, Dense, Equilibrium, Fields, SolveError, fields_at, nan_unless, tendons_first
 from .loads import Loads
 from .manipulator import Manipulator
+from .problem import Method, Problem, guarded_section
 from .quadrature import panels
-from .solver import ACCURACY, FixedPoint, Method, Problem, guarded_section, truncation_error
-from .targets import Target, TipStiffness
+from .solver import ACCURACY, FixedPoint, truncation_error
+from .targets import CurvatureAt, Target, TipStiffness
 from .tendon_travel import tendon_displacement
 from .tension_search import Found, reach
 from .validation import describe_crossing
@@ -181,7 +182,7 @@ def _solve(
     balance, found = _equilibrium(setup, given, targets)
     problem, path = balance.problem, balance.path
 
-    physical = finite & _is_physical(*asked[:3], problem)
+    physical = finite & _is_physical(asked[0], asked[1], asked[2], problem) & _is_on_the_body(targets, problem)
     solved = physical & balance.load_path.converged
     slides = jnp.where(problem.base_tension > 0, setup.direction * balance.load_path.travel, 0.0)
     contradicted = solved & (slides < -1e-6 * problem.panels.edges[-1])
@@ -242,7 +243,9 @@ def _precision(*trees: Any) -> jnp.dtype:
     return jnp.result_type(jnp.float32, *(jax.dtypes.canonicalize_dtype(x.dtype) for x in numbers))
 
 
-def one_precision(manipulator: Manipulator, base_tension: Any, direction: Any, others: Any = None) -> tuple:
+def one_precision(
+    manipulator: Manipulator, base_tension: Any, direction: Any, others: Any = None
+) -> tuple[Manipulator, Array, Array, Any]:
     """Everything in the precision of the manipulator, or of a tension or load that is a JAX array if that is higher."""
     dtype = _precision(manipulator, base_tension, others)
 
@@ -256,7 +259,9 @@ def one_precision(manipulator: Manipulator, base_tension: Any, direction: Any, o
     return cast(manipulator), one_each(base_tension), one_each(direction), cast(others)
 
 
-def _harmless(manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, others: Any) -> tuple:
+def _harmless(
+    manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, others: Any
+) -> tuple[Manipulator, Array, Array, Any]:
     """Stand-ins for numbers that would spoil, through 0 * NaN, the derivatives of neighbours in a batch."""
 
     def finite(tree, stand_in):
@@ -281,6 +286,12 @@ def _is_physical(manipulator: Manipulator, base_tension: PerTendon, direction: P
         & jnp.all(base_tension >= 0)
         & jnp.all(jnp.abs(direction) == 1)
     )
+
+
+def _is_on_the_body(targets: tuple[Target | None, ...], problem: Problem) -> Bool[Array, ""]:
+    places = [jnp.asarray(target.arc_length) for target in targets if isinstance(target, CurvatureAt)]
+    length = problem.panels.edges[-1]
+    return jnp.all(jnp.asarray([True, *((place >= 0) & (place <= length) for place in places)]))
 
 
 # --- what is reported along the body -------------------------------------------------------------

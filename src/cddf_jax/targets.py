@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from .balance import Setup, missing_moment
+from .problem import Number, Path, Problem, curvature_of, guarded_section, with_tip_force
 from .profiles import Scalar, as_number
-from .solver import Number, Path, Problem, curvature_of, guarded_section, with_tip_force
 from .tendon_travel import tendon_displacement
 
 
@@ -84,8 +84,7 @@ class CurvatureAt(eqx.Module):
     def reading(self, setup: Setup, problem: Problem, path: Path, tendon: int) -> Number:
         arc_length = jnp.asarray(self.arc_length, problem.panels.edges.dtype)
         state = problem.panels.interpolate(path.starts, path.nodes, arc_length)
-        kappa = curvature_of(problem, guarded_section(setup.manipulator, arc_length), state.ratio, state.moment)
-        return jnp.where((arc_length >= 0) & (arc_length <= problem.panels.edges[-1]), kappa, jnp.nan)
+        return curvature_of(problem, guarded_section(setup.manipulator, arc_length), state.ratio, state.moment)
 
     def size(self, setup: Setup) -> Number:
         return 1.0 / jnp.asarray(setup.manipulator.length)

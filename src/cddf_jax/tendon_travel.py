@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .solver import Path, PerTendon, Problem, curvature_of, tension_of
+from .problem import Path, PerTendon, Problem, curvature_of, tension_of
 
 
 def tendon_displacement(problem: Problem, path: Path) -> PerTendon:

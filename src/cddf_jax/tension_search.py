@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from .balance import Balance, Settled, Setup, balance, inside_of_bend, missing_moment, place, settle, unsettled
 from .implicit import without_derivative
-from .solver import Number, PerTendon, Problem
+from .problem import Number, Path, PerTendon, Problem
 from .targets import Displacement, Target, bending_tension
 
 START = 0.05  # of the tension at which d kappa would come near 1
@@ -54,37 +54,44 @@ def reach(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) ->
         given: T_base, N; where there is a target the entry is not used.
         targets: one per tendon, None where the tension is given.
     """
-    wanted = tuple(i for i, target in enumerate(targets) if target is not None)
-    which = jnp.asarray(wanted, int)
-    frozen = without_derivative((setup, given, targets))
-    scale = bending_tension(frozen[0])
-    best = _search(*frozen, wanted, scale)
+    wanted = {i: target for i, target in enumerate(targets) if target is not None}
+    which = jnp.asarray(list(wanted))
+    frozen_setup, frozen_given, frozen_wanted = without_derivative((setup, given, wanted))
+    scale = bending_tension(frozen_setup)
+    best = _search(frozen_setup, frozen_given, frozen_wanted, scale)
     singular = jnp.linalg.svd(jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0), compute_uv=False)
     determined = singular[-1] > WELL_DETERMINED * singular[0]
-    reached = jnp.max(jnp.abs(best.residual)) <= max(REACHED, 1e2 * float(jnp.finfo(scale.dtype).eps))
+    tolerance = max(REACHED, 1e2 * float(jnp.finfo(scale.dtype).eps))
+    reached = jnp.isfinite(best.cost) & (jnp.max(jnp.abs(best.residual)) <= tolerance)
 
     def equations(problem, path):
         held = (problem.base_tension[which] / scale) - best.tension
-        return jnp.where(reached & determined, _misses(setup, problem, path, targets, wanted), held)
+        return jnp.where(reached & determined, _misses(setup, problem, path, wanted), held)
 
     tension = given.at[which].set(scale * best.tension)
-    sizes = jnp.stack([targets[i].size(setup) for i in wanted])
-    is_displacement = jnp.asarray([isinstance(targets[i], Displacement) for i in wanted])
+    sizes = jnp.stack([target.size(setup) for target in wanted.values()])
+    is_displacement = jnp.asarray([isinstance(target, Displacement) for target in wanted.values()])
     pushes = is_displacement & (best.tension == 0) & (best.residual > 0)
     miss = jnp.zeros_like(given).at[which].set(best.residual * sizes)
     found = Found(miss, reached, ~reached & jnp.any(pushes), determined)
-    return balance(setup, tension, best.settled, wanted, equations), found
+    return balance(setup, tension, best.settled, tuple(wanted), equations), found
 
 
-def _misses(setup: Setup, problem: Problem, path, targets, wanted) -> Float[Array, " unknowns"]:
+Wanted = dict[int, Target]  # by tendon
+
+
+def _misses(setup: Setup, problem: Problem, path: Path, wanted: Wanted) -> Float[Array, " unknowns"]:
     """Reached less wanted, over the sizes of the targets."""
-    misses = [targets[i].reading(setup, problem, path, i) - targets[i].value for i in wanted]
-    return jnp.stack([miss / targets[i].size(setup) for i, miss in zip(wanted, misses, strict=True)])
+
+    def miss(tendon, target):
+        return (target.reading(setup, problem, path, tendon) - target.value) / target.size(setup)
+
+    return jnp.stack([miss(tendon, target) for tendon, target in wanted.items()])
 
 
-def _search(setup: Setup, given: PerTendon, targets, wanted: tuple[int, ...], scale: Number) -> _Trial:
+def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> _Trial:
     """Levenberg-Marquardt between slack and the farthest tension; every trial is an equilibrium of its own."""
-    which = jnp.asarray(wanted, int)
+    which = jnp.asarray(list(wanted))
 
     def evaluate(tension):
         base_tension = given.at[which].set(scale * tension)
@@ -94,7 +101,7 @@ def _search(setup: Setup, given: PerTendon, targets, wanted: tuple[int, ...], sc
             there = settled._replace(load_path=settled.load_path._replace(base_moment=moment))
             problem = place(setup, given.at[which].set(scale * tension), there)
             path = setup.method(problem)
-            rows = jnp.concatenate([_misses(setup, problem, path, targets, wanted), missing_moment(problem, path)])
+            rows = jnp.concatenate([_misses(setup, problem, path, wanted), missing_moment(problem, path)])
             return rows, path.converged & (jnp.max(inside_of_bend(problem, path)) < 1.0)
 
         at = tension, settled.load_path.base_moment
@@ -114,6 +121,7 @@ def _search(setup: Setup, given: PerTendon, targets, wanted: tuple[int, ...], sc
     start = jnp.full(len(wanted), START) + 0.0 * (scale + jnp.sum(given))
     blank, eye = unsettled(setup, given), jnp.eye(len(wanted), dtype=start.dtype)
     zero = blank.load_path.num_steps
+    blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
     nothing = _Trial(start + zero, 0.0 * start + zero, eye + zero, zero + jnp.inf, blank)
     state = _Search(nothing, start + zero, zero, zero, zero > 0, zero > 0)
     return jax.lax.while_loop(lambda state: ~state.ended, lambda state: _judge(evaluate(state.next), state), state).best

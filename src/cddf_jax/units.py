@@ -14,7 +14,18 @@ import numpy as np
 
 from .errors import InputError
 
-Dimension = Literal["length", "force", "pressure", "density", "angle", "dimensionless"]
+Dimension = Literal[
+    "length",
+    "force",
+    "pressure",
+    "density",
+    "angle",
+    "moment",
+    "acceleration",
+    "curvature",
+    "stiffness",
+    "dimensionless",
+]
 
 
 class _Units(NamedTuple):
@@ -28,10 +39,18 @@ _UNITS: dict[Dimension, _Units] = {
     "pressure": _Units("Pa", "MPa"),
     "density": _Units("kg/m^3", "kg/m^3"),
     "angle": _Units("rad", "deg"),
+    "moment": _Units("N m", "N m"),
+    "acceleration": _Units("m/s^2", "m/s^2"),
+    "curvature": _Units("1/m", "1/m"),
+    "stiffness": _Units("N/m", "N/m"),
 }
 
 _EXACT = Context(prec=40, traps=[])  # a float64 has 17 digits, a unit's factor 28 at most
-_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)\s*([^\d\s.,+-].*)?", re.I)
+_QUANTITY = re.compile(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)(?:\s*([^\d\s.,+-].*)|\s+(1\s*/.*))?",
+    re.I,
+)
+_NEWTON_METRES = re.compile(r"([mk]?N)(m?m)")  # written in one word, which pint takes for a measure of yarn
 
 
 def quantity(text: Any, dimension: Dimension, what: str) -> float:
@@ -39,7 +58,7 @@ def quantity(text: Any, dimension: Dimension, what: str) -> float:
 
     Args:
         text: number and unit; for "dimensionless" a plain number, as text or not.
-        dimension: what is measured: "length", "force", "pressure", "density", "angle" or "dimensionless".
+        dimension: what is measured, such as "length" or "dimensionless".
         what: the name of the quantity, with which an error message begins.
 
     Raises:
@@ -50,7 +69,7 @@ def quantity(text: Any, dimension: Dimension, what: str) -> float:
     example = "0.42" if plain else repr(f"12.5 {_UNITS[dimension].preferred}")
     if match is None:
         raise InputError(f"{what} is not a number, got {text!r}; write for example {example}")
-    number, unit = match.groups()
+    number, unit = match[1], match[2] or match[3]
     if plain and unit:
         raise InputError(f"{what} is a plain number, got {text!r}; leave the unit {unit!r} out")
     factor = Decimal(1) if plain else _factor(unit or "", dimension, what, f"got {text!r}", example)
@@ -58,6 +77,25 @@ def quantity(text: Any, dimension: Dimension, what: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{what} must be finite, got {text!r}; write for example {example}")
     return value
+
+
+def vector(text: str, dimension: Dimension, what: str) -> tuple[float, float]:
+    """The SI values of two components such as "0 N, -5 N", or with one unit for both "0, -5 N".
+
+    Raises:
+        InputError: as `quantity`, and for another number of components.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 2:
+        unit = _UNITS[dimension].preferred
+        raise InputError(f"{what} needs two components X, Y, got {text!r}; write for example '0 {unit}, -12.5 {unit}'")
+    found = [_QUANTITY.fullmatch(part) for part in parts]
+    units = [match and (match[2] or match[3]) for match in found]
+    for i, other in ((0, 1), (1, 0)):
+        if found[i] and not units[i] and units[other]:
+            parts[i] = f"{parts[i]} {units[other]}"
+    x, y = (quantity(part, dimension, f"{what} {axis}") for part, axis in zip(parts, "XY", strict=True))
+    return x, y
 
 
 def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.ndarray:
@@ -97,6 +135,12 @@ def written(value: float, dimension: Dimension) -> str:
     return f"{_plain(exact)} {si}"
 
 
+def shown(value: float, dimension: Dimension) -> str:
+    """The text of an SI value for people, rounded to five digits: "140 mm", "63.167 deg"."""
+    si, preferred = _UNITS[dimension]
+    return f"{float(value) * float(_root(si)[0]) / float(_root(preferred)[0]):.5g} {preferred}"
+
+
 def _rounded(number: Decimal, factor: Decimal) -> float:
     return float(_EXACT.multiply(number, factor))
 
@@ -109,7 +153,7 @@ def _plain(number: Decimal) -> str:
 
 def _factor(unit: str, dimension: Dimension, what: str, got: str, example: str) -> Decimal:
     """How many SI units of the dimension one `unit` is."""
-    size, base = _root(unit)
+    size, base = _root(_NEWTON_METRES.sub(r"\1 \2", unit) if dimension == "moment" else unit)
     si_size, si_base = _root(_UNITS[dimension].si)
     if unit and size is not None and base == si_base:
         return _EXACT.divide(size, si_size)

@@ -72,6 +72,9 @@ def _check_scalars(manipulator: Manipulator) -> None:
     for number, tendon in enumerate(manipulator.tendons, 1):
         if tendon.friction_coefficient is not None:
             _demand_number(f"tendon {number}: friction_coefficient", tendon.friction_coefficient, least=0.0)
+        if tendon.axial_stiffness is not None:
+            _demand_number(f"tendon {number}: axial_stiffness", tendon.axial_stiffness, above=0.0, unit="N")
+        _demand_number(f"tendon {number}: free_length", tendon.free_length, least=0.0, unit="m")
         if tendon.end is not None:
             _demand_number(f"tendon {number}: end", tendon.end, above=0.0, unit="m")
             if tendon.end > length:
