@@ -24,17 +24,39 @@ def implicit(residual: Callable[[Unknowns], Unknowns], root: Unknowns) -> Unknow
     """
     if root.size == 0:
         return root
+    eye = jnp.eye(root.size, dtype=root.dtype)
 
     def solve_tangent(operator, b):
-        jacobian = jax.vmap(operator, out_axes=1)(jnp.eye(root.size, dtype=root.dtype))
-        size = jnp.max(jnp.abs(jacobian), axis=1, keepdims=True)
-        scaled = jacobian / jnp.where(size > 0, size, 1.0)
-        regular = jnp.abs(jnp.linalg.det(scaled)) > 1e3 * jnp.finfo(root.dtype).tiny
-        regular = regular & jnp.all(jnp.isfinite(jacobian))
-        safe = jnp.where(regular, scaled, jnp.eye(root.size, dtype=root.dtype))
-        return jnp.linalg.solve(safe, b / jnp.where(regular, jnp.where(size > 0, size, 1.0), 1.0)[:, 0])
+        jacobian = jax.vmap(operator, out_axes=1)(eye)
+        size = jnp.max(jnp.abs(jacobian), axis=1)
+        regular = jnp.all(jnp.isfinite(jacobian)) & jnp.all(size > 0)
+        size = jnp.where(regular, size, 1.0)
+        return solve_small(jnp.where(regular, jacobian / size[:, None], eye), b / size)[0]
 
     return jax.lax.custom_root(residual, jax.lax.stop_gradient(root), lambda _, guess: guess, solve_tangent)
+
+
+def solve_small(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+    """Gaussian elimination with partial pivoting, unrolled: for a handful of unknowns in batches of thousands.
+
+    LAPACK would be called once for every matrix of a batch, and not every loop that XLA compiles may call it.
+
+    Returns:
+        The solution, and the smallest pivot over the largest one: near zero where the matrix is singular.
+        A pivot of zero is taken for one.
+    """
+    n, pivots = matrix.shape[0], []
+    for k in range(n):  # matrix and vector apart, as derivatives in reverse mode need what is linear in the vector
+        chosen = k + jnp.argmax(jnp.abs(matrix[k:, k]))
+        order = jnp.arange(n).at[k].set(chosen).at[chosen].set(k)
+        matrix, vector = matrix[order], vector[order]
+        pivots.append(matrix[k, k])
+        safe = jnp.where(pivots[k] == 0, 1.0, pivots[k])
+        others = jnp.where(jnp.arange(n) == k, 0.0, matrix[:, k]) / safe
+        matrix, vector = matrix - others[:, None] * matrix[k], vector - others * vector[k]
+    size = jnp.abs(jnp.stack(pivots))
+    safe = jnp.where(size == 0, 1.0, jnp.stack(pivots))
+    return vector / safe, jnp.min(size) / jnp.maximum(jnp.max(size), jnp.finfo(size.dtype).tiny)
 
 
 def without_derivative(tree: Any) -> Any:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .balance import Balance, Settled, Setup, balance, inside_of_bend, missing_moment, place, settle, unsettled
-from .implicit import without_derivative
+from .implicit import solve_small, without_derivative
 from .problem import Number, Path, PerTendon, Problem
 from .targets import Displacement, Target, bending_tension
 
@@ -17,7 +17,7 @@ OTHER_STARTS = (0.0, 0.5, 5.0)  # where there is no equilibrium at the start
 MAX_EVALUATIONS = 200
 REACHED = 1e-9  # of the size of a target
 LEAST_MOVE = 1e-11, 1e-7  # relative change of the tensions below which the search ends: undamped, damped
-WELL_DETERMINED = 1e-8  # smallest singular value over the largest
+WELL_DETERMINED = 1e-8  # smallest pivot over the largest
 
 
 class Found(NamedTuple):
@@ -59,8 +59,8 @@ def reach(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) ->
     frozen_setup, frozen_given, frozen_wanted = without_derivative((setup, given, wanted))
     scale = bending_tension(frozen_setup)
     best = _search(frozen_setup, frozen_given, frozen_wanted, scale)
-    singular = jnp.linalg.svd(jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0), compute_uv=False)
-    determined = singular[-1] > WELL_DETERMINED * singular[0]
+    pivots = solve_small(jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0), best.residual)[1]
+    determined = pivots > WELL_DETERMINED
     tolerance = max(REACHED, 1e2 * float(jnp.finfo(scale.dtype).eps))
     reached = jnp.isfinite(best.cost) & (jnp.max(jnp.abs(best.residual)) <= tolerance)
 
@@ -151,5 +151,5 @@ def _step(best: _Trial, damping: Number) -> Float[Array, " unknowns"]:
     free = jnp.where(((tension <= 0) & (downhill < 0)) | ((tension >= FARTHEST) & (downhill > 0)), 0.0, 1.0)
     normal = (best.jacobian * free).T @ (best.jacobian * free)
     ridge = (damping + 4 * float(tiny.eps)) * jnp.maximum(jnp.max(jnp.diag(normal)), tiny.tiny)
-    step = jnp.linalg.solve(normal + ridge * jnp.eye(tension.shape[0], dtype=tension.dtype), downhill * free)
+    step, _ = solve_small(normal + ridge * jnp.eye(tension.shape[0], dtype=tension.dtype), downhill * free)
     return jnp.clip(tension + step * free, 0.0, FARTHEST)
