@@ -42,6 +42,20 @@ class LoadedReference(NamedTuple):
     turning_points: np.ndarray  # where kappa (slanted and exact: psi' of a tendon) passes through 0; jumps aside
 
 
+def largest_difference(solution: Any, reference: LoadedReference, body: PlainBody) -> float:
+    """Of tip tensions (relative), wrap and tip angles, tip position, displacements (per L), base moment (per E J / L)."""
+    unit = body.youngs_modulus * body.second_moment(0.0) / body.length
+    pairs = [
+        (solution.tip_tension, reference.tip_tension, np.where(reference.tip_tension > 0, reference.tip_tension, 1.0)),
+        (solution.wrap_angle[:, -1], reference.wrap_angle, 1.0),
+        (solution.tip_angle, reference.tip_angle, 1.0),
+        (solution.tip_position, reference.tip_position, body.length),
+        (solution.tendon_displacement, reference.displacement, body.length),
+        (solution.base_moment, reference.base_moment, unit),
+    ]
+    return float(max(np.max(np.abs(np.asarray(ours) - theirs) / size) for ours, theirs, size in pairs))
+
+
 class NotFoundError(RuntimeError):
     """No equilibrium at the end of the path: a fold in the loads, or a trial shape without meaning."""
 
@@ -500,15 +514,19 @@ class LoadedProblem(NamedTuple):
     stiffness: float  # smallest_tangent_eigenvalue over the smallest E J: positive
 
 
-def random_loaded(rng: np.random.Generator, kinematics: str, num_tendons: int = 1) -> LoadedProblem:
+def random_loaded(
+    rng: np.random.Generator, kinematics: str, num_tendons: int = 1, slanted: bool | None = None
+) -> LoadedProblem:
     """A conical body, one or two tendons and loads, drawn until there is a stable equilibrium.
 
     Without friction the first tendon alone would bend the body by 0.2 to 2.5 rad or so; loads of either
     kind count up to a few E J / L^2 (forces) or E J / L (moments). In half of the cases they oppose the
     tendons until the curvature changes sign. d |kappa| < 0.8, tip angle below 170 degrees. Two tendons
-    lie on sides +1 and -1, the second sliding out; a third of the bodies have slanted offsets.
+    lie on sides +1 and -1, the second sliding out; a third of the bodies have slanted offsets unless
+    `slanted` says otherwise.
     """
-    opposing, slanted = rng.random() < 0.5, rng.random() < 1 / 3
+    opposing, third = rng.random() < 0.5, rng.random() < 1 / 3
+    slanted = third if slanted is None else slanted
     while True:
         problem = _draw_loaded(rng, kinematics, num_tendons, opposing, slanted)
         try:

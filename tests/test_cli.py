@@ -2,22 +2,25 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bodies import PAPER as DIMENSIONS
 from bodies import paper_body
 
 import cddf_jax as cddf
-from cddf_jax import application, cli
+from cddf_jax import application, cli, solve_command
 from cddf_jax.manipulator_file import write_manipulator
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 PAPER, LOAD_CELLS, PULLEY = (
     str(DATA / name) for name in ("smooth_sil_940.toml", "load_cells_simulated.csv", "pulley_simulated.csv")
 )
+PULL = ("-t", "75 N")
 BOTH = ("friction_coefficient", "youngs_modulus")
 RATIO = "friction_coefficient / youngs_modulus"
 
@@ -130,6 +133,163 @@ def test_solve_writes_files(answer_of, tmp_path):
     assert json.loads(files["solve.json"].read_text()) == answer
     assert files["solve.pdf"].read_bytes().startswith(b"%PDF-")
     assert files["solve.png"].read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_warning_in_words(cddf_command, two_tendons):
+    code, out, _ = cddf_command("solve", two_tendons, "-t", "75 N", "-t", "20 N")
+    assert code == 0
+    *_, last, warning = out.splitlines()
+    assert last.startswith("error estimate ")
+    assert "successful" not in last
+    assert warning.startswith("warning: tendon 2: A tendon travels against its stated direction")
+
+
+def test_a_tendon_without_tension(cddf_command, two_tendons):
+    code, out, _ = cddf_command("solve", two_tendons, "-t", "75 N", "-t", "0 N", "--direction", "1", "--direction=-1")
+    assert code == 0
+    # a tendon parallel to the axis travels d phi = 10 mm * 69.31393 degrees (design.md section 3), the other way here
+    assert "tendon 2: no tension, pulled in -12.098 mm" in out
+
+
+# --- loads ---------------------------------------------------------------------------------------
+
+LOADS = ("--tip-force", "0 N, -5 N", "--tip-moment", "0.1 N m", "--gravity", "0, -9.81 m/s^2")
+
+
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory):
+    """The paper's body in the exact kinematics, with the density of silicone."""
+    path = tmp_path_factory.mktemp("robot") / "heavy.toml"
+    write_manipulator(paper_body("exact", density=1070.0), path)
+    return path
+
+
+def test_loads_in_json_are_what_the_library_says(answer_of, heavy):
+    answer = answer_of("solve", heavy, *PULL, *LOADS)
+    loads = cddf.Loads(tip_force=(0.0, -5.0), tip_moment=0.1, gravity=(0.0, -9.81))
+    equilibrium = cddf.solve(paper_body("exact", density=1070.0), [75.0], loads, direction=[1])
+    assert (answer.pop("result"), equilibrium.result == cddf.RESULTS.successful) == ("successful", True)
+    assert answer.pop("loads") == {"tip_force": [0.0, -5.0], "tip_moment": 0.1, "gravity": [0.0, -9.81]}
+    for name in answer:
+        np.testing.assert_allclose(answer[name], getattr(equilibrium, name), rtol=1e-12, err_msg=name)
+    new = {"base_tension", "target_miss", "base_moment", "load_fraction", "num_load_steps", "stable"}
+    assert new <= set(answer)
+    assert (answer["base_tension"], answer["load_fraction"], answer["stable"]) == ([75.0], 1.0, True)
+
+
+def test_the_moment_at_the_base_is_that_of_statics(answer_of, heavy):
+    answer = answer_of("solve", heavy, *PULL, "--tip-force", "3 N, -5 N", "--tip-moment", "0.1 N m")
+    x, y = answer["tip_position"]
+    assert answer["base_moment"] == pytest.approx(x * -5.0 - y * 3.0 + 0.1, rel=1e-9)  # r x F + m about the base
+
+
+@pytest.mark.parametrize(
+    "others",
+    [
+        ("--tip-force", "0, -0.005 kN", "--tip-moment", "100 N mm", "--gravity", "0 m/s^2, -981 cm/s^2"),
+        ("--tip-force", "0 kN, -5 N", "--tip-moment", "0.1 Nm", "--gravity", "0 m/s^2, -9.81"),
+    ],
+)
+def test_units_of_the_loads(answer_of, heavy, others):
+    assert answer_of("solve", heavy, *PULL, *others) == answer_of("solve", heavy, *PULL, *LOADS)
+
+
+def test_loads_in_words(cddf_command, answer_of, heavy):
+    code, out, err = cddf_command("solve", heavy, *PULL, *LOADS)
+    assert (code, err) == (0, "")
+    answer = answer_of("solve", heavy, *PULL, *LOADS)
+    assert out.splitlines()[2:4] == [
+        "loads: tip force (0, -5) N, tip moment 0.1 N m, gravity (0, -9.81) m/s^2; put on in 1 step",
+        f"moment of the loads at the base: {answer['base_moment']:.5g} N m",
+    ]
+    assert out.splitlines()[4].endswith("; successful")
+
+
+def test_what_is_not_stable_is_shown_and_fails(cddf_command, heavy):
+    # a straight column: pi^2 E J / (4 L^2) is 21.8 N even with the section of the base from base to tip
+    arguments = ("solve", heavy, "-t", "0 N", "--tip-force", "-30 N, 0 N")
+    code, out, err = cddf_command(*arguments)
+    assert code == 1
+    assert "tip at (140.000, 0.000) mm" in out
+    assert out.splitlines()[-1].startswith("warning: The equilibrium is unstable")
+    assert err.startswith("error: The equilibrium is unstable")
+    assert err.count("\n") == 1
+    code, out, _ = cddf_command(*arguments, "--json")
+    assert (code, json.loads(out)["stable"]) == (1, False)
+
+
+# --- targets -------------------------------------------------------------------------------------
+
+G = 2.942783188998e4  # m^-2, G(L) of design.md section 3
+
+
+def section(s):
+    """J of the paper's body, m^4."""
+    (base, tip), inner, length = DIMENSIONS["outer_radius"], DIMENSIONS["inner_radius"], DIMENSIONS["length"]
+    return np.pi / 4 * ((base + (tip - base) * s / length) ** 4 - inner**4)
+
+
+@pytest.mark.parametrize(
+    ("target", "tip_angle", "tip_tension"),
+    [
+        # a parallel tendon wraps by the tip angle and travels by d phi; capstan law T_tip = T_base exp(-mu phi), and
+        # T_base - T_tip = mu / E G T_base T_tip by the closed form
+        ("tip_angle=45 deg", np.pi / 4, (1 - np.exp(-0.42 * np.pi / 4)) / (0.42 / 1.4e6 * G)),
+        ("displacement = 5 mm", 0.5, (1 - np.exp(-0.42 * 0.5)) / (0.42 / 1.4e6 * G)),
+        ("tip_tension=0.04 kN", -np.log(1 - 0.42 / 1.4e6 * G * 40.0) / 0.42, 40.0),
+    ],
+)
+def test_targets_meet_the_closed_form(answer_of, heavy, target, tip_angle, tip_tension):
+    answer = answer_of("solve", heavy, "-t", target)
+    assert answer["tip_angle"] == pytest.approx(tip_angle, rel=1e-7)
+    assert answer["tip_tension"] == pytest.approx([tip_tension], rel=1e-7)
+    assert answer["base_tension"] == pytest.approx([tip_tension * np.exp(0.42 * tip_angle)], rel=1e-7)
+    assert answer["tendon_displacement"] == pytest.approx([0.01 * tip_angle], rel=1e-7)
+    name = target.partition("=")[0].strip()
+    wanted = {"tip_angle": tip_angle, "displacement": 0.005, "tip_tension": 40.0}[name]
+    assert answer["targets"] == [{name: pytest.approx(wanted, rel=1e-15)}]
+    assert abs(answer["target_miss"][0]) < 1e-6
+
+
+def test_a_curvature_at_a_place(answer_of, heavy):
+    answer = answer_of("solve", heavy, "-t", "curvature=0.008 1/mm at 7 cm")
+    assert answer["targets"] == [{"curvature": 8.0, "arc_length": 0.07}]
+    tension = cddf.closed_form_tension(paper_body("exact"), answer["base_tension"][0], 0.07)
+    assert float(tension) * 0.010 / (1.4e6 * section(0.07)) == pytest.approx(8.0, rel=1e-7)  # E J kappa = d T
+
+
+def test_a_target_in_words(cddf_command, heavy):
+    code, out, err = cddf_command("solve", heavy, "-t", "tip_angle=45 deg")
+    assert (code, err) == (0, "")
+    # as above: T_tip = 31.8271 N, loss 1 - exp(-0.42 pi / 4) = 28.10 %, travel 10 mm * pi / 4
+    line = "tendon 1: base tension 44.2646 N gives tip_angle=45 deg, tip tension 31.8271 N, loss 28.10 %, "
+    assert line + "pulled in 7.854 mm" in out
+
+
+def test_a_target_under_loads(answer_of, heavy):
+    answer = answer_of("solve", heavy, "-t", "tip_angle=45 deg", "--tip-force", "0 N, -5 N")
+    assert answer["tip_angle"] == pytest.approx(np.pi / 4, rel=1e-9)
+    assert answer["tension_loss"] == pytest.approx([1 - np.exp(-0.42 * np.pi / 4)], rel=1e-7)  # it bends one way only
+    assert answer["base_tension"][0] > 44.2646  # the force pulls the other way
+    assert answer["loads"]["tip_force"] == [0.0, -5.0]
+
+
+def test_two_targets(answer_of, two_tendons):
+    targets = ("-t", "tip_angle=30 deg", "-t", "total_tension=80 N", "--direction", "1", "--direction", "-1")
+    answer = answer_of("solve", two_tendons, *targets)
+    assert answer["tip_angle"] == pytest.approx(np.pi / 6, rel=1e-8)
+    assert sum(answer["base_tension"]) == pytest.approx(80.0, rel=1e-8)
+    growth = np.exp(0.42 * np.pi / 6)  # capstan law, sliding in and out
+    ratio = np.divide(answer["tip_tension"], answer["base_tension"])
+    np.testing.assert_allclose(ratio, [1 / growth, growth], rtol=1e-7)
+    assert answer["targets"] == [{"tip_angle": pytest.approx(np.pi / 6)}, {"total_tension": 80.0}]
+
+
+def test_a_target_beside_a_tension():
+    """Read in the order of the tendons; a stiffness is only read here, its solve compiles for long."""
+    body = paper_body("exact", num_tendons=2)
+    stiffness, tension = solve_command.read_actuation(["tip_stiffness=0.35 N/mm", "20 N"], body)
+    assert (type(stiffness), float(stiffness.value), tension) == (cddf.TipStiffness, 350.0, 20.0)
 
 
 # --- fit -----------------------------------------------------------------------------------------
@@ -278,9 +438,6 @@ def fails(cddf_command, tmp_path, monkeypatch):
     return run
 
 
-PULL = ("-t", "75 N")
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -333,6 +490,104 @@ def test_wrong_numbers_of_tensions_and_directions(fails, two_tendons):
     directions = ["--direction", "1"] * 3
     message = "--direction: 3 given; give one for all, or one for each of 2"
     assert fails("solve", two_tendons, *PULL, *directions) == message
+
+
+WRONG_TARGETS = [
+    ("tip_angle=45", "--base-tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
+    ("tip_angle=", "--base-tension tip_angle is not a number, got ''; write for example '12.5 deg'"),
+    ("tip_angle=45 N", "--base-tension tip_angle needs a unit of angle, got '45 N'; write for example '12.5 deg'"),
+    ("tip_angle 45 deg", "--base-tension 'tip_angle 45 deg': write a target with = as in 'tip_angle=45 deg'"),
+    ("tip-angle=45 deg", "--base-tension 'tip-angle=45 deg': unknown target 'tip-angle'; did you mean tip_angle?"),
+    (
+        "mu=0.4",
+        "--base-tension 'mu=0.4': unknown target 'mu'; known are displacement, tip_angle, tip_tension, curvature, "
+        "total_tension, tip_stiffness",
+    ),
+    ("displacement=inf mm", "--base-tension displacement must be finite, got 'inf mm'; write for example '12.5 mm'"),
+    ("tip_tension=-4 N", "--base-tension 'tip_tension=-4 N': a tendon cannot push; give 0 N or more"),
+    ("total_tension=-4 N", "--base-tension 'total_tension=-4 N': a tendon cannot push; give 0 N or more"),
+    ("tip_stiffness=0 N/m", "--base-tension 'tip_stiffness=0 N/m': a stiffness is positive; give more than 0 N/m"),
+    (
+        "curvature=8 1/m",
+        "--base-tension 'curvature=8 1/m': say where the curvature is wanted as in 'curvature=8 1/m at 70 mm'",
+    ),
+    (
+        "curvature=8 at 70 mm",
+        "--base-tension curvature needs a unit of curvature, got '8'; write for example '12.5 1/m'",
+    ),
+    (
+        "curvature=8 1/m at 70",
+        "--base-tension curvature at needs a unit of length, got '70'; write for example '12.5 mm'",
+    ),
+    (
+        "curvature=8 1/m at 150 mm",
+        "--base-tension 'curvature=8 1/m at 150 mm': 150 mm is not on the body; give an arc length from 0 mm to 140 mm",
+    ),
+]
+
+
+@pytest.mark.parametrize(("target", "message"), WRONG_TARGETS)
+def test_wrong_targets(fails, target, message):
+    assert fails("solve", PAPER, "-t", target, "--out", "folder") == message
+
+
+def test_wrong_numbers_of_targets(fails, two_tendons):
+    said = fails("solve", two_tendons, "-t", "tip_angle=45 deg")
+    assert said == "--base-tension: 1 given with a target among them; give one tension or target for each of 2"
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "message"),
+    [
+        ("--tip-force", "5 N", "needs two components X, Y, got '5 N'; write for example '0 N, -12.5 N'"),
+        ("--tip-force", "1 N, 2 N, 3 N", "needs two components X, Y, got '1 N, 2 N, 3 N'; write for example"),
+        ("--tip-force", "0, -5", " X needs a unit of force, got '0'; write for example '12.5 N'"),
+        ("--tip-force", "0 N, -5 mm", " Y needs a unit of force, got '-5 mm'; write for example '12.5 N'"),
+        ("--tip-force", "down, 5 N", " X is not a number, got 'down'; write for example '12.5 N'"),
+        ("--tip-force", "0 N,", " Y is not a number, got ''; write for example '12.5 N'"),
+        ("--tip-force", "nan N, 0 N", " X must be finite, got 'nan N'; write for example '12.5 N'"),
+        ("--tip-moment", "0.1", "needs a unit of moment, got '0.1'; write for example '12.5 N m'"),
+        ("--tip-moment", "0.1 mm", "needs a unit of moment, got '0.1 mm'; write for example '12.5 N m'"),
+        (
+            "--tip-moment",
+            "0.1 N m, 0",
+            "needs a unit of moment, got '0.1 N m, 0' with the unknown unit 'N m, 0'; write",
+        ),
+        ("--tip-moment", "strong", "is not a number, got 'strong'; write for example '12.5 N m'"),
+        ("--gravity", "9.81 m/s^2", "needs two components X, Y, got '9.81 m/s^2'; write for example '0 m/s^2, -12.5"),
+        ("--gravity", "0, -9.81 m", " X needs a unit of acceleration, got '0 m'; write for example '12.5 m/s^2'"),
+        (
+            "--gravity",
+            "0, -1 g_0",
+            "'0, -1 g_0': the body has no weight, since its density is 0; "
+            'give the density in its file as in density = "1070 kg/m^3"',
+        ),
+    ],
+)
+def test_wrong_loads(fails, option, text, message):
+    said = fails("solve", PAPER, *PULL, option, text, "--out", "folder")
+    assert said.startswith(f"{option} {message.lstrip()}")
+
+
+def test_a_target_out_of_reach(fails, heavy):
+    said = fails("solve", heavy, "-t", "tip_angle=400 deg", "--out", "folder", code=1)
+    pattern = (
+        "--base-tension 'tip_angle=400 deg': no tension between slack and crossing fibres gives it, "
+        r"the nearest is (\S+) deg at (\S+) N; change the target"
+    )
+    angle, tension = map(float, re.fullmatch(pattern, said).groups())
+    # fibres cross at the base, where d kappa = T d^2 / (E J) = 1; the angle there follows from the closed form
+    most = 1.4e6 * section(0.0) / 0.010**2
+    assert tension == pytest.approx(most, rel=1e-3)
+    assert angle == pytest.approx(np.degrees(np.log(1 + 0.42 / 1.4e6 * G * most) / 0.42), rel=1e-3)
+
+
+def test_a_displacement_that_would_take_a_push(fails, heavy):
+    said = fails("solve", heavy, "-t", "displacement=-3 mm", "--out", "folder", code=1)
+    assert said == (
+        "--base-tension 'displacement=-3 mm': the tendon would have to push, the nearest is 0 mm at 0 N; "
+        "change the target"
+    )
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,13 @@ def test_optional_keys(tmp_path):
     assert (plain.side, plain.end, plain.friction_coefficient) == (1, None, None)
 
 
+def test_a_tendon_that_stretches(tmp_path):
+    tendon = read(tmp_path, TEXT + 'axial_stiffness = "12 kN"\nfree_length = "30 cm"').tendons[0]
+    assert (tendon.axial_stiffness, tendon.free_length) == (12000.0, 0.3)
+    plain = read(tmp_path, TEXT).tendons[0]
+    assert (plain.axial_stiffness, plain.free_length) == (None, 0.0)
+
+
 @pytest.mark.parametrize(
     ("form", "profile"),
     [
@@ -125,6 +132,12 @@ CASES = [
     ("offset =", "side = 2\noffset =", "tendon 1: side must be 1 or -1, got 2"),
     ("offset =", "side = true\noffset =", "tendon 1: side must be 1 or -1, got True"),
     ("offset =", "end = 0.1\noffset =", "tendon 1: end needs a unit of length, got 0.1"),
+    ("offset =", "axial_stiffness = 12\noffset =", "tendon 1: axial_stiffness needs a unit of force, got 12; write"),
+    ("offset =", 'axial_stiffness = "0 N"\noffset =', "tendon 1: axial_stiffness must be above 0, got 0 N; correct"),
+    ("offset =", 'free_length = "1 N"\noffset =', "tendon 1: free_length needs a unit of length, got '1 N'; write"),
+    ("offset =", 'free_length = "-1 m"\noffset =', "tendon 1: free_length must be 0 or more, got -1 m; correct its"),
+    ("offset =", "free_lenght = 1\noffset =", "tendon 1: unknown key 'free_lenght'; did you mean free_length?"),
+    ("length =", 'density = "-1 kg/m^3"\nlength =', "density must be 0 or more, got -1 kg/m^3; correct its value"),
     ('"10 mm"', '"10 deg"', "tendon 1: offset needs a unit of length, got '10 deg'"),
     ('"10 mm"', '"5 mm"', "tendon 1: offset must lie inside the wall: at s = 0 mm it is 5 mm"),
     ("length =", 'kinematics = "best"\nlength =', "kinematics must be one of ('published', 'exact'), got 'best'"),
@@ -155,7 +168,7 @@ def test_files_that_cannot_be_read(tmp_path):
 # --- round trips ---------------------------------------------------------------------------------
 
 
-def irregular_body(shape, bow, length, size, phase, own_friction, kinematics):
+def irregular_body(shape, bow, length, size, phase, own_friction, stiffness, free_length, kinematics):
     """A sound body whose numbers no decimal unit makes round; `shape` picks the kind of outer radius."""
     knots = np.linspace(0, 1, 5) * length * (1 + 0.1 * phase)
     waves = size * (1 + 0.1 * np.sin(np.arange(5) + 6 * phase))
@@ -172,7 +185,10 @@ def irregular_body(shape, bow, length, size, phase, own_friction, kinematics):
         length=length,
         outer_radius=radius,
         inner_radius=0.2 * phase * size,
-        tendons=[cddf.Tendon(offset, -1, 0.7 * length, own_friction), cddf.Tendon(0.6 * size)],
+        tendons=[
+            cddf.Tendon(offset, -1, 0.7 * length, own_friction, stiffness, free_length),
+            cddf.Tendon(0.6 * size),
+        ],
         youngs_modulus=1e8 * size,
         friction_coefficient=phase,
         density=1e3 * phase,
@@ -188,6 +204,8 @@ def irregular_body(shape, bow, length, size, phase, own_friction, kinematics):
     size=st.floats(1e-3, 1e3),
     phase=st.floats(0, 1),
     own_friction=st.none() | st.floats(0, 1),
+    stiffness=st.none() | st.floats(1e-3, 1e9),
+    free_length=st.floats(0, 10),
     kinematics=st.sampled_from(["exact", "published"]),
 )
 def test_round_trip_to_the_last_bit(tmp_path_factory, **numbers):
@@ -196,10 +214,43 @@ def test_round_trip_to_the_last_bit(tmp_path_factory, **numbers):
     assert_identical(read_manipulator(path), body)
 
 
+LINK = """
+length = "360 mm"
+outer_radius = { lines = [["0 mm", "15.41 mm"], ["305 mm", "6.42 mm"], ["360 mm", "4.8 mm"]] }
+inner_radius = "0 mm"
+youngs_modulus = "315 kPa"
+friction_coefficient = 0.1
+density = "1318 kg/m^3"
+[[tendons]]
+offset = { base = "11.4 mm", tip = "2.4025 mm", length = "305 mm" }
+end = "305 mm"
+axial_stiffness = "12 kN"
+free_length = "200 mm"
+"""  # ../shared/data/soft_tentacle: radius 15.41 to 6.42 mm over 305 mm, then a link to 4.80 mm without tendons
+
+
+def test_a_passive_tip_link(tmp_path):
+    body = read(tmp_path, LINK)
+    np.testing.assert_allclose(body.outer_radius(np.array([0.0, 0.305, 0.36])), [0.01541, 0.00642, 0.0048], rtol=1e-14)
+    np.testing.assert_allclose(body.offset(np.array([0.305])), [[0.0114 - 0.0295 * 0.305]], rtol=1e-14)
+    assert [bool(body.cross_section(s).present[0]) for s in (0.1, 0.305, 0.306)] == [True, True, False]
+    write_manipulator(body, tmp_path / "again.toml")
+    assert_identical(read_manipulator(tmp_path / "again.toml"), body)
+
+
+def test_a_step_in_the_section(tmp_path):
+    form = '{ ends = ["60 mm"], pieces = ["20 mm", { lines = [["60 mm", "15 mm"], ["140 mm", "12 mm"]] }] }'
+    body = read(tmp_path, TEXT.replace('{ base = "20 mm", tip = "13 mm" }', form))
+    np.testing.assert_allclose(body.outer_radius(np.array([0.059, 0.061, 0.14])), [0.02, 0.0149625, 0.012], rtol=1e-12)
+    write_manipulator(body, tmp_path / "again.toml")
+    assert_identical(read_manipulator(tmp_path / "again.toml"), body)
+
+
 def test_what_is_written_is_for_people(tmp_path):
     write_manipulator(read_manipulator(PAPER), tmp_path / "body.toml")
     lines = (tmp_path / "body.toml").read_text().splitlines()
     assert {'length = "140 mm"', 'youngs_modulus = "1.4 MPa"', 'base = "20 mm"', 'tip = "13 mm"'} <= set(lines)
+    assert not any("free_length" in line or "axial_stiffness" in line for line in lines)  # it does not stretch
 
 
 def test_offsets_outside_the_wall_are_said_in_the_file(tmp_path):
@@ -221,6 +272,16 @@ def test_profiles_of_another_kind_are_refused(tmp_path):
     body = replace(read_manipulator(PAPER), outer_radius=Bulge())
     with pytest.raises(InputError, match=r"outer_radius: a profile of type Bulge cannot be written .*; sample it into"):
         write_manipulator(body, tmp_path / "body.toml")
+
+
+def test_arguments_in_the_wrong_order_are_named(tmp_path):
+    body, path = read_manipulator(PAPER), tmp_path / "body.toml"
+    said = "write_manipulator needs a Manipulator and a path, in this order, got "
+    with pytest.raises(TypeError, match=f"^{said}PosixPath and Manipulator$"):
+        write_manipulator(path, body)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=f"^{said}str and str$"):
+        write_manipulator("body", str(path))  # type: ignore[arg-type]
+    assert not path.exists()
 
 
 def test_a_file_is_written_complete_or_not_at_all(tmp_path, monkeypatch):

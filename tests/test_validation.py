@@ -44,6 +44,7 @@ def message_of(body, **allow):
         with_offset(cddf.Linear(0.007, 0.007, 0.14)),
         with_offset(0.015, end=0.1),  # inside the wall until 0.1 m only: 20 mm - 0.1/0.14 * 7 mm = 15 mm
         with_offset(0.010, end=0.14),
+        with_offset(0.010, axial_stiffness=1.2e4, free_length=0.3),
         with_offset(cddf.Piecewise.linear([0.0, 0.05, 0.14], [0.012, 0.009, 0.010])),
         with_offset(cddf.Spline([0.0, 0.05, 0.1, 0.14], [0.012, 0.009, 0.010, 0.009])),
         replace(BODY, outer_radius=cddf.Piecewise([0.07], [cddf.Constant(0.02), cddf.Constant(0.015)])),
@@ -88,6 +89,15 @@ def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype
             "tendon 1: friction_coefficient must be 0 or more, got -0.2; correct its value",
         ),
         (with_offset(0.01, end=0.0), "tendon 1: end must be above 0, got 0 m; correct its value"),
+        (
+            with_offset(0.01, axial_stiffness=0.0),
+            "tendon 1: axial_stiffness must be above 0, got 0 N; correct its value",
+        ),
+        (
+            with_offset(0.01, axial_stiffness=np.inf),
+            "tendons[0].axial_stiffness must be finite, got inf; correct its value",
+        ),
+        (with_offset(0.01, free_length=-0.1), "tendon 1: free_length must be 0 or more, got -0.1 m; correct its value"),
         (
             with_offset(0.01, end=0.15),
             "tendon 1: end at s = 150 mm lies beyond the tip at 140 mm; "

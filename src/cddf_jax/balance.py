@@ -128,7 +128,7 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     zero = 0.0 * jnp.sum(jnp.stack([jnp.sum(x) for x in numbers]))
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
     fraction, travel = (zero + 1.0 if setup.loads is None else zero), zero + jnp.zeros_like(base_tension)
-    return Settled(LoadPath(zero, fraction, zero, zero == 0, zero == 0, travel), splits)
+    return Settled(LoadPath(zero, fraction, zero, zero == 0, zero == 0, travel, zero == 0), splits)
 
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:

@@ -28,7 +28,7 @@ class RESULTS(eqx.Enumeration):
         "offset * curvature reaches 1: fibres of the body would cross at the tendon. "
         "Lower the tension or the offset, or stiffen the body."
     )
-    not_converged = "The iteration did not settle. Raise nodes= or max_sweeps, or lower the tension."
+    not_converged = "The iteration did not settle. Raise nodes= or max_sweeps, or lower tension and loads."
     unstable = (
         "The equilibrium is unstable: the smallest eigenvalue of its tangent is not positive, and no body stays there. "
         "Lower the loads."

@@ -18,7 +18,8 @@ from .tendon_travel import tendon_displacement
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
 LARGEST_MISS = 0.2  # rad, by which it may miss its prediction
-LEAST_STEP = 1e-4  # of the loads
+LEAST_STEP = 1e-5  # of the loads
+CRITICAL_STEP = 1e-4  # of the loads: in a longer one stability must not change, lest a step lands on another branch
 MAX_EVALUATIONS = 400
 NEWTON_STEPS = 8
 
@@ -32,6 +33,7 @@ class LoadPath(NamedTuple):
     converged: Bool[Array, ""]
     stable: Bool[Array, ""]  # the smallest eigenvalue of the tangent is positive
     travel: PerTendon  # by which tendons slide in as all tensions rise in proportion, m
+    resolved: Bool[Array, ""]  # false where it was not the path that ended but the method that failed on it
 
 
 class _Place(NamedTuple):
@@ -57,6 +59,7 @@ class _Walk(NamedTuple):
     num_evaluations: Number
     arrived: Bool[Array, ""]
     ended: Bool[Array, ""]
+    resolved: Bool[Array, ""]
 
 
 def follow_loads(
@@ -65,7 +68,8 @@ def follow_loads(
     """Walk along the path of equilibria until all loads act.
 
     Euler steps with Newton's method. A step is taken back and shortened where Newton's method does
-    not settle, or where the body turns or misses its prediction by more than a path would let it.
+    not settle, or where the body turns or misses its prediction by more than a path would let it, or
+    where the stability changes within more than a small step.
 
     Args:
         problem: under its full loads, which are these.
@@ -94,7 +98,8 @@ def follow_loads(
         basis = jnp.eye(3, dtype=start_moment.dtype)
         (residual, heading, _), slopes, path = jax.vmap(push, out_axes=(None, 0, None))(*basis)
         (by_moment, by_fraction, by_pull), (heading_by_moment, heading_by_fraction, _), travel = slopes
-        correction = jnp.where(residual == 0, 0.0, -residual / by_moment)
+        exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where by_moment vanishes
+        correction = jnp.where(exact, 0.0, -residual / by_moment)
         slope = jnp.where(by_fraction == 0, 0.0, -by_fraction / by_moment)
         here = _Place(
             walk.fraction,
@@ -114,11 +119,11 @@ def follow_loads(
     place = _Place(start_fraction + zero, start_moment + zero, zero, still, still, yes, none)
     blank = jax.eval_shape(lambda: flow(zero, zero, zero)[1])
     path = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype) + zero.astype(x.dtype), blank)
-    walk = _Walk(place, path, zero + 1.0, place.fraction, place.moment, zero, zero, zero, no, no)
+    walk = _Walk(place, path, zero + 1.0, place.fraction, place.moment, zero, zero, zero, no, no, yes)
     walk = jax.lax.while_loop(lambda walk: ~(walk.arrived | walk.ended), advance, walk)
     place = walk.place
     return LoadPath(
-        place.moment, place.fraction, walk.num_steps - 1.0, walk.arrived, place.stable, place.travel
+        place.moment, place.fraction, walk.num_steps - 1.0, walk.arrived, place.stable, place.travel, walk.resolved
     ), walk.path
 
 
@@ -130,12 +135,13 @@ def _decide(walk: _Walk, here: _Place, path: Path, settled: Bool[Array, ""]) -> 
     missed = jnp.where(first, 0.0, jnp.max(jnp.abs(here.heading - predicted)))
     turned = jnp.where(first, 0.0, jnp.max(jnp.abs(here.heading - place.heading)))
     sane = path.converged & jnp.isfinite(here.moment) & jnp.all(jnp.isfinite(here.turning))
-    on_path = (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN)
+    jumped = ~first & (here.stable != place.stable) & (walk.step > CRITICAL_STEP)
+    on_path = (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
     accepted = sane & settled & on_path
     rejected = ~sane | (settled & ~on_path) | (~settled & (walk.num_newton + 1 >= NEWTON_STEPS))
 
     ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
-    shorter = walk.step * jnp.where(sane & settled, jnp.clip(ideal, 0.1, 0.5), 0.25)
+    shorter = walk.step * jnp.where(sane & settled & ~jumped, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = walk.step * jnp.clip(ideal, 0.3, 4.0)
     place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), here, place)
     gentle = 0.8 * LARGEST_TURN / jnp.maximum(jnp.max(jnp.abs(place.turning)), 0.1 * LARGEST_TURN)
@@ -156,4 +162,5 @@ def _decide(walk: _Walk, here: _Place, path: Path, settled: Bool[Array, ""]) -> 
         num_evaluations=evaluations,
         arrived=arrived,
         ended=~arrived & ((rejected & ((step < LEAST_STEP) | first)) | (evaluations >= MAX_EVALUATIONS)),
+        resolved=jnp.where(walk.num_newton == 0, sane, walk.resolved),
     )

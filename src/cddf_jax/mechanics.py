@@ -72,17 +72,19 @@ def curvature(section: CrossSection, tension: PerTendon, external_moment: float 
     if not section.slanted:
         return pull / section.stiffness
 
-    # The residual grows with kappa, so Newton's method from the unslanted value finds its one root.
-    # Two steps after the root carry derivatives up to the third order.
-    def newton_step(kappa):
+    def moment_gap(kappa):
         t = tangent(section, kappa)
-        residual = section.stiffness * kappa - jnp.sum(arm * tension * t.along) - external_moment
-        return kappa - residual / (section.stiffness - jnp.sum(arm * tension * t.along_slope))
+        return section.stiffness * kappa - jnp.sum(arm * tension * t.along) - external_moment
 
-    kappa = pull / section.stiffness
-    for _ in range(NEWTON_STEPS - 2):
-        kappa = newton_step(kappa)
-    return newton_step(newton_step(jax.lax.stop_gradient(kappa)))
+    def solve_gap(gap, start):  # it grows with kappa, so Newton's method from the unslanted value finds its one root
+        def newton_step(_, kappa):
+            value, slope = jax.jvp(gap, (kappa,), (jnp.ones_like(kappa),))
+            return kappa - value / slope
+
+        return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, start)
+
+    start = jax.lax.stop_gradient(pull / section.stiffness)
+    return jax.lax.custom_root(moment_gap, start, solve_gap, lambda slope, y: y / slope(jnp.ones_like(y)))
 
 
 class Rates(NamedTuple):

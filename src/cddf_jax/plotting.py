@@ -13,7 +13,11 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch, Rectangle
+from matplotlib.path import Path
 from matplotlib.quiver import Quiver
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.5, 7.16  # inches, the columns of IEEE's two-column page
@@ -22,6 +26,8 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
 )
 GREY, PALE = "#7F7F7F", "#E8E8E8"
+# perceptually uniform, for colour-blind readers and grey prints alike: the higher the tension the darker
+TENSION_COLOURS = LinearSegmentedColormap.from_list("tension", mpl.colormaps["viridis_r"](np.linspace(0.05, 1.0, 256)))
 # one style per curve: a colour, a dash pattern and a marker that belong together
 CURVES: tuple[dict[str, Any], ...] = tuple(
     {"color": color, "linestyle": dashes, "marker": marker}
@@ -96,21 +102,31 @@ class Body(NamedTuple):
     heading: np.ndarray
     outer_radius: np.ndarray
     inner_radius: np.ndarray
-    tendon: np.ndarray  # signed distance of the tendon from the midline, positive to the left
+    tendon: np.ndarray | None = None  # signed distance of the tendon from the midline, positive to the left
 
     def at_distance(self, distance: Any) -> np.ndarray:
         """The line at a signed distance to the left of the midline, (points, 2)."""
         left = np.stack([-np.sin(self.heading), np.cos(self.heading)], axis=-1)
         return self.midline + np.asarray(distance)[..., None] * left
 
+    @property
+    def outline(self) -> np.ndarray:
+        """The outer surface, up one side and back on the other, (2 points, 2)."""
+        return np.concatenate([self.at_distance(self.outer_radius), self.at_distance(-self.outer_radius)[::-1]])
+
 
 def draw_body(axes: Axes, body: Body) -> None:
-    """Wall and bore to scale, the midline dash-dotted and the tendon as a line."""
-    for side in (+1, -1):
-        outside, inside = body.at_distance(side * body.outer_radius), body.at_distance(side * body.inner_radius)
-        axes.fill(*np.concatenate([outside, inside[::-1]]).T, facecolor=PALE, edgecolor=GREY, linewidth=0.5)
+    """Wall and bore to scale, the midline dash-dotted and the tendon, if there is one, as a line."""
+    look = {"facecolor": PALE, "edgecolor": GREY, "linewidth": 0.5}
+    if np.any(body.inner_radius):
+        for side in (+1, -1):
+            outside, inside = body.at_distance(side * body.outer_radius), body.at_distance(side * body.inner_radius)
+            axes.fill(*np.concatenate([outside, inside[::-1]]).T, **look)
+    else:
+        axes.fill(*body.outline.T, **look)
     axes.plot(*body.midline.T, color=GREY, linestyle=(0, (8, 2, 1, 2)), linewidth=0.6)
-    axes.plot(*body.at_distance(body.tendon).T, color=BLACK, linewidth=0.5)
+    if body.tendon is not None:
+        axes.plot(*body.at_distance(body.tendon).T, color=BLACK, linewidth=0.5)
     axes.set_aspect("equal")
 
 
@@ -120,6 +136,71 @@ def draw_arrows(axes: Axes, points: np.ndarray, vectors: Any, scale: float, **st
     axes.update_datalim(points + vectors / scale)
     axes.autoscale_view()
     return axes.quiver(*points.T, *vectors.T, scale=scale, **(look | style))
+
+
+_ARROW: dict[str, Any] = {
+    "arrowstyle": "-|>",
+    "mutation_scale": 8,
+    "linewidth": 1.2,
+    "shrinkA": 0,
+    "shrinkB": 0,
+    "zorder": 6,
+    "fill": True,
+}
+
+
+def draw_arrow(axes: Axes, points: np.ndarray, **style: Any) -> None:
+    """An arrow along a line of points, (points, 2), with its head at the last."""
+    axes.update_datalim(points)
+    axes.add_patch(FancyArrowPatch(path=Path(points), **(_ARROW | style)))
+
+
+def draw_coloured_line(axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize) -> None:
+    """A line with a dark rim, coloured by a value at each of its points (points, 2); none where it is NaN."""
+    axes.plot(*np.where(np.isnan(values)[:, None], np.nan, points).T, color=BLACK, linewidth=2.2, zorder=4)
+    pieces = np.stack([points[:-1], points[1:]], axis=1)
+    between = 0.5 * (values[:-1] + values[1:])
+    there = np.isfinite(between)
+    look = {"cmap": TENSION_COLOURS, "norm": norm, "linewidth": 1.5, "capstyle": "round", "zorder": 4.5}
+    axes.add_collection(LineCollection(list(pieces[there]), array=between[there], **look))
+
+
+def draw_clamp(axes: Axes, half_width: float, depth: float) -> None:
+    """The wall to which a body is clamped: at X = 0, hatched on the far side."""
+    look = {"facecolor": "white", "edgecolor": GREY, "hatch": "///////", "linewidth": 0.0, "zorder": 0}
+    axes.add_patch(Rectangle((-depth, -half_width), depth, 2 * half_width, **look))
+    axes.plot([0.0, 0.0], [-half_width, half_width], color=BLACK, linewidth=1.0, zorder=3)
+
+
+def place_label(axes: Axes, text: str, point: np.ndarray, obstacles: np.ndarray) -> np.ndarray:
+    """Write beside a point, where least is covered; call it when the limits of the axes are final.
+
+    Args:
+        axes: where to write.
+        text: what to write.
+        point: beside which, in data.
+        obstacles: points on what is to stay uncovered, on the display, (points, 2).
+
+    Returns:
+        The obstacles with those of the label added.
+    """
+    label = axes.annotate(text, tuple(point), (0, 0), textcoords="offset points", ha="center", va="center", zorder=7)
+    size = np.array([label.get_window_extent().width, label.get_window_extent().height])
+    pixels = axes.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
+    centre, frame = axes.transData.transform(point), axes.get_window_extent().get_points()
+    best, least = np.zeros(2), np.inf
+    for gap in (3.0, 5.0, 8.0, 12.0, 17.0):
+        for angle in np.arange(16) * np.pi / 8:
+            offset = (size / 2 + gap * pixels) * np.array([np.cos(angle), np.sin(angle)])
+            low, high = centre + offset - size / 2 - 3, centre + offset + size / 2 + 3
+            covered = np.sum(np.all((obstacles > low) & (obstacles < high), axis=-1))
+            outside = np.any(low < frame[0] + 4) or np.any(high > frame[1] - 4)
+            cost = covered + 1000 * outside + gap / 100
+            if cost < least:
+                best, least = offset, cost
+    label.xyann = tuple(best / pixels)
+    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 5)), axis=-1).reshape(-1, 2)
+    return np.concatenate([obstacles, centre + best + grid * size])
 
 
 def round_number(value: float) -> float:

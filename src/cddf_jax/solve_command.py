@@ -159,13 +159,16 @@ def solve_or_explain(
 
 
 def _nearest(actuation: list[Any], equilibrium: Equilibrium, texts: Sequence[str]) -> str:
+    """How near to its targets a solve came, and at which tensions."""
+    slack = equilibrium.result == RESULTS.slack
+    why = "the tendon would have to push" if slack else "no tension between slack and crossing fibres gives it"
     missed = []
     numbers = zip(actuation, texts, equilibrium.target_miss, equilibrium.base_tension, strict=True)
     for target, text, miss, tension in numbers:
         if isinstance(target, Target):
             value = shown(target.value + miss, TARGETS[_NAME_OF[type(target)]].dimension)
-            missed.append(f"--base-tension {text!r}: the nearest value reached is {value} at {shown(tension, 'force')}")
-    return f"{'; '.join(missed)}. {RESULTS[equilibrium.result]}"
+            missed.append(f"--base-tension {text!r}: {why}, the nearest is {value} at {shown(tension, 'force')}")
+    return f"{'; '.join(missed)}; change the target"
 
 
 # --- saying --------------------------------------------------------------------------------------
@@ -196,15 +199,11 @@ def in_words(equilibrium: Equilibrium, actuation: list[Any], texts: Sequence[str
     """The answer for people."""
     x, y = 1e3 * np.asarray(equilibrium.tip_position)
     lines = [f"tip at ({x:.3f}, {y:.3f}) mm, {np.degrees(equilibrium.tip_angle):.3f} deg"]
-    tendons = zip(equilibrium.tip_tension, equilibrium.tension_loss, equilibrium.tendon_displacement, strict=True)
-    for i, (tension, loss, travel) in enumerate(tendons):
-        base = ""
-        if isinstance(actuation[i], Target):
-            base = f"base tension {equilibrium.base_tension[i]:.4f} N gives {texts[i].strip()}, "
-        lines.append(
-            f"tendon {i + 1}: {base}tip tension {tension:.4f} N, loss {100 * loss:.2f} %, "
-            f"pulled in {1e3 * travel:.3f} mm"
-        )
+    for i, travel in enumerate(equilibrium.tendon_displacement):
+        base, tip, loss = equilibrium.base_tension[i], equilibrium.tip_tension[i], equilibrium.tension_loss[i]
+        found = f"base tension {base:.4f} N gives {texts[i].strip()}, " if isinstance(actuation[i], Target) else ""
+        tension = f"tip tension {tip:.4f} N, loss {100 * loss:.2f} %" if base > 0 else "no tension"
+        lines.append(f"tendon {i + 1}: {found}{tension}, pulled in {1e3 * travel:.3f} mm")
     if loads is not None:
         lines += _loads_in_words(loads, equilibrium)
     warned = equilibrium.result in _WARNINGS

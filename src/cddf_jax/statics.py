@@ -208,7 +208,7 @@ def _solve(
         result=_first_of(
             (~physical, RESULTS.unphysical),
             (path.locked, RESULTS.locked),
-            (~path.converged, RESULTS.not_converged),
+            (~(path.converged & balance.load_path.resolved), RESULTS.not_converged),
             (~balance.load_path.converged, RESULTS.load_limit),
             (found.slack, RESULTS.slack),
             (~found.reached, RESULTS.unreachable),

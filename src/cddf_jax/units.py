@@ -135,7 +135,7 @@ def written(value: float, dimension: Dimension) -> str:
     return f"{_plain(exact)} {si}"
 
 
-def shown(value: float, dimension: Dimension) -> str:
+def shown(value: Any, dimension: Dimension) -> str:
     """The text of an SI value for people, rounded to five digits: "140 mm", "63.167 deg"."""
     si, preferred = _UNITS[dimension]
     return f"{float(value) * float(_root(si)[0]) / float(_root(preferred)[0]):.5g} {preferred}"

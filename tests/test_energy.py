@@ -1,0 +1,106 @@
+"""Work and energy along a pull: the closed form of one tendon, and the balance in every configuration."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, paper_body, paper_plain, two_slanted_tendons
+from scipy.integrate import quad
+
+import cddf_jax as cddf
+
+d, MU, E = PAPER["tendon_offset"], PAPER["friction_coefficient"], PAPER["youngs_modulus"]
+CLOSES = 1e-11  # of the work: Gauss quadrature of smooth functions along the pull
+LOADS = cddf.Loads(tip_force=(0.5, 2.0), tip_moment=0.05, gravity=(0.0, 9.81))
+
+
+def left_over(balance):
+    """The residual over the work that went in and out."""
+    return abs(float(balance.residual)) / float(jnp.sum(jnp.abs(balance.actuation_work)))
+
+
+def test_one_tendon_against_the_closed_form():
+    """The closed form of design.md section 3, exact kinematics and constant d.
+
+    With a = mu G(L) / E: pulled length d ln(1 + a T) / mu, so W = (d / mu)(T - ln(1 + a T) / a), and
+    U = int (T(s) d)^2 / (2 E J) ds; what is left is friction.
+    """
+    plain, tension = paper_plain("exact"), 75.0
+    a = MU * plain.compliance(plain.length) / E
+    work = d / MU * (tension - np.log1p(a * tension) / a)
+
+    def bending(s):
+        return (plain.closed_form(tension, s) * d) ** 2 / (2 * E * plain.second_moment(s))
+
+    elastic = quad(bending, 0, plain.length, epsabs=0, epsrel=1e-12)[0]
+    balance = cddf.energy_balance(paper_body("exact"), tension)
+    assert balance.actuation_work == pytest.approx([work], rel=CLOSES)
+    assert balance.elastic_energy == pytest.approx(elastic, rel=CLOSES)
+    assert balance.friction_loss == pytest.approx([work - elastic], rel=1e-10)
+    assert balance.load_work == 0.0
+    assert balance.result == cddf.RESULTS.successful
+
+
+def notched_tendon():
+    """A tendon that bends sharply where two pieces meet, and ends before the tip."""
+    offset = cddf.Piecewise([0.06], [cddf.Linear(0.012, 0.009, 0.06), cddf.Constant(0.009)])
+    return replace(paper_body("exact"), tendons=(cddf.Tendon(offset, end=0.1),))
+
+
+def soft_tendons():
+    tendons = tuple(cddf.Tendon(d, side, axial_stiffness=3000.0, free_length=0.3) for side in (+1, -1))
+    return replace(paper_body("exact", density=1100.0), tendons=tendons)
+
+
+EXACT = {
+    "loads that help": (paper_body("exact", density=1100.0), 75.0, LOADS, +1),
+    "antagonists": (paper_body("exact", num_tendons=2), (75.0, 20.0), None, (+1, -1)),
+    "slanted antagonists": (two_slanted_tendons("exact"), (75.0, 20.0), None, (+1, -1)),
+    "a sharp bend": (notched_tendon(), 75.0, None, +1),
+    "tendons that stretch": (soft_tendons(), (60.0, 30.0), LOADS, (+1, -1)),
+}
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_the_balance_closes_in_the_exact_kinematics(name):
+    """Virtual work, design.md section 2: what the tendons do is stored, rubbed off, or lifts the loads."""
+    body, tension, loads, direction = EXACT[name]
+    balance = cddf.energy_balance(body, tension, loads, direction=direction)
+    assert left_over(balance) < CLOSES
+    if name != "tendons that stretch":  # an antagonist that stretches slides in before the body takes it out again
+        assert np.all(balance.friction_loss >= 0)
+
+
+def test_a_load_that_opposes_and_is_overcome():
+    """While the curvature changes sign the balance closes with the number of steps only."""
+    body, loads = paper_body("exact"), cddf.Loads(tip_force=(0.0, -2.0))
+    coarse, fine = (cddf.energy_balance(body, 75.0, loads, num_steps=n) for n in (16, 64))
+    assert left_over(fine) < 2e-5 < left_over(coarse) < 5e-4
+    assert fine.load_work > 0
+    lifted = -np.dot(
+        (0.0, -2.0), cddf.solve(body, 75.0, loads).tip_position - cddf.solve(body, 0.0, loads).tip_position
+    )
+    assert fine.load_work == pytest.approx(lifted, rel=1e-12)
+
+
+def test_without_friction_nothing_is_lost():
+    balance = cddf.energy_balance(paper_body("exact", friction_coefficient=0.0), 75.0, LOADS)
+    assert balance.friction_loss == pytest.approx([0.0], abs=1e-15)
+    assert left_over(balance) < CLOSES
+
+
+def test_the_published_kinematics_leave_something_over():
+    """Arm d (1 - d kappa), travel int d kappa: not consistent with virtual work (design.md section 2)."""
+    balance = cddf.energy_balance(paper_body("published"), 75.0)
+    assert 0.03 < left_over(balance) < 0.07
+    assert balance.residual > 0
+    assert balance.friction_loss[0] > 0
+
+
+def test_a_failed_solve():
+    unbalanced = cddf.energy_balance(paper_body("exact"), float("nan"), throw=False)
+    assert unbalanced.result == cddf.RESULTS.unphysical
+    assert np.isnan(unbalanced.elastic_energy)
+    with pytest.raises(cddf.SolveError, match="not physical"):
+        cddf.energy_balance(paper_body("exact"), float("nan"))
