@@ -653,7 +653,7 @@ def test_tables_that_do_not_fit_the_manipulator(fails, two_tendons):
     said = fails(
         "fit", PAPER, "bench.csv", files={"bench.csv": "base_tension [N],tip_x [mm],tip_force_x [N]\n5,139,1\n"}
     )
-    assert said.startswith("bench.csv: column 'tip_force_x': tip forces are not part of the model yet")
+    assert said.startswith("bench.csv: column 'tip_force_x': fit takes no loads yet")
     said = fails("reproduce", PAPER, PULLEY)
     assert said.startswith("pulley_simulated.csv: the column tip_tension is missing")
     assert fails("reproduce", two_tendons, LOAD_CELLS).startswith("the paper's manipulator has one tendon")

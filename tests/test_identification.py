@@ -464,7 +464,7 @@ def test_warnings_of_a_table_are_passed_on(paper):
         ({"data": bench(direction=np.ones(17))}, r"bench: nothing observed; add a column tip_tension \[N\], tip_angle"),
         (
             {"data": bench(tip_tension=LEVELS, tip_force_x=np.ones(17))},
-            "bench: column 'tip_force_x': tip forces are not part of the model yet; leave it out",
+            "bench: column 'tip_force_x': fit takes no loads yet; leave it out, or use least_squares_fit",
         ),
         (
             {"data": bench(base_tension_2=LEVELS, tip_tension=LEVELS)},

@@ -255,7 +255,8 @@ def _experiment(table: Measurements, manipulator: Manipulator) -> _Pulley | _Ben
         raise InputError(f"{table.name}: nothing observed; add a column tip_tension [N], tip_angle [deg] or tip_x [mm]")
     for column in table.columns:
         if column.startswith("tip_force"):
-            raise InputError(f"{table.name}: column {column!r}: tip forces are not part of the model yet; leave it out")
+            remedy = "fit takes no loads yet; leave it out, or use least_squares_fit"
+            raise InputError(f"{table.name}: column {column!r}: {remedy}")
         if column.startswith(("tip_tension", "base_tension")) and _tendon_number(column) > count:
             raise InputError(f"{table.name}: column {column!r}, but the manipulator has {count} tendon(s)")
     tension = np.stack([table[column] for column in pulled], axis=1)
