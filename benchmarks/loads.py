@@ -61,7 +61,8 @@ def shooting(force: tuple[float, float], tolerance: float = 1e-9) -> np.ndarray:
     for fraction in np.linspace(0.1, 1.0, 10):
         now = (fraction * force[0], fraction * force[1])
         low, high = moment - reach, moment + reach
-        moment = brentq(lambda m, now=now: tip(m, now)[4], low, high, xtol=1e-14, rtol=1e-14)
+        root = brentq(lambda m, now=now: tip(m, now)[4], low, high, xtol=1e-14, full_output=True)[1]
+        moment = float(root.root)
     return tip(moment, force)[:4]
 
 
@@ -69,12 +70,14 @@ def collocation(force: tuple[float, float]) -> np.ndarray:
     """The tip's state by solve_bvp with its kink left where it is, the load in five steps."""
     s = np.linspace(0, LENGTH, 50)
     state = np.stack([0 * s + PULL, 0 * s, s, 0 * s, 0 * s])
+    found = None
     for fraction in np.linspace(0.2, 1.0, 5):
         now = (fraction * force[0], fraction * force[1])
         found = solve_bvp(
             rate(now), lambda a, b: np.array([a[0] - PULL, a[1], a[2], a[3], b[4]]), s, state, tol=1e-6, max_nodes=50000
         )
         s, state = found.x, found.y
+    assert found is not None
     return found.sol(LENGTH)[:4]
 
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import PAPER, codes, lane, paper_body, paper_plain, replaced, stack
+from jax.sharding import AxisType, PartitionSpec
 from loaded_bodies import random_loaded
 from scipy.integrate import quad
 from scipy.optimize import brentq
@@ -309,3 +310,16 @@ def test_float32():
 def test_numbers_of_a_target_are_leaves():
     target = eqx.tree_at(lambda target: target.value, cddf.TipAngle(0.4), jnp.asarray(0.7))
     assert cddf.solve(paper_body("exact"), target).tip_angle == pytest.approx(0.7, abs=CLOSED)
+
+
+def test_shard_map():
+    """A target under a load, four devices against one."""
+
+    def tension(angle):
+        body, loads = paper_body("exact"), cddf.Loads(tip_force=(0.0, -1.0))
+        return jax.vmap(lambda x: cddf.solve(body, cddf.TipAngle(x), loads, throw=False).base_tension[0])(angle)
+
+    lanes, angles = PartitionSpec("lanes"), jnp.linspace(0.3, 0.6, 4)
+    mesh = jax.make_mesh((4,), ("lanes",), axis_types=(AxisType.Auto,))
+    sharded = jax.jit(jax.shard_map(tension, mesh=mesh, in_specs=lanes, out_specs=lanes))(angles)
+    np.testing.assert_allclose(sharded, jax.jit(tension)(angles), rtol=1e-10)

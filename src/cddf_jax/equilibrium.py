@@ -107,7 +107,8 @@ class Equilibrium(eqx.Module):
     load_fraction: Float[Array, ""]  # of the loads, up to which there is an equilibrium: 1, or the limit load
     num_load_steps: Int[Array, ""]  # in which the loads were put on; 1 where one step would do, 0 without loads
     stable: Bool[Array, ""]  # at constant base tensions and dead loads, sliding as stated
-    direction_contradicted: Bool[Array, " tendons"]  # True where a tendon travels against its direction
+    # True where a tendon travels against its direction: since the straight body, or under loads as all tensions rise
+    direction_contradicted: Bool[Array, " tendons"]
     error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
     num_iterations: Int[Array, ""]
     result: RESULTS

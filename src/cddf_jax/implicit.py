@@ -24,7 +24,8 @@ def implicit(residual: Callable[[Unknowns], Unknowns], root: Unknowns) -> Unknow
     """
     if root.size == 0:
         return root
-    eye = jnp.eye(root.size, dtype=root.dtype)
+    root = jax.lax.stop_gradient(root)
+    eye = jnp.eye(root.size, dtype=root.dtype) + 0.0 * root  # varies over the devices of shard_map as the root does
 
     def solve_tangent(operator, b):
         jacobian = jax.vmap(operator, out_axes=1)(eye)
@@ -33,7 +34,7 @@ def implicit(residual: Callable[[Unknowns], Unknowns], root: Unknowns) -> Unknow
         size = jnp.where(regular, size, 1.0)
         return solve_small(jnp.where(regular, jacobian / size[:, None], eye), b / size)[0]
 
-    return jax.lax.custom_root(residual, jax.lax.stop_gradient(root), lambda _, guess: guess, solve_tangent)
+    return jax.lax.custom_root(residual, root, lambda _, guess: guess, solve_tangent)
 
 
 def solve_small(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, ""]]:

@@ -95,7 +95,7 @@ def follow_loads(
             at = walk.moment, walk.fraction, jnp.ones_like(walk.moment)
             return jax.jvp(flow, at, tangents, has_aux=True)
 
-        basis = jnp.eye(3, dtype=start_moment.dtype)
+        basis = jnp.eye(3, dtype=start_moment.dtype) + 0.0 * walk.moment  # shard_map wants tangents like their values
         (residual, heading, _), slopes, path = jax.vmap(push, out_axes=(None, 0, None))(*basis)
         (by_moment, by_fraction, by_pull), (heading_by_moment, heading_by_fraction, _), travel = slopes
         exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where by_moment vanishes

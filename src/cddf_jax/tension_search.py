@@ -106,6 +106,7 @@ def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> _T
 
         at = tension, settled.load_path.base_moment
         basis = jnp.eye(len(wanted) + (setup.loads is not None), len(wanted) + 1, dtype=tension.dtype)
+        basis = basis + 0.0 * (jnp.sum(tension) + at[1])  # shard_map wants tangents like their values
 
         def push(row):
             return jax.jvp(flow, at, (row[:-1], row[-1]), has_aux=True)
@@ -120,7 +121,9 @@ def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> _T
 
     start = jnp.full(len(wanted), START) + 0.0 * (scale + jnp.sum(given))
     blank, eye = unsettled(setup, given), jnp.eye(len(wanted), dtype=start.dtype)
-    zero = blank.load_path.num_steps
+    aims = [0.0 * jnp.sum(jnp.asarray(x)) for x in jax.tree.leaves(wanted)]
+    zero = blank.load_path.num_steps + jnp.sum(jnp.stack(aims))
+    blank = jax.tree.map(lambda x: jnp.where(zero == 0, x, x), blank)  # varies over the devices of shard_map
     blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
     nothing = _Trial(start + zero, 0.0 * start + zero, eye + zero, zero + jnp.inf, blank)
     state = _Search(nothing, start + zero, zero, zero, zero > 0, zero > 0)
