@@ -43,7 +43,7 @@ class LoadedReference(NamedTuple):
 
 
 def largest_difference(solution: Any, reference: LoadedReference, body: PlainBody) -> float:
-    """Of tip tensions (relative), wrap and tip angles, tip position, displacements (per L), base moment (per E J / L)."""
+    """Of tip tensions (relative), angles, tip position, displacements (per length), base moment (per E J / L)."""
     unit = body.youngs_modulus * body.second_moment(0.0) / body.length
     pairs = [
         (solution.tip_tension, reference.tip_tension, np.where(reference.tip_tension > 0, reference.tip_tension, 1.0)),

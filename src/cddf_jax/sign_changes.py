@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .loads import Loads
 from .manipulator import CrossSection, Manipulator
-from .problem import Number, Path, Problem, State, curvature_of, guarded_section, moment_rate_of, rates_of
+from .problem import Number, Path, Problem, State, curvature_of, edge_nudge, guarded_section, moment_rate_of, rates_of
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 REFINEMENTS = 10
@@ -69,9 +69,9 @@ def locate(problem: Problem, path: Path) -> Splits:
 
     order = jnp.argsort(jnp.where(flips, index, index.shape[0]).ravel())[: none.owner.shape[0]]
     point, owner = order // flips.shape[1], order % flips.shape[1]
-    found = flips.ravel()[order]
     left, right = arc_length[jnp.maximum(before[point, owner], 0)], arc_length[point]
-    place = jax.vmap(lambda *bracket: _refine(problem, path, *bracket))(left, right, owner)
+    place, jumps = jax.vmap(lambda *bracket: _refine(problem, path, *bracket))(left, right, owner)
+    found = flips.ravel()[order] & ~jumps
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner, -1))
 
 
@@ -81,8 +81,13 @@ def _largest_bend(problem: Problem, turning: Array) -> Number:
     return jnp.maximum(jnp.max(alone), jnp.max(jnp.abs(turning)))
 
 
-def _refine(problem: Problem, path: Path, left: Number, right: Number, owner: Int[Array, ""]) -> Number:
-    """The zero of one tendon's turning between two arc lengths, by the Illinois rule."""
+def _refine(
+    problem: Problem, path: Path, left: Number, right: Number, owner: Int[Array, ""]
+) -> tuple[Number, Bool[Array, ""]]:
+    """The zero of one tendon's turning between two arc lengths, by the Illinois rule.
+
+    And whether the sign changes in a jump instead, where a piece of the body or a tendon ends and a panel ends anyway.
+    """
 
     def turning(arc_length):
         state = problem.panels.interpolate(path.starts, path.nodes, arc_length)
@@ -97,7 +102,12 @@ def _refine(problem: Problem, path: Path, left: Number, right: Number, owner: In
         return jnp.where(crossed, b, a), jnp.where(crossed, fb, fa / 2), c, fc
 
     bracket = (left, turning(left), right, turning(right))
-    return jax.lax.fori_loop(0, REFINEMENTS, narrow, bracket)[2]
+    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, bracket)[2]
+    nudge = edge_nudge(problem.panels)
+    joints = problem.manipulator.breakpoints
+    within = (joints >= left) & (joints <= right)
+    jumps = within & (jax.vmap(turning)(joints - nudge) * jax.vmap(turning)(joints + nudge) < 0)
+    return place, jnp.any(jumps)
 
 
 def turning_at_splits(problem: Problem, path: Path, splits: Splits) -> Float[Array, " splits"]:

@@ -61,8 +61,8 @@ def solve(
     and `slack`, `unreachable` and `undetermined`, whose numbers are those of the nearest tensions, with the
     `target_miss` that is left, and whose derivatives are taken at these tensions.
     Derivatives are one-sided where the curvature is zero along a stretch of the body (no tension and no load, or
-    antagonists that cancel): friction acts on |kappa|, and its slope there is taken as 0. Isolated changes of
-    sign are located and are harmless to derivatives of any order.
+    antagonists that cancel): friction acts on |kappa|, whose slope there is taken as that of kappa > 0. Isolated
+    changes of sign are located and are harmless to derivatives of any order.
     Of the body only what makes the numbers meaningless is checked here (finite, a stiffness, friction and
     offsets not negative); walls, anchors, knots and jumps are the business of `manipulator.validate()`.
 
@@ -176,7 +176,8 @@ def _solve(
     nodes: int,
 ) -> Equilibrium:
     asked = one_precision(manipulator, given, direction, (targets, loads))
-    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(asked)]))
+    numbers = jax.tree.leaves(eqx.filter(asked, eqx.is_inexact_array))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in numbers]))
     manipulator, given, direction, (targets, loads) = _harmless(*asked)
     setup = Setup(manipulator, direction, loads, method, nodes)
     balance, found = _equilibrium(setup, given, targets)
