@@ -49,7 +49,8 @@ def test_readme_names_commands_that_exist():
 
 
 def test_every_study_is_expected():
-    assert {path.stem for path in (ROOT / "fitting").glob("*.py")} == set(STATUS)
+    own_test = {"soft_tentacle"}  # test_soft_tentacle.py
+    assert {path.stem for path in (ROOT / "fitting").glob("*.py")} == set(STATUS) | own_test
 
 
 @pytest.mark.parametrize("name", STATUS)

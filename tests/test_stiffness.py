@@ -39,7 +39,7 @@ def test_against_differences_of_the_reference(kinematics):
 
 @pytest.mark.parametrize("kinematics", ["exact", "published"])
 def test_reciprocity_and_its_loss(kinematics):
-    """At constant tensions a frictionless body has a potential, so C is symmetric (Maxwell, Betti); friction ends that."""
+    """At constant tensions a frictionless body has a potential, so C is symmetric (Maxwell, Betti)."""
     smooth = cddf.tip_compliance(paper_body(kinematics, friction_coefficient=0.0), 40.0, LOADS)
     np.testing.assert_allclose(smooth, smooth.T, rtol=1e-9)
     assert np.all(np.linalg.eigvalsh(np.asarray(smooth)) > 0)
@@ -89,3 +89,4 @@ def test_jacobian_of_two_tendons_is_that_of_forward_mode():
 
 def test_a_failed_solve_has_no_compliance():
     assert np.all(np.isnan(cddf.tip_compliance(paper_body("exact"), -1.0)))
+    assert np.all(np.isnan(cddf.tip_compliance(paper_body("exact"), cddf.TipAngle(-1.0))))

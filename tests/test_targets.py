@@ -201,6 +201,16 @@ def test_a_tendon_cannot_push():
         cddf.solve(paper_body("exact"), cddf.Displacement(-0.002))
 
 
+def test_a_slack_tendon_leaves_the_other_its_displacement():
+    """Rigid antagonists, 8 mm in and 12 mm out: the second goes slack, the first is one tendon alone (CASES)."""
+    targets = (cddf.Displacement(0.008), cddf.Displacement(-0.012))
+    found = cddf.solve(PAIR, targets, direction=IN_OUT, throw=False)
+    assert found.result == R.slack
+    np.testing.assert_allclose(found.tendon_displacement, [0.008, -0.008], rtol=CLOSED)
+    np.testing.assert_allclose(found.target_miss, [0.0, 0.004], atol=1e-11)
+    assert found.base_tension == pytest.approx([np.expm1(MU * 0.008 / d) / A, 0.0], rel=CLOSED)
+
+
 def test_slack_under_a_load_is_what_the_load_leaves():
     """A force that bends the body towards the tendon takes up more tendon than the micrometer does."""
     body, loads = paper_body("exact"), cddf.Loads(tip_force=(0.0, 6.0))

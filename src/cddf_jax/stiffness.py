@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .equilibrium import Equilibrium
+from .equilibrium import RESULTS, Equilibrium, nan_unless
 from .loads import Loads
 from .manipulator import Manipulator
 from .problem import Method
@@ -38,7 +38,7 @@ def tip_compliance(
         manipulator, base_tension, loads, direction, method, nodes: as in `solve`.
 
     Returns:
-        Row by row the derivatives of X, Y and phi; NaN where the solve fails.
+        Row by row the derivatives of X, Y and phi; NaN where `solve` would raise.
     """
     loads = Loads() if loads is None else loads
     by = tip_jacobian(manipulator, base_tension, loads, direction=direction, method=method, nodes=nodes).loads
@@ -49,7 +49,7 @@ def tip_compliance(
 class TipJacobian(eqx.Module):
     """Derivatives of the tip's pose (X, Y, phi), SI.
 
-    Trees like the arguments of `solve`, with a leading axis of 3 on every number; NaN where the solve fails.
+    Trees like the arguments of `solve`, with a leading axis of 3 on every number; NaN where `solve` would raise.
     """
 
     manipulator: Manipulator  # e.g. `.manipulator.youngs_modulus`, (3,): m/Pa, m/Pa, rad/Pa
@@ -81,11 +81,11 @@ def _tip_jacobian(arguments: tuple, direction: Any, method: Method, nodes: int) 
 
     def pose(numbers):
         equilibrium = solve(*eqx.combine(numbers, rest), direction=direction, method=method, nodes=nodes)
-        return tip_pose(equilibrium)
+        return tip_pose(equilibrium), equilibrium.result
 
-    solved = jnp.all(jnp.isfinite(pose(numbers)))
-    jacobian = jax.tree.map(lambda x: jnp.where(solved, x, jnp.nan), jax.jacrev(pose)(numbers))
-    return TipJacobian(*eqx.combine(jacobian, rest))
+    jacobian, result = jax.jacrev(pose, has_aux=True)(numbers)
+    solved = (result == RESULTS.successful) | (result == RESULTS.direction_contradicted)
+    return TipJacobian(*eqx.combine(nan_unless(solved, jacobian), rest))
 
 
 def tip_pose(equilibrium: Equilibrium) -> Float[Array, "3"]:

@@ -43,6 +43,7 @@ class _Search(NamedTuple):
     damping: Number
     num_evaluations: Number
     improved: Bool[Array, ""]
+    slack: Bool[Array, " unknowns"]  # tendons that were let go, since they would have to push
     ended: Bool[Array, ""]
 
 
@@ -58,22 +59,21 @@ def reach(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) ->
     which = jnp.asarray(list(wanted))
     frozen_setup, frozen_given, frozen_wanted = without_derivative((setup, given, wanted))
     scale = bending_tension(frozen_setup)
-    best = _search(frozen_setup, frozen_given, frozen_wanted, scale)
-    pivots = solve_small(jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0), best.residual)[1]
+    best, slack = _search(frozen_setup, frozen_given, frozen_wanted, scale)
+    apart = slack[:, None] | slack | ~jnp.isfinite(best.jacobian)
+    pivots = solve_small(jnp.where(apart, jnp.eye(len(wanted)), best.jacobian), best.residual)[1]
     determined = pivots > WELL_DETERMINED
     tolerance = max(REACHED, 1e2 * float(jnp.finfo(scale.dtype).eps))
-    reached = jnp.isfinite(best.cost) & (jnp.max(jnp.abs(best.residual)) <= tolerance)
+    reached = jnp.isfinite(best.cost) & (jnp.max(jnp.where(slack, 0.0, jnp.abs(best.residual))) <= tolerance)
 
     def equations(problem, path):
         held = (problem.base_tension[which] / scale) - best.tension
-        return jnp.where(reached & determined, _misses(setup, problem, path, wanted), held)
+        return jnp.where(reached & determined & ~slack, _misses(setup, problem, path, wanted), held)
 
     tension = given.at[which].set(scale * best.tension)
     sizes = jnp.stack([target.size(setup) for target in wanted.values()])
-    is_displacement = jnp.asarray([isinstance(target, Displacement) for target in wanted.values()])
-    pushes = is_displacement & (best.tension == 0) & (best.residual > 0)
     miss = jnp.zeros_like(given).at[which].set(best.residual * sizes)
-    found = Found(miss, reached, ~reached & jnp.any(pushes), determined)
+    found = Found(miss, reached, jnp.any(slack), determined)
     return balance(setup, tension, best.settled, tuple(wanted), equations), found
 
 
@@ -89,7 +89,7 @@ def _misses(setup: Setup, problem: Problem, path: Path, wanted: Wanted) -> Float
     return jnp.stack([miss(tendon, target) for tendon, target in wanted.items()])
 
 
-def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> _Trial:
+def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> tuple[_Trial, Bool[Array, " unknowns"]]:
     """Levenberg-Marquardt between slack and the farthest tension; every trial is an equilibrium of its own."""
     which = jnp.asarray(list(wanted))
 
@@ -126,13 +126,25 @@ def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> _T
     blank = jax.tree.map(lambda x: jnp.where(zero == 0, x, x), blank)  # varies over the devices of shard_map
     blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
     nothing = _Trial(start + zero, 0.0 * start + zero, eye + zero, zero + jnp.inf, blank)
-    state = _Search(nothing, start + zero, zero, zero, zero > 0, zero > 0)
-    return jax.lax.while_loop(lambda state: ~state.ended, lambda state: _judge(evaluate(state.next), state), state).best
+    state = _Search(nothing, start + zero, zero, zero, zero > 0, nothing.tension < 0, zero > 0)
+    pulled = jnp.asarray([isinstance(target, Displacement) for target in wanted.values()])
+    state = jax.lax.while_loop(
+        lambda state: ~state.ended, lambda state: _judge(evaluate(state.next), state, pulled), state
+    )
+    return state.best, state.slack
 
 
-def _judge(trial: _Trial, state: _Search) -> _Search:
-    """Keep the better one, and choose where to look next."""
-    better = trial.cost < state.best.cost
+def _cost(trial: _Trial, slack: Bool[Array, " unknowns"]) -> Number:
+    return jnp.where(jnp.isfinite(trial.cost), jnp.sum(jnp.where(slack, 0.0, trial.residual) ** 2), jnp.inf)
+
+
+def _judge(trial: _Trial, state: _Search, pulled: Bool[Array, " unknowns"]) -> _Search:
+    """Keep the better one, and choose where to look next.
+
+    Where the search would end with a tendon that has to push to give its displacement, that tendon is let go,
+    and the search goes on for the others.
+    """
+    better = _cost(trial, state.slack) < _cost(state.best, state.slack)
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, state.best)
     easier = jnp.where(state.improved, state.damping / 3.0, state.damping)
     damping = jnp.where(better, easier, jnp.maximum(4.0 * state.damping, 1.0))
@@ -140,19 +152,26 @@ def _judge(trial: _Trial, state: _Search) -> _Search:
     nowhere = ~jnp.isfinite(best.cost)
     others = jnp.asarray((*OTHER_STARTS, 0.0), damping.dtype)
     elsewhere = others[jnp.minimum(evaluations.astype(int) - 1, len(OTHER_STARTS))]
-    following = jnp.where(nowhere, elsewhere, _step(best, damping))
+    following = jnp.where(nowhere, elsewhere, _step(best, damping, state.slack))
     move = jnp.max(jnp.abs(following - best.tension)) / (jnp.max(best.tension) + 1e-3)
     least = jnp.where(damping >= 1.0, LEAST_MOVE[1], LEAST_MOVE[0])
     done = jnp.where(nowhere, evaluations > len(OTHER_STARTS), move <= least)
-    return _Search(best, following, damping, evaluations, better, done | (evaluations >= MAX_EVALUATIONS))
+    pushes = done & ~nowhere & pulled & ~state.slack & (best.tension == 0) & (best.residual > REACHED)
+    slack = state.slack | pushes
+    again = jnp.any(pushes)
+    following = jnp.where(again, _step(best, 0.0 * damping, slack), following)
+    done = (done & ~again) | (evaluations >= MAX_EVALUATIONS)
+    return _Search(best, following, jnp.where(again, 0.0, damping), evaluations, better, slack, done)
 
 
-def _step(best: _Trial, damping: Number) -> Float[Array, " unknowns"]:
+def _step(best: _Trial, damping: Number, slack: Bool[Array, " unknowns"]) -> Float[Array, " unknowns"]:
     """The damped Gauss-Newton step of the tendons that are free to follow it."""
-    downhill = -best.jacobian.T @ best.residual
+    jacobian, residual = jnp.where(slack[:, None], 0.0, best.jacobian), jnp.where(slack, 0.0, best.residual)
+    downhill = -jacobian.T @ residual
     tension, tiny = best.tension, jnp.finfo(best.tension.dtype)
-    free = jnp.where(((tension <= 0) & (downhill < 0)) | ((tension >= FARTHEST) & (downhill > 0)), 0.0, 1.0)
-    normal = (best.jacobian * free).T @ (best.jacobian * free)
+    stuck = slack | ((tension <= 0) & (downhill < 0)) | ((tension >= FARTHEST) & (downhill > 0))
+    free = jnp.where(stuck, 0.0, 1.0)
+    normal = (jacobian * free).T @ (jacobian * free)
     ridge = (damping + 4 * float(tiny.eps)) * jnp.maximum(jnp.max(jnp.diag(normal)), tiny.tiny)
     step, _ = solve_small(normal + ridge * jnp.eye(tension.shape[0], dtype=tension.dtype), downhill * free)
     return jnp.clip(tension + step * free, 0.0, FARTHEST)
