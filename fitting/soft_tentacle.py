@@ -32,7 +32,7 @@ from cddf_jax import plotting as draw
 from cddf_jax.application import configure_jax
 from cddf_jax.artifacts import as_json, write_all
 
-TABLE = Path(__file__).parents[2] / "shared/data/soft_tentacle/tension_markers.csv"
+TABLE = Path(__file__).resolve().parents[2] / "shared/data/soft_tentacle/tension_markers.csv"
 OUT = "out/fitting/soft_tentacle"
 LENGTH, ANCHOR, DENSITY, GRAVITY = 0.360, 0.305, 1318.0, 9.81
 TENDONS = np.array([[0.5, 0.75**0.5], [0.5, -(0.75**0.5)]])  # seen from the axis, in the base frame's x-y
@@ -243,14 +243,15 @@ def error_figure(results: dict[str, Any]) -> Figure:
         left, right = figure.subplots(1, 2)
         for (kinematics, result), fill in zip(results.items(), ("none", None), strict=True):
             _draw_by_tendon(left, result["poses"], "rms", f", {kinematics}", fill)
-        left.axhline(10.0, color=draw.GREY, linestyle="--", linewidth=0.8)
+        left.axhline(10.0, color=draw.GREY, linestyle="--", linewidth=0.8, label="10 mm")
         left.set_ylabel("In-plane error, rms per coordinate (mm)")
         _draw_by_tendon(right, results["exact"]["poses"], "out_of_plane", "", None)
         right.set_ylabel("Farthest marker out of plane (mm)")
         for axes in (left, right):
             axes.set_xlabel("Base tension (N)")
             axes.set_ylim(bottom=0.0)
-            axes.legend()
+        left.legend(loc="lower right", ncols=2)
+        right.legend()
     return figure
 
 
@@ -293,5 +294,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    configure_jax()
+    configure_jax(quick_compilation=False)
     main()

@@ -12,7 +12,7 @@ from .implicit import implicit, without_derivative
 from .load_path import LoadPath, follow_loads
 from .loads import Loads
 from .manipulator import Manipulator
-from .problem import Method, Number, Path, PerTendon, Problem, curvature_of, lay_out, loaded_to
+from .problem import Method, Number, Path, PerTendon, Problem, all_points, curvature_of, lay_out, loaded_to
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
@@ -168,6 +168,4 @@ def inside_of_bend(problem: Problem, path: Path) -> Float[Array, " points"]:
         kappa = curvature_of(problem, section, state.ratio, state.moment)
         return jnp.max(jnp.where(section.present, section.side * section.offset * kappa, -jnp.inf))
 
-    base = inside(problem.base, jax.tree.map(lambda x: x[0], path.starts))
-    nodes = jax.vmap(jax.vmap(inside))(problem.nodes, path.nodes)
-    return jnp.concatenate([base[None], nodes.ravel(), inside(problem.tip, path.tip)[None]])
+    return jax.vmap(inside)(*all_points(problem, path))

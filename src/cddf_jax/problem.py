@@ -207,11 +207,23 @@ def turn_at_joint(
         return mechanics.tangent_angle(section, curvature_of(problem, section, ratio, moment))
 
     arriving, gain = angle(before, ratio), problem.direction * before.friction_coefficient
-    turn, beyond = jnp.zeros_like(ratio), ratio
-    for _ in range(6):  # the angle beyond depends on r there only by mu d d' kappa, so this contracts fast
-        turn = jnp.where(after.present, jnp.abs(angle(after, beyond) - arriving), 0.0)
-        beyond = ratio * jnp.exp(gain * turn)
-    return turn, beyond
+
+    def improve(_, guess):  # the angle beyond depends on r there only by mu d d' kappa, so this contracts fast
+        turn = jnp.where(after.present, jnp.abs(angle(after, guess[1]) - arriving), 0.0)
+        return turn, ratio * jnp.exp(gain * turn)
+
+    return jax.lax.fori_loop(0, 6, improve, (0.0 * arriving, ratio + 0.0 * arriving))
+
+
+def line_up(base: Array, nodes: Array, tip: Array) -> Array:
+    """Base, Gauss nodes and tip in one row of points."""
+    return jnp.concatenate([base[None], nodes.reshape(-1, *base.shape), tip[None]])
+
+
+def all_points(problem: Problem, path: Path) -> tuple[CrossSection, State]:
+    """The cross-sections and states at base, Gauss nodes and tip."""
+    base = problem.base, jax.tree.map(lambda x: x[0], path.starts)
+    return jax.tree.map(line_up, base, (problem.nodes, path.nodes), (problem.tip, path.tip))
 
 
 AT_NODES = (None, 0, 0, 0)

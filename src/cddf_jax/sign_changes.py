@@ -12,7 +12,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .loads import Loads
 from .manipulator import CrossSection, Manipulator
-from .problem import Number, Path, Problem, State, curvature_of, edge_nudge, guarded_section, moment_rate_of, rates_of
+from .problem import (
+    Number,
+    Path,
+    Problem,
+    State,
+    all_points,
+    curvature_of,
+    edge_nudge,
+    guarded_section,
+    line_up,
+    moment_rate_of,
+    rates_of,
+)
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 REFINEMENTS = 10
@@ -55,11 +67,8 @@ def locate(problem: Problem, path: Path) -> Splits:
     """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
     none = unsplit(problem.manipulator, problem.loads)
     cut = problem.panels
-    ends = [(problem.base, jax.tree.map(lambda x: x[0], path.starts)), (problem.tip, path.tip)]
-    base, tip = (turning_at(problem, *end)[None] for end in ends)
-    inner = jax.vmap(jax.vmap(lambda *at: turning_at(problem, *at)))(problem.nodes, path.nodes)
-    turning = jnp.concatenate([base, inner.reshape(-1, base.shape[1]), tip])
-    arc_length = jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]])
+    turning = jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
+    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
 
     sign = jnp.where(jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.sign(turning), 0.0)
     index = jnp.arange(arc_length.shape[0])[:, None]
@@ -101,13 +110,14 @@ def _refine(
         crossed = fc * fb < 0
         return jnp.where(crossed, b, a), jnp.where(crossed, fb, fa / 2), c, fc
 
-    bracket = (left, turning(left), right, turning(right))
-    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, bracket)[2]
-    nudge = edge_nudge(problem.panels)
-    joints = problem.manipulator.breakpoints
+    nudge, joints = edge_nudge(problem.panels), problem.manipulator.breakpoints
+    ends, before, after = jnp.split(
+        jax.vmap(turning)(jnp.concatenate([jnp.stack([left, right]), joints - nudge, joints + nudge])),
+        [2, 2 + joints.shape[0]],
+    )
+    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left, ends[0], right, ends[1]))[2]
     within = (joints >= left) & (joints <= right)
-    jumps = within & (jax.vmap(turning)(joints - nudge) * jax.vmap(turning)(joints + nudge) < 0)
-    return place, jnp.any(jumps)
+    return place, jnp.any(within & (before * after < 0))
 
 
 def turning_at_splits(problem: Problem, path: Path, splits: Splits) -> Float[Array, " splits"]:

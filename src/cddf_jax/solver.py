@@ -115,7 +115,7 @@ class FixedPoint(eqx.Module):
             growth = _ratio_rates(problem, section, turning, ratio)
             if loaded:
                 growth = jnp.concatenate([growth, moment_rate[:, None] / problem.moment_scale], axis=1)
-            return growth, kappa
+            return growth, kappa, turning
 
         def panel(carry, inputs):
             (values, heading), (joint, *inputs) = carry, inputs
@@ -129,19 +129,19 @@ class FixedPoint(eqx.Module):
                 max_sweeps=self.max_sweeps,
                 acceptable=lambda y: jnp.all(y[:, :count] > 0) & jnp.all(jnp.isfinite(y)),
             )
-            growth, kappa = rates(inputs, heading, answer.value)
+            growth, kappa, turning = rates(inputs, heading, answer.value)
             end = start + inputs[-1] * weights @ growth
             positive = jnp.all(end[:count] > 0)
             end = jnp.where(positive, end, 1.0)
-            return (end, heading + inputs[-1] * weights @ kappa), (start, answer, turn, positive)
+            return (end, heading + inputs[-1] * weights @ kappa), (start, answer, turn, positive, kappa, turning)
 
         base = jnp.append(ones_at_base(problem), problem.base_moment / problem.moment_scale)
         base = base if loaded else base[:count]
         inputs = problem.joints, problem.nodes, problem.outboard.nodes, cut.width
-        (tip, _), (starts, answer, turns, positive) = jax.lax.scan(panel, (base, 0.0 * base[0]), inputs)
+        (tip, _), (starts, answer, turns, positive, *rate) = jax.lax.scan(panel, (base, 0.0 * base[0]), inputs)
         settled = answer.change <= tolerance
         return _follow(
-            problem, unpack(starts), unpack(answer.value), unpack(tip), turns,
+            problem, unpack(starts), unpack(answer.value), unpack(tip), turns, *rate,
             num_iterations=jnp.max(answer.num_sweeps),
             residual=jnp.max(answer.change),
             converged=jnp.all(answer.converged & positive),
@@ -151,18 +151,15 @@ class FixedPoint(eqx.Module):
 
 def ones_at_base(problem: Problem) -> PerTendon:
     """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
-    kappa = curvature_of(problem, problem.base, problem.base_tension, problem.base_moment)
-    turning = rates_of(problem, problem.base, kappa, problem.base_tension, 0.0 * kappa).turning
-    rate = ratio_rate(problem, problem.base, turning, problem.base_tension) + jnp.sum(problem.outboard.tip)
-    return jnp.where(rate == rate, jnp.ones_like(rate), 1.0)
+    there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
+    total = jnp.sum(jnp.stack([jnp.sum(x) for x in jax.tree.leaves(there)]))
+    return jnp.where(total == total, jnp.ones_like(problem.base_tension), 1.0)
 
 
-def _follow(problem: Problem, starts, nodes, tip, turns: Array, **outcome) -> Path:
+def _follow(problem: Problem, starts, nodes, tip, turns: Array, kappa: Array, turning: Array, **outcome) -> Path:
     """Integrate the turning that goes with (r, M_ext) at starts, nodes and tip into wrap angle, heading, position."""
     outboard = problem.outboard
-    kappa = curvature_along(problem, problem.nodes, *nodes)
     (heading_edges, heading), (position_edges, position) = integrate_shape(problem.panels, kappa)
-    turning = rates_along(problem, problem.nodes, kappa, nodes[0], moment_rate_of(heading, outboard.nodes)).turning
     wrap_edges, wrap = problem.panels.integrate(jnp.abs(turning))
     turned = jnp.cumsum(turns, axis=0)
     return Path(

@@ -13,7 +13,7 @@ from .balance import Balance, Setup, equilibrate, inside_of_bend
 from .equilibrium import RESULTS, Dense, Equilibrium, Fields, SolveError, fields_at, nan_unless, tendons_first
 from .loads import Loads
 from .manipulator import Manipulator
-from .problem import Method, Problem, guarded_section
+from .problem import Method, Problem, guarded_section, line_up
 from .quadrature import panels
 from .solver import ACCURACY, FixedPoint, truncation_error
 from .targets import CurvatureAt, Target, TipStiffness
@@ -301,9 +301,6 @@ def _is_on_the_body(targets: tuple[Target | None, ...], problem: Problem) -> Boo
 def _along(setup: Setup, balance: Balance, dense: Dense) -> Fields:
     """The fields at the base, the Gauss nodes of the smooth pieces of the body, and the tip."""
     problem, path, body = balance.problem, balance.path, setup.manipulator
-
-    def line_up(base, nodes, tip):
-        return jnp.concatenate([base[None], nodes.reshape(-1, *nodes.shape[2:]), tip[None]])
 
     first = jax.tree.map(lambda x: x[0], path.starts)
     cut, sections, nodes = problem.panels, problem.nodes, path.nodes
