@@ -116,6 +116,7 @@ def determine(evidence: Evidence) -> Determination:
     low, high = np.where(open_ended, evidence.lower, low), np.where(open_ended, evidence.upper, high)
     spread = np.sqrt(np.diag(spectrum.covariance))
     sloppy = spectrum.directions[-1] / max(np.abs(spectrum.directions[-1]).max(), 1e-300)
+    sloppy = sloppy * np.sign(sloppy[np.argmax(np.abs(sloppy) > 0.02)])  # the first one that matters counts as up
 
     def by_name(values: Any) -> dict[str, Any]:
         return dict(zip(names, values, strict=True))
