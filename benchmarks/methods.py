@@ -18,7 +18,7 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
 from cddf_jax.artifacts import as_json, write_all
-from cddf_jax.identification import with_parameters
+from cddf_jax.bench import with_parameters
 
 PULL, BATCH = 75.0, 4096
 METHODS = {

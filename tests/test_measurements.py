@@ -1,13 +1,17 @@
 """Tables of measurements: what is understood, what is refused with its place, what deserves a look."""
 
+import hashlib
+import struct
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from cddf_jax import conical, fit
 from cddf_jax.errors import InputError
-from cddf_jax.measurements import Measurements, read_measurements
+from cddf_jax.measurements import Measurements, read_measurements, repeated_tables
 
 PAIRS = """base_tension [N], tip_tension [N]
 5, 4.79
@@ -64,6 +68,18 @@ def test_a_pulley_test(tmp_path):
         PAIRS.replace("base_tension [N]", '"base_tension [N]"'),  # as R writes it
         PAIRS + "\n,\n , \n",  # blank rows, as Excel leaves them
         PAIRS.rstrip(),
+        PAIRS.replace("\n", "\r"),  # lone CR, as old Macs
+        PAIRS.replace(", ", "\t"),
+        PAIRS.replace(", ", "\t").replace(".", ","),
+        PAIRS.replace(", ", "\t").encode("utf-16"),  # "Unicode text" of spreadsheets
+        PAIRS.replace(", ", "\t").replace("\n", "\r\n").encode("utf-16"),
+        b"\xfe\xff" + PAIRS.encode("utf-16-be"),
+        PAIRS.replace("\n", ",\n"),  # separators at the end of every line
+        PAIRS.replace("\n", ";;\n").replace(", ", ";"),
+        PAIRS.replace("10, 9.19", "10, 9.19,,"),
+        PAIRS.replace("10,", '# the cell was zeroed here, with a 5" key\n\n10,'),  # a note between rows
+        '"base_tension [N]","tip_tension [N]"\n"5","4.79"\n"10", "9.19"\n',
+        '"base_tension [N]";"tip_tension [N]"\n"5";"4,79"\n"10";"9,19"\n',
     ],
 )
 def test_dialects_of_csv(tmp_path, text):
@@ -76,15 +92,58 @@ def test_trials_of_different_length_and_unsorted_rows_stay_as_they_are(tmp_path)
     table = read(tmp_path, "trial, base_tension [N], tip_tension [N]\n2, 20, 17\n1, 5, 4\n2, 10, 9\n")
     assert table.trial_labels == ("2", "1")
     assert table["base_tension"].tolist() == [20, 5, 10]
-    assert table.warnings == ()
+    assert table.warnings == ("trials of one row only: 1 of 2 (trial 1, row 3); is the rest missing?",)
 
 
 def test_simulated_is_read_off_the_name(tmp_path):
     assert read(tmp_path, PAIRS, "load_cells_Simulated.csv").simulated
 
 
-def test_a_million_rows(tmp_path):
-    base = np.random.default_rng(0).uniform(0, 85, 1_000_000).round(4)
+def test_notes_that_a_spreadsheet_saved_again(tmp_path):
+    assert read(tmp_path, '"# Bench 3, SIMULATED",,\n#seed 1,,\n,,\n' + PAIRS).notes == ("Bench 3, SIMULATED", "seed 1")
+
+
+def test_line_numbers_and_labels_beyond_the_first_batch(tmp_path, monkeypatch):
+    monkeypatch.setattr("cddf_jax.measurements._BATCH", 2)
+    body = "B,1,1\n\nA,2,1\n# note\nB,3,2\nC,4,3"
+    table = read(tmp_path, "trial,base_tension [N],tip_tension [N]\n" + body)
+    assert table.rows.tolist() == [2, 4, 6, 7]
+    assert table["trial"].tolist() == [0, 1, 0, 2]
+    assert table["base_tension"].tolist() == [1, 2, 3, 4]
+    with pytest.raises(InputError, match="row 8, column base_tension: 'x' is not a number"):
+        read(tmp_path, "trial,base_tension [N],tip_tension [N]\n" + body + "\nA,x,2")
+    text = "trial;base_tension [N];tip_tension [N]\n" + body.replace(",", ";").replace("B;1", "B;1.5")
+    with pytest.raises(
+        InputError, match=r"row 7, column tip_tension: '3,5' has a comma, but row 2, column base_tension"
+    ):
+        read(tmp_path, text.replace("C;4;3", "C;4;3,5"))
+
+
+def _pulley(order):
+    weight, wrap = np.repeat([2.0, 5.0, 10.0, 20.0], 3), np.tile([1.0, 2.0, 3.0], 4)
+    pull = weight * np.exp(0.42 * wrap) + np.random.default_rng(0).normal(0, 0.1, 12)
+    columns = {"trial": np.arange(12) % 3, "weight": weight, "wrap_angle": wrap, "pulling_tension": pull}
+    return Measurements.from_columns("pulley", **{name: values[order] for name, values in columns.items()})
+
+
+def test_the_order_of_rows_does_not_matter():
+    """A fit is a sum over rows: shuffled ones change its rounding at most, and no warning but for row numbers."""
+    body = conical(
+        length=0.14, outer_radius=0.02, inner_radius=0.007, tendon_offset=0.01, youngs_modulus=1.4e6,
+        friction_coefficient=0.3,
+    )  # fmt: skip
+    shuffled = np.random.default_rng(1).permutation(12)
+    tables = _pulley(np.arange(12)), _pulley(shuffled)
+    fits = [fit(body, table, free=["friction_coefficient"]) for table in tables]
+    for numbers in ("value", "standard_error"):
+        one, other = (getattr(found, numbers)["friction_coefficient"] for found in fits)
+        assert one == pytest.approx(other, rel=1e-8)  # the optimiser's own tolerance
+    assert tables[0].warnings == tables[1].warnings == ()
+    np.testing.assert_array_equal(tables[0]["weight"][shuffled], tables[1]["weight"])
+
+
+def test_a_hundred_thousand_rows(tmp_path):
+    base = np.random.default_rng(0).uniform(0, 85, 100_000).round(4)
     body = "\n".join(f"{t},{0.6 * t:.5f}" for t in base.tolist())
     table = read(tmp_path, "base_tension [N],tip_tension [N]\n" + body)
     np.testing.assert_array_equal(table["base_tension"], base)
@@ -132,7 +191,11 @@ CASES = [
     (_with("direction [N]"), "row 1: the column direction has no unit, got [N]; leave it out"),
     (_with("direction"), "row 2, column direction: must be 1 or -1, got 4.79; write 1 where"),
     (PAIRS.replace("tip_tension", "base_tension"), "row 1: the column base_tension appears twice; remove one"),
-    (_with(""), "row 1, column 2: '' is no column; write 'name [unit]'"),
+    ("base_tension [N],,tip_tension [N]\n5,,4", "row 1, column 2: '' is no column; write 'name [unit]'"),
+    (_with(""), "row 2 has 2 cells, the header 1; with decimal commas separate the columns by semicolons, and name"),
+    ("base_tension [N]  tip_tension [N]\n5 4", "is no column; write 'name [unit]', and commas, semicolons or tabs"),
+    (" " * 10**6 + "a" + " " * 10**6 + "[", "row 1, column 1: 'a "),
+    ("a" * 10**6, "row 1, column 1: 'aaaaaaa"),
     (_with("tip [N] [N]"), "row 1, column 2: 'tip [N] [N]' is no column"),
     (PAIRS.replace("base_tension", "tip_tension_2"), "the column base_tension is missing; add it"),
     (PAIRS.replace("tip_tension", "tip_tension_3"), "the column base_tension_3 is missing; add it"),
@@ -140,8 +203,22 @@ CASES = [
     ("weight [N], wrap_angle [rad]\n1, 1", "the column pulling_tension is missing; add it (a pulley test has wrap"),
     ("trial, base_tension [N]\n , 3", "row 2, column trial: the cell is empty; fill it"),
     ("5, 4.79\n10, 9.19", "unknown column '5'; Known are"),
-    (PAIRS.encode("utf-16"), "is not UTF-8 text; save it as CSV UTF-8"),
-    (PAIRS.encode() + b"\xe9", "is not UTF-8 text"),
+    (PAIRS.replace("10, 9.19", "10,5, 9,19"), "row 3 has 4 cells, the header 2; with decimal commas separate the"),
+    (PAIRS.replace(", ", ";") + "5;4,79", "row 4, column tip_tension: '4,79' has a comma, but row 2, column"),
+    (PAIRS.replace(", ", ";").replace("4.79", "1.234,5"), ", but row 2, column tip_tension: '1.234,5' a point"),
+    (PAIRS + "1 234, 5", "row 4, column base_tension: '1 234' is not a number; write it with a decimal point and"),
+    (PAIRS + '"1,234.5", 5', "row 4, column base_tension: '1,234.5' is not a number; write it with a decimal"),
+    (PAIRS + "1'234.5, 5", "is not a number; write it with a decimal point and without thousands separators"),
+    (PAIRS + '"15", "5', "row 4: quotation marks are astray"),
+    (PAIRS + '"15, 5\n', "row 4: quotation marks are astray"),
+    (PAIRS.replace("\n", "\n#"), "has a header but no rows; add the measurements below it (lines that begin with #"),
+    (PAIRS + "9, " + "x" * 1000, "row 4, column tip_tension: 'xxxxx"),
+    (PAIRS.encode("utf-16-le"), "is not text in UTF-8 or UTF-16; save it as CSV UTF-8"),  # without its mark
+    (PAIRS.encode() + b"\xe9", "is not text in UTF-8 or UTF-16"),
+    (PAIRS.encode("utf-16")[:-1], "is not text in UTF-8 or UTF-16"),
+    (b"PK\x03\x04\x14\x00\x06\x00" + bytes(range(256)), "is not text in UTF-8 or UTF-16"),  # a spreadsheet itself
+    (np.random.default_rng(0).bytes(100_000), "is not text in UTF-8 or UTF-16"),
+    (b"\0" * 1000, "is not text in UTF-8 or UTF-16"),
 ]  # fmt: skip
 
 
@@ -152,6 +229,7 @@ def test_bad_files_are_refused(tmp_path, text, message):
     assert message in str(error.value)
     assert str(error.value).startswith(f"{tmp_path / 'table.csv'}: ")
     assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 600
 
 
 def test_files_that_cannot_be_read(tmp_path):
@@ -199,6 +277,12 @@ def test_from_columns_refuses(columns, message):
 
 # --- what deserves a look ------------------------------------------------------------------------
 
+ONE_LEVEL_AT_50 = (
+    "base_tension hardly varies from 50 N, so that nothing can be told of a slope; measure at other levels"
+)
+DEGREES = "rows with wrap_angle beyond 5 turn(s): 2 of 2 (row 1:"
+WHICH = "are these degrees under a unit of rad?"
+
 
 @pytest.mark.parametrize(
     ("columns", "warnings"),
@@ -207,23 +291,95 @@ def test_from_columns_refuses(columns, message):
         ({"base_tension": [5]}, ("there is one row only, from which no scatter can be estimated",)),
         (
             {"base_tension": [5, 5], "trial": ["a", "b"]},
-            ("all 2 rows are equal, so that nothing can be told from their differences",),
+            (
+                "all 2 rows are equal, so that nothing can be told from their differences",
+                "base_tension hardly varies from 5 N, so that nothing can be told of a slope; measure at other levels",
+            ),
         ),
         (
             {"base_tension": [9, 5, 9, 5], "tip_tension": [8, 4, 8, 4]},
             ("rows that repeat an earlier one to the last digit: 2 of 4 (row 3 is row 1 again); were they copied?",),
         ),
-        ({"base_tension": [9, 5, 9], "trial": ["a", "a", "b"]}, ()),  # another trial may read the same
+        (
+            {"base_tension": [9, 5, 9], "trial": ["a", "a", "b"]},  # another trial may read the same
+            ("trials of one row only: 1 of 2 (trial b, row 3); is the rest missing?",),
+        ),
+        ({"base_tension": [9, 5, 9], "trial": ["a", "b", "c"]}, ()),  # labels of rows
+        ({"base_tension": [9, 5, 9, 5, 7], "trial": ["a", "a", "b", "b", "b"]}, ()),  # trials of different length
         ({"base_tension": [10, 20], "tip_tension": [10.4, 19]}, ()),  # noise
+        ({"base_tension": [0, 0.1, 20], "tip_tension": [0.05, 0.15, 19]}, ()),  # noise about 0
         (
             {"base_tension": [10, 20], "tip_tension": [9, 21.5]},
             (
                 "rows with tip_tension more than 5 % above base_tension: 1 of 2 (row 2: 21.5 N over 20 N); "
-                "are the cells swapped or off zero?",
+                "are the cells swapped or off zero, or does the tendon slide out (direction -1)?",
+            ),
+        ),
+        (
+            {"base_tension": [9, 8], "base_tension_2": [10, 20], "tip_tension_2": [12, 19]},
+            (
+                "rows with tip_tension_2 more than 5 % above base_tension_2: 1 of 2 (row 1: 12 N over 10 N); "
+                "are the cells swapped or off zero, or does the tendon slide out (direction -1)?",
+            ),
+        ),
+        (
+            {"base_tension": [10], "tip_tension": [12]},
+            (
+                "there is one row only, from which no scatter can be estimated",
+                "rows with tip_tension more than 5 % above base_tension: 1 of 1 (row 1: 12 N over 10 N); "
+                "are the cells swapped or off zero, or does the tendon slide out (direction -1)?",
             ),
         ),
         ({"base_tension": [10, 20], "tip_tension": [13, 26], "direction": [-1, -1]}, ()),  # sliding out
+        ({"base_tension": [50, 50.1, 49.9], "tip_tension": [30, 31, 32]}, (ONE_LEVEL_AT_50,)),
+        ({"base_tension": [50, 50, 50], "base_tension_2": [0, 10, 20], "tip_tension": [30, 31, 32]}, ()),
+        ({"wrap_angle": [90, 180], "weight": [5, 5], "pulling_tension": [9, 18]}, (f"{DEGREES} 90 rad); {WHICH}",)),
+        ({"wrap_angle": [np.pi / 2, 6 * np.pi], "weight": [5, 5], "pulling_tension": [9, 18]}, ()),
+        (
+            {"base_tension": [5, 9], "tip_angle": [1.2, -40]},
+            (f"rows with tip_angle beyond 1 turn(s): 1 of 2 (row 2: -40 rad); {WHICH}",),
+        ),
     ],
 )
 def test_warnings(columns, warnings):
     assert Measurements.from_columns(**columns).warnings == warnings
+
+
+# --- tables told apart ---------------------------------------------------------------------------
+
+
+def test_the_checksum_is_that_of_names_and_numbers(tmp_path):
+    table = read(tmp_path, PAIRS)
+    # SHA-256 of the columns as the docstring defines it, written out
+    numbers = struct.pack("<2d", 5, 10), struct.pack("<2d", 4.79, 9.19)
+    text = b"base_tension\0" + b"2\0" + numbers[0] + b"tip_tension\0" + b"2\0" + numbers[1]
+    assert table.checksum == hashlib.sha256(text).hexdigest()
+    same = [
+        read(tmp_path, "# a note\n" + PAIRS.replace("\n", "\r\n"), "other.csv"),
+        read(tmp_path, PAIRS.replace(", ", ";").replace(".", ",")),
+        read(tmp_path, "base_tension [kN]\ttip_tension [mN]\n0.005\t4790\n0.01\t9190\n"),
+        Measurements.from_columns(base_tension=[5, 10], tip_tension=[4.79, 9.19]),
+    ]  # fmt: skip
+    assert {other.checksum for other in same} == {table.checksum}
+    different = [
+        Measurements.from_columns(tip_tension=[4.79, 9.19], base_tension=[5, 10]),
+        Measurements.from_columns(base_tension=[10, 5], tip_tension=[9.19, 4.79]),
+        Measurements.from_columns(base_tension=[5, 10], tip_tension=[4.79, np.nextafter(9.19, 10)]),
+        Measurements.from_columns(base_tension=[5, 10], tip_x=[4.79, 9.19]),
+    ]
+    assert len({other.checksum for other in [table, *different]}) == 5
+    zeros = [Measurements.from_columns(base_tension=[1, 2], tip_angle=[zero, 1.0]) for zero in (0.0, -0.0)]
+    assert zeros[0].checksum == zeros[1].checksum
+
+
+def test_tables_given_twice(tmp_path):
+    one, copy = read(tmp_path, PAIRS, "a.csv"), read(tmp_path, PAIRS.replace("\n", "\r\n"), "b.csv")
+    other = read(tmp_path, PAIRS + "15, 13\n", "a.csv")
+    assert repeated_tables([one, other]) == []
+    assert repeated_tables([]) == []
+    assert repeated_tables([one, other, copy, one]) == [
+        "b.csv: table 3 holds the same numbers as table 1 (a.csv), which thus count twice and make standard errors "
+        "too small; leave one out",
+        "a.csv: table 4 holds the same numbers as table 1 (a.csv), which thus count twice and make standard errors "
+        "too small; leave one out",
+    ]

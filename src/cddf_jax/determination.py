@@ -52,6 +52,7 @@ class Evidence:
 
     names: tuple[str, ...]
     start: np.ndarray
+    scale: np.ndarray  # what to judge a parameter by that may be zero
     lower: np.ndarray
     upper: np.ndarray
     value: np.ndarray
@@ -141,9 +142,9 @@ def determine(evidence: Evidence) -> Determination:
 def _statuses(evidence: Evidence, error: np.ndarray, quantile: float) -> list[str]:
     """By the rule: an interval that closes inside the bounds, and a relative standard error below 0.5."""
     value = evidence.value
-    # what may well be 0 is measured by its start too
-    start = np.where(np.isfinite(evidence.lower), 0.0, np.abs(evidence.start))
-    known = error < LARGEST_RELATIVE_ERROR * np.maximum(evidence.size, start)
+    # what may well be 0 is measured by its scale too
+    scale = np.where(np.isfinite(evidence.lower), 0.0, evidence.scale)
+    known = error < LARGEST_RELATIVE_ERROR * np.maximum(evidence.size, scale)
     closed = (value - quantile * error > evidence.lower) & (value + quantile * error < evidence.upper)
     data_error = spectrum_of(without_nan(np.concatenate([*evidence.rows.values()]))).relative_error * evidence.size
     result = []

@@ -3,24 +3,30 @@
 The optimiser sees dimensionless unknowns of order one. Noise that is not given is estimated, group by group.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
-import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import ndtri
+from scipy.stats import qmc
 
+from .bootstrap import Bootstrap, bootstrap
 from .determination import IDENTIFIED, Determination, Evidence, determine, spectrum_of, without_nan
 from .errors import InputError
-from .levenberg_marquardt import LeastSquaresProblem, Outcome, chi_square, evaluate, minimise
-from .parameter_space import Space, bounds_of, names_of, priors_of
+from .levenberg_marquardt import LeastSquaresProblem, Outcome, evaluate, minimise, minimise_all
+from .observations import Noise, Observations, group_observations
+from .parameter_space import Space, bounds_of, lay_out_parameters, priors_of, with_uniform_priors
+from .profile_likelihood import Profile, profile_likelihood
+from .robust_loss import loss_of
 
 SUCCESSFUL = "successful"
 NOISE_ROUNDS = 50
 CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
-MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
+START_SPREAD = 1.5  # of further starts about the first, in dimensionless unknowns
+ONE_DATUM = 0.5  # share of a parameter's variance that no datum should make alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,15 +34,61 @@ class LeastSquaresFit(Determination):
     """The estimate from all data together, and how it was found."""
 
     noise: dict[str, float]  # standard deviation by group of data, root mean square
+    noise_model: dict[str, Noise]  # floor and fraction, of the groups that have them
     noise_estimated: bool
     residuals: Any  # observed - predicted, in the structure of the data
     reduced_chi_square: float
     degrees_of_freedom: int
+    log_likelihood: float  # Gaussian, at the noise; priors left out
+    loss: str
     num_steps: int
+    starts: np.ndarray  # the cost that the search from each start came down to, the best first
     success: bool
     result: str  # "successful", or what went wrong
     parameters: Any  # the estimate in the structure of `start`
     evidence: "Evidence"
+    search: "Search"
+
+    @property
+    def information_criteria(self) -> dict[str, float]:
+        """AIC and BIC; an estimated noise counts as a parameter of its group."""
+        count = sum(np.size(v) for v in self.search.problem.values)
+        parameters = len(self.names) + sum(self.evidence.noise_estimated.values())
+        return {
+            "AIC": 2 * parameters - 2 * self.log_likelihood,
+            "BIC": float(np.log(count)) * parameters - 2 * self.log_likelihood,
+        }
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Parameters that end on a bound, that no datum depends on, or that hang on one datum."""
+        return tuple(_remarks(self.evidence))
+
+    def profile(self, name: str) -> Profile:
+        """The likelihood with one parameter held at value after value and all others fitted again.
+
+        Raises:
+            InputError: for a name that was not fitted.
+        """
+        if name not in self.names:
+            raise InputError(f"profile: {name!r} was not fitted; fitted are {', '.join(self.names)}")
+        search = self.search
+        error = self.standard_error[name]
+        return profile_likelihood(search.problem, search.noise, search.outcome, self.names, name, error, self.quantile)
+
+    def bootstrap(
+        self,
+        kind: str = "parametric",
+        replicates: int = 1000,
+        *,
+        clusters: Mapping[str, tuple[str, Any]] | None = None,
+        seed: int = 0,
+        progress: bool = False,
+    ) -> Bootstrap:
+        """Refits to data drawn anew; see `bootstrap.bootstrap`."""
+        search, groups = self.search, tuple(self.evidence.rows)
+        options = {"clusters": clusters, "seed": seed, "progress": progress}
+        return bootstrap(search.problem, search.noise, search.outcome, self.names, groups, kind, replicates, **options)
 
     def told_by(self, *groups: str) -> Determination:
         """What some groups of the data alone, without priors, would determine, were this the truth."""
@@ -48,6 +100,14 @@ class LeastSquaresFit(Determination):
         return self.quantile * np.sqrt(np.maximum(variance, 0.0))
 
 
+class Search(NamedTuple):
+    """What a fit ended with, for all that looks around it."""
+
+    problem: LeastSquaresProblem
+    noise: tuple[np.ndarray, ...]  # standard deviations, one array for each group of data
+    outcome: Outcome
+
+
 def least_squares_fit(
     predict: Callable[[Any], Any],
     start: Any,
@@ -55,7 +115,14 @@ def least_squares_fit(
     sigma: Any = None,
     bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
     *,
-    priors: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, Any] | None = None,
+    fixed: Collection[str] = (),
+    shared: Mapping[str, str] | None = None,
+    scales: Mapping[str, float] | None = None,
+    loss: str = "linear",
+    starts: int = 1,
+    seed: int = 0,
+    prefer_start: bool = False,
     max_steps: int = 500,
 ) -> LeastSquaresFit:
     """Fit parameters by Levenberg-Marquardt and say what the data determine.
@@ -66,9 +133,21 @@ def least_squares_fit(
         start: first guess, a mapping from names to numbers, or any pytree of numbers or arrays.
         observed: data, one array or a pytree of arrays; each array is a group with its own noise.
         sigma: standard deviation of the noise: one number, or the structure of `observed` with a number, an
-            array or None per group; None for a group, or altogether, has it estimated from the residuals.
+            array, a `Noise(floor, fraction)` or None per group; None for a group, or altogether, has it
+            estimated from the residuals.
         bounds: by parameter name, (lower, upper), None for none; the estimate stays inside.
-        priors: by parameter name, mean and standard deviation of a Gaussian.
+        priors: by parameter name, mean and standard deviation of a Gaussian, or `Uniform(low, high)`.
+        fixed: names of parameters that keep their start.
+        shared: by parameter name, the name of the parameter whose value it takes.
+        scales: by parameter name, a size that matters, for what may well be zero: by it, where the estimate
+            is smaller, the standard error of an identified parameter is judged.
+        loss: "linear", "soft_l1", "huber" or "cauchy", in standard deviations of the noise, which is then
+            estimated by the median.
+        starts: from how many points to search, the first being `start`; the others spread about it, by the
+            factor 4 where there is one bound, evenly between two.
+        seed: of the further starts.
+        prefer_start: where the data leave a valley open, end at the place in it that holds the start of the first
+            parameter along it, and not at the shallow minimum that noise put somewhere into it.
         max_steps: of the optimiser.
 
     Raises:
@@ -77,31 +156,60 @@ def least_squares_fit(
     _refuse_single_precision()
     if not jax.tree.leaves(start):
         raise InputError("there is no parameter to fit")
-    flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
-    names = names_of(start)
-    data = _grouped(observed, sigma)
-    space = Space(np.asarray(flat), *bounds_of(names, np.asarray(flat), bounds or {}))
+    names, first, unravel = lay_out_parameters(start, fixed, shared or {})
+    data = group_observations(observed, sigma)
+    limits = bounds_of(names, first, with_uniform_priors(bounds or {}, priors or {}))
     prior = priors_of(names, priors or {})
-    problem = LeastSquaresProblem(predict, unravel, data.values, space, prior)
+    space = Space(first, *limits, _scales(names, scales or {}))
+    problem = LeastSquaresProblem(predict, unravel, data.values, space, prior, loss_of(loss).name)
 
     noise, settled = data.first_guess(), False
-    outcome = minimise(problem, noise, max_steps=max_steps)
+    tried = _from_many_starts(problem, noise, starts, seed, max_steps)
+    outcome = minimise(problem, noise, tried.z[0], max_steps=max_steps)
     for _ in range(NOISE_ROUNDS):  # weights from residuals, residuals from weights
-        improved = data.estimate_noise(noise, outcome)
+        improved = data.estimate_noise(noise, problem, outcome)
         settled = all(np.allclose(a, b, rtol=1e-4) for a, b in zip(noise, improved, strict=True))
         noise, outcome = improved, minimise(problem, improved, outcome.z, max_steps=max_steps)
         if settled or not np.all(np.isfinite(outcome.residual)):
             break
 
-    evidence = _evidence(names, space, prior, data, outcome)
+    evidence = _evidence(names, problem, data, outcome)
     told = determine(evidence)
     profiles = _profiles(problem, noise, outcome, told, max_steps)
-    result = _verdict(outcome, evidence, settled, profiles)
-    if np.any(profiles.open):
+    result = _verdict(problem, outcome, evidence, settled, profiles)
+    if prefer_start and np.any(profiles.open):
         outcome = _nearest_to_start(problem, noise, outcome, profiles.open, told.quantile, max_steps)
-        evidence = _evidence(names, space, prior, data, outcome)
+        evidence = _evidence(names, problem, data, outcome)
     doubtful = profiles.open | (result != SUCCESSFUL)  # a failed fit has identified nothing
-    return _conclude(replace(evidence, open_profile=doubtful), unravel, data, noise, outcome, result)
+    evidence = replace(evidence, open_profile=doubtful)
+    return _conclude(evidence, data, Search(problem, noise, outcome), result, tried.cost)
+
+
+class _Starts(NamedTuple):
+    z: np.ndarray  # where the searches from them ended, the best first
+    cost: np.ndarray
+
+
+def _from_many_starts(problem: LeastSquaresProblem, noise, starts: int, seed: int, max_steps: int) -> _Starts:
+    first = np.asarray(problem.space.first())
+    if starts <= 1:
+        return _Starts(first[None], np.empty(0))
+    draws = qmc.Sobol(len(first), rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(starts))))
+    z = first + START_SPREAD * ndtri(np.clip(draws[: starts - 1], 1e-6, 1 - 1e-6))
+    z = np.concatenate([first[None], z])
+    found = minimise_all(problem, noise, z, max_steps=max_steps)
+    cost = np.where(np.isfinite(found.cost), found.cost, np.inf)
+    order = np.argsort(cost, kind="stable")
+    return _Starts(found.z[order] if np.isfinite(cost[order[0]]) else z, cost[order])
+
+
+def _scales(names: tuple[str, ...], scales: Mapping[str, float]) -> np.ndarray:
+    for name, scale in scales.items():
+        if name not in names or not scale > 0:
+            raise InputError(
+                f"scale of {name!r}: needs a number > 0 and a parameter that is fitted ({', '.join(names)})"
+            )
+    return np.array([scales.get(name, np.nan) for name in names])
 
 
 def _refuse_single_precision() -> None:
@@ -111,87 +219,23 @@ def _refuse_single_precision() -> None:
         )
 
 
-# --- data -----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Data:
-    """Groups of observations, each with known or unknown noise."""
-
-    names: tuple[str, ...]
-    values: tuple[np.ndarray, ...]
-    sigma: tuple[np.ndarray | None, ...]
-    structure: Any
-
-    @property
-    def scale(self) -> list[float]:
-        return [float(np.sqrt(np.mean(values**2))) or 1.0 for values in self.values]
-
-    def first_guess(self) -> tuple[np.ndarray, ...]:
-        guesses = zip(self.sigma, self.scale, self.values, strict=True)
-        return tuple(np.broadcast_to(0.05 * c if s is None else s, v.shape) for s, c, v in guesses)
-
-    def estimate_noise(self, noise: tuple[np.ndarray, ...], outcome: "Outcome") -> tuple[np.ndarray, ...]:
-        """From the residuals of each group, less the degrees of freedom that the fit took from it."""
-        count = sum(v.size for v in self.values)
-        jacobian = without_nan(outcome.jacobian)
-        leverage = np.einsum("ki,ij,kj->k", jacobian, spectrum_of(jacobian).covariance, jacobian)[:count]
-        improved, at = [], 0
-        for values, sigma, old, scale in zip(self.values, self.sigma, noise, self.scale, strict=True):
-            rows = slice(at, at := at + values.size)
-            freedom = max(values.size - leverage[rows].sum(), 1e-3)
-            spread = np.sqrt(np.sum((outcome.residual[rows] * old.ravel()) ** 2) / freedom)
-            improved.append(old if sigma is not None else np.full(values.shape, max(spread, MODEL_PRECISION * scale)))
-        return tuple(improved)
-
-
-def _grouped(observed: Any, sigma: Any) -> _Data:
-    leaves, structure = jax.tree_util.tree_flatten_with_path(observed)
-    names = tuple(jax.tree_util.keystr(path, simple=True, separator=".") or "data" for path, _ in leaves)
-    values = tuple(np.asarray(leaf, dtype=np.float64) for _, leaf in leaves)
-    if not values or not any(v.size for v in values):
-        raise InputError("there are no data to fit")
-    for name, v in zip(names, values, strict=True):
-        if not np.all(np.isfinite(v)):
-            raise InputError(f"{name}: entry {int(np.argmin(np.isfinite(v.ravel())))} is not finite; leave it out")
-    sigmas = _per_group(sigma, names, observed)
-    known = tuple(None if s is None else np.asarray(s, dtype=np.float64) for s in sigmas)
-    for name, s, v in zip(names, known, values, strict=True):
-        if s is not None and not np.all(s > 0):
-            raise InputError(f"sigma of {name} must be > 0")
-        if s is not None and s.shape not in ((), v.shape):
-            raise InputError(f"sigma of {name} must be one number or of shape {v.shape} like the data, got {s.shape}")
-    return _Data(names, values, known, structure)
-
-
-def _per_group(sigma: Any, names: tuple[str, ...], observed: Any) -> list[Any]:
-    """The given sigma of each group, None where it is not known."""
-    if isinstance(observed, Mapping) and isinstance(sigma, Mapping):
-        for name in sigma:
-            if name not in names:
-                raise InputError(
-                    f"sigma is given for {name!r}, which is no group of data; there are {', '.join(names)}"
-                )
-        return [sigma.get(name) for name in names]
-    if isinstance(sigma, Mapping | list | tuple):
-        sigmas = jax.tree.leaves(sigma, is_leaf=lambda x: x is None)
-        if len(sigmas) != len(names):
-            raise InputError(f"sigma has {len(sigmas)} entries for {len(names)} groups of data ({', '.join(names)})")
-        return sigmas
-    return [sigma] * len(names)
-
-
 # --- the conclusion -------------------------------------------------------------------------------
 
 
-def _evidence(names, space: Space, prior, data: _Data, outcome: Outcome) -> Evidence:
+def _evidence(names, problem: LeastSquaresProblem, data: Observations, outcome: Outcome) -> Evidence:
     """The scaled Jacobian by groups; none of it where the model gave no number."""
+    space = problem.space
     finite = np.all(np.isfinite(outcome.residual))
     jacobian = without_nan(outcome.jacobian) if finite else np.zeros_like(outcome.jacobian)
-    *rows, prior_rows = np.split(jacobian, np.cumsum([v.size for v in data.values]))
+    ends = np.cumsum([v.size for v in data.values])
+    *rows, prior_rows = np.split(jacobian, ends)
+    if problem.loss != "linear":
+        residuals = np.split(outcome.residual, ends)[:-1]
+        rows = [row * _efficiency(problem.loss, r, len(names)) for row, r in zip(rows, residuals, strict=True)]
     return Evidence(
         names=names,
         start=np.asarray(space.start),
+        scale=np.asarray(space.scale),
         lower=np.asarray(space.lower),
         upper=np.asarray(space.upper),
         value=outcome.parameters,
@@ -199,9 +243,16 @@ def _evidence(names, space: Space, prior, data: _Data, outcome: Outcome) -> Evid
         at_bound=space.at_bound(outcome.parameters),
         open_profile=np.zeros(len(names), bool),
         rows=dict(zip(data.names, rows, strict=True)),
-        prior_rows={i: row[None] for i, row in zip(prior, prior_rows, strict=True)},
-        noise_estimated={name: sigma is None for name, sigma in zip(data.names, data.sigma, strict=True)},
+        prior_rows={i: row[None] for i, row in zip(problem.prior, prior_rows, strict=True)},
+        noise_estimated={name: not known for name, known in zip(data.names, data.known, strict=True)},
     )
+
+
+def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
+    """What a robust loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)."""
+    kind = loss_of(loss)
+    spread = np.sum(kind.influence(residual) ** 2) / max(residual.size - num_parameters, 1)
+    return float(np.mean(kind.slope(residual)) / np.sqrt(max(spread, 1e-300)))
 
 
 class _Profiles(NamedTuple):
@@ -221,7 +272,7 @@ def _profiles(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Deter
         nonlocal least
         for place in places:
             held = np.where(np.arange(len(opened)) == i, place, np.nan)
-            rise = chi_square(minimise(problem, noise, outcome.z, held, max_steps)) - chi_square(outcome)
+            rise = float(minimise(problem, noise, outcome.z, held, max_steps).cost - outcome.cost)
             least = min(least, rise) if np.isfinite(rise) else least
             expected = ((place - outcome.parameters[i]) / error) ** 2
             if not rise <= min(CLOSING_RISE * told.quantile**2, 0.5 * expected):  # NaN: the model ends there
@@ -244,7 +295,7 @@ def _nearest_to_start(
     held = np.where(np.arange(len(first)) == i, problem.space.start, np.nan)
     moved = minimise(problem, noise, outcome.z, held, max_steps)
     there = evaluate(problem, noise, np.where(np.isnan(held), moved.z, first))
-    return there if chi_square(there) - chi_square(outcome) <= CLOSING_RISE * quantile**2 else outcome
+    return there if there.cost - outcome.cost <= CLOSING_RISE * quantile**2 else outcome
 
 
 def _sides(space: Space, i: int, value: float, half_width: float) -> tuple[list[float], list[float]]:
@@ -261,37 +312,69 @@ def _sides(space: Space, i: int, value: float, half_width: float) -> tuple[list[
     return below, above
 
 
-def _verdict(outcome: Outcome, evidence: Evidence, settled: bool, profiles: _Profiles) -> str:
+def _remarks(evidence: Evidence) -> list[str]:
+    jacobian, found = evidence.jacobian, []
+    covariance = spectrum_of(jacobian).covariance
+    share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), 1e-300)[:, None]
+    labels = [f"entry {k + 1} of {name}" for name, rows in evidence.rows.items() for k in range(len(rows))]
+    for i, name in enumerate(evidence.names):
+        if evidence.at_bound[i]:
+            nearer = min((evidence.lower[i], evidence.upper[i]), key=lambda bound: abs(bound - evidence.value[i]))
+            found.append(f"{name} ended on its bound {nearer:g}: it may lie beyond, or have no effect")
+        elif not np.any(jacobian[:, i]):
+            found.append(f"{name} did not move: no datum depends on it")
+        elif len(labels) > 2 * len(evidence.names) and np.max(share[i, : len(labels)]) > ONE_DATUM:
+            k = int(np.argmax(share[i, : len(labels)]))
+            found.append(
+                f"{name} hangs on one datum, {labels[k]}, which makes {100 * share[i, k]:.0f} % of its variance"
+            )
+    return found
+
+
+def _verdict(
+    problem: LeastSquaresProblem, outcome: Outcome, evidence: Evidence, settled: bool, profiles: _Profiles
+) -> str:
     if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
         return "the model gave no number at the estimate; start closer, or leave out data beyond its reach"
     if not settled:
         return "the noise estimates did not settle; give the noise of some data"
     free = ~evidence.at_bound  # at a bound the sum of squares may well slope
     column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
-    slope = np.abs(outcome.jacobian.T @ outcome.residual) / np.maximum(column * total, 1e-300)
+    slope = np.abs(outcome.jacobian.T @ problem.influence(outcome.residual)) / np.maximum(column * total, 1e-300)
     exact = total <= 1e-3 * np.sqrt(outcome.residual.size)
     if not exact and np.any(slope[free] > (1e-4 if outcome.solved else 1e-6)):
-        return "the optimiser stopped short of a minimum; start closer, or allow more steps"
+        return "the optimiser stopped short of a minimum; start closer, search from many starts, or allow more steps"
     if profiles.least_rise < -0.01:
-        return "a better minimum lies elsewhere; start closer"
+        return "a better minimum lies elsewhere; start closer, or search from many starts"
     return SUCCESSFUL
 
 
-def _conclude(evidence: Evidence, unravel, data: _Data, noise, outcome: Outcome, result: str) -> LeastSquaresFit:
+def _conclude(
+    evidence: Evidence, data: Observations, search: Search, result: str, starts: np.ndarray
+) -> LeastSquaresFit:
+    problem, noise, outcome = search
     determined = determine(evidence)
     freedom = outcome.residual.size - determined.rank
     *residuals, _ = np.split(outcome.residual, np.cumsum([v.size for v in data.values]))
     observed_less_predicted = [-r.reshape(v.shape) * s for r, s, v in zip(residuals, noise, data.values, strict=True)]
+    log_likelihood = -0.5 * sum(
+        np.sum(r**2) + np.sum(np.log(2 * np.pi * s**2)) for r, s in zip(residuals, noise, strict=True)
+    )
     return LeastSquaresFit(
         **vars(determined),
         noise={name: float(np.sqrt(np.mean(s**2))) for name, s in zip(data.names, noise, strict=True)},
+        noise_model=data.noise_models(noise, outcome),
         noise_estimated=any(evidence.noise_estimated.values()),
         residuals=jax.tree_util.tree_unflatten(data.structure, observed_less_predicted),
-        reduced_chi_square=chi_square(outcome) / max(freedom, 1),
+        reduced_chi_square=float(np.sum(outcome.residual**2)) / max(freedom, 1),
         degrees_of_freedom=freedom,
-        num_steps=outcome.num_steps,
+        log_likelihood=float(log_likelihood),
+        loss=problem.loss,
+        num_steps=int(outcome.num_steps),
+        starts=starts,
         success=result == SUCCESSFUL,
         result=result,
-        parameters=jax.tree.map(np.asarray, unravel(jnp.asarray(outcome.parameters))),
+        parameters=jax.tree.map(np.asarray, problem.unravel(jnp.asarray(outcome.parameters))),
         evidence=evidence,
+        search=search,
     )

@@ -11,6 +11,10 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .parameter_space import Prior, Space
+from .robust_loss import LOSSES, Loss
+
+TOLERANCE = 1e-10  # relative, of unknowns and cost
+BATCH_TOLERANCE = 1e-6  # of a lane of many: far below any standard error
 
 
 class LeastSquaresProblem(eqx.Module):
@@ -21,6 +25,7 @@ class LeastSquaresProblem(eqx.Module):
     values: tuple[np.ndarray | Array, ...]
     space: Space
     prior: dict[int, Prior]
+    loss: str = eqx.field(static=True, default="linear")
 
     def residual(self, z: Float[Array, " n"], noise: tuple[Any, ...], held: Float[Array, " n"]) -> Float[Array, " m"]:
         """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors."""
@@ -34,17 +39,35 @@ class LeastSquaresProblem(eqx.Module):
     def parameters(self, z: Float[Array, " n"], held: Float[Array, " n"]) -> Float[Array, " n"]:
         return jnp.where(jnp.isnan(held), self.space.parameters(z), held)
 
+    @property
+    def num_data(self) -> int:
+        """Without the rows of the priors, which no loss softens."""
+        return sum(int(np.prod(np.shape(v))) for v in self.values)
+
+    def softened(self, residual: Float[Array, " m"]) -> Float[Array, " m"]:
+        """What to square and sum."""
+        if self.loss == "linear":
+            return residual
+        data, prior = jnp.split(residual, [self.num_data])
+        return jnp.concatenate([LOSSES[self.loss].transformed(data), prior])
+
+    def influence(self, residual: np.ndarray) -> np.ndarray:
+        """Half the derivative of the cost by each residual."""
+        kind: Loss = LOSSES[self.loss]
+        return np.append(kind.influence(residual[: self.num_data]), residual[self.num_data :])
+
 
 class Outcome(NamedTuple):
-    """Where the optimiser stopped."""
+    """Where the optimiser stopped; of many searches at once all with one leading axis."""
 
     z: np.ndarray
     parameters: np.ndarray
     size: np.ndarray  # of each parameter, its unit below
     residual: np.ndarray
     jacobian: np.ndarray  # of the residual by the parameters over their size
-    num_steps: int
-    solved: bool
+    cost: Any  # the sum of squares, or of the loss
+    num_steps: Any
+    solved: Any
 
 
 def minimise(
@@ -64,19 +87,49 @@ def minimise(
     """
     first = np.asarray(problem.space.first()) if z is None else z
     held = np.full(len(first), np.nan) if held is None else held
-    end, parameters, residual, slope, steps, solved = jax.device_get(_descend(problem, noise, first, held, max_steps))
+    return _outcome(problem, _descend(problem, noise, first, held, max_steps, TOLERANCE))
+
+
+def minimise_all(
+    problem: LeastSquaresProblem,
+    noise: tuple[np.ndarray, ...],
+    z: np.ndarray,
+    held: np.ndarray | None = None,
+    values: tuple[np.ndarray, ...] | None = None,
+    max_steps: int = 500,
+) -> Outcome:
+    """Many searches at once.
+
+    Args:
+        noise: as for `minimise`, or one each: with a leading axis.
+        z: (searches, n), where they start.
+        held: (searches, n), NaN for parameters that are free; None for all free.
+        values: data instead of the problem's, each search its own.
+        max_steps: of each.
+    """
+
+    def one_each(x, like):
+        return x if np.ndim(x) > np.ndim(like) else np.broadcast_to(x, (len(z), *np.shape(x)))
+
+    own = tuple(map(one_each, problem.values if values is None else values, problem.values))
+    noise = tuple(map(one_each, noise, problem.values))
+    held = np.full(z.shape, np.nan) if held is None else held
+    return _outcome(problem, _descend_all(problem, own, noise, z, held, max_steps))
+
+
+def _outcome(problem: LeastSquaresProblem, answer: Any) -> Outcome:
+    end, parameters, residual, slope, cost, steps, solved = jax.device_get(answer)
     size = problem.space.size(parameters)
-    return Outcome(end, parameters, size, residual, slope * size, int(steps), bool(solved))
+    return Outcome(end, parameters, size, residual, slope * size[..., None, :], cost, steps, solved)
 
 
 def evaluate(problem: LeastSquaresProblem, noise: tuple[np.ndarray, ...], z: np.ndarray) -> Outcome:
     """The outcome of standing still at z."""
     free = np.full(len(z), np.nan)
-    residual, by_z = jax.device_get(_residual_and_slope(problem, noise, free, z))
+    residual, by_z = _residual_and_slope(problem, noise, free, z)
     parameters, stretch = jax.jvp(problem.space.parameters, (jnp.asarray(z),), (jnp.ones(len(z)),))
-    parameters = np.asarray(parameters)
-    size = problem.space.size(parameters)
-    return Outcome(z, parameters, size, residual, by_z / np.asarray(stretch) * size, 0, True)
+    cost = jnp.sum(problem.softened(residual) ** 2)
+    return _outcome(problem, (z, parameters, residual, by_z / stretch, cost, 0, True))
 
 
 @eqx.filter_jit
@@ -90,21 +143,21 @@ def _residual_and_slope(problem: LeastSquaresProblem, noise: tuple[Any, ...], he
 
 
 @eqx.filter_jit
-def _descend(problem: LeastSquaresProblem, noise: tuple[Any, ...], z: Any, held: Any, max_steps: int):
+def _descend(problem: LeastSquaresProblem, noise: tuple[Any, ...], z: Any, held: Any, max_steps: int, tolerance: float):
     # Handed an explicit Jacobian, the optimiser need not differentiate the model for every product with it;
     # asked for in one place, it is traced once.
     @jax.custom_jvp
     def residual(z):
-        return _residual_and_slope(problem, noise, held, z)[0]
+        return problem.softened(_residual_and_slope(problem, noise, held, z)[0])
 
     @residual.defjvp
     def _(primals, tangents):
         value, slope = _residual_and_slope(problem, noise, held, *primals)
-        return value, slope @ tangents[0]
+        return jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
 
     solution = optx.least_squares(
         lambda z, _: residual(z),
-        optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
+        optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance),
         jnp.asarray(z),
         options={"jac": "fwd"},
         max_steps=max_steps,
@@ -115,9 +168,14 @@ def _descend(problem: LeastSquaresProblem, noise: tuple[Any, ...], z: Any, held:
     value, slope = _residual_and_slope(problem, noise, held, z)
     slope = slope / jnp.where(stretch == 0, 1.0, stretch)
     solved = solution.result == optx.RESULTS.successful
-    return z, parameters, value, slope, solution.stats["num_steps"], solved
+    cost = jnp.sum(problem.softened(value) ** 2)
+    return z, parameters, value, slope, cost, solution.stats["num_steps"], solved
 
 
-def chi_square(outcome: Outcome) -> float:
-    """The sum of squares at an outcome."""
-    return float(np.sum(outcome.residual**2))
+@eqx.filter_jit
+def _descend_all(problem: LeastSquaresProblem, values: Any, noise: Any, z: Any, held: Any, max_steps: int):
+    def one(values, noise, z, held):
+        there = eqx.tree_at(lambda problem: problem.values, problem, values)
+        return _descend(there, noise, z, held, max_steps, BATCH_TOLERANCE)
+
+    return jax.vmap(one)(values, noise, z, held)

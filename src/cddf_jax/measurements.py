@@ -18,15 +18,22 @@
 
 A pulley test holds its three columns and no other but trial;
 pulling_tension = weight exp(mu wrap_angle), Liu et al. (2020), eq. (5).
-Separators are commas, or semicolons, and then decimal commas are understood too.
+Separators are commas, or semicolons or tabs, and then decimal commas are understood too. Blank lines, lines
+with # between the rows and separators at the end of a line are passed over. UTF-8, or UTF-16 with its mark.
 """
 
+import codecs
+import csv
+import hashlib
+import io
 import os
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property, partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +60,12 @@ _PULLEY = ("wrap_angle", "weight", "pulling_tension")
 _PER_TENDON = ("base_tension", "tip_tension")
 _NEVER_NEGATIVE = (*_PER_TENDON, *_PULLEY)
 _HEADER = re.compile(r"([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?")
-_TIP_ABOVE_BASE = 1.05  # a tip cell may read this much of the base cell before the report mentions it
+_BLANK = ' \t\r\n,;"'
+_BATCH = 50_000  # rows
+_TIP_ABOVE_BASE = 1.05  # a tip cell may read this much of the base cell before the report mentions it,
+_ZERO_ERROR = 0.005  # and this much of the largest base tension more
+ONE_LEVEL = 0.01  # base tensions that vary by less, relative to the largest, are one level
+_LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are rather degrees than radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +117,17 @@ class Measurements:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What deserves a look though it can be used, for the report."""
-        if len(self) == 1:
-            return ("there is one row only, from which no scatter can be estimated",)
-        return tuple(filter(None, (_repeated_rows(self), _tip_above_base(self))))
+        looks = (_too_few_rows, _repeated_rows, _one_level, _tip_above_base, _large_angles)
+        return tuple(warning for look in looks if (warning := look(self)))
+
+    @cached_property
+    def checksum(self) -> str:
+        """SHA-256 in hexadecimal digits of the column names and numbers, whatever the file and its dialect."""
+        digest = hashlib.sha256()
+        for column, values in self.columns.items():
+            digest.update(f"{column}\0{len(values)}\0".encode())
+            digest.update((values + 0.0).astype("<f8").tobytes())  # + 0.0: no zero is negative
+        return digest.hexdigest()
 
 
 def read_measurements(path: str | os.PathLike[str]) -> Measurements:
@@ -117,44 +137,93 @@ def read_measurements(path: str | os.PathLike[str]) -> Measurements:
         InputError: names the file, row (line), column, value and remedy.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        with open(path, "rb") as file, io.TextIOWrapper(file, _encoding(file.peek(2))) as text:
+            return _parse(Path(path).name, text)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text; save it as CSV UTF-8") from None
-    try:
-        return _parse(Path(path).name, text)
+        raise InputError(f"{path}: is not text in UTF-8 or UTF-16; save it as CSV UTF-8") from None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def repeated_tables(tables: Sequence[Measurements]) -> list[str]:
+    """A warning for each table of several that holds the same numbers as an earlier one."""
+    first: dict[str, tuple[int, str]] = {}
+    found = []
+    for number, table in enumerate(tables, 1):
+        earlier, name = first.setdefault(table.checksum, (number, table.name))
+        if earlier != number:
+            found.append(
+                f"{table.name}: table {number} holds the same numbers as table {earlier} ({name}), which thus "
+                "count twice and make standard errors too small; leave one out"
+            )
+    return found
 
 
 # --- from text to columns ------------------------------------------------------------------------
 
 
-def _parse(name: str, text: str) -> Measurements:
-    lines = text.split("\n")
-    start = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
-    if start is None:
-        raise InputError("is empty; write a header such as 'base_tension [N], tip_tension [N]' and rows below it")
-    notes = tuple(line.strip().lstrip("#").strip() for line in lines[:start] if line.strip())
-    lines[start:] = "\n".join(lines[start:]).replace('"', "").split("\n")
-    separator = ";" if ";" in lines[start] else ","
-    header = _read_header(lines[start].split(separator), start + 1)
-    rows, columns_of_text = _split(lines, start + 1, separator, len(header))
-    columns = {
-        column: _labels(column, rows, texts) if column == "trial" else _numbers(column, rows, texts, unit, separator)
-        for (column, unit), texts in zip(header.items(), columns_of_text, strict=True)
-    }
-    return _table(name, notes, rows, columns)
+def _encoding(start: bytes) -> str:
+    """UTF-16 where a byte-order mark says so, as in "Unicode text" of spreadsheets."""
+    return "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
 
 
-def _read_header(cells: Sequence[str], row: int) -> dict[str, str | None]:
+def _parse(name: str, text: Iterable[str]) -> Measurements:
+    """A table from the lines of a file, read in batches so that their text need not be kept."""
+    lines = enumerate(text, 1)
+    notes, row, line = [], 0, ""
+    while not line.strip(_BLANK) or _is_comment(line):
+        notes += [line.strip(_BLANK).lstrip("#").strip()] if line.strip(_BLANK) else []
+        row, line = next(lines, (0, None))
+        if line is None:
+            raise InputError("is empty; write a header such as 'base_tension [N], tip_tension [N]' and rows below it")
+    if "\0" in line:
+        raise InputError("is not text in UTF-8 or UTF-16; save it as CSV UTF-8")
+    separator = next((mark for mark in ";,\t" if mark in line), ",")
+    header = _read_header(_cells(row, line, separator), row)
+    columns: dict[str, list[Any]] = {column: [] for column in header}
+    rows, marks = [], {}
+    while batch := list(islice(lines, _BATCH)):
+        filled, texts_of_columns = _split(batch, separator, len(header))
+        for (column, unit), texts in zip(header.items(), texts_of_columns, strict=True):
+            if column == "trial":
+                columns[column] += _labels(filled, texts)
+                continue
+            if separator != ",":
+                texts = _with_points(column, filled, texts, marks)
+            columns[column].append(_numbers(column, filled, texts, unit))
+        rows += filled
+    if not rows:
+        raise InputError("has a header but no rows; add the measurements below it (lines that begin with # are notes)")
+    joined = {column: parts if column == "trial" else np.concatenate(parts) for column, parts in columns.items()}
+    return _table(name, tuple(notes), rows, joined)
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip(' \t"').startswith("#")
+
+
+def _cells(row: int, line: str, separator: str) -> list[str]:
+    """The cells of a line; a separator within quotation marks separates nothing."""
+    if '"' not in line:
+        return line.rstrip("\n").split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True))
+    except csv.Error as error:
+        raise InputError(f"row {row}: quotation marks are astray ({error}); take them out") from None
+
+
+def _read_header(cells: list[str], row: int) -> dict[str, str | None]:
     """The unit of each column by name; None for a column without."""
     header: dict[str, str | None] = {}
+    while len(cells) > 1 and not cells[-1].strip():  # spreadsheets leave separators at the end
+        cells.pop()
     for number, cell in enumerate(cells, 1):
-        match = _HEADER.fullmatch(cell.strip())
+        match = _HEADER.fullmatch(cell.strip()) if len(cell) < 200 else None
         if match is None:
-            raise InputError(f"row {row}, column {number}: {cell.strip()!r} is no column; write 'name [unit]'")
+            remedy = "write 'name [unit]', and commas, semicolons or tabs between columns"
+            raise InputError(f"row {row}, column {number}: {_short(cell)} is no column; {remedy}")
         column, unit = match.groups()
         dimension, unit = _dimension(column), unit and unit.strip()
         if column in header:
@@ -176,43 +245,59 @@ def _dimension(column: str) -> Dimension | None:
         close = get_close_matches(column.lower(), _DIMENSIONS, 1)
         suggestion = f"did you mean {close[0]}? " if close else ""
         known = ", ".join([*_DIMENSIONS, *(f"{stem}_2" for stem in _PER_TENDON)])
-        raise InputError(f"unknown column {column!r}; {suggestion}Known are {known}, ...")
+        raise InputError(f"unknown column {_short(column)}; {suggestion}Known are {known}, ...")
     return _DIMENSIONS[column]
 
 
-def _split(lines: Sequence[str], start: int, separator: str, width: int) -> tuple[np.ndarray, list[list[str]]]:
-    """The line number of every row that is not blank, and the text of its cells by column."""
-    blank = f" \t{separator}"
-    rows = [number for number, line in enumerate(lines[start:], start + 1) if line.strip(blank)]
-    if not rows:
-        raise InputError("has a header but no rows; add the measurements below it")
-    filled = [lines[row - 1] for row in rows]
-    for row, line in zip(rows, filled, strict=True):
-        found = line.count(separator) + 1
-        if found != width:
-            remedy = "fill the row" if found < width else "with decimal commas separate the columns by semicolons"
-            raise InputError(f"row {row} has {found} cells, the header {width}; {remedy}")
-    cells = separator.join(filled).split(separator)
-    return np.asarray(rows), [cells[column::width] for column in range(width)]
+def _split(lines: Sequence[tuple[int, str]], separator: str, width: int) -> tuple[list[int], list[list[str]]]:
+    """The line number of every row that is neither blank nor a note, and the text of its cells by column."""
+    rows, texts = [], []
+    for row, line in lines:
+        if not line.strip(_BLANK) or ("#" in line and _is_comment(line)):
+            continue
+        cells = _cells(row, line, separator)
+        while len(cells) > width and not cells[-1].strip():
+            cells.pop()
+        if len(cells) != width:
+            surplus = "with decimal commas separate the columns by semicolons, and name every column"
+            remedy = "fill the row" if len(cells) < width else surplus
+            raise InputError(f"row {row} has {len(cells)} cells, the header {width}; {remedy}")
+        rows.append(row)
+        texts += cells
+    return rows, [texts[column::width] for column in range(width)]
 
 
-def _labels(column: str, rows: np.ndarray, texts: Sequence[str]) -> list[str]:
-    labels = [text.strip() for text in texts]
+def _labels(rows: Sequence[int], texts: Sequence[str]) -> list[str]:
+    labels = [sys.intern(text.strip()) for text in texts]
     if "" in labels:
-        raise InputError(f"row {rows[labels.index('')]}, column {column}: the cell is empty; fill it")
+        raise InputError(f"row {rows[labels.index('')]}, column trial: the cell is empty; fill it")
     return labels
 
 
-def _numbers(column: str, rows: np.ndarray, texts: Sequence[str], unit: str | None, separator: str) -> np.ndarray:
+def _with_points(column: str, rows: Sequence[int], texts: Sequence[str], marks: dict[str, str]) -> Sequence[str]:
+    """The texts with points for decimal commas; `marks` holds where the file first has either."""
+    for mark in {",", "."} - set(marks):
+        at = next((i for i, text in enumerate(texts) if mark in text), None)
+        if at is not None:
+            marks[mark] = f"row {rows[at]}, column {column}: {_short(texts[at])}"
+    if len(marks) == 2:
+        remedy = "write all numbers with the same decimal mark and without thousands separators"
+        raise InputError(f"{marks[',']} has a comma, but {marks['.']} a point; {remedy}")
+    return [text.replace(",", ".") for text in texts] if "," in marks else texts
+
+
+def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str | None) -> np.ndarray:
     """A column of text as SI numbers."""
-    if separator == ";":
-        texts = [text.replace(",", ".") for text in texts]
     try:
         values = np.fromiter(map(_number, texts), float, len(texts))
     except ValueError:
         bad = next(i for i, text in enumerate(texts) if not _is_number(text))
-        found = f"{texts[bad].strip()!r} is not a number" if texts[bad].strip() else "the cell is empty"
-        raise InputError(f"row {rows[bad]}, column {column}: {found}; give a number or remove the row") from None
+        text = texts[bad].strip()
+        found = f"{_short(text)} is not a number" if text else "the cell is empty"
+        remedy = "give a number or remove the row"
+        if re.fullmatch(r"[+-]?\d+([,.'’\s]\d+)+", text):
+            remedy = "write it with a decimal point and without thousands separators"
+        raise InputError(f"row {rows[bad]}, column {column}: {found}; {remedy}") from None
     dimension = _dimension(column)
     return values if dimension is None or unit is None else to_si(values, unit, dimension, column)
 
@@ -228,6 +313,12 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _short(text: str) -> str:
+    """A piece of a file for a message: quoted, on one line, not long."""
+    text = text.strip()
+    return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
 # --- from columns to a table ---------------------------------------------------------------------
@@ -303,7 +394,24 @@ def _demand(column: str, values: np.ndarray, rows: np.ndarray, good: np.ndarray,
 # --- what deserves a look ------------------------------------------------------------------------
 
 
+def _too_few_rows(table: Measurements) -> str:
+    if len(table) == 1:
+        return "there is one row only, from which no scatter can be estimated"
+    trials = table.columns.get("trial", np.zeros(0)).astype(int)
+    counts = np.bincount(trials)
+    alone = np.flatnonzero(counts == 1)
+    if alone.size == 0 or counts.max() == 1:  # one row in each trial: the trial is but a label of the row
+        return ""
+    first = table.rows[np.flatnonzero(trials == alone[0])[0]]
+    return (
+        f"trials of one row only: {alone.size} of {counts.size} (trial {table.trial_labels[alone[0]]}, row {first}); "
+        "is the rest missing?"
+    )
+
+
 def _repeated_rows(table: Measurements) -> str:
+    if len(table) == 1:
+        return ""
     measured = [values for column, values in table.columns.items() if column != "trial"]
     if all(np.all(values == values[0]) for values in measured):
         return f"all {len(table)} rows are equal, so that nothing can be told from their differences"
@@ -320,16 +428,37 @@ def _repeated_rows(table: Measurements) -> str:
     )
 
 
+def _one_level(table: Measurements) -> str:
+    pulls = [values for column, values in table.columns.items() if column.startswith("base_tension")]
+    if len(table) == 1 or not pulls or any(np.ptp(values) > ONE_LEVEL * values.max() for values in pulls):
+        return ""
+    level = f"{pulls[0].mean():.4g} N"
+    return f"base_tension hardly varies from {level}, so that nothing can be told of a slope; measure at other levels"
+
+
 def _tip_above_base(table: Measurements) -> str:
-    if "tip_tension" not in table:
-        return ""
-    base, tip = table["base_tension"], table["tip_tension"]
     sliding_in = table.columns.get("direction", np.ones(len(table))) > 0
-    above = sliding_in & (tip > _TIP_ABOVE_BASE * base)
-    if not np.any(above):
-        return ""
-    first = int(np.argmax(above))
-    return (
-        f"rows with tip_tension more than 5 % above base_tension: {np.count_nonzero(above)} of {len(table)} "
-        f"(row {table.rows[first]}: {tip[first]:.6g} N over {base[first]:.6g} N); are the cells swapped or off zero?"
-    )
+    for column in table.columns:
+        if column.startswith("tip_tension"):
+            base, tip = table[column.replace("tip", "base")], table[column]
+            above = sliding_in & (tip > _TIP_ABOVE_BASE * base + _ZERO_ERROR * base.max())
+            if np.any(above):
+                what = f"{column} more than 5 % above {column.replace('tip', 'base')}"
+                remedy = "are the cells swapped or off zero, or does the tendon slide out (direction -1)?"
+                first = int(np.argmax(above))
+                return _rows_with(table, above, what, f"{tip[first]:.6g} N over {base[first]:.6g} N", remedy)
+    return ""
+
+
+def _large_angles(table: Measurements) -> str:
+    for column, largest in _LARGEST_ANGLE.items():
+        large = np.abs(table.columns.get(column, np.zeros(len(table)))) > largest
+        if np.any(large):
+            what, value = f"{column} beyond {largest / (2 * np.pi):.0f} turn(s)", table[column][int(np.argmax(large))]
+            return _rows_with(table, large, what, f"{value:.6g} rad", "are these degrees under a unit of rad?")
+    return ""
+
+
+def _rows_with(table: Measurements, which: np.ndarray, what: str, value: str, remedy: str) -> str:
+    first = table.rows[int(np.argmax(which))]
+    return f"rows with {what}: {np.count_nonzero(which)} of {len(table)} (row {first}: {value}); {remedy}"

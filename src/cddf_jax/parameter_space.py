@@ -1,10 +1,11 @@
 """The parameters of a fit: their names, bounds, priors, and the change of variable that the optimiser sees."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -17,6 +18,63 @@ class Prior(NamedTuple):
 
     mean: Any
     standard_deviation: Any
+
+
+class Uniform(NamedTuple):
+    """A uniform prior: bounds by another name."""
+
+    low: float
+    high: float
+
+
+class Layout(NamedTuple):
+    """Which numbers of the parameters are fitted, and how all of them follow from these."""
+
+    names: tuple[str, ...]  # of those that are fitted
+    start: np.ndarray
+    unravel: Callable[[Array], Any]  # from the fitted numbers to the structure of the parameters
+
+
+def lay_out_parameters(start: Any, fixed: Collection[str], shared: Mapping[str, str]) -> Layout:
+    """Leave out what is fixed at its start, and what is to equal another parameter.
+
+    Args:
+        start: a pytree of numbers or arrays.
+        fixed: names that keep their start; the name of an array stands for all of its numbers.
+        shared: by name, the name of the parameter that it shares the value of.
+
+    Raises:
+        InputError: for names that are none, nothing left to fit, or a chain of shared parameters.
+    """
+    flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
+    every = names_of(start)
+
+    def known(name, kind):
+        if name not in every:
+            raise InputError(f"{kind}: there is no parameter {name!r}; there are {', '.join(every)}")
+        return every.index(name)
+
+    held = {i for i, name in enumerate(every) if name in fixed or name.partition("[")[0] in fixed}
+    for name in fixed:
+        if name not in every and not any(other.startswith(f"{name}[") for other in every):
+            known(name, "fixed")
+    source = {known(name, "shared"): known(other, "shared") for name, other in shared.items()}
+    for i, j in source.items():
+        if j in source or i in held:
+            raise InputError(f"shared: {every[i]} cannot follow {every[j]}; name one parameter that is neither itself")
+    fitted = [i for i in range(len(every)) if i not in held and i not in source]
+    if not fitted:
+        raise InputError("there is no parameter to fit")
+    if len(fitted) == len(every):
+        return Layout(every, np.asarray(flat), unravel)
+    place = {j: k for k, j in enumerate(fitted)}
+    taken = np.array([place.get(source.get(i, i), 0) for i in range(len(every))])
+    stays = np.array([source.get(i, i) in held for i in range(len(every))])
+
+    def put(values):
+        return unravel(jnp.where(stays, flat[np.array([source.get(i, i) for i in range(len(every))])], values[taken]))
+
+    return Layout(tuple(every[i] for i in fitted), np.asarray(flat)[fitted], put)
 
 
 def names_of(start: Any) -> tuple[str, ...]:
@@ -49,12 +107,27 @@ def bounds_of(names: tuple[str, ...], start: np.ndarray, bounds: Mapping[str, An
     return lower, upper
 
 
-def priors_of(names: tuple[str, ...], priors: Mapping[str, tuple[float, float]]) -> dict[int, Prior]:
+def priors_of(names: tuple[str, ...], priors: Mapping[str, Any]) -> dict[int, Prior]:
+    """The Gaussian ones; `with_uniform_priors` has taken the others for bounds."""
     _known("prior", names, priors)
-    for name, (mean, deviation) in priors.items():
+    gaussian = {name: prior for name, prior in priors.items() if not isinstance(prior, Uniform)}
+    for name, (mean, deviation) in gaussian.items():
         if not (np.isfinite(mean) and np.isfinite(deviation) and deviation > 0):
             raise InputError(f"prior for {name}: needs a mean and a standard deviation > 0, got {mean}, {deviation}")
-    return {names.index(name): Prior(*map(np.float64, prior)) for name, prior in priors.items()}
+    return {names.index(name): Prior(*map(np.float64, prior)) for name, prior in gaussian.items()}
+
+
+def with_uniform_priors(bounds: Mapping[str, Any], priors: Mapping[str, Any]) -> dict[str, Any]:
+    """The bounds, narrowed by the uniform priors."""
+    narrowed = dict(bounds)
+    for name, prior in priors.items():
+        if isinstance(prior, Uniform):
+            low, high = narrowed.get(name, (None, None))
+            narrowed[name] = (
+                prior.low if low is None else max(prior.low, low),
+                prior.high if high is None else min(prior.high, high),
+            )
+    return narrowed
 
 
 class Space(eqx.Module):
@@ -63,17 +136,25 @@ class Space(eqx.Module):
     start: Float[np.ndarray | Array, " n"]
     lower: Float[np.ndarray | Array, " n"]
     upper: Float[np.ndarray | Array, " n"]
+    scale: Float[np.ndarray | Array, " n"]
     kinds: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, start: np.ndarray, lower: np.ndarray, upper: np.ndarray):
+    def __init__(self, start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray | None = None):
+        """What is positive is seen as its logarithm; `scale` measures what may well be 0, its start or 1 if not given.
+
+        Args:
+            start, lower, upper: (n,), infinite where there is no bound.
+            scale: (n,), NaN where it is not known.
+        """
         self.start, self.lower, self.upper = start, lower, upper
+        own = np.where(start == 0, 1.0, np.abs(start))
+        self.scale = own if scale is None else np.where(np.isfinite(scale), scale, own)
         finite = zip(np.isfinite(lower), np.isfinite(upper), strict=True)
         self.kinds = tuple(("free", "below", "above", "between")[2 * int(a) + int(b)] for a, b in finite)
 
     def size(self, value: np.ndarray) -> np.ndarray:
-        """What to measure each parameter by: its value, its start or 1, the first that is not 0."""
-        start = np.abs(np.asarray(self.start))
-        return np.where(value == 0, np.where(start == 0, 1.0, start), np.abs(value))
+        """What to measure each parameter by: its value, or where that is 0 its scale."""
+        return np.where(value == 0, np.asarray(self.scale), np.abs(value))
 
     def first(self) -> Float[Array, " n"]:
         def inverse(kind, start, lower, upper):
@@ -86,7 +167,7 @@ class Space(eqx.Module):
     def parameters(self, z: Float[Array, " n"]) -> Float[Array, " n"]:
         def one(i, kind):
             if kind == "free":
-                return self.start[i] + jnp.where(self.start[i] == 0, 1.0, jnp.abs(self.start[i])) * z[i]
+                return self.start[i] + self.scale[i] * z[i]
             if kind == "above":  # bounded below
                 return self.lower[i] + (self.start[i] - self.lower[i]) * jnp.exp(z[i])
             if kind == "below":  # bounded above

@@ -152,6 +152,25 @@ def _second_derivatives(knots: Float[Array, " n"], values: Float[Array, " n"]) -
     return jnp.linalg.solve(matrix, jnp.zeros_like(values).at[inner].set(6 * jnp.diff(chord)))
 
 
+class Shifted(eqx.Module):
+    """A profile with the same number added everywhere."""
+
+    profile: Profile
+    by: Scalar = eqx.field(converter=as_number)
+
+    @property
+    def breakpoints(self) -> Float[Array, " n"]:
+        return breakpoints(self.profile)
+
+    def __call__(self, arc_length: Points) -> Float[Array, "*points"]:
+        return self.profile(arc_length) + self.by
+
+
+def shifted(profile: Profile, by: Any) -> Profile:
+    """The profile plus a number; what is constant stays so."""
+    return Constant(profile.value + by) if isinstance(profile, Constant) else Shifted(profile, by)
+
+
 def breakpoints(profile: Profile) -> Float[Array, " n"]:
     """The arc lengths (m) at which a profile is not smooth; none unless it names some."""
     return jnp.asarray(getattr(profile, "breakpoints", np.zeros(0)))

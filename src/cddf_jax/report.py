@@ -47,7 +47,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
         "warnings": list(fit.warnings),
         "data": [{"name": t.name, "rows": len(t), "simulated": t.simulated} for t in fit.tables],
         "kinematics": fit.manipulator.kinematics,
-        "nodes": fit.nodes,
+        "nodes": fit.model.nodes,
         "version": version("cddf_jax"),
     }
 

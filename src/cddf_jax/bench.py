@@ -1,0 +1,250 @@
+"""What a bench shows: a pulley test, and a manipulator whose cells, angle and dimensions are not quite what they read.
+
+The parameters of a bench are those of the manipulator and the errors of its instruments and dimensions. A cell
+reads gain * tension + zero; what it reads is counted from a tendon that is already under `pretension`.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .equilibrium import RESULTS, Equilibrium
+from .errors import InputError
+from .loads import Loads
+from .manipulator import Manipulator
+from .measurements import Measurements
+from .profiles import shifted
+from .pulley import pulling_tension
+from .statics import solve
+from .units import Dimension
+
+TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
+
+
+class Parameter(NamedTuple):
+    """What may be fitted."""
+
+    dimension: Dimension
+    start: float | None  # None: the manipulator's own
+    positive: bool
+    scale: float  # a size that matters, of what may be zero; SI
+
+
+PARAMETERS = {
+    "friction_coefficient": Parameter("dimensionless", None, True, 1.0),
+    "youngs_modulus": Parameter("pressure", None, True, 1.0),
+    "length": Parameter("length", None, True, 1.0),
+    "drag": Parameter("force per length", 1.0, True, 1.0),
+    "outer_radius_error": Parameter("length", 0.0, False, 1e-4),  # true less stated, all along the body
+    "tendon_offset_error": Parameter("length", 0.0, False, 1e-4),
+    "base_gain": Parameter("dimensionless", 1.0, True, 0.02),
+    "tip_gain": Parameter("dimensionless", 1.0, True, 0.02),
+    "base_zero": Parameter("force", 0.0, False, 0.5),
+    "tip_zero": Parameter("force", 0.0, False, 0.5),
+    "pretension": Parameter("force", 1.0, True, 0.5),  # of every tendon, not read by the cells
+    "angle_zero": Parameter("angle", 0.0, False, 0.02),
+}
+POSE = ("tip_angle", "tip_x", "tip_y")
+
+
+def starting_value(manipulator: Manipulator, name: str) -> float:
+    """Where the search for a parameter starts."""
+    start = PARAMETERS[name].start
+    own = getattr(manipulator, name, None)
+    return float(own) if own is not None and (start is None or own > 0) else float(start or 0.0)
+
+
+def with_parameters(manipulator: Manipulator, parameters: Mapping[str, Any]) -> Manipulator:
+    """The manipulator with its numbers replaced and its dimensions corrected; other parameters are not its own."""
+    names = tuple(name for name in parameters if hasattr(manipulator, name))
+    numbers = [parameters[name] for name in names]
+    body = eqx.tree_at(lambda m: [getattr(m, n) for n in names], manipulator, numbers, is_leaf=lambda x: x is None)
+    if "outer_radius_error" in parameters:
+        radius = shifted(body.outer_radius, parameters["outer_radius_error"])
+        body = eqx.tree_at(lambda m: m.outer_radius, body, radius)
+    if "tendon_offset_error" in parameters:
+        offsets = [shifted(tendon.offset, parameters["tendon_offset_error"]) for tendon in body.tendons]
+        body = eqx.tree_at(lambda m: [tendon.offset for tendon in m.tendons], body, offsets)
+    return body
+
+
+class Pulley(eqx.Module):
+    """A pulley test."""
+
+    weight: Float[np.ndarray | Array, " rows"]
+    wrap_angle: Float[np.ndarray | Array, " rows"]
+    name: str = eqx.field(default="", static=True)
+    columns: tuple[str, ...] = eqx.field(default=("pulling_tension",), static=True)
+
+    def predict(self, manipulator: Manipulator, parameters: Mapping[str, Any], nodes: int) -> dict[str, Array]:
+        mu = with_parameters(manipulator, parameters).friction_coefficient
+        return {"pulling_tension": pulling_tension(self.weight, mu, self.wrap_angle)}
+
+
+class Bench(eqx.Module):
+    """Rows of one table of a manipulator, or of levels to predict at."""
+
+    base_tension: Float[np.ndarray | Array, "rows tendons"]  # as read
+    direction: Float[np.ndarray | Array, "rows tendons"]
+    tip_force: Float[np.ndarray | Array, "rows 2"] | None = None
+    trial: Int[np.ndarray | Array, " rows"] | None = None  # which of the trial deviations holds
+    columns: tuple[str, ...] = eqx.field(default=(), static=True)
+    name: str = eqx.field(default="", static=True)
+
+    def solve(self, manipulator: Manipulator, parameters: Mapping[str, Any], nodes: int) -> Equilibrium:
+        """The rows, in equilibrium."""
+        body = with_parameters(manipulator, parameters)
+        readings = jnp.asarray(self.base_tension)
+        tension = (readings - _of_cells(parameters, "base_zero", readings)) / _of_cells(
+            parameters, "base_gain", readings
+        )
+        tension = jnp.maximum(tension + parameters.get("pretension", 0.0), 0.0)
+
+        def one(tension, direction, force, deviation):
+            there = body
+            if deviation is not None:
+                mu = jnp.asarray(body.friction_coefficient) * jnp.exp(deviation)
+                there = eqx.tree_at(lambda m: m.friction_coefficient, body, mu)
+            loads = None if force is None else Loads(tip_force=force)
+            return solve(there, tension, loads, direction=direction, nodes=nodes, throw=False)
+
+        deviation = None if self.trial is None or TRIALS not in parameters else parameters[TRIALS][self.trial]
+        force = None if self.tip_force is None else jnp.asarray(self.tip_force)
+        return jax.vmap(one)(tension, jnp.asarray(self.direction), force, deviation)
+
+    def predict(self, manipulator: Manipulator, parameters: Mapping[str, Any], nodes: int) -> dict[str, Array]:
+        """What the instruments read."""
+        equilibrium = self.solve(manipulator, parameters, nodes)
+        return {column: reading(equilibrium, column, parameters) for column in self.columns}
+
+    def evaluate(self, manipulator: Manipulator, parameters: Any, nodes: int) -> tuple[Any, Any, RESULTS]:
+        """Every reading, its derivatives by the parameters (last axis, in their flat order), how the solves went."""
+        rows = self.base_tension.shape[0]
+        fill = -rows % 128  # few sizes, so that tables and curves share what is compiled
+        arrays = self.base_tension, self.direction, self.tip_force, self.trial
+        padded = jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
+        answer = _evaluate(Bench(*padded), manipulator, jax.tree.map(jnp.asarray, parameters), nodes)
+        return jax.device_get(jax.tree.map(lambda x: x[:rows], answer))
+
+
+def _of_cells(parameters: Mapping[str, Any], name: str, readings: Array) -> Array:
+    """A parameter of the cells, one per tendon: `base_gain` for all of them, or `base_gain_2` for that of tendon 2."""
+    common = parameters.get(name, PARAMETERS[name].start)
+    tendons = range(1, readings.shape[-1] + 1)
+    return jnp.stack([jnp.asarray(parameters.get(f"{name}_{i}", common)) for i in tendons])
+
+
+@eqx.filter_jit
+def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Any], nodes: int):
+    flat, unravel = jax.flatten_util.ravel_pytree(parameters)
+
+    def observe(flat):
+        parameters = unravel(flat)
+        equilibrium = bench.solve(manipulator, parameters, nodes)
+        tendons = range(2, manipulator.num_tendons + 1)
+        columns = ("tip_tension", *(f"tip_tension_{i}" for i in tendons), *POSE)
+        return {column: reading(equilibrium, column, parameters) for column in columns}, equilibrium.result
+
+    def push(tangent):
+        return jax.jvp(observe, (flat,), (tangent,), has_aux=True)
+
+    return jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(flat.size))
+
+
+def reading(equilibrium: Equilibrium, column: str, parameters: Mapping[str, Any]) -> Array:
+    """What the instrument of a column shows, one per row."""
+    if column.startswith("tip_tension"):
+        tension = equilibrium.tip_tension
+        gain, zero = (_of_cells(parameters, name, tension) for name in ("tip_gain", "tip_zero"))
+        return (gain * (tension - parameters.get("pretension", 0.0)) + zero)[:, tendon_number(column) - 1]
+    if column == "tip_angle":
+        return equilibrium.tip_angle + parameters.get("angle_zero", 0.0)
+    return equilibrium.tip_position[:, ("tip_x", "tip_y").index(column)]
+
+
+def tendon_number(column: str) -> int:
+    """1 for `tip_tension`, 2 for `tip_tension_2`, ..."""
+    digits = column.rpartition("_")[2]
+    return int(digits) if digits.isdigit() else 1
+
+
+def parameter_named(name: str) -> Parameter:
+    """What a parameter is; `tip_gain_2` is that of the cell of tendon 2.
+
+    Raises:
+        InputError: for a name that is none.
+    """
+    stem, _, tendon = name.rpartition("_")
+    if tendon.isdigit() and stem.endswith(("_gain", "_zero")) and stem != "angle_zero":
+        name = stem
+    if name not in PARAMETERS:
+        raise InputError(f"{name!r} is no parameter that can be fitted; there are {', '.join(PARAMETERS)}")
+    return PARAMETERS[name]
+
+
+class BenchModel(eqx.Module):
+    """Every table's readings from the parameters."""
+
+    manipulator: Manipulator
+    experiments: tuple[Pulley | Bench, ...]
+    nodes: int = eqx.field(static=True)
+
+    def __call__(self, parameters: dict[str, Array]) -> dict[str, Array]:
+        predictions = {}
+        for experiment, name in zip(self.experiments, self.names, strict=True):
+            for column, values in experiment.predict(self.manipulator, parameters, self.nodes).items():
+                predictions[f"{name}: {column}"] = values
+        return predictions
+
+    @property
+    def names(self) -> list[str]:
+        """Of the tables, told apart where two are called the same."""
+        names = [experiment.name for experiment in self.experiments]
+        return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
+
+
+def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: int = 0) -> Pulley | Bench:
+    """A table as the model takes it.
+
+    Args:
+        table: a pulley test or rows of the manipulator.
+        manipulator: whose tendons the columns must fit.
+        first_trial: the number of trials in the tables before.
+
+    Raises:
+        InputError: for columns that are missing, too many, or observe nothing.
+    """
+    if "pulling_tension" in table:
+        return Pulley(table["weight"], table["wrap_angle"], table.name)
+    count = manipulator.num_tendons
+    pulled = ["base_tension", *(f"base_tension_{i}" for i in range(2, count + 1))]
+    for column in pulled:
+        if column not in table:
+            raise InputError(f"{table.name}: no column {column!r}; a manipulator of {count} tendons needs it")
+    columns = [c for c in table.columns if c in POSE or c.startswith("tip_tension")]
+    if not columns:
+        raise InputError(f"{table.name}: nothing observed; add a column tip_tension [N], tip_angle [deg] or tip_x [mm]")
+    for column in columns + pulled:
+        if column not in POSE and tendon_number(column) > count:
+            raise InputError(f"{table.name}: column {column!r}, but the manipulator has {count} tendon(s)")
+    for column in table.columns:
+        if column.startswith("base_tension") and column not in pulled:
+            raise InputError(f"{table.name}: column {column!r}, but the manipulator has {count} tendon(s)")
+    tension = np.stack([table[column] for column in pulled], axis=1)
+    direction = table["direction"][:, None] if "direction" in table else np.ones((len(table), 1))
+    none = np.zeros(len(table))
+    force = np.stack([table.columns.get(column, none) for column in ("tip_force_x", "tip_force_y")], axis=1)
+    return Bench(
+        tension,
+        np.broadcast_to(direction, tension.shape),
+        force if np.any(force) else None,
+        first_trial + table["trial"].astype(int) if "trial" in table else None,
+        tuple(columns),
+        table.name,
+    )
