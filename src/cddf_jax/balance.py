@@ -165,7 +165,7 @@ def inside_of_bend(problem: Problem, path: Path) -> Float[Array, " points"]:
     """The product sigma d kappa at base, nodes and tip, the largest of the tendons that are there."""
 
     def inside(section, state):
-        kappa = curvature_of(problem, section, state.ratio, state.moment)
+        kappa = curvature_of(problem, section, state.pull, state.moment)
         return jnp.max(jnp.where(section.present, section.side * section.offset * kappa, -jnp.inf))
 
     return jax.vmap(inside)(*all_points(problem, path))

@@ -17,7 +17,7 @@ def closed_form_tension(
 ) -> Float[Array, "*points"]:
     """T(s) = T_base / (1 + (mu / E) T_base G(s)) with G(s) = integral of d / J from 0 to s.
 
-    Holds for one tendon that slides in, without external load: in the published kinematics with any
+    Holds for one tendon that slides in, without external load and drag: in the published kinematics with any
     offset, in the exact kinematics with a constant one while d kappa < 1 (not checked). Then
     kappa_c = T d / (E J) exactly, so that T' = -mu kappa_c T can be integrated. This goes beyond
     Liu et al. (2020), whose eq. (8) and (14) it solves.
@@ -29,10 +29,12 @@ def closed_form_tension(
         nodes: Gauss nodes for G in each smooth piece of the body; not checked to be enough for a rough one.
 
     Raises:
-        ValueError: for a negative tension, more tendons than one, or an offset that varies in the exact kinematics.
+        ValueError: for a negative tension, more tendons than one, drag, or in the exact kinematics a varying offset.
     """
     if manipulator.num_tendons != 1:
         raise ValueError(f"closed_form_tension holds for one tendon, not for {manipulator.num_tendons}; use solve")
+    if manipulator.tendon_drag is not None:
+        raise ValueError("closed_form_tension holds without drag only; use solve, or drag=None")
     tendon = manipulator.tendons[0]
     if manipulator.kinematics == "exact" and not _surely_constant(tendon.offset):
         raise ValueError(

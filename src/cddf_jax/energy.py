@@ -11,6 +11,7 @@ from .balance import Setup, equilibrate
 from .equilibrium import RESULTS, nan_unless
 from .loads import Loads
 from .manipulator import Manipulator
+from .mechanics import tension_rate
 from .problem import (
     Method,
     Path,
@@ -20,6 +21,7 @@ from .problem import (
     moment_rate_of,
     rates_along,
     tension_of,
+    unspent,
     weight_rate,
 )
 from .quadrature import gauss_rule
@@ -67,8 +69,8 @@ def energy_balance(
 
     Args:
         manipulator, base_tension, loads, direction, method, nodes, throw: as in `solve`.
-        num_steps: Gauss points along the pull. Where the curvature changes sign on the way, the balance closes
-            more slowly with them.
+        num_steps: Gauss points along the pull. Where the curvature changes sign on the way, or drag leaves a tendon
+            slack at first, the balance closes more slowly with them.
     """
     end = solve(manipulator, base_tension, loads, direction=direction, method=method, nodes=nodes, throw=throw)
     manipulator, tension, direction, loads = one_precision(manipulator, end.base_tension, end._dense.direction, loads)
@@ -113,13 +115,13 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     problem, path, cut = there.problem, there.path, there.problem.panels
     reel = shortening_along(problem, path) + stretch_along(problem, path)
     edges, inner = cut.integrate(reel)
-    kappa = curvature_along(problem, problem.nodes, path.nodes.ratio, path.nodes.moment)
+    kappa = curvature_along(problem, problem.nodes, path.nodes.pull, path.nodes.moment)
     moment_rate = moment_rate_of(path.nodes.heading, path.nodes.force)
-    turning = rates_along(problem, problem.nodes, kappa, path.nodes.ratio, moment_rate).turning
+    turning = rates_along(problem, problem.nodes, kappa, path.nodes.pull, moment_rate).turning
     section = problem.nodes
-    tension = tension_of(section, base_tension, path.nodes.ratio)
-    friction = problem.direction * section.friction_coefficient * jnp.abs(turning) * tension
-    starts = base_tension / path.starts.ratio
+    tension = tension_of(section, base_tension, path.nodes.pull)
+    friction = -tension_rate(section, turning, tension, problem.direction)
+    starts = unspent(base_tension, path.starts.pull) / path.starts.ratio
     arriving = jnp.concatenate([base_tension[None], (starts - cut.gain(friction))[:-1]])
     body = problem.manipulator
     stretching = jnp.sum(tension * stretch_along(problem, path), axis=-1)

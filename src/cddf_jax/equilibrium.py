@@ -51,8 +51,8 @@ class RESULTS(eqx.Enumeration):
         "Lower its base tension, friction or wrap."
     )
     unphysical = (
-        "The body or its load is not physical (NaN, negative tension, modulus or friction, a wall of no thickness, "
-        "a direction other than +1 or -1, a place off the body). Call manipulator.validate() to see which."
+        "The body or its load is not physical (NaN, negative tension, modulus, friction or drag, a wall of no "
+        "thickness, a direction other than +1 or -1, a place off the body). Call manipulator.validate() to see which."
     )
 
 
@@ -99,7 +99,7 @@ class Equilibrium(eqx.Module):
 
     along: Fields
     tip_tension: Float[Array, " tendons"]  # N; at its anchor for a tendon that ends before the tip
-    tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction
+    tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction; without base tension that of bending alone
     tendon_displacement: Float[Array, " tendons"]  # m, pulled in at the base since the straight body: positive
     base_tension: Float[Array, " tendons"]  # N; found where a target stood in its place
     target_miss: Float[Array, " tendons"]  # reached less wanted, in the target's unit; 0 where the tension was given
@@ -163,7 +163,7 @@ def fields_at(
     section: CrossSection, base_tension: PerTendon, direction: PerTendon, arc_length: Float[Array, ""], state: State
 ) -> Fields:
     """The fields at one cross-section, tendons last."""
-    tension = tension_of(section, base_tension, state.ratio)
+    tension = tension_of(section, base_tension, state.pull)
     kappa = mechanics.curvature(section, tension, state.moment)
     rate = mechanics.rates(section, kappa, tension, direction, moment_rate_of(state.heading, state.force))
     forces = mechanics.distributed_forces(section, state.heading, kappa, tension, direction, rate)

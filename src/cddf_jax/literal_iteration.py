@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from . import mechanics
 from .fixed_point import fixed_point
 from .manipulator import Manipulator
-from .problem import Path, Problem, State, curvature_along, lay_out
+from .problem import Path, Problem, Pull, State, curvature_along, lay_out
 from .quadrature import Panels
 from .solver import integrate_shape
 from .statics import check_nodes, one_precision, per_tendon
@@ -35,6 +35,7 @@ class LiteralIteration(eqx.Module):
     def __call__(self, problem: Problem) -> Path:
         if problem.loads is not None:
             raise ValueError("LiteralIteration is the paper's and knows no loads; use FixedPoint")
+        _refuse_drag(problem.manipulator)
         cut = problem.panels
 
         def tip_motion(change, curvature):
@@ -52,17 +53,22 @@ class LiteralIteration(eqx.Module):
         wrap_edges, wrap = literal_wrap_angle(problem, answer.value)
         (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
         none = jnp.zeros_like(cut.edges), jnp.zeros_like(position_edges)
-        edges = State(jnp.exp(gain * wrap_edges), wrap_edges, heading_edges, position_edges, *none)
+        edges = State(Pull(jnp.exp(gain * wrap_edges)), wrap_edges, heading_edges, position_edges, *none)
         outboard = problem.outboard.nodes
         return Path(
             starts=jax.tree.map(lambda x: x[:-1], edges),
-            nodes=State(jnp.exp(gain * wrap), wrap, heading, position, jnp.zeros_like(heading), outboard),
+            nodes=State(Pull(jnp.exp(gain * wrap)), wrap, heading, position, jnp.zeros_like(heading), outboard),
             tip=jax.tree.map(lambda x: x[-1], edges),
             num_iterations=answer.num_sweeps,
             residual=answer.change / cut.edges[-1],
             converged=answer.converged,
             locked=jnp.zeros_like(answer.converged),
         )
+
+
+def _refuse_drag(manipulator: Manipulator) -> None:
+    if manipulator.tendon_drag is not None:
+        raise ValueError("LiteralIteration is the paper's and knows no drag; use FixedPoint, or drag=None")
 
 
 def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
@@ -72,7 +78,7 @@ def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
 def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
     """The shape with T = T_base everywhere, where the paper starts. Liu et al. (2020), eq. (17)."""
     ones = jnp.ones_like(problem.nodes.offset)
-    return curvature_along(problem, problem.nodes, ones, jnp.zeros_like(problem.panels.nodes))
+    return curvature_along(problem, problem.nodes, Pull(ones), jnp.zeros_like(problem.panels.nodes))
 
 
 def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:
@@ -130,6 +136,7 @@ def iteration_history(
         max_updates: how many updates are made, whatever the threshold.
     """
     check_nodes(nodes)
+    _refuse_drag(manipulator)
     given = per_tendon(manipulator, base_tension, direction)
     manipulator, base_tension, direction, _ = one_precision(manipulator, *given)
     problem = lay_out(manipulator, base_tension, direction, nodes)

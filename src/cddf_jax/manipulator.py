@@ -32,6 +32,7 @@ class Tendon(eqx.Module):
         friction_coefficient: its own mu; None for the manipulator's.
         axial_stiffness: E A of the tendon, N; None for a tendon that does not stretch.
         free_length: of the tendon between body and actuator, m, which stretches as well.
+        drag: its own w, N/m; None for the manipulator's.
 
     Raises:
         ValueError: when side is neither +1 nor -1.
@@ -43,6 +44,7 @@ class Tendon(eqx.Module):
     friction_coefficient: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     axial_stiffness: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     free_length: Scalar = eqx.field(default=0.0, converter=as_number)
+    drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
 
     def __check_init__(self):
         if self.side not in (+1, -1):
@@ -59,6 +61,7 @@ class CrossSection(eqx.Module):
     offset_bend: Float[Array, " tendons"]  # d'', 1/m
     side: Float[Array, " tendons"]  # sigma, +-1
     friction_coefficient: Float[Array, " tendons"]  # mu, -
+    drag: Float[Array, " tendons"] | None  # w, N/m, zero beyond the anchor; None where no tendon has any
     present: Bool[Array, " tendons"]  # false beyond the anchor of a tendon
     kinematics: Kinematics = eqx.field(static=True)
     slanted: bool = eqx.field(static=True)  # false when every offset is Constant
@@ -75,6 +78,9 @@ class Manipulator(eqx.Module):
         friction_coefficient: mu between tendon and body, for every tendon without its own.
         density: rho, kg/m^3; it matters under gravity only.
         kinematics: "exact" follows the tendon itself, "published" takes the paper as written; see `mechanics`.
+        drag: w >= 0, N/m, friction per length of the neutral axis that is there without tension and curvature, as
+            of a sheath that squeezes the tendon: T' = -direction (mu |psi'| T + w). For every tendon without its
+            own; None for none. A tendon is slack, T = 0, from where drag has used its tension up.
 
     Values are not checked here, as they may be traced: `validate` does that on the host.
 
@@ -90,6 +96,7 @@ class Manipulator(eqx.Module):
     friction_coefficient: Scalar = eqx.field(converter=as_number)
     density: Scalar = eqx.field(default=0.0, converter=as_number)
     kinematics: Kinematics = eqx.field(default="exact", static=True)
+    drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
 
     def __check_init__(self):
         if self.kinematics not in KINEMATICS:
@@ -119,6 +126,15 @@ class Manipulator(eqx.Module):
         """The friction coefficient mu of each tendon."""
         own = (tendon.friction_coefficient for tendon in self.tendons)
         return jnp.stack([jnp.asarray(self.friction_coefficient if mu is None else mu) for mu in own])
+
+    @property
+    def tendon_drag(self) -> Float[Array, " tendons"] | None:
+        """The drag w of each tendon, N/m; None where no tendon has any."""
+        drags = [self.drag if tendon.drag is None else tendon.drag for tendon in self.tendons]
+        if all(drag is None for drag in drags):
+            return None
+        none = jnp.zeros_like(jnp.asarray(self.length))
+        return jnp.stack([none if drag is None else jnp.asarray(drag) for drag in drags])
 
     @property
     def tendon_compliance(self) -> Float[Array, " tendons"]:
@@ -159,6 +175,7 @@ class Manipulator(eqx.Module):
         stiffness, stiffness_rate = jax.jvp(self.bending_stiffness, (s,), (one,))
         offset, offset_slope = jax.jvp(self.offset, (s,), (one,))
         reach = [jnp.inf if tendon.end is None else tendon.end for tendon in self.tendons]
+        present, drag = jnp.stack([s <= jnp.asarray(end) for end in reach]), self.tendon_drag
         return CrossSection(
             stiffness=stiffness,
             stiffness_rate=stiffness_rate,
@@ -167,7 +184,8 @@ class Manipulator(eqx.Module):
             offset_bend=slope(lambda s: slope(self.offset, s), s),
             side=jnp.asarray([tendon.side for tendon in self.tendons], s.dtype),
             friction_coefficient=self.tendon_friction,
-            present=jnp.stack([s <= jnp.asarray(end) for end in reach]),
+            drag=None if drag is None else jnp.where(present, drag, 0.0),
+            present=present,
             kinematics=self.kinematics,
             slanted=self.slanted,
         )
@@ -199,6 +217,7 @@ def conical(
     density: Any = 0.0,
     num_tendons: int = 1,
     kinematics: Kinematics = "exact",
+    drag: Any = None,
 ) -> Manipulator:
     """The conical manipulator of Liu et al. (2020), section II: every dimension tapers linearly.
 
@@ -210,6 +229,7 @@ def conical(
         density: kg/m^3.
         num_tendons: 1 (side +1) or 2 (sides +1 and -1).
         kinematics: "exact" or "published".
+        drag: w, N/m; None for none.
 
     Raises:
         ValueError: for a number of tendons other than 1 or 2, or a dimension that is no number and no pair.
@@ -228,6 +248,7 @@ def conical(
         friction_coefficient=friction_coefficient,
         density=density,
         kinematics=kinematics,
+        drag=drag,
     )
 
 

@@ -7,6 +7,7 @@
     youngs_modulus = "1.4 MPa"
     friction_coefficient = 0.42
     density = "1070 kg/m^3"              # optional, 0 unless given
+    drag = "0.5 N/m"                     # optional, none unless given: friction per length, tension or not
     kinematics = "published"             # optional, "exact" unless given
     offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
 
@@ -15,6 +16,7 @@
     side = 1                             # optional, 1 or -1
     end = "100 mm"                       # optional, the tip unless given
     friction_coefficient = 0.3           # optional, the manipulator's unless given
+    drag = "0.2 N/m"                     # optional, the manipulator's unless given
     axial_stiffness = "12 kN"            # optional, E A of the tendon, which does not stretch unless given
     free_length = "300 mm"               # optional, 0 unless given: outside the body, up to the actuator
 
@@ -52,16 +54,18 @@ _NUMBERS: dict[str, Dimension] = {
     "youngs_modulus": "pressure",
     "friction_coefficient": "dimensionless",
     "density": "density",
+    "drag": "force per length",
 }
 _TENDON_NUMBERS: dict[str, Dimension] = {
     "end": "length",
     "friction_coefficient": "dimensionless",
     "axial_stiffness": "force",
     "free_length": "length",
+    "drag": "force per length",
 }
 _PROFILES = ("outer_radius", "inner_radius")
 _REQUIRED = ("length", *_PROFILES, "youngs_modulus", "friction_coefficient", "tendons")
-_OPTIONAL = ("density", "kinematics", "offsets_outside_wall", "name", "description")
+_OPTIONAL = ("density", "drag", "kinematics", "offsets_outside_wall", "name", "description")
 _FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
 
@@ -213,6 +217,7 @@ def _table(manipulator: Manipulator) -> dict[str, Any]:
         "youngs_modulus": written(float(manipulator.youngs_modulus), "pressure"),
         "friction_coefficient": float(manipulator.friction_coefficient),
         "density": written(float(manipulator.density), "density"),
+        **({} if manipulator.drag is None else {"drag": written(float(manipulator.drag), "force per length")}),
         "kinematics": manipulator.kinematics,
         "tendons": [
             _tendon_table(tendon, length, f"tendon {number}") for number, tendon in enumerate(manipulator.tendons, 1)

@@ -8,6 +8,7 @@ from .problem import (
     Number,
     Path,
     Problem,
+    Pull,
     State,
     axis_of,
     curvature_of,
@@ -16,6 +17,8 @@ from .problem import (
     moment_rate_of,
     rates_of,
     ratio_rate,
+    spent_rate,
+    spent_scale,
     turn_at_joint,
     weight_rate,
 )
@@ -40,8 +43,10 @@ class Marching(eqx.Module):
         length = problem.panels.edges[-1]
         one = jnp.ones_like(length)
         force = jnp.max(jnp.abs(problem.outboard.starts)) + problem.moment_scale / length
-        scale = State(tip.ratio, jnp.ones_like(tip.ratio), one, length, problem.moment_scale, force)
-        differences = [jnp.max(jnp.abs((a - b) / c)) for a, b, c in zip(tip, coarse, scale, strict=True)]
+        pull = Pull(tip.ratio, spent_scale(problem, tip.pull))
+        scale = State(pull, jnp.ones_like(tip.ratio), one, length, problem.moment_scale, force)
+        both = zip(*map(jax.tree.leaves, (tip, coarse, scale)), strict=True)
+        differences = [jnp.max(jnp.abs((a - b) / c)) for a, b, c in both]
         residual = jnp.max(jnp.stack(differences)) / 15
         positive = jnp.all(along.ratio > 0)
         return Path(
@@ -63,10 +68,11 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
 
     def rate(state: State, arc_length: Number) -> State:
         section = guarded_section(problem.manipulator, arc_length)
-        kappa = curvature_of(problem, section, state.ratio, state.moment)
+        kappa = curvature_of(problem, section, state.pull, state.moment)
         moment_rate = moment_rate_of(state.heading, state.force)
-        turning = rates_of(problem, section, kappa, state.ratio, moment_rate).turning
-        growth = ratio_rate(problem, section, turning, state.ratio)
+        turning = rates_of(problem, section, kappa, state.pull, moment_rate).turning
+        ratio = state.ratio
+        growth = Pull(ratio_rate(problem, section, turning, ratio), spent_rate(problem, section, ratio))
         force_rate = 0.0 * state.force
         if problem.loads is not None:
             force_rate = -weight_rate(problem.manipulator, arc_length, problem.loads)
@@ -74,8 +80,8 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
 
     def panel(state, inputs):
         joint, start, end, stops = inputs
-        turn, ratio = turn_at_joint(problem, joint, state.ratio, state.moment)
-        state = state._replace(ratio=ratio, wrap_angle=state.wrap_angle + turn)
+        turn, ratio = turn_at_joint(problem, joint, state.pull, state.moment)
+        state = state._replace(pull=state.pull._replace(ratio=ratio), wrap_angle=state.wrap_angle + turn)
 
         def inside(state, arc_length):  # stay on this panel's side of its edges
             return rate(state, jnp.clip(arc_length, start + nudge, end - nudge))
@@ -92,7 +98,8 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
     ones = ones_at_base(problem)
     zero = 0.0 * ones[0]
     force = problem.outboard.starts[0]
-    base = State(ones, 0.0 * ones, zero, 0.0 * force + zero, problem.base_moment + zero, force + zero)
+    pull = Pull(ones, None if problem.base.drag is None else 0.0 * ones)
+    base = State(pull, 0.0 * ones, zero, 0.0 * force + zero, problem.base_moment + zero, force + zero)
     inputs = problem.joints, cut.edges[:-1], cut.edges[1:], stops
     return jax.lax.scan(panel, base, inputs)
 

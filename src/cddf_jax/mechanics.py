@@ -101,7 +101,7 @@ def rates(
     direction: PerTendon,
     external_moment_rate: float | Number = 0.0,
 ) -> Rates:
-    """The rates kappa' and psi' from the derivative of the equilibrium along s, with T' = -direction mu |psi'| T.
+    """The rates kappa' and psi' from the derivative of the equilibrium along s, with the T' of `tension_rate`.
 
     In the exact kinematics psi' of a slanted tendon contains kappa', which contains T'; the
     equation is linear once the signs of psi' are known. They are first taken without friction.
@@ -110,11 +110,13 @@ def rates(
     arm = section.side * section.offset
     pull_rate = section.side * section.offset_slope * t.along + arm * t.along_rate
     force = jnp.sum(tension * pull_rate) - section.stiffness_rate * curvature + external_moment_rate
+    if section.drag is not None:
+        force = force - jnp.sum(arm * t.along * _drag_loss(section.drag, tension, direction))
     stiffness = section.stiffness - jnp.sum(arm * tension * t.along_slope)
 
     def with_signs(sign: PerTendon) -> Rates:
-        drag = direction * section.friction_coefficient * sign * arm * t.along * tension
-        kappa_rate = (force - jnp.sum(drag * t.turning)) / (stiffness + jnp.sum(drag * t.turning_slope))
+        friction = direction * section.friction_coefficient * sign * arm * t.along * tension
+        kappa_rate = (force - jnp.sum(friction * t.turning)) / (stiffness + jnp.sum(friction * t.turning_slope))
         return Rates(kappa_rate, t.turning + t.turning_slope * kappa_rate if coupled else t.turning)
 
     coupled = section.kinematics == "exact" and section.slanted
@@ -122,6 +124,17 @@ def rates(
         return with_signs(jnp.sign(t.turning))
     frictionless = with_signs(jnp.zeros_like(t.turning))
     return with_signs(jnp.sign(with_signs(jnp.sign(frictionless.turning)).turning))
+
+
+def tension_rate(section: CrossSection, turning: PerTendon, tension: PerTendon, direction: PerTendon) -> PerTendon:
+    """T' = -direction (mu |psi'| T + w), N/m: the derivative of Liu et al. (2020), eq. (8), and the drag w."""
+    by_bending = -direction * section.friction_coefficient * jnp.abs(turning) * tension
+    return by_bending if section.drag is None else by_bending - _drag_loss(section.drag, tension, direction)
+
+
+def _drag_loss(drag: PerTendon, tension: PerTendon, direction: PerTendon) -> PerTendon:
+    """What T loses to the drag, direction w, N/m: nothing where a tendon that slides in is slack."""
+    return jnp.where((tension > 0) | (direction < 0), direction * drag, 0.0)
 
 
 class Forces(NamedTuple):
@@ -149,12 +162,12 @@ def distributed_forces(
         along_rate, across_rate = along_rate - t.across * turn, across_rate + t.along * turn
     else:
         along_rate, across_rate = -t.across * rate.turning, t.along * rate.turning
-    tension_rate = -direction * section.friction_coefficient * jnp.abs(rate.turning) * tension
+    loss_rate = tension_rate(section, rate.turning, tension, direction)
 
     def in_fixed_frame(along, across):
         return along[:, None] * axis + across[:, None] * left
 
     return Forces(
         normal=in_fixed_frame(tension * along_rate, tension * across_rate),
-        friction=in_fixed_frame(tension_rate * t.along, tension_rate * t.across),
+        friction=in_fixed_frame(loss_rate * t.along, loss_rate * t.across),
     )

@@ -1,7 +1,9 @@
 """A body under load, ready to be solved from base to tip, and what holds at each of its cross-sections.
 
 With the tensions at the base and the moment of the dead loads there, M_ext(0), everything outboard follows:
-r_i = T_base,i / T_i grows with friction, Liu et al. (2020) eq. (8), and M_ext' = -(t x N).
+r_i = T_base,i / T_i grows with friction, Liu et al. (2020) eq. (8), and M_ext' = -(t x N). A drag w uses up
+c_i of the base tension: T_i = (T_base,i - c_i) / r_i with c' = direction w r, which is variation of constants
+in T' = -direction (mu theta' T + w). Both stay regular where T is zero.
 """
 
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -56,15 +58,27 @@ class Problem(eqx.Module):
         return self.base.stiffness / self.panels.edges[-1]
 
 
+class Pull(NamedTuple):
+    """What friction leaves of the base tensions: T = (T_base - c) / r."""
+
+    ratio: Float[Array, "*points tendons"]  # r, which grows by bending; T_base / T without drag
+    spent: Float[Array, "*points tendons"] | None = None  # c, N, used up by drag; None without drag
+
+
 class State(NamedTuple):
     """What is integrated along the body; leading axes may be panels and nodes."""
 
-    ratio: Float[Array, "*points tendons"]  # r = T_base / T
+    pull: Pull
     wrap_angle: Float[Array, "*points tendons"]  # theta, rad
     heading: Float[Array, "*points"]  # phi, rad
     position: Float[Array, "*points 2"]  # u, m
     moment: Float[Array, "*points"]  # M_ext, N m
     force: Float[Array, "*points 2"]  # N, N
+
+    @property
+    def ratio(self) -> Float[Array, "*points tendons"]:
+        """The ratio r."""
+        return self.pull.ratio
 
 
 class Path(NamedTuple):
@@ -160,22 +174,30 @@ def edge_nudge(cut: Panels) -> Number:
 # --- one cross-section ---------------------------------------------------------------------------
 
 
-def tension_of(section: CrossSection, base_tension: PerTendon, ratio: PerTendon) -> PerTendon:
-    """T = T_base / r, zero beyond the anchor. Where a tendon locks, r goes on below zero, and its size stands in."""
-    size = jnp.maximum(jnp.abs(ratio), jnp.finfo(ratio.dtype).eps)
-    return jnp.where(section.present, base_tension / size, 0.0)
+def unspent(base_tension: PerTendon, pull: Pull) -> Float[Array, "*points tendons"]:
+    """T_base - c, N: what drag leaves of the base tension, zero where the tendon is slack."""
+    if pull.spent is None:
+        return base_tension
+    left = base_tension - pull.spent
+    return jnp.where(left >= 0, left, 0.0)
 
 
-def curvature_of(problem: Problem, section: CrossSection, ratio: PerTendon, moment: Number) -> Number:
+def tension_of(section: CrossSection, base_tension: PerTendon, pull: Pull) -> PerTendon:
+    """T, N, zero beyond the anchor. Where a tendon locks, r goes on below zero, and its size stands in."""
+    size = jnp.maximum(jnp.abs(pull.ratio), jnp.finfo(pull.ratio.dtype).eps)
+    return jnp.where(section.present, unspent(base_tension, pull) / size, 0.0)
+
+
+def curvature_of(problem: Problem, section: CrossSection, pull: Pull, moment: Number) -> Number:
     """The curvature kappa, 1/m, from the tensions and the dead loads at one cross-section."""
-    return mechanics.curvature(section, tension_of(section, problem.base_tension, ratio), moment)
+    return mechanics.curvature(section, tension_of(section, problem.base_tension, pull), moment)
 
 
 def rates_of(
-    problem: Problem, section: CrossSection, curvature: Number, ratio: PerTendon, moment_rate: Number
+    problem: Problem, section: CrossSection, curvature: Number, pull: Pull, moment_rate: Number
 ) -> mechanics.Rates:
     """The rates kappa' and psi' at one cross-section; psi' is zero beyond the anchor."""
-    tension = tension_of(section, problem.base_tension, ratio)
+    tension = tension_of(section, problem.base_tension, pull)
     rate = mechanics.rates(section, curvature, tension, problem.direction, moment_rate)
     return rate._replace(turning=jnp.where(section.present, rate.turning, 0.0))
 
@@ -195,16 +217,28 @@ def ratio_rate(problem: Problem, section: CrossSection, turning: PerTendon, rati
     return problem.direction * section.friction_coefficient * jnp.abs(turning) * jnp.abs(ratio)
 
 
-def turn_at_joint(
-    problem: Problem, joint: Joints | None, ratio: PerTendon, moment: Number
-) -> tuple[PerTendon, PerTendon]:
+def spent_rate(problem: Problem, section: CrossSection, ratio: PerTendon) -> PerTendon | None:
+    """The growth c' = direction w r, N/m; None without drag. It goes on where a tendon is slack."""
+    return None if section.drag is None else problem.direction * section.drag * jnp.abs(ratio)
+
+
+def spent_scale(problem: Problem, tip: Pull) -> PerTendon | None:
+    """What counts as large for c, N: base tension and c at the tip, 1 where there is neither; None without drag."""
+    if tip.spent is None:
+        return None
+    scale = problem.base_tension + jnp.abs(tip.spent)
+    return jnp.where(scale > 0, scale, 1.0)
+
+
+def turn_at_joint(problem: Problem, joint: Joints | None, pull: Pull, moment: Number) -> tuple[PerTendon, PerTendon]:
     """The finite angle by which a tendon turns where two pieces meet (exact kinematics), and r beyond it."""
+    ratio = pull.ratio
     if joint is None:
         return jnp.zeros_like(ratio), ratio
     before, after = joint
 
     def angle(section, ratio):
-        return mechanics.tangent_angle(section, curvature_of(problem, section, ratio, moment))
+        return mechanics.tangent_angle(section, curvature_of(problem, section, pull._replace(ratio=ratio), moment))
 
     arriving, gain = angle(before, ratio), problem.direction * before.friction_coefficient
 

@@ -1,7 +1,8 @@
-"""Where a tendon changes the side to which it turns: there |psi'| has a kink, and a panel has to end.
+"""Where a tendon changes the side to which it turns, or goes slack: there T' has a kink, and a panel has to end.
 
 In the published kinematics and for tendons parallel to the axis all tendons turn with the body, and
 what changes sign is the curvature; in the exact kinematics a slanted tendon has a turning of its own.
+A tendon goes slack where drag has used up its base tension.
 """
 
 from typing import NamedTuple
@@ -34,15 +35,16 @@ class Splits(NamedTuple):
     """Where the panels are to end. Places that are not needed lie at the tip, and belong to no tendon."""
 
     arc_length: Float[Array, " splits"]  # m
-    owner: Int[Array, " splits"]  # whose turning changes sign; -1 for none
+    owner: Int[Array, " splits"]  # whose turning or base tension left changes sign, see `turning_at`; -1 for none
 
 
 def num_splits(manipulator: Manipulator, loads: Loads | None) -> int:
     """For how many sign changes there is room."""
     own = _turns_on_its_own(manipulator)
+    slack = 0 if manipulator.tendon_drag is None else manipulator.num_tendons
     if loads is None and manipulator.num_tendons == 1 and not own:
-        return 0
-    return 2 * min(manipulator.num_tendons, 2) if own else 2
+        return slack
+    return slack + (2 * min(manipulator.num_tendons, 2) if own else 2)
 
 
 def _turns_on_its_own(manipulator: Manipulator) -> bool:
@@ -56,11 +58,17 @@ def unsplit(manipulator: Manipulator, loads: Loads | None) -> Splits:
 
 
 def turning_at(problem: Problem, section: CrossSection, state: State) -> Float[Array, " owners"]:
-    """What may change sign at one cross-section: kappa, or psi' of every tendon, 1/m."""
-    kappa = curvature_of(problem, section, state.ratio, state.moment)
-    if not _turns_on_its_own(problem.manipulator):
-        return kappa[None]
-    return rates_of(problem, section, kappa, state.ratio, moment_rate_of(state.heading, state.force)).turning
+    """What may change sign at one cross-section, 1/m: kappa, or psi' of every tendon.
+
+    And with drag what it leaves of the base tension of every tendon, over the moment scale.
+    """
+    kappa = curvature_of(problem, section, state.pull, state.moment)
+    turning = kappa[None]
+    if _turns_on_its_own(problem.manipulator):
+        turning = rates_of(problem, section, kappa, state.pull, moment_rate_of(state.heading, state.force)).turning
+    if state.pull.spent is None:
+        return turning
+    return jnp.concatenate([turning, (problem.base_tension - state.pull.spent) / problem.moment_scale])
 
 
 def locate(problem: Problem, path: Path) -> Splits:

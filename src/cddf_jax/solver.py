@@ -2,7 +2,8 @@
 
 The state is r_i = T_base,i / T_i, for which the capstan law, Liu et al. (2020) eq. (8), reads
 r' = direction mu theta' r, and under dead loads the moment M_ext. With one unloaded tendon in the published
-kinematics theta' r does not depend on r, and one sweep of the fixed point is exact.
+kinematics theta' r does not depend on r, and one sweep of the fixed point is exact. What drag uses up of the
+base tension follows from r by one more integral, see `problem`.
 """
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from .problem import (
     Path,
     PerTendon,
     Problem,
+    Pull,
     State,
     axis_of,
     curvature_along,
@@ -26,6 +28,8 @@ from .problem import (
     rates_along,
     rates_of,
     ratio_rate,
+    spent_rate,
+    spent_scale,
     turn_at_joint,
 )
 from .quadrature import Panels
@@ -35,6 +39,7 @@ SAFETY = 5.0  # by which the difference of two quadratures is taken larger than 
 _curvatures = jax.vmap(curvature_of, AT_NODES)  # over the nodes of a panel
 _rates = jax.vmap(rates_of, (*AT_NODES, 0))
 _ratio_rates = jax.vmap(ratio_rate, AT_NODES)
+_spent_rates = jax.vmap(spent_rate, AT_NODES[:3])
 
 
 def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -46,6 +51,7 @@ def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[
 def truncation_error(problem: Problem, path: Path) -> Number:
     """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest.
 
+    With drag the tip tension is taken relative to what it would be without.
     The rates along the polynomials of the solution are integrated once more with a few more nodes in
     each panel; what differs is summed over the panels.
     """
@@ -54,10 +60,13 @@ def truncation_error(problem: Problem, path: Path) -> Number:
     finer = jax.tree.map(lambda a, b: coarse.resample(a, b, fine.rule.nodes), path.starts, path.nodes)
 
     def gains(cut, sections, state):
-        kappa = curvature_along(problem, sections, state.ratio, state.moment)
+        kappa = curvature_along(problem, sections, state.pull, state.moment)
         moment_rate = moment_rate_of(state.heading, state.force)
-        turning = rates_along(problem, sections, kappa, state.ratio, moment_rate).turning
+        turning = rates_along(problem, sections, kappa, state.pull, moment_rate).turning
         growth = sections.friction_coefficient * jnp.abs(turning) * state.ratio / path.tip.ratio
+        spending, scale = spent_rate(problem, sections, state.ratio), spent_scale(problem, path.tip.pull)
+        if spending is not None and scale is not None:
+            growth = jnp.concatenate([growth, spending / scale], axis=-1)
         shape = axis_of(state.heading) / cut.edges[-1]
         bending = (moment_rate / problem.moment_scale)[..., None]
         return cut.gain(jnp.concatenate([growth, shape, kappa[..., None], bending], axis=-1))
@@ -106,39 +115,45 @@ class FixedPoint(eqx.Module):
         def unpack(values):  # r, and M_ext over its scale where there are loads
             return values[..., :count], problem.moment_scale * jnp.sum(values[..., count:], axis=-1)
 
-        def rates(inputs, heading, values):
+        def rates(inputs, heading, spent, values):
             section, force, width = inputs
             ratio, moment = unpack(values)
-            kappa = _curvatures(problem, section, ratio, moment)
+            rate = _spent_rates(problem, section, ratio)
+            pull = Pull(ratio, None if rate is None else spent + width * integration @ rate)
+            kappa = _curvatures(problem, section, pull, moment)
             moment_rate = moment_rate_of(heading + width * integration @ kappa, force)
-            turning = _rates(problem, section, kappa, ratio, moment_rate).turning
+            turning = _rates(problem, section, kappa, pull, moment_rate).turning
             growth = _ratio_rates(problem, section, turning, ratio)
             if loaded:
                 growth = jnp.concatenate([growth, moment_rate[:, None] / problem.moment_scale], axis=1)
             return growth, kappa, turning
 
         def panel(carry, inputs):
-            (values, heading), (joint, *inputs) = carry, inputs
+            (values, heading, spent), (joint, *inputs) = carry, inputs
             ratio, moment = unpack(values)
-            turn, ratio = turn_at_joint(problem, joint, ratio, moment)
+            turn, ratio = turn_at_joint(problem, joint, Pull(ratio, spent), moment)
             start = jnp.concatenate([ratio, values[count:]])
             answer = fixed_point(
-                lambda y: start + inputs[-1] * integration @ rates(inputs, heading, y)[0],
+                lambda y: start + inputs[-1] * integration @ rates(inputs, heading, spent, y)[0],
                 jnp.broadcast_to(start, (cut.order, *start.shape)),
                 tolerance=tolerance,
                 max_sweeps=self.max_sweeps,
                 acceptable=lambda y: jnp.all(y[:, :count] > 0) & jnp.all(jnp.isfinite(y)),
             )
-            growth, kappa, turning = rates(inputs, heading, answer.value)
+            growth, kappa, turning = rates(inputs, heading, spent, answer.value)
             end = start + inputs[-1] * weights @ growth
             positive = jnp.all(end[:count] > 0)
             end = jnp.where(positive, end, 1.0)
-            return (end, heading + inputs[-1] * weights @ kappa), (start, answer, turn, positive, kappa, turning)
+            rate = _spent_rates(problem, inputs[0], unpack(answer.value)[0])
+            spent = None if rate is None else spent + inputs[-1] * weights @ rate
+            carry = end, heading + inputs[-1] * weights @ kappa, spent
+            return carry, (start, answer, turn, positive, kappa, turning)
 
         base = jnp.append(ones_at_base(problem), problem.base_moment / problem.moment_scale)
         base = base if loaded else base[:count]
         inputs = problem.joints, problem.nodes, problem.outboard.nodes, cut.width
-        (tip, _), (starts, answer, turns, positive, *rate) = jax.lax.scan(panel, (base, 0.0 * base[0]), inputs)
+        start = base, 0.0 * base[0], None if problem.base.drag is None else 0.0 * base[:count]
+        (tip, *_), (starts, answer, turns, positive, *rate) = jax.lax.scan(panel, start, inputs)
         settled = answer.change <= tolerance
         return _follow(
             problem, unpack(starts), unpack(answer.value), unpack(tip), turns, *rate,
@@ -162,9 +177,14 @@ def _follow(problem: Problem, starts, nodes, tip, turns: Array, kappa: Array, tu
     (heading_edges, heading), (position_edges, position) = integrate_shape(problem.panels, kappa)
     wrap_edges, wrap = problem.panels.integrate(jnp.abs(turning))
     turned = jnp.cumsum(turns, axis=0)
+    pulls = Pull(starts[0]), Pull(nodes[0]), Pull(tip[0])
+    spent_rates = spent_rate(problem, problem.nodes, nodes[0])
+    if spent_rates is not None:
+        edges, inner = problem.panels.integrate(spent_rates)
+        pulls = Pull(starts[0], edges[:-1]), Pull(nodes[0], inner), Pull(tip[0], edges[-1])
     return Path(
-        State(starts[0], wrap_edges[:-1] + turned, heading_edges[:-1], position_edges[:-1], starts[1], outboard.starts),
-        State(nodes[0], wrap + turned[:, None], heading, position, nodes[1], outboard.nodes),
-        State(tip[0], wrap_edges[-1] + turned[-1], heading_edges[-1], position_edges[-1], tip[1], outboard.tip),
+        State(pulls[0], wrap_edges[:-1] + turned, heading_edges[:-1], position_edges[:-1], starts[1], outboard.starts),
+        State(pulls[1], wrap + turned[:, None], heading, position, nodes[1], outboard.nodes),
+        State(pulls[2], wrap_edges[-1] + turned[-1], heading_edges[-1], position_edges[-1], tip[1], outboard.tip),
         **outcome,
     )

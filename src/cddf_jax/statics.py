@@ -13,7 +13,7 @@ from .balance import Balance, Setup, equilibrate, inside_of_bend
 from .equilibrium import RESULTS, Dense, Equilibrium, Fields, SolveError, fields_at, nan_unless, tendons_first
 from .loads import Loads
 from .manipulator import Manipulator
-from .problem import Method, Problem, guarded_section, line_up
+from .problem import Method, Path, Problem, guarded_section, line_up, unspent
 from .quadrature import panels
 from .solver import ACCURACY, FixedPoint, truncation_error
 from .targets import CurvatureAt, Target, TipStiffness
@@ -63,7 +63,9 @@ def solve(
     Derivatives are one-sided where the curvature is zero along a stretch of the body (no tension and no load, or
     antagonists that cancel): friction acts on |kappa|, whose slope there is taken as that of kappa > 0. Isolated
     changes of sign are located and are harmless to derivatives of any order.
-    Of the body only what makes the numbers meaningless is checked here (finite, a stiffness, friction and
+    A tendon that slides in and whose tension drag has used up is slack from there on: it has no tension and no
+    friction, and follows the body. Its tip tension is 0, and so are the derivatives of that.
+    Of the body only what makes the numbers meaningless is checked here (finite, a stiffness, friction, drag and
     offsets not negative); walls, anchors, knots and jumps are the business of `manipulator.validate()`.
 
     Raises:
@@ -185,7 +187,8 @@ def _solve(
 
     physical = finite & _is_physical(asked[0], asked[1], asked[2], problem) & _is_on_the_body(targets, problem)
     solved = physical & balance.load_path.converged
-    slides = jnp.where(problem.base_tension > 0, setup.direction * balance.load_path.travel, 0.0)
+    at_tip = unspent(problem.base_tension, path.tip.pull) / path.tip.ratio
+    slides = jnp.where(_pulls(problem, at_tip), setup.direction * balance.load_path.travel, 0.0)
     contradicted = solved & (slides < -1e-6 * problem.panels.edges[-1])
     truncation = truncation_error(problem, path)
     crossing = jnp.max(inside_of_bend(problem, path)) >= 1.0
@@ -194,8 +197,8 @@ def _solve(
 
     return Equilibrium(
         along=nan_unless(solved, _along(setup, balance, dense)),
-        tip_tension=nan_unless(solved, problem.base_tension / path.tip.ratio),
-        tension_loss=nan_unless(solved, 1.0 - 1.0 / path.tip.ratio),
+        tip_tension=nan_unless(solved, at_tip),
+        tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, path) / path.tip.ratio),
         tendon_displacement=nan_unless(solved, tendon_displacement(problem, path)),
         base_tension=nan_unless(solved, problem.base_tension),
         target_miss=nan_unless(solved, found.miss),
@@ -221,6 +224,21 @@ def _solve(
         ),
         _dense=dense,
     )
+
+
+def _pulls(problem: Problem, tip_tension: PerTendon) -> Bool[Array, " tendons"]:
+    """Whether a tendon has tension anywhere: drag gives one that slides out more and more of it."""
+    at_base = problem.base_tension > 0
+    return at_base if problem.base.drag is None else at_base | (tip_tension > 0)
+
+
+def _fraction_left(problem: Problem, path: Path) -> PerTendon | float:
+    """What drag leaves of the base tension, over it; 1 where there is no base tension."""
+    if problem.base.drag is None:
+        return 1.0
+    pulled = problem.base_tension > 0
+    left = unspent(problem.base_tension, path.tip.pull)
+    return jnp.where(pulled, left / jnp.where(pulled, problem.base_tension, 1.0), 1.0)
 
 
 def _equilibrium(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) -> tuple[Balance, Found]:
@@ -280,6 +298,7 @@ def _is_physical(manipulator: Manipulator, base_tension: PerTendon, direction: P
         jnp.all(stiffness > 0)
         & (problem.panels.edges[-1] > 0)
         & jnp.all(manipulator.tendon_friction >= 0)
+        & (True if manipulator.tendon_drag is None else jnp.all(manipulator.tendon_drag >= 0))
         & (jnp.asarray(manipulator.density) >= 0)
         & jnp.all(jnp.isfinite(manipulator.tendon_compliance) & (manipulator.tendon_compliance >= 0))
         & jnp.all(manipulator.tendon_free_length >= 0)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from .balance import Setup, missing_moment
-from .problem import Number, Path, Problem, curvature_of, guarded_section, with_tip_force
+from .problem import Number, Path, Problem, curvature_of, guarded_section, unspent, with_tip_force
 from .profiles import Scalar, as_number
 from .tendon_travel import tendon_displacement
 
@@ -57,7 +57,10 @@ class TipTension(eqx.Module):
     value: Scalar = eqx.field(converter=as_number)
 
     def reading(self, setup: Setup, problem: Problem, path: Path, tendon: int) -> Number:
-        return problem.base_tension[tendon] / path.tip.ratio[tendon]
+        left = unspent(problem.base_tension, path.tip.pull)
+        if path.tip.pull.spent is not None:  # where it is slack, a tension below zero shows the search the way
+            left = jnp.where(jnp.asarray(self.value) >= 0, problem.base_tension - path.tip.pull.spent, left)
+        return left[tendon] / path.tip.ratio[tendon]
 
     def size(self, setup: Setup) -> Number:
         return jnp.abs(jnp.asarray(self.value)) + 1e-3 * bending_tension(setup)
@@ -84,7 +87,7 @@ class CurvatureAt(eqx.Module):
     def reading(self, setup: Setup, problem: Problem, path: Path, tendon: int) -> Number:
         arc_length = jnp.asarray(self.arc_length, problem.panels.edges.dtype)
         state = problem.panels.interpolate(path.starts, path.nodes, arc_length)
-        return curvature_of(problem, guarded_section(setup.manipulator, arc_length), state.ratio, state.moment)
+        return curvature_of(problem, guarded_section(setup.manipulator, arc_length), state.pull, state.moment)
 
     def size(self, setup: Setup) -> Number:
         return 1.0 / jnp.asarray(setup.manipulator.length)

@@ -21,18 +21,18 @@ def tendon_displacement(problem: Problem, path: Path) -> PerTendon:
 
 def stretch_along(problem: Problem, path: Path) -> Float[Array, "P p tendons"]:
     """By how much each tendon is stretched, T sqrt(1 + d'^2) / (E A) per arc length."""
-    tension = tension_of(problem.nodes, problem.base_tension, path.nodes.ratio)
+    tension = tension_of(problem.nodes, problem.base_tension, path.nodes.pull)
     return tension * jnp.sqrt(1.0 + problem.nodes.offset_slope**2) * problem.manipulator.tendon_compliance
 
 
 def shortening_along(problem: Problem, path: Path) -> Float[Array, "P p tendons"]:
     """Length of each tendon in the straight body less that in the bent one, per arc length."""
 
-    def shortening(section, ratio, moment):
-        kappa = curvature_of(problem, section, ratio, moment)
+    def shortening(section, pull, moment):
+        kappa = curvature_of(problem, section, pull, moment)
         # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
         bend, slope = section.side * section.offset * kappa, section.offset_slope
         rate = bend * (2.0 - bend) / (jnp.sqrt(1.0 + slope**2) + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
         return jnp.where(section.present, rate, 0.0)
 
-    return jax.vmap(jax.vmap(shortening))(problem.nodes, path.nodes.ratio, path.nodes.moment)
+    return jax.vmap(jax.vmap(shortening))(problem.nodes, path.nodes.pull, path.nodes.moment)

@@ -24,6 +24,7 @@ Dimension = Literal[
     "acceleration",
     "curvature",
     "stiffness",
+    "force per length",
     "dimensionless",
 ]
 
@@ -43,6 +44,7 @@ _UNITS: dict[Dimension, _Units] = {
     "acceleration": _Units("m/s^2", "m/s^2"),
     "curvature": _Units("1/m", "1/m"),
     "stiffness": _Units("N/m", "N/m"),
+    "force per length": _Units("N/m", "N/m"),
 }
 
 _EXACT = Context(prec=40, traps=[])  # a float64 has 17 digits, a unit's factor 28 at most

@@ -68,12 +68,16 @@ def _check_scalars(manipulator: Manipulator) -> None:
     _demand_number("length", length, above=0.0, unit="m")
     _demand_number("youngs_modulus", manipulator.youngs_modulus, above=0.0, unit="Pa")
     _demand_number("friction_coefficient", manipulator.friction_coefficient, least=0.0)
+    if manipulator.drag is not None:
+        _demand_number("drag", manipulator.drag, least=0.0, unit="N/m")
     _demand_number("density", manipulator.density, least=0.0, unit="kg/m^3")
     for number, tendon in enumerate(manipulator.tendons, 1):
         if tendon.friction_coefficient is not None:
             _demand_number(f"tendon {number}: friction_coefficient", tendon.friction_coefficient, least=0.0)
         if tendon.axial_stiffness is not None:
             _demand_number(f"tendon {number}: axial_stiffness", tendon.axial_stiffness, above=0.0, unit="N")
+        if tendon.drag is not None:
+            _demand_number(f"tendon {number}: drag", tendon.drag, least=0.0, unit="N/m")
         _demand_number(f"tendon {number}: free_length", tendon.free_length, least=0.0, unit="m")
         if tendon.end is not None:
             _demand_number(f"tendon {number}: end", tendon.end, above=0.0, unit="m")
