@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .bootstrap import Bootstrap
     from .closed_form import closed_form_tension
     from .determination import Determination
     from .energy import EnergyBalance, energy_balance
@@ -20,6 +21,12 @@ if TYPE_CHECKING:
     from .manipulator_file import read_manipulator, write_manipulator
     from .marching import Marching
     from .measurements import Measurements, read_measurements
+    from .model_comparison import Comparison, compare, cross_validation
+    from .model_free import ModelFreeFriction, model_free_friction
+    from .next_measurement import Candidate, Plan, plan, standard_candidates
+    from .observations import Noise
+    from .parameter_space import Uniform
+    from .profile_likelihood import Profile
     from .profiles import Constant, Linear, Piecewise, Spline
     from .pulley import pulling_tension
     from .report import write_fit
@@ -29,6 +36,7 @@ if TYPE_CHECKING:
     from .targets import CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension
 
 _HOME = {
+    "bootstrap": "Bootstrap",
     "closed_form": "closed_form_tension",
     "determination": "Determination",
     "energy": "EnergyBalance, energy_balance",
@@ -42,6 +50,12 @@ _HOME = {
     "manipulator_file": "read_manipulator, write_manipulator",
     "marching": "Marching",
     "measurements": "Measurements, read_measurements",
+    "model_comparison": "Comparison, compare, cross_validation",
+    "model_free": "ModelFreeFriction, model_free_friction",
+    "next_measurement": "Candidate, Plan, plan, standard_candidates",
+    "observations": "Noise",
+    "parameter_space": "Uniform",
+    "profile_likelihood": "Profile",
     "profiles": "Constant, Linear, Piecewise, Spline",
     "pulley": "pulling_tension",
     "report": "write_fit",
@@ -55,6 +69,9 @@ _MODULE_OF = {name: module for module, names in _HOME.items() for name in names.
 __version__ = "0.1.0"
 __all__ = [
     "RESULTS",
+    "Bootstrap",
+    "Candidate",
+    "Comparison",
     "Constant",
     "CurvatureAt",
     "Determination",
@@ -73,7 +90,11 @@ __all__ = [
     "Manipulator",
     "Marching",
     "Measurements",
+    "ModelFreeFriction",
+    "Noise",
     "Piecewise",
+    "Plan",
+    "Profile",
     "SolveError",
     "Spline",
     "Tendon",
@@ -82,16 +103,22 @@ __all__ = [
     "TipStiffness",
     "TipTension",
     "TotalTension",
+    "Uniform",
     "closed_form_tension",
+    "compare",
     "conical",
+    "cross_validation",
     "energy_balance",
     "fit",
     "iteration_history",
     "least_squares_fit",
+    "model_free_friction",
+    "plan",
     "pulling_tension",
     "read_manipulator",
     "read_measurements",
     "solve",
+    "standard_candidates",
     "tip_compliance",
     "tip_jacobian",
     "write_fit",

@@ -230,19 +230,17 @@ def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: in
     columns = [c for c in table.columns if c in POSE or c.startswith("tip_tension")]
     if not columns:
         raise InputError(f"{table.name}: nothing observed; add a column tip_tension [N], tip_angle [deg] or tip_x [mm]")
-    for column in columns + pulled:
-        if column not in POSE and tendon_number(column) > count:
-            raise InputError(f"{table.name}: column {column!r}, but the manipulator has {count} tendon(s)")
     for column in table.columns:
-        if column.startswith("base_tension") and column not in pulled:
+        if column.startswith(("base_tension", "tip_tension", "direction")) and tendon_number(column) > count:
             raise InputError(f"{table.name}: column {column!r}, but the manipulator has {count} tendon(s)")
     tension = np.stack([table[column] for column in pulled], axis=1)
-    direction = table["direction"][:, None] if "direction" in table else np.ones((len(table), 1))
+    common = table.columns.get("direction", np.ones(len(table)))
+    direction = np.stack([common, *(table.columns.get(f"direction_{i}", common) for i in range(2, count + 1))], axis=1)
     none = np.zeros(len(table))
     force = np.stack([table.columns.get(column, none) for column in ("tip_force_x", "tip_force_y")], axis=1)
     return Bench(
         tension,
-        np.broadcast_to(direction, tension.shape),
+        direction,
         force if np.any(force) else None,
         first_trial + table["trial"].astype(int) if "trial" in table else None,
         tuple(columns),

@@ -35,6 +35,7 @@ SHOWN = {
     "angle": (np.degrees(1.0), " deg"),
 }
 SPREAD_ROUNDS = 60
+FIRST_SPREAD = 0.1
 LEAST_SPREAD = 1e-4  # of ln(mu) over trials; less is none
 
 
@@ -162,15 +163,20 @@ def fit(
     bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive} | dict(bounds or {})
     scales = {name: kind.scale for name, kind in kinds.items() if not kind.positive}
     given = {"priors": dict(priors or {}), "scales": scales, "loss": loss, "starts": starts, "seed": seed}
-    data_and_noise = {g.label: g.observed for g in groups}, _noise_of(groups, noise or {})
+    observations = _Data({group.label: group.observed for group in groups}, _noise_of(groups, noise or {}))
     if not per_trial:
-        statistics = least_squares_fit(model, start, *data_and_noise, bounds, prefer_start=True, **given)
+        statistics = least_squares_fit(model, start, *observations, bounds, prefer_start=True, **given)
         return _conclude(statistics, tables, model, float("nan"))
     if "friction_coefficient" not in free or before[-1] < 2:
         raise InputError(
             "fit: per_trial needs a free friction_coefficient and tables whose column trial names 2 or more"
         )
-    return _fit_trials(tables, model, start, data_and_noise, bounds, given, int(before[-1]))
+    return _fit_trials(tables, model, start, observations, bounds, given)
+
+
+class _Data(NamedTuple):
+    observed: dict[str, np.ndarray]
+    sigma: dict[str, Any]
 
 
 def _noise_of(groups: "list[_Group]", noise: Mapping[str, Any]) -> dict[str, Any]:
@@ -182,25 +188,27 @@ def _noise_of(groups: "list[_Group]", noise: Mapping[str, Any]) -> dict[str, Any
     return {group.label: noise.get(group.column) for group in groups}
 
 
-def _fit_trials(tables, model: BenchModel, start, data_and_noise, bounds, given, num_trials: int) -> Fit:
+def _fit_trials(
+    tables: tuple[Measurements, ...], model: BenchModel, start: dict[str, Any], data: "_Data", bounds, given
+) -> Fit:
     """Random effects: the spread over trials is that which expects what the trials show (EM)."""
-    start, spread = start | {TRIALS: np.zeros(num_trials)}, 0.1
-    names = [f"{TRIALS}[{k}]" for k in range(num_trials)]
+    count = sum(len(table.trial_labels) for table in tables)
+    start, spread = start | {TRIALS: np.zeros(count)}, FIRST_SPREAD
+    names = [f"{TRIALS}[{k}]" for k in range(count)]
+
+    def fitted(start: Any, spread: float) -> LeastSquaresFit:
+        priors = given["priors"] | dict.fromkeys(names, (0.0, spread))
+        options = given | {"priors": priors, "scales": given["scales"] | dict.fromkeys(names, spread)}
+        return least_squares_fit(model, start, data.observed, data.sigma, bounds, prefer_start=True, **options)
+
+    statistics = fitted(start, spread)
     for _ in range(SPREAD_ROUNDS):
-        effects = dict.fromkeys(names, (0.0, spread))
-        options = given | {
-            "priors": given["priors"] | effects,
-            "scales": given["scales"] | dict.fromkeys(names, spread),
-        }
-        statistics = least_squares_fit(model, start, *data_and_noise, bounds, prefer_start=True, **options)
-        start = {name: np.asarray(value) for name, value in statistics.parameters.items()}
-        square = [
-            statistics.value[n] ** 2 + statistics.covariance[i, i] for i, n in enumerate(statistics.names) if n in names
-        ]
-        improved = float(np.sqrt(np.mean(square)))
-        if abs(improved - spread) < 1e-3 * spread or improved < LEAST_SPREAD:
+        own = [i for i, name in enumerate(statistics.names) if name in names]
+        square = [statistics.value[statistics.names[i]] ** 2 + statistics.covariance[i, i] for i in own]
+        last, spread = spread, float(np.sqrt(np.mean(square)))
+        if abs(spread - last) < 1e-3 * last or spread < LEAST_SPREAD:
             break
-        spread = improved
+        statistics = fitted({name: np.asarray(value) for name, value in statistics.parameters.items()}, spread)
     return _conclude(statistics, tables, model, spread if spread >= LEAST_SPREAD else 0.0)
 
 

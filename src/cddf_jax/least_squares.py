@@ -18,7 +18,7 @@ from .determination import IDENTIFIED, Determination, Evidence, determine, spect
 from .errors import InputError
 from .levenberg_marquardt import LeastSquaresProblem, Outcome, evaluate, minimise, minimise_all
 from .observations import Noise, Observations, group_observations
-from .parameter_space import Space, bounds_of, lay_out_parameters, priors_of, with_uniform_priors
+from .parameter_space import Prior, Space, bounds_of, lay_out_parameters, priors_of, with_uniform_priors
 from .profile_likelihood import Profile, profile_likelihood
 from .robust_loss import loss_of
 
@@ -160,7 +160,7 @@ def least_squares_fit(
     data = group_observations(observed, sigma)
     limits = bounds_of(names, first, with_uniform_priors(bounds or {}, priors or {}))
     prior = priors_of(names, priors or {})
-    space = Space(first, *limits, _scales(names, scales or {}))
+    space = Space(first, *limits, _scales(names, first, scales or {}, prior))
     problem = LeastSquaresProblem(predict, unravel, data.values, space, prior, loss_of(loss).name)
 
     noise, settled = data.first_guess(), False
@@ -203,13 +203,15 @@ def _from_many_starts(problem: LeastSquaresProblem, noise, starts: int, seed: in
     return _Starts(found.z[order] if np.isfinite(cost[order[0]]) else z, cost[order])
 
 
-def _scales(names: tuple[str, ...], scales: Mapping[str, float]) -> np.ndarray:
+def _scales(names: tuple[str, ...], start: np.ndarray, scales: Mapping[str, float], prior: Mapping[int, Prior]):
+    """Sizes that matter, NaN where none is known: as given, or for what starts at 0 the width of its prior."""
     for name, scale in scales.items():
         if name not in names or not scale > 0:
             raise InputError(
                 f"scale of {name!r}: needs a number > 0 and a parameter that is fitted ({', '.join(names)})"
             )
-    return np.array([scales.get(name, np.nan) for name in names])
+    known = {names[i]: float(p.standard_deviation) for i, p in prior.items() if start[i] == 0} | dict(scales)
+    return np.array([known.get(name, np.nan) for name in names])
 
 
 def _refuse_single_precision() -> None:

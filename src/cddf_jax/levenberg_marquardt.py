@@ -132,6 +132,17 @@ def evaluate(problem: LeastSquaresProblem, noise: tuple[np.ndarray, ...], z: np.
     return _outcome(problem, (z, parameters, residual, by_z / stretch, cost, 0, True))
 
 
+def residuals_at(problem: LeastSquaresProblem, noise: tuple[np.ndarray, ...], z: np.ndarray) -> np.ndarray:
+    """The residuals at many places, (places, rows)."""
+    return np.asarray(_residuals_at(problem, noise, z))
+
+
+@eqx.filter_jit
+def _residuals_at(problem: LeastSquaresProblem, noise: tuple[Any, ...], z: Any):
+    free = jnp.full(z.shape[1], jnp.nan)
+    return jax.vmap(lambda z: problem.residual(z, noise, free))(z)
+
+
 @eqx.filter_jit
 def _residual_and_slope(problem: LeastSquaresProblem, noise: tuple[Any, ...], held: Any, z: Any):
     """The residual and its Jacobian by z, forward mode."""

@@ -11,7 +11,7 @@
 | tip_angle | angle | phi(L) |
 | tip_x, tip_y | length | u(L) in the frame at the base |
 | tip_force_x, tip_force_y | force | known dead load on the tip |
-| direction | none | +1 where the tendon slides in (pulled), -1 where it slides out |
+| direction, direction_2, ... | none | +1 where the tendon slides in (pulled), -1 out; tendons without: as tendon 1 |
 | wrap_angle | angle | pulley test: angle of contact |
 | weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |
 | trial | none | any label |
@@ -57,8 +57,8 @@ _DIMENSIONS: dict[str, Dimension | None] = {
     "pulling_tension": "force",
 }
 _PULLEY = ("wrap_angle", "weight", "pulling_tension")
-_PER_TENDON = ("base_tension", "tip_tension")
-_NEVER_NEGATIVE = (*_PER_TENDON, *_PULLEY)
+_PER_TENDON = ("base_tension", "tip_tension", "direction")
+_NEVER_NEGATIVE = ("base_tension", "tip_tension", *_PULLEY)
 _HEADER = re.compile(r"([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?")
 _BLANK = ' \t\r\n,;"'
 _BATCH = 50_000  # rows
@@ -225,7 +225,7 @@ def _read_header(cells: list[str], row: int) -> dict[str, str | None]:
             remedy = "write 'name [unit]', and commas, semicolons or tabs between columns"
             raise InputError(f"row {row}, column {number}: {_short(cell)} is no column; {remedy}")
         column, unit = match.groups()
-        dimension, unit = _dimension(column), unit and unit.strip()
+        dimension, unit = dimension_of(column), unit and unit.strip()
         if column in header:
             raise InputError(f"row {row}: the column {column} appears twice; remove one")
         if dimension is None and unit is not None:
@@ -236,8 +236,12 @@ def _read_header(cells: list[str], row: int) -> dict[str, str | None]:
     return header
 
 
-def _dimension(column: str) -> Dimension | None:
-    """What a column measures; None for labels and signs."""
+def dimension_of(column: str) -> Dimension | None:
+    """What a column measures; None for labels and signs.
+
+    Raises:
+        InputError: for a column that is none.
+    """
     stem, _, tendon = column.rpartition("_")
     if stem in _PER_TENDON and re.fullmatch("[2-9]|[1-9][0-9]+", tendon):
         column = stem
@@ -298,7 +302,7 @@ def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str |
         if re.fullmatch(r"[+-]?\d+([,.'’\s]\d+)+", text):
             remedy = "write it with a decimal point and without thousands separators"
         raise InputError(f"row {rows[bad]}, column {column}: {found}; {remedy}") from None
-    dimension = _dimension(column)
+    dimension = dimension_of(column)
     return values if dimension is None or unit is None else to_si(values, unit, dimension, column)
 
 
@@ -361,7 +365,7 @@ def _check_columns(columns: Iterable[str]) -> None:
     """Every column known, and no column without its companion."""
     names = set(columns)
     for column in columns:
-        _dimension(column)
+        dimension_of(column)
     if names & set(_PULLEY):
         needed = set(_PULLEY)
         if other := sorted(names - needed - {"trial"}):
@@ -376,7 +380,7 @@ def _check_columns(columns: Iterable[str]) -> None:
 def _check_values(column: str, values: np.ndarray, rows: np.ndarray) -> None:
     demand = partial(_demand, column, values, rows)
     demand(np.isfinite(values), "must be finite", "give a number or remove the row")
-    if column == "direction":
+    if column.startswith("direction"):
         demand(np.abs(values) == 1, "must be 1 or -1", "write 1 where the tendon slides in, -1 where it slides out")
     if column.startswith(_NEVER_NEGATIVE):
         demand(values >= 0, "must be 0 or more", "check its sign and the zero of the sensor")
@@ -386,7 +390,7 @@ def _demand(column: str, values: np.ndarray, rows: np.ndarray, good: np.ndarray,
     """Raise for the first row that is not good."""
     if not np.all(good):
         bad = int(np.argmin(good))
-        dimension = _dimension(column)
+        dimension = dimension_of(column)
         got = written(values[bad], dimension) if dimension and np.isfinite(values[bad]) else f"{values[bad]:g}"
         raise InputError(f"row {rows[bad]}, column {column}: {rule}, got {got}; {remedy}")
 

@@ -137,6 +137,7 @@ class Space(eqx.Module):
     lower: Float[np.ndarray | Array, " n"]
     upper: Float[np.ndarray | Array, " n"]
     scale: Float[np.ndarray | Array, " n"]
+    least_size: Float[np.ndarray | Array, " n"]
     kinds: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(self, start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray | None = None):
@@ -148,13 +149,15 @@ class Space(eqx.Module):
         """
         self.start, self.lower, self.upper = start, lower, upper
         own = np.where(start == 0, 1.0, np.abs(start))
-        self.scale = own if scale is None else np.where(np.isfinite(scale), scale, own)
+        given = np.full(np.shape(start), np.nan) if scale is None else scale
+        self.scale = np.where(np.isfinite(given), given, own)
+        self.least_size = np.where(np.isfinite(given), given, 0.0)
         finite = zip(np.isfinite(lower), np.isfinite(upper), strict=True)
         self.kinds = tuple(("free", "below", "above", "between")[2 * int(a) + int(b)] for a, b in finite)
 
     def size(self, value: np.ndarray) -> np.ndarray:
-        """What to measure each parameter by: its value, or where that is 0 its scale."""
-        return np.where(value == 0, np.asarray(self.scale), np.abs(value))
+        """What to measure each parameter by: its value, or where that is smaller the scale that was given."""
+        return np.maximum(np.where(value == 0, np.asarray(self.scale), np.abs(value)), np.asarray(self.least_size))
 
     def first(self) -> Float[Array, " n"]:
         def inverse(kind, start, lower, upper):

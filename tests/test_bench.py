@@ -1,0 +1,204 @@
+"""The errors of a bench: what is put into simulated readings comes out of the fit, with its true scatter."""
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from test_identification import LEVELS, MU, E, closed_form, wrap
+
+import cddf_jax as cddf
+from cddf_jax.bench import PARAMETERS, with_parameters
+from cddf_jax.errors import InputError
+from cddf_jax.measurements import Measurements
+
+BASE = np.tile(LEVELS, 6)
+TRIAL = np.repeat(np.arange(6), LEVELS.size)
+CELL, ANGLE = 0.2, 0.005  # standard deviations, N and rad
+
+
+def readings(seed, base=BASE, mu=MU, gain=1.0, zero=0.0, turned=0.0, pretension=0.0, **columns):
+    """Tensions and angles of the closed form, exact kinematics, as imperfect instruments read them."""
+    rng = np.random.default_rng(seed)
+    tip = gain * (closed_form(base + pretension, mu) - pretension) + zero + CELL * rng.normal(size=base.size)
+    angle = wrap(base + pretension, mu) + turned + ANGLE * rng.normal(size=base.size)
+    return Measurements.from_columns("bench", base_tension=base, tip_tension=tip, tip_angle=angle, **columns)
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return paper_body("exact")
+
+
+def within(fit, **truth):
+    for name, value in truth.items():
+        assert abs(fit.value[name] - value) < 4 * fit.standard_error[name], name
+
+
+NOISE = {"tip_tension": CELL, "tip_angle": ANGLE}
+BOTH = ("friction_coefficient", "youngs_modulus")
+
+
+def test_gain_and_zeros_of_the_instruments(paper):
+    truth = {"tip_gain": 1.02, "tip_zero": 0.3, "angle_zero": 0.01}
+    table = readings(1, gain=1.02, zero=0.3, turned=0.01)
+    found = cddf.fit(paper, table, (*BOTH, *truth), {"tip_gain": (1.0, 0.03)}, noise=NOISE)
+    assert found.success
+    within(found, friction_coefficient=MU, youngs_modulus=E, **truth)
+    assert set(found.status.values()) == {"identified"}
+    # a fit that takes the cells at their word is far off
+    plain = cddf.fit(paper, table, noise=NOISE)
+    assert plain.reduced_chi_square > 2
+    ranking = cddf.compare({"plain": plain, "errors of the cells": found})
+    assert ranking[0].name == "errors of the cells"
+    assert ranking[0].cross_validation < 1.1 < ranking[1].cross_validation
+    assert ranking[0].AIC == pytest.approx(2 * 5 - 2 * found.log_likelihood)
+
+
+def test_the_base_cell_and_pretension(paper):
+    """base_gain scales what the model is told; a base cell that reads 2 % too much looks like less tension."""
+    table = readings(2)
+    told = dict(table.columns) | {"base_tension": 1.02 * table["base_tension"] + 0.5}
+    table = Measurements.from_columns("bench", **told)
+    found = cddf.fit(
+        paper,
+        table,
+        (*BOTH, "base_gain", "base_zero"),
+        {"base_gain": (1.0, 0.03), "base_zero": (0.0, 1.0)},
+        noise=NOISE,
+    )
+    within(found, friction_coefficient=MU, youngs_modulus=E, base_gain=1.02, base_zero=0.5)
+    found = cddf.fit(paper, readings(3, pretension=2.0), (*BOTH, "pretension"), noise=NOISE)
+    within(found, friction_coefficient=MU, youngs_modulus=E, pretension=2.0)
+
+
+def test_tolerances_of_the_dimensions_widen_the_modulus(paper):
+    """E J is what bends: an outer radius known to 0.1 mm leaves E uncertain by dlnE = -dlnJ/dR dR, here about 2 %."""
+    table = readings(4)
+    tight = cddf.fit(paper, table, noise=NOISE)
+    prior = {"outer_radius_error": (0.0, 1e-4)}
+    loose = cddf.fit(paper, table, (*BOTH, *prior), prior, noise=NOISE)
+    assert loose.status["outer_radius_error"] == "prior only"
+    within(loose, friction_coefficient=MU, youngs_modulus=E)
+    assert loose.standard_error["friction_coefficient"] == pytest.approx(
+        tight.standard_error["friction_coefficient"], rel=0.05
+    )
+    # G = int d/J ds weighs the slope of ln J; by differences of the body's own compliance
+    h = 1e-6
+
+    def compliance(radius_error):
+        body = with_parameters(paper, {"outer_radius_error": radius_error})
+        s = np.linspace(0, 0.14, 2001)
+        return np.trapezoid(0.010 / np.asarray(body.second_moment(s)), s)
+
+    slope = (compliance(h) - compliance(-h)) / (2 * h) / compliance(0.0)
+    expected = np.hypot(tight.standard_error["youngs_modulus"] / E, slope * 1e-4)
+    assert loose.standard_error["youngs_modulus"] / E == pytest.approx(expected, rel=0.02)
+
+
+def test_friction_that_differs_from_trial_to_trial(paper):
+    """Six deviations of ln mu, drawn with standard deviation 0.1; what they are is seen to 1 %."""
+    rng = np.random.default_rng(3)
+    deviations = 0.1 * rng.normal(size=6)
+    table = readings(5, mu=MU * np.exp(deviations)[TRIAL], trial=TRIAL)
+    found = cddf.fit(paper, table, noise=NOISE, per_trial=True)
+    effects = np.array([effect.value for effect in found.trial_effects.values()])
+    # the mean of six is not the truth; what differs between trials is
+    np.testing.assert_allclose(effects - effects.mean(), deviations - deviations.mean(), atol=0.02)
+    # with effects known this well, EM ends at their root mean square about 0
+    assert found.trial_spread == pytest.approx(np.sqrt(np.mean(effects**2)), rel=0.2)
+    # the mean over trials has the scatter of six draws, not that of 102 rows
+    assert found.standard_error["friction_coefficient"] / MU == pytest.approx(found.trial_spread / np.sqrt(6), rel=0.1)
+    pooled = cddf.fit(paper, table, noise=NOISE)
+    assert pooled.standard_error["friction_coefficient"] < 0.2 * found.standard_error["friction_coefficient"]
+    assert any("trial to trial" in line for line in found.verdict)
+
+
+def test_trials_that_do_not_differ(paper):
+    found = cddf.fit(paper, readings(6, trial=TRIAL), noise=NOISE, per_trial=True)
+    assert found.trial_spread < 0.01
+    within(found, friction_coefficient=MU, youngs_modulus=E)
+
+
+def test_a_drag_that_the_data_ask_for(paper):
+    """T' = -(mu psi' T + w): readings of the solver with a drag, fitted with and without one."""
+    dragged = with_parameters(paper, {"drag": 15.0})
+    table = readings(7)
+    solved = [cddf.solve(dragged, pull) for pull in LEVELS]
+    tip = np.array([float(x.tip_tension[0]) for x in solved])
+    angle = np.array([float(x.tip_angle) for x in solved])
+    rng = np.random.default_rng(8)
+    table = Measurements.from_columns(
+        "bench",
+        base_tension=BASE,
+        tip_tension=np.tile(tip, 6) + CELL * rng.normal(size=BASE.size),
+        tip_angle=np.tile(angle, 6) + ANGLE * rng.normal(size=BASE.size),
+        trial=TRIAL,
+    )
+    without = cddf.fit(paper, table, noise=NOISE)
+    found = cddf.fit(paper, table, (*BOTH, "drag"), noise=NOISE)
+    within(found, friction_coefficient=MU, youngs_modulus=E, drag=15.0)
+    assert found.status["drag"] == "identified"
+    best, other = cddf.compare({"Coulomb": without, "with drag": found})
+    assert (best.name, other.name) == ("with drag", "Coulomb")
+    assert best.BIC < other.BIC - 10
+    assert best.cross_validation < other.cross_validation
+
+
+def test_a_known_tip_force_is_part_of_the_model(paper):
+    """Readings of `solve` under -1 N across the tip, which SciPy confirms in test_loads."""
+    levels = LEVELS[::2]
+    solved = [cddf.solve(paper, pull, cddf.Loads(tip_force=(0.0, -1.0))) for pull in levels]
+    table = Measurements.from_columns(
+        "bench",
+        base_tension=levels,
+        tip_tension=[float(x.tip_tension[0]) for x in solved],
+        tip_angle=[float(x.tip_angle) for x in solved],
+        tip_force_x=0 * levels,
+        tip_force_y=0 * levels - 1.0,
+    )
+    found = cddf.fit(with_parameters(paper, {"friction_coefficient": 0.3, "youngs_modulus": 1.2e6}), table, noise=NOISE)
+    assert found.value["friction_coefficient"] == pytest.approx(MU, rel=1e-5)
+    assert found.value["youngs_modulus"] == pytest.approx(E, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("free", "message"),
+    [
+        (("friction",), "'friction' is no parameter"),
+        (("tip_gain_x",), "'tip_gain_x' is no parameter"),
+        (("angle_zero_2",), "'angle_zero_2' is no parameter"),
+    ],
+)
+def test_parameters_that_are_none(paper, free, message):
+    with pytest.raises(InputError, match=message):
+        cddf.fit(paper, readings(9), free)
+
+
+def test_per_trial_needs_trials(paper):
+    with pytest.raises(InputError, match="names 2 or more"):
+        cddf.fit(paper, readings(9), per_trial=True)
+
+
+def test_comparing_other_data(paper):
+    fits = {"a": cddf.fit(paper, readings(9), noise=NOISE), "b": cddf.fit(paper, readings(10), noise=NOISE)}
+    with pytest.raises(InputError, match="other data"):
+        cddf.compare(fits)
+
+
+def test_every_parameter_reaches_the_readings(paper):
+    """Each parameter of a bench with one tendon changes what is read, by a derivative that differences confirm."""
+    from cddf_jax.bench import Bench, starting_value
+
+    bench = Bench(np.array([[30.0], [60.0]]), np.ones((2, 1)))
+    parameters = {name: starting_value(paper, name) for name in PARAMETERS}
+    value, slope, _ = bench.evaluate(paper, parameters, 16)
+    for i, name in enumerate(sorted(parameters)):
+        step = 1e-4 * max(abs(parameters[name]), PARAMETERS[name].scale)
+        ends = [bench.evaluate(paper, parameters | {name: parameters[name] + sign * step}, 16)[0] for sign in (1, -1)]
+        size = np.zeros(2)
+        for column in value:
+            difference = (ends[0][column] - ends[1][column]) / (2 * step)
+            np.testing.assert_allclose(
+                slope[column][:, i], difference, rtol=1e-4, atol=1e-6 * np.max(np.abs(difference)) + 1e-9
+            )
+            size = np.maximum(size, np.abs(difference))
+        assert np.all(size > 0), name
