@@ -55,7 +55,7 @@ POSE = ("tip_angle", "tip_x", "tip_y")
 
 def starting_value(manipulator: Manipulator, name: str) -> float:
     """Where the search for a parameter starts."""
-    start = PARAMETERS[name].start
+    start = parameter_named(name).start
     own = getattr(manipulator, name, None)
     return float(own) if own is not None and (start is None or own > 0) else float(start or 0.0)
 

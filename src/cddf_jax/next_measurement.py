@@ -209,7 +209,7 @@ def _experiment(body: Manipulator, candidate: Candidate) -> Pulley | Bench:
         table = Measurements.from_columns(candidate.name, **columns)
         return experiment_of(table, body)
     except ValueError as error:
-        raise InputError(f"candidate {candidate.name!r}: {error}") from None
+        raise InputError(f"candidate {candidate.name!r}: {str(error).removeprefix(f'{candidate.name}: ')}") from None
 
 
 def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candidate]:
