@@ -24,6 +24,7 @@ studies: .venv/ready  ## every study of fitting/, into out/fitting/
 benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/methods.py
 	$(BIN)/python benchmarks/loads.py
+	$(BIN)/python benchmarks/coverage.py
 	$(BIN)/python benchmarks/cold_start.py
 
 .venv/ready: pyproject.toml constraints.txt

@@ -1,5 +1,6 @@
 """The statistics of a fit, against certified answers, closed forms and SciPy; no manipulator in sight."""
 
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -10,6 +11,7 @@ from scipy import optimize, stats
 
 from cddf_jax.errors import InputError
 from cddf_jax.least_squares import least_squares_fit
+from cddf_jax.parameter_space import Uniform
 
 NIST = Path(__file__).resolve().parents[2] / "shared" / "data" / "nist"
 
@@ -85,6 +87,96 @@ def test_a_wrong_minimum_is_never_called_success():
         np.testing.assert_allclose(exchanged, problem.value, rtol=1e-6)
     else:
         assert fit.result != "successful"
+
+
+# --- problems that are hard from afar -------------------------------------------------------------
+
+# NIST StRD, nonlinear regression, "higher level of difficulty": model, data, the two starts, certified values
+# (https://www.itl.nist.gov/div898/strd/nls/data/boxbod.shtml, mgh09.shtml, mgh10.shtml, ratkowsky3.shtml)
+HARD = {
+    "BoxBOD": (
+        lambda b, x: b[0] * (1 - jnp.exp(-b[1] * x)),
+        [1, 2, 3, 5, 7, 10],
+        [109, 149, 149, 191, 213, 224],
+        {"far": [1, 1], "near": [100, 0.75]},
+        [2.1380940889e02, 5.4723748542e-01],
+    ),
+    "MGH09": (
+        lambda b, x: b[0] * (x**2 + x * b[1]) / (x**2 + x * b[2] + b[3]),
+        [4, 2, 1, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625],
+        [0.1957, 0.1947, 0.1735, 0.16, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246],
+        {"far": [25, 39, 41.5, 39], "near": [0.25, 0.39, 0.415, 0.39]},
+        [1.9280693458e-01, 1.9128232873e-01, 1.2305650693e-01, 1.3606233068e-01],
+    ),
+    "MGH10": (
+        lambda b, x: b[0] * jnp.exp(b[1] / (x + b[2])),
+        np.arange(50.0, 126.0, 5.0),
+        [34780, 28610, 23650, 19630, 16370, 13720, 11540, 9744, 8261, 7030, 6005, 5147, 4427, 3820, 3307, 2872],
+        {"far": [2, 400000, 25000], "near": [0.02, 4000, 250]},
+        [5.6096364710e-03, 6.1813463463e03, 3.4522363462e02],
+    ),
+    "Rat43": (
+        lambda b, x: b[0] / (1 + jnp.exp(b[1] - b[2] * x)) ** (1 / b[3]),
+        np.arange(1.0, 16.0),
+        [
+            16.08,
+            33.83,
+            65.8,
+            97.2,
+            191.55,
+            326.2,
+            386.87,
+            520.53,
+            590.03,
+            651.92,
+            724.93,
+            699.56,
+            689.96,
+            637.56,
+            717.41,
+        ],
+        {"far": [100, 10, 1, 1], "near": [700, 5, 0.75, 1.3]},
+        [6.9964151270e02, 5.2771253025e00, 7.5962938329e-01, 1.2792483859e00],
+    ),
+}
+
+
+@cache  # the same function again is not compiled again
+def predict_hard(name):
+    model, x = HARD[name][0], jnp.asarray(HARD[name][1], float)
+    return lambda b: model(b, x)
+
+
+def fit_hard(name, start, **options):
+    _, _, y, starts, certified = HARD[name]
+    start = np.array(starts[start], float)
+    return least_squares_fit(predict_hard(name), start, np.array(y, float), **options), np.array(certified)
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "starts"),
+    [(name, "near", 1) for name in HARD]
+    + [("BoxBOD", "far", 1), ("MGH10", "far", 1), ("MGH09", "far", 64), ("Rat43", "far", 64)],
+)
+def test_hard_problems(name, start, starts):
+    fit, certified = fit_hard(name, start, starts=starts)
+    assert fit.success, fit.result
+    np.testing.assert_allclose(list(fit.value.values()), certified, rtol=2e-5)
+    assert fit.starts.shape == ((starts,) if starts > 1 else (0,))
+    assert np.all(np.diff(fit.starts) >= 0)
+
+
+@pytest.mark.parametrize("name", ["MGH09", "Rat43"])
+def test_one_far_start_is_no_wrong_success(name):
+    fit, certified = fit_hard(name, "far")
+    right = np.allclose(list(fit.value.values()), certified, rtol=2e-5)
+    assert right or not fit.success
+
+
+def test_further_starts_repeat_by_seed():
+    one, same, other = (fit_hard("Rat43", "far", starts=8, seed=seed)[0].starts for seed in (0, 0, 1))
+    np.testing.assert_array_equal(one, same)
+    assert not np.array_equal(one, other)
 
 
 # --- a straight line, where everything has a closed form -----------------------------------------
@@ -480,6 +572,160 @@ def test_the_same_model_again_is_not_compiled_again():
     again = least_squares_fit(predict, {"a": 3.0, "b": -1.0}, NOISY + 1.0)
     assert again.value["a"] == pytest.approx(A_HAT + 1.0, rel=SETTLED)
     assert len(traces) == count
+
+
+# --- parameters that are not fitted, or measured otherwise ----------------------------------------
+
+CURVED = {"a": 1.0, "b": {"slopes": np.array([1.0, 0.1])}}
+
+
+def curved(p):
+    return p["a"] + p["b"]["slopes"][0] * X + p["b"]["slopes"][1] * X**2
+
+
+def test_a_fixed_parameter_keeps_its_start():
+    fit = least_squares_fit(line, {"a": 1.9, "b": 1.0}, NOISY, SIGMA, fixed=["a"])
+    assert fit.names == ("b",)
+    assert float(fit.parameters["a"]) == 1.9
+    slope = np.sum(X * (NOISY - 1.9)) / np.sum(X**2)  # least squares with the level given
+    assert fit.value["b"] == pytest.approx(slope, rel=SETTLED)
+    assert fit.standard_error["b"] == pytest.approx(SIGMA / np.sqrt(np.sum(X**2)), rel=SETTLED)
+    assert fit.degrees_of_freedom == 29
+
+
+@pytest.mark.parametrize(("fixed", "fitted"), [("b.slopes", ("a",)), ("b.slopes[1]", ("a", "b.slopes[0]"))])
+def test_the_name_of_an_array_fixes_all_of_it(fixed, fitted):
+    fit = least_squares_fit(curved, CURVED, NOISY, SIGMA, fixed=[fixed])
+    assert fit.names == fitted
+    columns = np.stack([np.ones_like(X), X, X**2], axis=1)[:, : len(fitted)]
+    rest = (X + 0.1 * X**2) if len(fitted) == 1 else 0.1 * X**2
+    expected = np.linalg.lstsq(columns, NOISY - rest, rcond=None)[0]
+    np.testing.assert_allclose([fit.value[n] for n in fitted], expected, rtol=SETTLED)
+    assert fit.parameters["b"]["slopes"][1] == 0.1
+
+
+def test_shared_parameters_are_one():
+    fit = least_squares_fit(curved, CURVED, NOISY, SIGMA, shared={"b.slopes[1]": "b.slopes[0]"})
+    assert fit.names == ("a", "b.slopes[0]")
+    columns = np.stack([np.ones_like(X), X + X**2], axis=1)
+    expected, covariance = np.linalg.lstsq(columns, NOISY, rcond=None)[0], np.linalg.inv(columns.T @ columns)
+    np.testing.assert_allclose(list(fit.value.values()), expected, rtol=SETTLED)
+    np.testing.assert_allclose(fit.covariance, SIGMA**2 * covariance, rtol=SETTLED)
+    np.testing.assert_allclose(fit.parameters["b"]["slopes"], [expected[1]] * 2, rtol=SETTLED)
+
+
+def test_shared_with_a_fixed_one():
+    fit = least_squares_fit(curved, CURVED, NOISY, SIGMA, fixed=["b.slopes[0]"], shared={"b.slopes[1]": "b.slopes[0]"})
+    assert fit.names == ("a",)
+    assert fit.value["a"] == pytest.approx(np.mean(NOISY - X - X**2), rel=SETTLED)
+    np.testing.assert_array_equal(fit.parameters["b"]["slopes"], [1.0, 1.0])
+
+
+def test_a_fixed_and_a_shared_parameter_among_others():
+    """The two lines of the groups below with one level and the slope given: two weighted means."""
+    data = {"fine": 1.0 + 0.5 * X, "coarse": 1.2 + 0.5 * X}
+    fit = least_squares_fit(
+        two_lines,
+        {"fine_level": 0.0, "coarse_level": 0.0, "slope": 0.5},
+        data,
+        {"fine": 0.1, "coarse": 0.2},
+        fixed={"slope"},
+        shared={"coarse_level": "fine_level"},
+    )
+    assert fit.value["fine_level"] == pytest.approx((1.0 / 0.01 + 1.2 / 0.04) / (1 / 0.01 + 1 / 0.04), rel=SETTLED)
+
+
+@pytest.mark.parametrize("bound", [None, (0.2, None), (None, 0.7), (0.2, 0.9)])
+def test_a_uniform_prior_is_a_pair_of_bounds(bound):
+    bounds = None if bound is None else {"b": bound}
+    fit = least_squares_fit(line, {"a": 1.0, "b": 0.4}, NOISY, SIGMA, bounds, priors={"b": Uniform(0.3, 0.8)})
+    assert fit.success
+    np.testing.assert_allclose([fit.value["a"], fit.value["b"]], [A_HAT, B_HAT], rtol=SETTLED)
+    lower, upper = (0.3 if bound is None else max(0.3, bound[0] or 0.3)), min(0.8, (bound or (0, 0.8))[1] or 0.8)
+    i = fit.names.index("b")
+    assert (fit.evidence.lower[i], fit.evidence.upper[i]) == (lower, upper)
+
+
+def test_a_uniform_prior_off_the_data_ends_at_its_edge():
+    fit = least_squares_fit(line, {"a": 1.0, "b": 0.65}, NOISY, SIGMA, priors={"b": Uniform(0.6, 0.7)})
+    assert fit.status["b"] == "at bound"
+    assert fit.value["b"] == pytest.approx(0.6, abs=1e-4)
+
+
+def test_uniform_beside_gaussian_priors():
+    both = {"a": Uniform(0.0, 5.0), "b": (0.6, 0.02)}
+    fit = least_squares_fit(line, START, NOISY, SIGMA, priors=both)
+    precision = DESIGN.T @ DESIGN / SIGMA**2 + np.diag([0.0, 1 / 0.02**2])  # conjugate; the bounds are far away
+    expected = np.linalg.solve(precision, DESIGN.T @ NOISY / SIGMA**2 + [0.0, 0.6 / 0.02**2])
+    np.testing.assert_allclose([fit.value["a"], fit.value["b"]], expected, rtol=SETTLED)
+
+
+def test_a_scale_judges_what_is_zero():
+    """An offset of 0.000 +- 0.01 is known well for what may be 1, and not for what may be 0.01."""
+    level = NOISY - A_HAT - B_HAT * X  # the best level is 0
+    error = SIGMA / np.sqrt(X.size)
+    fits = {
+        scale: least_squares_fit(lambda p: p["a"] + 0 * X, {"a": 0.0}, level, SIGMA, scales={"a": scale})
+        for scale in (1.0, 0.01)
+    }
+    for fit in fits.values():
+        assert fit.value["a"] == pytest.approx(0.0, abs=1e-8)
+    assert fits[1.0].status["a"] == "identified"
+    assert fits[1.0].standard_error["a"] == pytest.approx(error, rel=1e-4)
+    assert error > 0.5 * 0.01
+    assert fits[0.01].status["a"] == "not identified"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fixed": ["c"]}, "fixed: there is no parameter 'c'; there are a, b"),
+        ({"fixed": ["a", "b"]}, "there is no parameter to fit"),
+        ({"shared": {"c": "a"}}, "shared: there is no parameter 'c'; there are a, b"),
+        ({"shared": {"a": "c"}}, "shared: there is no parameter 'c'; there are a, b"),
+        ({"shared": {"a": "a"}}, "shared: a cannot follow a; name one parameter that is neither itself"),
+        ({"shared": {"a": "b", "b": "a"}}, "shared: a cannot follow b"),
+        ({"fixed": ["a"], "shared": {"a": "b"}}, "shared: a cannot follow b"),
+        ({"fixed": ["a"], "bounds": {"a": (0.0, 2.0)}}, "bounds for 'a', which is not fitted; fitted are b"),
+        ({"shared": {"a": "b"}, "priors": {"a": (0.0, 2.0)}}, "prior for 'a', which is not fitted; fitted are b"),
+        ({"fixed": ["a"], "scales": {"a": 1.0}}, r"scale of 'a': needs a number > 0 and a parameter that is fitted"),
+        ({"scales": {"a": 0.0}}, r"scale of 'a': needs a number > 0"),
+        ({"scales": {"a": np.nan}}, r"scale of 'a': needs a number > 0"),
+        ({"priors": {"c": Uniform(0.0, 1.0)}}, "prior for 'c'|bounds for 'c'"),
+        ({"priors": {"a": Uniform(3.0, 4.0)}}, "a starts at 1, which is not inside its bounds 3 to 4"),
+        ({"priors": {"a": Uniform(2.0, 0.0)}}, "a starts at 1, which is not inside its bounds 2 to 0"),
+        ({"loss": "tukey"}, "loss 'tukey' is not known; there are linear, soft_l1, huber, cauchy"),
+    ],
+)
+def test_refusals_of_options(change, message):
+    with pytest.raises(InputError, match=f"^({message})"):
+        least_squares_fit(line, START, NOISY, **change)
+
+
+# --- information criteria -------------------------------------------------------------------------
+
+
+def test_information_criteria_of_known_noise(known):
+    """Akaike (1974) and Schwarz (1978): 2 k - 2 ln L and k ln n - 2 ln L, here of two parameters and 30 data."""
+    log_likelihood = np.sum(stats.norm.logpdf(NOISY, DESIGN @ [A_HAT, B_HAT], SIGMA))
+    assert known.log_likelihood == pytest.approx(log_likelihood, rel=1e-9)
+    criteria = {"AIC": 4 - 2 * log_likelihood, "BIC": 2 * np.log(30) - 2 * log_likelihood}
+    assert known.information_criteria == pytest.approx(criteria, rel=1e-9)
+
+
+def test_information_criteria_of_estimated_noise(unknown):
+    """The noise is a third parameter; the likelihood is that at its estimate without bias."""
+    log_likelihood = np.sum(stats.norm.logpdf(NOISY, DESIGN @ [A_HAT, B_HAT], np.sqrt(RSS / 28)))
+    criteria = {"AIC": 6 - 2 * log_likelihood, "BIC": 3 * np.log(30) - 2 * log_likelihood}
+    assert unknown.information_criteria == pytest.approx(criteria, rel=1e-5)
+
+
+def test_information_criteria_prefer_the_line_to_the_parabola():
+    """One parameter more for what is nothing but noise: BIC knows, the rise in likelihood is below ln(30) / 2."""
+    parabola = least_squares_fit(curved, CURVED, NOISY, SIGMA)
+    straight = least_squares_fit(line, START, NOISY, SIGMA)
+    assert 0 < parabola.log_likelihood - straight.log_likelihood < np.log(30) / 2
+    assert straight.information_criteria["BIC"] < parabola.information_criteria["BIC"]
 
 
 # --- failures and refusals -----------------------------------------------------------------------

@@ -71,6 +71,6 @@ def test_study_as_a_script(tmp_path):
     done = subprocess.run([sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "friction_coefficient = 0.4" in done.stdout
-    written = json.loads((tmp_path / "out/fitting/pulley/fit.json").read_text())
+    written = json.loads((tmp_path / "out/fitting/pulley/results.json").read_text())
     assert written["status"]["friction_coefficient"] == "identified"
     assert (tmp_path / "out/fitting/pulley/fit_pulley_simulated.png").stat().st_size > 10_000

@@ -5,7 +5,7 @@ trials) from the data with replacement. On few cases the second is known to be t
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -23,7 +23,7 @@ MOST_COPIES = 8  # of a datum under a robust loss: more are drawn with a chance 
 
 
 class Bootstrap(NamedTuple):
-    """Estimates from data drawn anew."""
+    """Estimates from data drawn anew. What they tell is NaN where fewer than two refits ended at a minimum."""
 
     kind: str
     names: tuple[str, ...]
@@ -34,26 +34,30 @@ class Bootstrap(NamedTuple):
 
     @property
     def standard_error(self) -> dict[str, float]:
-        return dict(zip(self.names, np.std(self.estimates, axis=0, ddof=1).tolist(), strict=True))
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
     def covariance(self) -> np.ndarray:
-        return np.cov(self.estimates, rowvar=False).reshape(len(self.names), len(self.names))
+        return np.cov(self._told, rowvar=False).reshape(len(self.names), len(self.names))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        return np.corrcoef(self._told, rowvar=False).reshape(len(self.names), len(self.names))
 
     @property
     def bias(self) -> dict[str, float]:
         """Mean of the estimates less the estimate."""
-        return dict(zip(self.names, (np.mean(self.estimates, axis=0) - self.estimate).tolist(), strict=True))
+        return dict(zip(self.names, (np.mean(self._told, axis=0) - self.estimate).tolist(), strict=True))
 
     @property
     def confidence_interval(self) -> dict[str, tuple[float, float]]:
         """Percentiles 2.5 and 97.5."""
-        low, high = np.percentile(self.estimates, [2.5, 97.5], axis=0).tolist()
+        low, high = np.percentile(self._told, [2.5, 97.5], axis=0).tolist()
         return dict(zip(self.names, zip(low, high, strict=True), strict=True))
 
     @property
-    def correlation(self) -> np.ndarray:
-        return np.corrcoef(self.estimates, rowvar=False).reshape(len(self.names), len(self.names))
+    def _told(self) -> np.ndarray:
+        return self.estimates if len(self.estimates) > 1 else np.full((2, len(self.names)), np.nan)
 
 
 def bootstrap(
@@ -70,6 +74,8 @@ def bootstrap(
     progress: bool = False,
 ) -> Bootstrap:
     """Draw data anew and fit them from the estimate on, the weights of the data held.
+
+    A prior counts as one more reading and is drawn anew too; under a robust loss it is held.
 
     Args:
         problem, noise, best: a fit, and where it ended.
@@ -93,28 +99,89 @@ def bootstrap(
     for name, (_, labels) in clusters.items():
         if name not in groups or len(labels) != np.size(problem.values[groups.index(name)]):
             raise InputError(f"bootstrap: clusters of {name!r} need one label for each datum of a group of data")
-    predicted = _predicted(problem, noise, best)
     estimates, num_failed = [], 0
     sizes = [CHUNK] * (replicates // CHUNK) + [replicates % CHUNK] * (replicates % CHUNK > 0)
     for size in track(sizes, description="bootstrap", disable=not progress, transient=True):
         if kind == "parametric":
-            values = tuple(p + s * rng.normal(size=(size, *p.shape)) for p, s in zip(predicted, noise, strict=True))
-            deviations = noise
-            searched = problem
+            drawn = _draw_noise(rng, size, problem, noise, best)
         else:
-            values = None
-            counts = _draw_cases(rng, size, groups, problem.values, clusters)
-            searched, deviations = _weighted(problem, noise, counts)
-        found = minimise_all(searched, deviations, np.broadcast_to(best.z, (size, best.z.size)), values=values)
-        good = found.solved & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
+            drawn = _draw_cases(rng, size, problem, noise, groups, clusters)
+        z = np.broadcast_to(best.z, (size, best.z.size))
+        found = minimise_all(drawn.problem, drawn.noise, z, values=drawn.values)
+        pressed = np.any(problem.space.at_bound(found.parameters), axis=1)  # there a search has always a step left
+        good = (found.solved | pressed) & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
         estimates.append(found.parameters[good])
         num_failed += int(np.sum(~good))
     return Bootstrap(kind, names, np.concatenate(estimates), best.parameters, num_failed, seed)
 
 
+class _Drawn(NamedTuple):
+    """Many fits: data and noise have a leading axis, or are those of all."""
+
+    problem: LeastSquaresProblem
+    noise: tuple[np.ndarray, ...]
+    values: tuple[np.ndarray, ...]
+
+
+def _draw_noise(rng: np.random.Generator, size: int, problem: LeastSquaresProblem, noise, best: Outcome) -> _Drawn:
+    """New noise about the fitted model, and about the estimate in place of the priors' means."""
+    searched, deviations = _with_priors_as_data(problem, noise)
+    predicted = _predicted(searched, deviations, best)
+    values = (p + s * rng.normal(size=(size, *p.shape)) for p, s in zip(predicted, deviations, strict=True))
+    return _Drawn(searched, deviations, tuple(values))
+
+
+def _draw_cases(rng: np.random.Generator, size: int, problem: LeastSquaresProblem, noise, groups, clusters) -> _Drawn:
+    """Data with replacement; a prior's mean is drawn about itself."""
+    counts = _count_cases(rng, size, groups, problem.values, clusters)
+    if problem.loss != "linear":
+        return _copied(problem, noise, counts)
+    searched, deviations = _with_priors_as_data(problem, noise)
+    count = len(noise)
+    means = (
+        np.asarray(v) + s * rng.normal(size=size)
+        for v, s in zip(searched.values[count:], deviations[count:], strict=True)
+    )
+    with np.errstate(divide="ignore"):  # c times a square is that of noise over the root of c; infinite where c is 0
+        weighted = (s / np.sqrt(c) for s, c in zip(noise, counts, strict=True))
+        return _Drawn(searched, (*weighted, *deviations[count:]), (*(np.asarray(v) for v in problem.values), *means))
+
+
+@dataclass(frozen=True)
+class _KeepNumbers:
+    """An `unravel` that leaves the numbers beside the structure."""
+
+    unravel: Callable[[Any], Any]
+
+    def __call__(self, numbers: Any) -> Any:
+        return self.unravel(numbers), numbers
+
+
+class _WithNumbers(eqx.Module):
+    """A model that predicts some of its parameters too."""
+
+    predict: Callable[[Any], Any]
+    which: tuple[int, ...] = eqx.field(static=True)
+
+    def __call__(self, parameters: Any) -> Any:
+        structure, numbers = parameters
+        return self.predict(structure), [numbers[i] for i in self.which]
+
+
+def _with_priors_as_data(problem: LeastSquaresProblem, noise) -> tuple[LeastSquaresProblem, tuple[np.ndarray, ...]]:
+    """A prior is a reading of its parameter; no robust loss softens it, so that there it stays what it is."""
+    if not problem.prior or problem.loss != "linear":
+        return problem, tuple(noise)
+    means = (np.asarray(prior.mean) for prior in problem.prior.values())
+    deviations = (np.asarray(prior.standard_deviation) for prior in problem.prior.values())
+    predict = _WithNumbers(problem.predict, tuple(problem.prior))
+    unravel, values = _KeepNumbers(problem.unravel), (*problem.values, *means)
+    return replace(problem, predict=predict, unravel=unravel, values=values, prior={}), (*noise, *deviations)
+
+
 def _predicted(problem: LeastSquaresProblem, noise: tuple[np.ndarray, ...], best: Outcome) -> list[np.ndarray]:
     rows = np.split(best.residual, np.cumsum([np.size(v) for v in problem.values]))[:-1]
-    return [v + r.reshape(np.shape(v)) * s for v, r, s in zip(problem.values, rows, noise, strict=True)]
+    return [np.asarray(v) + r.reshape(np.shape(v)) * s for v, r, s in zip(problem.values, rows, noise, strict=True)]
 
 
 class _Copied(eqx.Module):
@@ -127,27 +194,20 @@ class _Copied(eqx.Module):
         return jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * self.copies), self.predict(parameters))
 
 
-def _weighted(
-    problem: LeastSquaresProblem, noise: tuple[np.ndarray, ...], counts: list[np.ndarray]
-) -> tuple[LeastSquaresProblem, tuple[np.ndarray, ...]]:
-    """A problem and noise of each replicate, in which each datum counts as often as it was drawn.
-
-    What was not drawn has infinite noise. A square counts c times with its noise over the root of c; under
-    another loss the datum stands there several times, and c of them have finite noise.
-    """
-    if problem.loss == "linear":
-        with np.errstate(divide="ignore"):
-            return problem, tuple(s / np.sqrt(c) for s, c in zip(noise, counts, strict=True))
-    copies = MOST_COPIES
-    values = tuple(np.stack([np.asarray(v)] * copies) for v in problem.values)
-    number = [np.arange(copies).reshape(-1, *([1] * np.ndim(v))) for v in problem.values]
-    deviations = tuple(
-        np.where(n < np.minimum(c, copies)[:, None], s, np.inf) for n, c, s in zip(number, counts, noise, strict=True)
+def _copied(problem: LeastSquaresProblem, noise, counts: list[np.ndarray]) -> _Drawn:
+    """Under another loss than the square a datum stands there several times, and c of them have finite noise."""
+    values = tuple(np.stack([np.asarray(v)] * MOST_COPIES) for v in problem.values)
+    number = [np.arange(MOST_COPIES).reshape(-1, *([1] * np.ndim(v))) for v in problem.values]
+    deviations = (
+        np.where(n < np.minimum(c, MOST_COPIES)[:, None], s, np.inf)
+        for n, c, s in zip(number, counts, noise, strict=True)
     )
-    return replace(problem, predict=_Copied(problem.predict, copies), values=values), deviations
+    return _Drawn(
+        replace(problem, predict=_Copied(problem.predict, MOST_COPIES), values=values), tuple(deviations), values
+    )
 
 
-def _draw_cases(
+def _count_cases(
     rng: np.random.Generator, size: int, groups: tuple[str, ...], values: Any, clusters: Mapping[str, tuple[str, Any]]
 ) -> list[np.ndarray]:
     """How often each datum is drawn, (size, *shape) by group."""

@@ -35,6 +35,7 @@ class LeastSquaresFit(Determination):
 
     noise: dict[str, float]  # standard deviation by group of data, root mean square
     noise_model: dict[str, Noise]  # floor and fraction, of the groups that have them
+    noise_parts: dict[str, int]  # how many numbers of each group's noise were estimated
     noise_estimated: bool
     residuals: Any  # observed - predicted, in the structure of the data
     reduced_chi_square: float
@@ -51,12 +52,12 @@ class LeastSquaresFit(Determination):
 
     @property
     def information_criteria(self) -> dict[str, float]:
-        """AIC and BIC; an estimated noise counts as a parameter of its group."""
+        """AIC and BIC of the Gaussian likelihood; what was estimated of the noise counts as parameters."""
         count = sum(np.size(v) for v in self.search.problem.values)
-        parameters = len(self.names) + sum(self.evidence.noise_estimated.values())
+        parts = sum(self.noise_parts.values())
         return {
-            "AIC": 2 * parameters - 2 * self.log_likelihood,
-            "BIC": float(np.log(count)) * parameters - 2 * self.log_likelihood,
+            "AIC": 2 * (len(self.names) + parts) - 2 * self.log_likelihood,
+            "BIC": float(np.log(count)) * (len(self.names) + parts) - 2 * self.log_likelihood,
         }
 
     @property
@@ -72,6 +73,8 @@ class LeastSquaresFit(Determination):
         """
         if name not in self.names:
             raise InputError(f"profile: {name!r} was not fitted; fitted are {', '.join(self.names)}")
+        if self.noise_estimated and self.degrees_of_freedom < 1:
+            raise InputError("profile: no data are left to tell the noise; give it, or measure more")
         search = self.search
         error = self.standard_error[name]
         return profile_likelihood(search.problem, search.noise, search.outcome, self.names, name, error, self.quantile)
@@ -168,7 +171,7 @@ def least_squares_fit(
     outcome = minimise(problem, noise, tried.z[0], max_steps=max_steps)
     for _ in range(NOISE_ROUNDS):  # weights from residuals, residuals from weights
         improved = data.estimate_noise(noise, problem, outcome)
-        settled = all(np.allclose(a, b, rtol=1e-4) for a, b in zip(noise, improved, strict=True))
+        settled = all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
         noise, outcome = improved, minimise(problem, improved, outcome.z, max_steps=max_steps)
         if settled or not np.all(np.isfinite(outcome.residual)):
             break
@@ -366,6 +369,7 @@ def _conclude(
         **vars(determined),
         noise={name: float(np.sqrt(np.mean(s**2))) for name, s in zip(data.names, noise, strict=True)},
         noise_model=data.noise_models(noise, outcome),
+        noise_parts=data.estimated_parts,
         noise_estimated=any(evidence.noise_estimated.values()),
         residuals=jax.tree_util.tree_unflatten(data.structure, observed_less_predicted),
         reduced_chi_square=float(np.sum(outcome.residual**2)) / max(freedom, 1),

@@ -15,6 +15,7 @@ from .levenberg_marquardt import LeastSquaresProblem, Outcome
 MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
 MEDIAN_TO_DEVIATION = 1.4826  # of a Gaussian, from the median of |residual|
 LARGEST_LEVERAGE = 0.9
+NEGLIGIBLE = 1e-3  # of the noise: a part of it that is called 0
 SCORING_STEPS = 100
 STEP_PARTS = 0.5 ** np.arange(8)
 WINSOR = 1.0  # squares of residuals count up to this under a robust loss: Huber (1981), proposal 2
@@ -51,6 +52,15 @@ class Observations:
     def known(self) -> list[bool]:
         """Whether a group's noise is given."""
         return [s is not None and not (isinstance(s, Noise) and None in s) for s in self.sigma]
+
+    @property
+    def estimated_parts(self) -> dict[str, int]:
+        """How many numbers of each group's noise are estimated."""
+
+        def parts(sigma: Sigma) -> int:
+            return 1 if sigma is None else list(sigma).count(None) if isinstance(sigma, Noise) else 0
+
+        return {name: parts(sigma) for name, sigma in zip(self.names, self.sigma, strict=True)}
 
     def first_guess(self) -> tuple[np.ndarray, ...]:
         """Standard deviations to start from."""
@@ -98,8 +108,10 @@ class Observations:
         for name, values, sigma, old in zip(self.names, self.values, self.sigma, noise, strict=True):
             error = outcome.residual[at : (at := at + values.size)] * old.ravel()
             if isinstance(sigma, Noise):
-                squares, none_lost = old.ravel() ** 2, np.zeros(values.size)
-                found[name] = Noise(*_parts(sigma, values.ravel() + error, squares, none_lost, old.ravel()))
+                old, predicted = old.ravel(), values.ravel() + error
+                parts = np.array(_parts(sigma, predicted, old**2, np.zeros(old.size), old))
+                size = parts * [1.0, np.max(np.abs(predicted))]
+                found[name] = Noise(*np.where(size < NEGLIGIBLE * np.min(old), 0.0, parts).tolist())
         return found
 
 

@@ -1,6 +1,7 @@
 """The parameters of a fit: their names, bounds, priors, and the change of variable that the optimiser sees."""
 
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -67,14 +68,24 @@ def lay_out_parameters(start: Any, fixed: Collection[str], shared: Mapping[str, 
         raise InputError("there is no parameter to fit")
     if len(fitted) == len(every):
         return Layout(every, np.asarray(flat), unravel)
-    place = {j: k for k, j in enumerate(fitted)}
-    taken = np.array([place.get(source.get(i, i), 0) for i in range(len(every))])
-    stays = np.array([source.get(i, i) in held for i in range(len(every))])
-
-    def put(values):
-        return unravel(jnp.where(stays, flat[np.array([source.get(i, i) for i in range(len(every))])], values[taken]))
-
+    numbers = tuple(flat.tolist())
+    source_of = tuple(source.get(i, i) for i in range(len(every)))
+    put = _Put(unravel, numbers, tuple(fitted.index(j) if j in fitted else None for j in source_of), source_of)
     return Layout(tuple(every[i] for i in fitted), np.asarray(flat)[fitted], put)
+
+
+@dataclass(frozen=True)
+class _Put:
+    """All parameters from those that are fitted; equal to another that does the same, so that jit knows it again."""
+
+    unravel: Callable[[Array], Any]
+    start: tuple[float, ...]
+    fitted: tuple[int | None, ...]  # by parameter, which of those that are fitted it takes the value of
+    source: tuple[int, ...]  # by parameter, which parameter's start it keeps otherwise
+
+    def __call__(self, values: Array) -> Any:
+        numbers = [self.start[j] if k is None else values[k] for k, j in zip(self.fitted, self.source, strict=True)]
+        return self.unravel(jnp.stack([jnp.asarray(x, values.dtype) for x in numbers]))
 
 
 def names_of(start: Any) -> tuple[str, ...]:

@@ -156,6 +156,8 @@ def _around_crossing(found: _Row, estimate: float, sign: int, threshold: float) 
 
 
 def _end(found: _Row, estimate: float, sign: int, threshold: float, bound: float) -> tuple[float, bool]:
-    """One end of the interval, and whether the likelihood closes it."""
+    """One end of the interval, and whether the likelihood closes it: it never does where the fit itself has none."""
+    if not np.any(np.isfinite(found.rise[found.value != estimate])):
+        return bound, False
     crossing = _crossing(found, estimate, sign, threshold)
     return (bound, False) if crossing is None else (crossing[2], True)
