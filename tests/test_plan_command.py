@@ -1,0 +1,110 @@
+"""`cddf plan`: candidates from a file, the same ranking as in Python, one-line errors."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+import cddf_jax as cddf
+from cddf_jax import application, cli, plan_command
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+PAPER, LOAD_CELLS = (DATA / name for name in ("smooth_sil_940.toml", "load_cells_simulated.csv"))
+CANDIDATES = """
+[[candidate]]
+name = "angles"
+base_tension = ["20 N", "40 N", "60 N"]
+noise = { tip_angle = "1 deg" }
+repeats = 2
+
+[[candidate]]
+name = "pulley"
+wrap_angle = ["90 deg", "180 deg"]
+weight = "10 N"
+noise = { pulling_tension = "0.5 N" }
+"""
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run `cddf plan` in this process, set up by the tests themselves."""
+    monkeypatch.setattr(application, "configure_jax", lambda: None)
+
+    def command(*arguments):
+        monkeypatch.setattr(sys, "argv", ["cddf", "plan", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        return ended.value.code, captured.out, captured.err
+
+    return command
+
+
+@pytest.fixture
+def candidates(tmp_path):
+    path = tmp_path / "candidates.toml"
+    path.write_text(CANDIDATES)
+    return path
+
+
+def test_the_command_ranks_as_the_call_does(run, candidates, tmp_path):
+    out = tmp_path / "plan"
+    code, text, error = run(PAPER, "--candidates", candidates, "--json", "--out", out, "--num", 1)
+    assert (code, error) == (0, "")
+    answer = json.loads(text)
+    called = cddf.plan(cddf.read_manipulator(PAPER), plan_command.read_candidates(candidates), num=1)
+    assert [row["name"] for row in answer["ranking"]] == [row.candidate.name for row in called.ranking]
+    for row, ranked in zip(answer["ranking"], called.ranking, strict=True):
+        assert row["gain"] == pytest.approx(ranked.gain)
+    pulley = next(row for row in answer["ranking"] if row["name"] == "pulley")
+    assert pulley["standard_error"]["youngs_modulus"] is None  # infinite
+    assert pulley["status"]["friction_coefficient"] == "identified"
+    assert json.loads((out / "plan.json").read_text()) == answer
+    assert (out / "plan.md").read_text().startswith("# What to measure next")
+
+
+def test_added_to_what_was_measured(run):
+    """Load cells alone hold mu / E; the first thing to do is what separates the two, and the text says so."""
+    code, text, error = run(PAPER, LOAD_CELLS, "--num", 1)
+    assert (code, error) == (0, "")
+    lines = text.splitlines()
+    assert lines[2].startswith("- now: friction_coefficient / youngs_modulus +- ")
+    assert "youngs_modulus not identified" in lines[2]
+    assert lines[3].startswith("- 1. pulley test: then friction_coefficient +- ")
+    assert "not identified" not in lines[3]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "holds no candidates"),
+        ("x = [", "is no TOML"),
+        ("[[candidate]]\nbase_tension = '20 N'", "candidate 1: needs what is read"),
+        (CANDIDATES.replace("1 deg", "1 mm"), "tip_angle needs a unit of angle"),
+        (CANDIDATES.replace("repeats = 2", "repeats = 0"), "repeats must be 1 or more"),
+        (CANDIDATES.replace("repeats = 2", "repeats = 1.5"), "repeats must be a whole number"),
+        (CANDIDATES.replace("base_tension", "base"), "unknown column 'base'"),
+        (CANDIDATES.replace('["20 N", "40 N", "60 N"]', "[]"), "base_tension is empty"),
+    ],
+)
+def test_files_that_are_refused(run, tmp_path, content, message):
+    path = tmp_path / "candidates.toml"
+    path.write_text(content)
+    code, text, error = run(PAPER, "--candidates", path)
+    assert (code, text) == (2, "")
+    assert error.startswith("error: ")
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_options_that_are_refused(run):
+    for options, message in (
+        (("--tension", "0 N"), "give a tension above 0 N"),
+        (("--criterion", "E"), "criterion 'E' is neither"),
+        (("--free", "friction"), "'friction' is no parameter"),
+        (("--candidates", "nowhere.toml"), "cannot be read"),
+    ):
+        code, _, error = run(PAPER, *options)
+        assert code == 2
+        assert message in error
