@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from bodies import PAPER as DIMENSIONS
 from bodies import paper_body
+from repeat import repeated
 
 import cddf_jax as cddf
 from cddf_jax import application, cli, solve_command
 from cddf_jax.manipulator_file import write_manipulator
+from cddf_jax.observations import Noise
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 PAPER, LOAD_CELLS, PULLEY = (
@@ -318,10 +320,11 @@ def test_fit_of_two_tables_in_json_and_files(answer_of, tmp_path):
     tables = [cddf.read_measurements(path) for path in (PULLEY, LOAD_CELLS)]
     assert_the_fit(answer, cddf.fit(cddf.read_manipulator(PAPER), tables))
     assert answer["status"] == dict.fromkeys(BOTH, "identified")
-    figures = {f"fit_{name}_simulated.{suffix}" for name in ("pulley", "load_cells") for suffix in ("pdf", "png")}
-    assert {path.name for path in tmp_path.iterdir()} == {"fit.json", "fit.md", *figures}
-    assert json.loads((tmp_path / "fit.json").read_text()) == answer
-    assert (tmp_path / "fit.md").read_text().startswith("# ")
+    stems = ("fit_pulley_simulated", "fit_load_cells_simulated", "residuals", "profiles", "correlation")
+    figures = {f"{stem}.{suffix}" for stem in stems for suffix in ("pdf", "png")}
+    assert {path.name for path in tmp_path.iterdir()} == {"results.json", "report.md", *figures}
+    assert json.loads((tmp_path / "results.json").read_text()) == answer
+    assert (tmp_path / "report.md").read_text().startswith("# ")
     assert all((tmp_path / name).stat().st_size > 1000 for name in figures)
 
 
@@ -351,6 +354,59 @@ def test_prior_of_a_plain_number(answer_of, sign):
 def test_one_free_parameter(answer_of):
     answer = answer_of("fit", PAPER, PULLEY, "--free", "friction_coefficient")
     assert answer["status"] == {"friction_coefficient": "identified", "youngs_modulus": "fixed"}
+
+
+def test_options_of_a_fit(answer_of):
+    """Against the library with the same options; of the pulley test alone, which needs no solve."""
+    options = ("--free", "friction_coefficient", "--loss", "huber", "--starts", "3", "--seed", "5")
+    limits = ("--prior", "friction_coefficient = uniform 0.1 .. 0.6", "--bound", "friction_coefficient=0.2:")
+    answer = answer_of("fit", PAPER, PULLEY, *options, *limits, "--noise", "pulling_tension=0.1 N + 1 %")
+    fit = cddf.fit(
+        cddf.read_manipulator(PAPER),
+        cddf.read_measurements(PULLEY),
+        free=("friction_coefficient",),
+        bounds={"friction_coefficient": (0.2, 0.6)},
+        noise={"pulling_tension": Noise(0.1, 0.01)},
+        loss="huber",
+    )
+    assert_the_fit(answer, fit)
+    assert answer["options"] == {
+        "free": ["friction_coefficient"],
+        "priors": {},
+        "bounds": {"friction_coefficient": [0.2, 0.6]},
+        "noise": {"pulling_tension": {"floor": 0.1, "fraction": 0.01}},
+        "per_trial": False,
+        "loss": "huber",
+        "starts": 3,
+        "seed": 5,
+        "nodes": 16,
+    }
+
+
+def test_trials_and_bootstrap_of_the_shipped_data(cddf_command, tmp_path):
+    """The truth: mu 0.42, E 1.4 MPa, friction that scatters by 1 % from trial to trial (data/README.md)."""
+    table = str(DATA / "tip_angle_simulated.csv")
+    options = ("--kinematics", "exact", "--per-trial", "--bootstrap", "20", "--seed", "3")
+    code, out, err = cddf_command("fit", PAPER, table, *options, "--out", tmp_path)
+    assert (code, err) == (0, "")
+    markdown = (tmp_path / "report.md").read_text()
+    for line in markdown.splitlines()[2:5]:  # the same first lines on the terminal and in the report
+        assert line.removeprefix("- ") in out
+    assert re.match(r"# .*\n\n- friction_coefficient = 0\.4\d* \+- .*: identified\n- youngs_modulus = 1\.", markdown)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert [(b["kind"], b["replicates"], b["seed"]) for b in results["bootstraps"]] == [
+        ("parametric", 20, 3),
+        ("cases", 20, 3),
+    ]
+    assert "bootstrap, cases, 20 refits:\n  friction_coefficient +- " in out
+    effects = results["trial_effects"]
+    assert list(effects) == [f"tip_angle_simulated.csv: {k}" for k in (1, 2, 3)]
+    assert all(abs(effect["value"]) < 0.05 and 0 < effect["standard_error"] < 0.05 for effect in effects.values())
+    assert "| tip_angle_simulated.csv: 1 | " in markdown
+    assert "## Model-free friction" in markdown
+    again = repeated(results, tmp_path)
+    assert again.value == pytest.approx(results["value"], rel=1e-9)
+    assert again.trial_spread == pytest.approx(results["trial_spread"], rel=1e-6)
 
 
 # --- reproduce -----------------------------------------------------------------------------------
@@ -650,10 +706,9 @@ def test_tables_that_do_not_fit_the_manipulator(fails, two_tendons):
     assert said.endswith("no column 'base_tension_2'; a manipulator of 2 tendons needs it")
     said = fails("fit", PAPER, "bench.csv", files={"bench.csv": "base_tension [N]\n5\n"})
     assert said.startswith("bench.csv: nothing observed; add a column tip_tension [N]")
-    said = fails(
-        "fit", PAPER, "bench.csv", files={"bench.csv": "base_tension [N],tip_x [mm],tip_force_x [N]\n5,139,1\n"}
-    )
-    assert said.startswith("bench.csv: column 'tip_force_x': fit takes no loads yet")
+    table = "base_tension [N],base_tension_2 [N],tip_tension [N]\n5,5,4.8\n"
+    said = fails("fit", PAPER, "bench.csv", files={"bench.csv": table})
+    assert said.startswith("bench.csv: column 'base_tension_2', but the manipulator has 1 tendon(s)")
     said = fails("reproduce", PAPER, PULLEY)
     assert said.startswith("pulley_simulated.csv: the column tip_tension is missing")
     assert fails("reproduce", two_tendons, LOAD_CELLS).startswith("the paper's manipulator has one tendon")
@@ -664,7 +719,9 @@ def test_tables_that_do_not_fit_the_manipulator(fails, two_tendons):
     [
         ("youngs_modulus", "--prior 'youngs_modulus': write a parameter, mean and deviation as in"),
         ("youngs_modulus=1.4 MPa", "--prior 'youngs_modulus=1.4 MPa': write a parameter, mean and deviation as in"),
-        ("mu=0.4 +- 0.1", "--prior 'mu=0.4 +- 0.1': write a parameter, mean and deviation as in"),
+        ("mu=0.4 +- 0.1", "'mu' is no parameter that can be fitted; there are friction_coefficient, youngs_modulus"),
+        ("friction_coefficient=0.1..", "--prior friction_coefficient is not a number, got ''"),
+        ("friction_coefficient=0.6..0.7", "friction_coefficient starts at 0.42, which is not inside its bounds 0.6 to"),
         ("youngs_modulus=1.4 N +- 1 N", "--prior youngs_modulus needs a unit of pressure, got '1.4 N'"),
         ("youngs_modulus=1.4 MPa +- 0.1", "--prior youngs_modulus needs a unit of pressure, got '0.1'"),
         ("youngs_modulus=1.4 MPa +- 0 MPa", "prior for youngs_modulus: needs a mean and a standard deviation > 0"),
@@ -685,6 +742,9 @@ def test_wrong_priors(fails, prior, message):
         ("pulling_tension=0.5", "--noise pulling_tension needs a unit of force, got '0.5'"),
         ("tip_angle=1 N", "--noise tip_angle needs a unit of angle, got '1 N'"),
         ("tip_angle=1 deg", "fit: noise is given for 'tip_angle', which no table holds; they hold pulling_tension"),
+        ("pulling_tension=0.1 N + 0.2 N", "--noise pulling_tension: the part that grows with the reading is in %, got"),
+        ("pulling_tension=0.1 N + x %", "--noise pulling_tension is not a number, got 'x'"),
+        ("pulling_tension=0.1 N + -1 %", "sigma of pulley_simulated.csv: pulling_tension: floor and fraction must be"),
         ("pulling_tension=0 N", "sigma of pulley_simulated.csv: pulling_tension must be > 0"),
         ("pulling_tension=-1 N", "sigma of pulley_simulated.csv: pulling_tension must be > 0"),
     ],
@@ -694,10 +754,40 @@ def test_wrong_noise(fails, noise, message):
 
 
 @pytest.mark.parametrize(
+    ("bound", "message"),
+    [
+        ("friction_coefficient", "--bound 'friction_coefficient': write a parameter and its limits as in"),
+        ("friction_coefficient=:", "--bound 'friction_coefficient=:': write a parameter and its limits as in"),
+        ("mu=0:1", "'mu' is no parameter that can be fitted"),
+        ("youngs_modulus=1:2 MPa", "--bound youngs_modulus needs a unit of pressure, got '1'"),
+        ("length=130 mm:150 mm", "bounds for 'length', which is not fitted; fitted are friction_coefficient"),
+        ("friction_coefficient=0.5:1", "friction_coefficient starts at 0.42, which is not inside its bounds 0.5 to 1"),
+    ],
+)
+def test_wrong_bounds(fails, bound, message):
+    assert fails("fit", PAPER, PULLEY, "--bound", bound, "--out", "folder").startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--loss", "square"), "Invalid value for '--loss'"),
+        (("--starts", "0"), "Invalid value for '--starts'"),
+        (("--bootstrap", "-1"), "Invalid value for '--bootstrap'"),
+        (("--bootstrap", "1"), "bootstrap: needs 2 replicates or more, got 1"),
+        (("--prior", "friction_coefficient=0.4 +- 0.1") * 2, "--prior friction_coefficient is given twice"),
+        (("--per-trial", "--free", "youngs_modulus"), "fit: per_trial needs a free friction_coefficient"),
+    ],
+)
+def test_wrong_options_of_a_fit(fails, options, message):
+    assert fails("fit", PAPER, PULLEY, *options, "--out", "folder").startswith(message)
+
+
+@pytest.mark.parametrize(
     ("free", "message"),
     [
-        ("mu", "fit: 'mu' is no parameter that can be fitted; there are friction_coefficient, youngs_modulus"),
-        ("density", "fit: 'density' is no parameter that can be fitted"),
+        ("mu", "'mu' is no parameter that can be fitted; there are friction_coefficient, youngs_modulus"),
+        ("density", "'density' is no parameter that can be fitted"),
     ],
 )
 def test_wrong_parameters(fails, free, message):
@@ -745,7 +835,7 @@ def test_a_fit_that_fails_with_a_folder(cddf_command, tmp_path):
     assert code == 1
     assert err.startswith("error: the fit failed: ")
     if (tmp_path / "folder").exists():
-        assert json.loads((tmp_path / "folder" / "fit.json").read_text())["success"] is False
+        assert json.loads((tmp_path / "folder" / "results.json").read_text())["success"] is False
 
 
 def test_a_failure_while_writing_leaves_nothing(fails, monkeypatch):

@@ -10,9 +10,7 @@ import typer
 from .errors import InputError
 
 if TYPE_CHECKING:
-    from .identification import Fit
     from .manipulator import Manipulator
-    from .units import Dimension
 
 app = typer.Typer(
     help="Friction in tendon-driven continuum manipulators: predict it, and read it off measurements.",
@@ -131,88 +129,81 @@ def solve(
 # --- fit -----------------------------------------------------------------------------------------
 
 
+class Loss(StrEnum):
+    """How residuals count."""
+
+    linear = "linear"
+    soft_l1 = "soft_l1"
+    huber = "huber"
+    cauchy = "cauchy"
+
+
+Prior = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Gaussian, "youngs_modulus=1.4 MPa +- 0.1 MPa", or uniform, "friction_coefficient=0.1..0.6".',
+        show_default=False,
+    ),
+]
+Bound = Annotated[
+    list[str] | None, typer.Option(help='Of a parameter, "pretension=0 N:2 N".', show_default="above 0 or none")
+]
+Noise = Annotated[
+    list[str] | None,
+    typer.Option(help='Known, "tip_tension=0.5 N" or "tip_tension=0.2 N + 1 %"; else estimated.', show_default=False),
+]
+
+
 @app.command()
 def fit(
     robot: Robot,
     data: Annotated[list[Path], typer.Argument(help="CSV files with the unit in the header.", show_default=False)],
     free: Annotated[list[str] | None, typer.Option(help="What is fitted.", show_default="friction and modulus")] = None,
-    prior: Annotated[
-        list[str] | None, typer.Option(help='Gaussian, "youngs_modulus=1.4 MPa +- 0.1 MPa".', show_default=False)
-    ] = None,
-    noise: Annotated[
-        list[str] | None, typer.Option(help='Known, "tip_tension=0.5 N"; else estimated.', show_default=False)
-    ] = None,
+    prior: Prior = None,
+    bound: Bound = None,
+    noise: Noise = None,
+    loss: Annotated[Loss, typer.Option(help="Other than linear: outliers count less.")] = Loss.linear,
+    starts: Annotated[int, typer.Option(help="From how many points to search.", min=1)] = 1,
+    seed: Annotated[int, typer.Option(help="Of further starts and of the bootstrap.", min=0)] = 0,
+    per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
+    bootstrap: Annotated[int, typer.Option(help="Refits to data drawn anew; 0 for none.", min=0)] = 0,
     kinematics: KinematicsOption = None,
     nodes: Nodes = 16,
     as_json: AsJson = False,
-    out: Out = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the report with profiles and figures.", show_default=False)
+    ] = None,
 ) -> None:
     """Friction and modulus from measurements, and what the measurements cannot tell."""
     manipulator = _read(robot, kinematics)
+    from . import fit_command as command
+    from .fit_results import as_dict, make_report
     from .identification import fit
     from .measurements import read_measurements
+    from .report import write_report
 
-    tables = [read_measurements(path) for path in data]
+    known = command.read_all(noise, command.read_noise, "--noise")
     found = fit(
         manipulator,
-        tables,
+        [read_measurements(path) for path in data],
         free or ("friction_coefficient", "youngs_modulus"),
-        dict(_prior(text) for text in prior or []),
-        noise=dict(_noise(text) for text in noise or []),
+        command.read_all(prior, command.read_prior, "--prior"),
+        bounds=command.read_all(bound, command.read_bound, "--bound"),
+        noise=known,
+        per_trial=per_trial,
+        loss=loss.value,
+        starts=starts,
+        seed=seed,
         nodes=nodes,
     )
-    from .report import as_dict, write_fit
-
+    bootstraps = command.draw_bootstraps(found, bootstrap, seed, as_json)
+    options = {"noise": known, "seed": seed}
+    report = make_report(found, options=options, bootstraps=bootstraps, with_profiles=out is not None)
     if out is not None:
-        write_fit(found, out)
-    _say(as_json, as_dict(found), _fit_text(found))
+        write_report(report, out)
+    _say(as_json, as_dict(report), command.report_in_words(report))
     if not found.success:
         _stop(f"the fit failed: {found.result}", 1)
-
-
-_DIMENSION: "dict[str, Dimension]" = {
-    "friction_coefficient": "dimensionless",
-    "youngs_modulus": "pressure",
-    "length": "length",
-    "tip_angle": "angle",
-    "tip_x": "length",
-    "tip_y": "length",
-}
-
-
-def _prior(text: str) -> tuple[str, tuple[float, float]]:
-    from .units import quantity
-
-    name, _, numbers = (part.strip() for part in text.partition("="))
-    mean, plus_minus, deviation = numbers.replace("±", "+-").partition("+-")
-    if not plus_minus or name not in ("friction_coefficient", "youngs_modulus", "length"):
-        raise InputError(
-            f'--prior {text!r}: write a parameter, mean and deviation as in "youngs_modulus=1.4 MPa +- 0.1 MPa"'
-        )
-    what = f"--prior {name}"
-    return name, (quantity(mean.strip(), _DIMENSION[name], what), quantity(deviation.strip(), _DIMENSION[name], what))
-
-
-def _noise(text: str) -> tuple[str, float]:
-    from .units import quantity
-
-    column, equals, number = (part.strip() for part in text.partition("="))
-    if not equals:
-        raise InputError(f'--noise {text!r}: write a column and a standard deviation as in "tip_tension=0.5 N"')
-    return column, quantity(number, _DIMENSION.get(column, "force"), f"--noise {column}")
-
-
-def _fit_text(found: "Fit") -> str:
-    from .report import in_words
-
-    lines = list(found.verdict)
-    if len(found.tables) > 1:
-        lines += ["", "alone, each table would have told:"]
-        lines += [f"  {name}: {in_words(told)}" for name, told in found.alone.items()]
-    simulated = [table.name for table in found.tables if table.simulated]
-    lines += [f"simulated data: {', '.join(simulated)}"] if simulated else []
-    lines.append(f"kinematics: {found.manipulator.kinematics}")
-    return "\n".join(lines + [f"warning: {warning}" for warning in found.warnings])
 
 
 # --- reproduce -----------------------------------------------------------------------------------
@@ -232,6 +223,56 @@ def reproduce(
 
     answer = reproduce(manipulator, read_measurements(load_cells), out)
     _say(as_json, answer, (out / "reproduction.md").read_text(encoding="utf-8"))
+
+
+# --- plan ----------------------------------------------------------------------------------------
+
+
+@app.command()
+def plan(
+    robot: Robot,
+    data: Annotated[
+        list[Path] | None, typer.Argument(help="CSV files of what was measured already.", show_default=False)
+    ] = None,
+    candidates: Annotated[
+        Path | None, typer.Option(help="TOML file of what could be measured; else the usual.", show_default=False)
+    ] = None,
+    tension: Annotated[str, typer.Option(help="The largest base tension of the usual candidates.")] = "85 N",
+    free: Annotated[
+        list[str] | None, typer.Option(help="What is to be told.", show_default="friction and modulus")
+    ] = None,
+    criterion: Annotated[
+        str, typer.Option(help="D for all together, or the parameter that is to be known best.")
+    ] = "D",
+    num: Annotated[int, typer.Option(help="How many measurements to choose in turn.", min=1)] = 3,
+    kinematics: KinematicsOption = None,
+    as_json: AsJson = False,
+    out: Out = None,
+) -> None:
+    """Which measurement next: what candidates would add to what is known."""
+    manipulator = _read(robot, kinematics)
+    from . import plan_command
+    from .identification import fit as fit_tables
+    from .measurements import read_measurements
+    from .next_measurement import plan, standard_candidates
+    from .units import quantity
+
+    names = tuple(free or ("friction_coefficient", "youngs_modulus"))
+    largest = quantity(tension, "force", "--tension")
+    if not largest > 0:
+        raise InputError(f"--tension {tension}: give a tension above 0 N")
+    choices = (
+        standard_candidates(manipulator, largest) if candidates is None else plan_command.read_candidates(candidates)
+    )
+    known = fit_tables(manipulator, [read_measurements(path) for path in data], names) if data else manipulator
+    answer = plan(known, choices, names, criterion=criterion, num=num)
+    if out is not None:
+        from .artifacts import as_json as json_text
+        from .artifacts import write_all
+
+        files = {"plan.md": plan_command.as_markdown(answer), "plan.json": json_text(plan_command.as_dict(answer))}
+        write_all(out, files)
+    _say(as_json, plan_command.as_dict(answer), plan_command.as_markdown(answer))
 
 
 # --- common --------------------------------------------------------------------------------------

@@ -63,11 +63,12 @@ class Evidence:
     prior_rows: dict[int, np.ndarray]  # by parameter
     noise_estimated: dict[str, bool]
 
-    def of(self, groups: Collection[str]) -> "Evidence":
+    def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
         rows = {name: self.rows[name] for name in groups}
         estimated = {name: self.noise_estimated[name] for name in groups}
         closed = np.zeros_like(self.open_profile)
-        return replace(self, rows=rows, prior_rows={}, noise_estimated=estimated, open_profile=closed)
+        priors = {i: row for i, row in self.prior_rows.items() if self.names[i] in with_priors_of}
+        return replace(self, rows=rows, prior_rows=priors, noise_estimated=estimated, open_profile=closed)
 
     @property
     def jacobian(self) -> np.ndarray:

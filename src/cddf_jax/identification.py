@@ -155,13 +155,13 @@ def fit(
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
     kinds = {name: parameter_named(name) for name in free}
-    before = np.cumsum([0, *(len(table.trial_labels) for table in tables)])
+    before = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     experiments = (experiment_of(table, manipulator, int(first)) for table, first in zip(tables, before, strict=False))
     model = BenchModel(manipulator, tuple(experiments), nodes)
     groups = _groups(tables, model)
     start: dict[str, Any] = {name: starting_value(manipulator, name) for name in free}
     bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive} | dict(bounds or {})
-    scales = {name: kind.scale for name, kind in kinds.items() if not kind.positive}
+    scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
     given = {"priors": dict(priors or {}), "scales": scales, "loss": loss, "starts": starts, "seed": seed}
     observations = _Data({group.label: group.observed for group in groups}, _noise_of(groups, noise or {}))
     if not per_trial:
@@ -179,6 +179,11 @@ class _Data(NamedTuple):
     sigma: dict[str, Any]
 
 
+def _trials(table: Measurements) -> tuple[str, ...]:
+    """The labels of trials in which the friction may differ; a pulley test speaks of the mean."""
+    return () if "pulling_tension" in table else table.trial_labels
+
+
 def _noise_of(groups: "list[_Group]", noise: Mapping[str, Any]) -> dict[str, Any]:
     columns = {group.column for group in groups}
     for column in set(noise) - columns:
@@ -192,7 +197,7 @@ def _fit_trials(
     tables: tuple[Measurements, ...], model: BenchModel, start: dict[str, Any], data: "_Data", bounds, given
 ) -> Fit:
     """Random effects: the spread over trials is that which expects what the trials show (EM)."""
-    count = sum(len(table.trial_labels) for table in tables)
+    count = sum(len(_trials(table)) for table in tables)
     start, spread = start | {TRIALS: np.zeros(count)}, FIRST_SPREAD
     names = [f"{TRIALS}[{k}]" for k in range(count)]
 
@@ -244,16 +249,16 @@ def _conclude(statistics: LeastSquaresFit, tables, model: BenchModel, trial_spre
         "status": {n: statistics.status[n] for n in own} | dict.fromkeys(fixed, FIXED),
     }
     labels = {name: [f"{name}: {c}" for c in e.columns] for name, e in zip(model.names, model.experiments, strict=True)}
-    trials = [
-        f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in table.trial_labels
-    ]
-    effects = [Estimate(statistics.value[n], statistics.standard_error[n]) for n in statistics.names if n not in own]
+    trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in _trials(table)]
+    spread = np.sqrt(np.diag(statistics.covariance))
+    effects = [Estimate(statistics.value[n], float(spread[i])) for i, n in enumerate(statistics.names) if n not in own]
+    kept = [name for name in statistics.names if name not in own]
     return Fit(
         **told,
         manipulator=with_parameters(body, statistics.parameters),
         tables=tables,
         model=model,
-        alone={name: statistics.told_by(*labels[name]) for name in model.names},
+        alone={name: statistics.told_by(*labels[name], with_priors_of=kept) for name in model.names},
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
         warnings=tuple(_warnings(statistics, tables, model)),

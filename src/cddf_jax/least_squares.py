@@ -93,9 +93,9 @@ class LeastSquaresFit(Determination):
         options = {"clusters": clusters, "seed": seed, "progress": progress}
         return bootstrap(search.problem, search.noise, search.outcome, self.names, groups, kind, replicates, **options)
 
-    def told_by(self, *groups: str) -> Determination:
-        """What some groups of the data alone, without priors, would determine, were this the truth."""
-        return determine(self.evidence.of(groups))
+    def told_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
+        """What some groups of the data alone, without priors but those named, would determine, were this the truth."""
+        return determine(self.evidence.of(groups, with_priors_of))
 
     def band(self, sensitivity: np.ndarray) -> np.ndarray:
         """Half-width of the 95 % band of predictions with this derivative by the parameters (rows: predictions)."""

@@ -16,6 +16,7 @@ LANES = 16  # on each side
 NEAR = np.array([0.15, 0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.35, 1.7, 2.5])  # half-widths of the 95 % interval off
 FAR = np.array([1.5, 3.0, 10.0, 30.0, 100.0, 1000.0])  # times the parameter's size beyond these
 REFINEMENTS = 2
+MAX_STEPS = 100  # of each search: along a flat valley it would creep on
 
 
 class Profile(NamedTuple):
@@ -110,7 +111,7 @@ def _search(problem: LeastSquaresProblem, noise, best: Outcome, i: int, wanted: 
         z.append(known.z[nearest])
     held = np.full((places.size, best.z.size), np.nan)
     held[:, i] = places
-    there = minimise_all(problem, noise, np.stack(z), held)
+    there = minimise_all(problem, noise, np.stack(z), held, max_steps=MAX_STEPS)
     rise = np.where(np.isfinite(there.cost), there.cost - best.cost, np.inf)
     return _Row(places, rise, there.z, there.parameters)
 

@@ -1,89 +1,111 @@
-"""A fit as people read it: figures, a report, and a dictionary for JSON."""
+"""A fit as people read it: report.md with its figures, and results.json beside it."""
 
-import re
-from importlib.metadata import version
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from . import fit_figures as figures_of
 from . import plotting as draw
 from .artifacts import as_json, write_all
+from .bench import TRIALS, parameter_named
+from .bootstrap import Bootstrap
 from .determination import NOT_IDENTIFIED, Determination
-from .identification import Fit, shown
-from .measurements import Measurements
-from .pulley import pulling_tension
-
-DEGREE = np.degrees(1.0)
-COLUMNS = {
-    "tip_angle": (DEGREE, "Tip angle", "deg"),
-    "tip_x": (1e3, "Tip position X", "mm"),
-    "tip_y": (1e3, "Tip position Y", "mm"),
-}
+from .fit_figures import COLUMNS, moving_names
+from .fit_results import Report, as_dict, make_report, trial_rows
+from .identification import SHOWN, Fit, shown
+from .observations import Noise
 
 
-def write_fit(fit: Fit, folder: str | Path) -> None:
-    """Write fit.md, fit.json and the figures (PDF and PNG) into a folder, all of them or none."""
+def write_fit(
+    fit: Fit,
+    folder: str | Path,
+    *,
+    options: Mapping[str, Any] | None = None,
+    bootstraps: Sequence[Bootstrap] = (),
+) -> None:
+    """Write report.md, results.json and the figures (PDF and PNG) into a folder, all of them or none.
+
+    Args:
+        fit: of `fit`.
+        folder: made if it is missing.
+        options: arguments that were given to `fit` and that the fit does not remember: `seed`, and `noise` of which
+            only one part was given. The others need not be named.
+        bootstraps: of `fit.bootstrap`, to be reported with it.
+    """
+    write_report(make_report(fit, options=options, bootstraps=bootstraps), folder)
+
+
+def write_report(report: Report, folder: str | Path) -> None:
+    """Write all of it, or nothing."""
     contents: dict[str, str | bytes] = {}
-    for name, figure in fit_figures(fit).items():
+    figures = report_figures(report)
+    for name, figure in figures.items():
         contents |= draw.render(figure, name)
-    write_all(folder, contents | {"fit.md": as_markdown(fit), "fit.json": as_json(as_dict(fit))})
+    contents |= {"report.md": as_markdown(report, tuple(figures)), "results.json": as_json(as_dict(report))}
+    write_all(folder, contents)
 
 
-def as_dict(fit: Fit) -> dict[str, Any]:
-    """Everything that the fit found, SI units, for JSON: what is infinite becomes null there."""
-    return {
-        **_determination(fit),
-        "result": fit.result,
-        "success": fit.success,
-        "verdict": list(fit.verdict),
-        "alone": {name: _determination(told) for name, told in fit.alone.items()},
-        "noise": fit.noise,
-        "noise_estimated": fit.noise_estimated,
-        "reduced_chi_square": fit.reduced_chi_square,
-        "degrees_of_freedom": fit.degrees_of_freedom,
-        "num_steps": fit.num_steps,
-        "warnings": list(fit.warnings),
-        "data": [{"name": t.name, "rows": len(t), "simulated": t.simulated} for t in fit.tables],
-        "kinematics": fit.manipulator.kinematics,
-        "nodes": fit.model.nodes,
-        "version": version("cddf_jax"),
-    }
+def report_figures(report: Report) -> dict[str, Figure]:
+    """The figures by file name."""
+    fit = report.fit
+    figures = figures_of.table_figures(fit)
+    if all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
+        figures["residuals"] = figures_of.residuals_figure(fit)
+    if report.profiles:
+        figures["profiles"] = figures_of.profiles_figure(fit, report.profiles)
+    if fit.success and len(figures_of.correlated_names(fit)) > 1:
+        figures["correlation"] = figures_of.correlation_figure(fit)
+    for bootstrap in report.bootstraps:
+        if len(bootstrap.estimates) > 1 and figures_of.moving_names(fit):
+            figures[f"bootstrap_{bootstrap.kind}"] = figures_of.bootstrap_figure(fit, bootstrap)
+    return figures
 
 
-def _determination(told: Determination) -> dict[str, Any]:
-    return {
-        "value": told.value,
-        "standard_error": told.standard_error,
-        "confidence_interval": told.confidence_interval,
-        "status": told.status,
-        "combinations": {name: estimate._asdict() for name, estimate in told.combinations.items()},
-        "correlation": told.correlation,
-        "rank": told.rank,
-        "condition_number": told.condition_number,
-        "sloppy_direction": told.sloppy_direction,
-    }
+# --- report.md -----------------------------------------------------------------------------------
 
 
-def as_markdown(fit: Fit) -> str:
-    """The report: first in words what was determined and what was not, then the numbers."""
-    lines = ["# What the measurements tell", "", *(f"- {line}" for line in fit.verdict), ""]
+def as_markdown(report: Report, figures: Sequence[str] = ()) -> str:
+    """The report: first in words what was determined and what was not, then the numbers.
+
+    Args:
+        report: what to say.
+        figures: names of the figures beside it.
+    """
+    sections = [
+        _in_short(report),
+        _goodness(report.fit),
+        _profile_section(report),
+        _bootstrap_section(report),
+        _alone_section(report.fit),
+        _trial_section(report.fit),
+        _noise_section(report),
+        _model_free_section(report),
+        _warning_section(report.fit),
+        _figure_section(figures),
+        _repeat_section(report),
+    ]
+    return "\n\n".join("\n".join(section) for section in sections if section) + "\n"
+
+
+def _in_short(report: Report) -> list[str]:
+    fit = report.fit
+    lines = ["# What the measurements tell", "", *(f"- {line}" for line in fit.verdict)]
+    lines += [f"- {warning}" for warning in fit.warnings if warning in fit.remarks]
     if any(table.simulated for table in fit.tables):
         names = ", ".join(table.name for table in fit.tables if table.simulated)
-        lines += [f"The data are simulated: {names}.", ""]
-    lines += ["| parameter | value | standard error | 95 % interval | status |", "| --- | --- | --- | --- | --- |"]
-    lines += ["| " + " | ".join(row) + " |" for row in parameter_rows(fit)]
-    if len(fit.tables) > 1 or len(fit.noise) > 1:
-        lines += ["", "## What each table alone would have told", ""]
-        lines += [f"- {name}: {in_words(told)}" for name, told in fit.alone.items()]
-    lines += ["", "## Noise", "", "| data | standard deviation (SI) |", "| --- | --- |"]
-    lines += [f"| {name} | {value:.3g} |" for name, value in fit.noise.items()]
-    kind = "estimated from the residuals" if fit.noise_estimated else "as given"
-    lines += ["", f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."]
-    if fit.warnings:
-        lines += ["", "## Warnings", "", *(f"- {warning}" for warning in fit.warnings)]
-    return "\n".join(lines) + "\n"
+        lines += ["", f"The data are simulated: {names}."]
+    return [
+        *lines,
+        "",
+        *_table(["parameter", "value", "standard error", "95 % interval", "status"], parameter_rows(fit)),
+    ]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return ["| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows)]
 
 
 def parameter_rows(told: Determination) -> list[list[str]]:
@@ -94,80 +116,131 @@ def parameter_rows(told: Determination) -> list[list[str]]:
             rows.append([name, "-", "-", "-", status])
             continue
         value, error, low, high, unit = shown(told, name)
-        rows.append([name, f"{value:.5g}{unit}", f"{error:.2g}", f"{low:.5g} to {high:.5g}", status])
+        spread = [f"{error:.2g}", f"{low:.5g} to {high:.5g}"] if np.isfinite(error) else ["-", "-"]
+        rows.append([name, f"{value:.5g}{unit}", *spread, status])
     for name, (value, error) in told.combinations.items():
         rows.append([name, f"{value:.5g} (SI)", f"{error:.2g}", "-", "identified"])
     return rows
 
 
+def _goodness(fit: Fit) -> list[str]:
+    lines = []
+    if np.isfinite(fit.mean_relative_error):
+        error = f"{100 * fit.mean_relative_error:.3g} %"
+        lines.append(f"Mean relative error of the tip tensions, the measure of Liu et al. (2020): {error}.")
+    criteria = ", ".join(f"{name} {value:.5g}" for name, value in fit.information_criteria.items())
+    loss = "" if fit.loss == "linear" else f" Loss {fit.loss}."
+    return [*lines, f"Reduced chi-square {fit.reduced_chi_square:.3g}; {criteria}.{loss}"]
+
+
+def _profile_section(report: Report) -> list[str]:
+    rows = []
+    for name, profile in report.profiles.items():
+        scale, unit = SHOWN[parameter_named(name).dimension]
+        ends = [
+            f"{scale * end:.5g}{unit}" if closed else "open"
+            for end, closed in zip(profile.confidence_interval, profile.closed, strict=True)
+        ]
+        rows.append([name, *ends])
+    head = ["parameter", "from", "to"]
+    text = (
+        "95 % intervals without trust in linearity: a parameter is held at value after value, the others fitted again."
+    )
+    return ["## Profiles", "", text, "", *_table(head, rows)] if rows else []
+
+
+def _bootstrap_section(report: Report) -> list[str]:
+    lines = []
+    for bootstrap in report.bootstraps:
+        drawn = "new noise about the model" if bootstrap.kind == "parametric" else "trials drawn anew, elsewhere rows"
+        lost = f", {bootstrap.num_failed} of them lost" if bootstrap.num_failed else ""
+        count = len(bootstrap.estimates) + bootstrap.num_failed
+        lines += ["", f"{bootstrap.kind.capitalize()} ({drawn}): {count} refits{lost}, seed {bootstrap.seed}.", ""]
+        lines += _table(["parameter", "standard error", "95 % interval", "bias"], bootstrap_rows(report.fit, bootstrap))
+    return ["## Bootstrap", *lines] if lines else []
+
+
+def bootstrap_rows(fit: Fit, bootstrap: Bootstrap) -> list[list[str]]:
+    """Name, standard error, interval and bias of each parameter that no bound holds."""
+    rows = []
+    for name in moving_names(fit):
+        scale, unit = SHOWN[parameter_named(name).dimension]
+        low, high = (scale * end for end in bootstrap.confidence_interval[name])
+        error, bias = scale * bootstrap.standard_error[name], scale * bootstrap.bias[name]
+        rows.append([name, f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}", f"{bias:.2g}{unit}"])
+    return rows
+
+
+def _alone_section(fit: Fit) -> list[str]:
+    if len(fit.tables) < 2 and len(fit.noise) < 2:
+        return []
+    return [
+        "## What each table alone would have told",
+        "",
+        *(f"- {n}: {in_words(told)}" for n, told in fit.alone.items()),
+    ]
+
+
 def in_words(told: Determination) -> str:
     """One line."""
-    shown = [f"{name} {status}" for name, status in told.status.items()]
-    shown += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} (SI)" for name, e in told.combinations.items()]
-    return "; ".join(shown)
+    parts = [f"{name} {status}" for name, status in told.status.items() if not name.startswith(TRIALS)]
+    parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} (SI)" for name, e in told.combinations.items()]
+    return "; ".join(parts)
 
 
-def fit_figures(fit: Fit) -> dict[str, Figure]:
-    """One figure for each table: data, model with its 95 % band, residuals.
-
-    There is none for tables of several tendons, and none where the model gave no numbers.
-    """
-    figures = {}
-    for name, table in zip(fit.alone, fit.tables, strict=True):
-        if "pulling_tension" in table:
-            panels = [_pulley_panel(fit, name, table)]
-        elif fit.manipulator.num_tendons == 1:
-            columns = [c for c in ("tip_tension", *COLUMNS) if c in table]
-            panels = [_bench_panel(fit, name, table, column) for column in columns]
-        else:
-            continue
-        if all(np.all(np.isfinite(panel.predicted)) and np.all(np.isfinite(panel.residual)) for panel in panels):
-            figures["fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_")] = draw.fit_figure(panels)
-    return figures
+def _trial_section(fit: Fit) -> list[str]:
+    rows = [[name, f"{100 * effect:+.2f} %", f"{100 * error:.2g} %"] for name, effect, error in trial_rows(fit)]
+    text = f"Friction of a trial against that of all; standard deviation over trials {100 * fit.trial_spread:.2g} %."
+    head = ["trial", "friction", "standard error"]
+    return ["## Trials", "", text, "", *_table(head, rows)] if rows else []
 
 
-def _data_label(table: Measurements) -> str:
-    return "simulated data, mean ± sd" if table.simulated else "data, mean ± sd"
+def _noise_section(report: Report) -> list[str]:
+    fit, rows = report.fit, []
+    for label, deviation in fit.noise.items():
+        scale, _, unit = COLUMNS.get(label.rpartition(": ")[2], (1.0, "", "N"))
+        p_value = report.normality[label].p_value
+        model = _noise_in_words(fit.noise_model.get(label), scale, unit)
+        rows.append(
+            [label, f"{scale * deviation:.3g} {unit}", model, f"{p_value:.2g}" if np.isfinite(p_value) else "-"]
+        )
+    kind = "estimated from the residuals" if fit.noise_estimated else "as given"
+    head = ["data", "standard deviation", "made of", "normal: Shapiro-Wilk p"]
+    text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
+    return ["## Noise", "", *_table(head, rows), "", text]
 
 
-def _bench_panel(fit: Fit, name: str, table: Measurements, column: str) -> draw.FitPanel:
-    scale, quantity, unit = COLUMNS.get(column, (1.0, "Tip tension", "N"))
-    tension = table["base_tension"]
-    grid = np.linspace(tension.min(), tension.max(), 100)
-    value, half_width, _ = fit.predict(column, grid)
-    return draw.FitPanel(
-        x=tension,
-        observed=scale * table[column],
-        residual=scale * fit.residuals[f"{name}: {column}"],
-        grid=grid,
-        predicted=scale * value,
-        lower=scale * (value - half_width),
-        upper=scale * (value + half_width),
-        x_label="Base tension (N)",
-        y_label=f"{quantity} ({unit})",
-        residual_label=f"Residual ({unit})",
-        data_label=_data_label(table),
-    )
+def _noise_in_words(model: Noise | None, scale: float, unit: str) -> str:
+    if model is None:
+        return "the same for all"
+    floor, fraction = model.floor or 0.0, model.fraction or 0.0
+    return f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
 
 
-def _pulley_panel(fit: Fit, name: str, table: Measurements) -> draw.FitPanel:
-    """Pulling tension per weight over wrap angle, so that one curve holds every weight."""
-    grid = np.linspace(0.0, table["wrap_angle"].max(), 100)
-    ratio = np.asarray(pulling_tension(1.0, fit.value["friction_coefficient"], grid))
-    slope = np.zeros((grid.size, len(fit.names)))
-    if "friction_coefficient" in fit.names:
-        slope[:, fit.names.index("friction_coefficient")] = grid * ratio
-    half_width = fit.band(slope)
-    return draw.FitPanel(
-        x=DEGREE * table["wrap_angle"],
-        observed=table["pulling_tension"] / table["weight"],
-        residual=fit.residuals[f"{name}: pulling_tension"] / table["weight"],
-        grid=DEGREE * grid,
-        predicted=ratio,
-        lower=ratio - half_width,
-        upper=ratio + half_width,
-        x_label="Wrap angle (deg)",
-        y_label="Pulling tension / weight",
-        residual_label="Residual",
-        data_label=_data_label(table),
-    )
+def _model_free_section(report: Report) -> list[str]:
+    lines = []
+    for name, (friction, compared) in report.model_free.items():
+        lines += [f"- {name}: {line}" for line in friction.verdict]
+        if compared is not None:
+            agrees = f"the fit lies {abs(compared.z):.1f} standard errors from it"
+            lines.append(f"- {name}: {compared.sentence or agrees}")
+    return ["## Model-free friction", "", *lines] if lines else []
+
+
+def _warning_section(fit: Fit) -> list[str]:
+    """What the first lines have not said already."""
+    lines = [f"- {warning}" for warning in fit.warnings if warning not in fit.remarks]
+    return ["## Warnings", "", *lines] if lines else []
+
+
+def _figure_section(figures: Sequence[str]) -> list[str]:
+    return ["## Figures", "", *(f"![{name.replace('_', ' ')}]({name}.png)" for name in figures)] if figures else []
+
+
+def _repeat_section(report: Report) -> list[str]:
+    fit = report.fit
+    rows = [[table.name, str(len(table)), f"`{table.checksum[:16]}`"] for table in fit.tables]
+    text = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
+    starts, seed, nodes = (report.options[name] for name in ("starts", "seed", "nodes"))
+    options = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
+    return ["## To repeat it", "", *_table(["data", "rows", "SHA-256, first digits"], rows), "", f"{options} {text}"]
