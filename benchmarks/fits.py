@@ -33,14 +33,13 @@ COMPLIANCE = 2.942783188998e4  # G(L), 1/m^2
 
 def iterated(mu: float, modulus: float, pull: float) -> tuple[float, float]:
     """Tip tension and angle by the paper's iteration, as a user would write it."""
-    tension = np.full_like(S, pull)
+    tension, angle = np.full_like(S, pull), np.zeros_like(S)
     for _ in range(50):
         angle = cumulative_trapezoid(tension * OFFSET / (modulus * SECOND_MOMENT), S, initial=0.0)
-        improved = pull * np.exp(-mu * angle)
-        if np.max(np.abs(improved - tension)) < 1e-9 * pull:
+        last, tension = tension, pull * np.exp(-mu * angle)
+        if np.max(np.abs(tension - last)) < 1e-9 * pull:
             break
-        tension = improved
-    return improved[-1], angle[-1]
+    return tension[-1], angle[-1]
 
 
 def closed(mu: float, modulus: float, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -92,15 +91,14 @@ def with_scipy(table: cddf.Measurements) -> tuple[dict[str, float], np.ndarray]:
     residual = residual_of(table, tip, angle, by_rows)
     time_of_fit, found = once(lambda: least_squares(residual, [1.0, 1.0], x_scale="jac"))
     rng = np.random.default_rng(0)
-    predicted = by_rows(*(found.x * START), table["base_tension"])
+    mu, modulus = found.x * START
+    predicted = by_rows(mu, modulus, table["base_tension"])
 
     def refits():
         for _ in range(TIMED_REFITS):
-            drawn = [
-                p + NOISE[c] * rng.normal(size=p.size)
-                for p, c in zip(predicted, ("tip_tension", "tip_angle"), strict=True)
-            ]
-            least_squares(residual_of(table, *drawn, by_rows), found.x, x_scale="jac")
+            tip = predicted[0] + NOISE["tip_tension"] * rng.normal(size=len(table))
+            angle = predicted[1] + NOISE["tip_angle"] * rng.normal(size=len(table))
+            least_squares(residual_of(table, tip, angle, by_rows), found.x, x_scale="jac")
 
     def rise(modulus):
         held = least_squares(lambda x: residual([x[0], modulus]), [found.x[0]])
