@@ -1,6 +1,8 @@
 """Settings of every test: double precision, quick compilation, and four devices of the CPU for `shard_map`."""
 
+import gc
 import os
+from pathlib import Path
 
 from cddf_jax.application import QUICK_COMPILATION
 
@@ -8,6 +10,7 @@ from cddf_jax.application import QUICK_COMPILATION
 os.environ.setdefault("XLA_FLAGS", QUICK_COMPILATION)
 
 import jax
+import pytest
 from hypothesis import Phase, settings
 
 jax.config.update("jax_enable_x64", True)
@@ -18,3 +21,17 @@ settings.register_profile(
     "cddf", deadline=None, derandomize=True, database=None, phases=(Phase.explicit, Phase.generate)
 )
 settings.load_profile("cddf")
+
+# every compiled program keeps a dozen maps of memory; Linux grants a process 65,530 of them, and the compiler crashes
+# without a word where there are no more
+MAPS = Path("/proc/self/maps")
+MANY_MAPS = 15_000
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _let_compiled_programs_go():
+    """Between the files of a long run, before there are too many."""
+    yield
+    if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MANY_MAPS:
+        jax.clear_caches()
+        gc.collect()

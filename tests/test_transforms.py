@@ -42,11 +42,10 @@ def test_vmap_over_the_leaves_of_a_manipulator_is_a_loop():
 
 
 def test_jit_is_eager():
-    """One slanted tendon: every operation is a call of its own, and with antagonists there are very many."""
-    body = paper_body("exact", tendon_offset=(0.012, 0.009))
+    """One tendon: every operation is a call of its own, and with antagonists there are very many."""
 
     def solved():
-        return cddf.solve(body, 40.0, nodes=8, throw=False)
+        return cddf.solve(paper_body("published"), 40.0, nodes=8, throw=False)
 
     with jax.disable_jit():
         eager = solved()

@@ -79,14 +79,8 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
 
 
 def trial_rows(fit: Fit) -> list[tuple[str, float, float]]:
-    """Table and trial, ln(mu of the trial / mu) and its standard error; a pulley test has no trials of its own."""
-    pulleys = [f"{name}: " for name, table in zip(fit.alone, fit.tables, strict=True) if "pulling_tension" in table]
-    places = [i for i, name in enumerate(fit.names) if name not in own_names(fit)]
-    return [
-        (name, effect.value, float(np.sqrt(fit.covariance[i, i])))
-        for i, (name, effect) in zip(places, fit.trial_effects.items(), strict=True)
-        if not name.startswith(tuple(pulleys))
-    ]
+    """Table and trial, ln(mu of the trial / mu) and its standard error."""
+    return [(name, effect.value, effect.standard_error) for name, effect in fit.trial_effects.items()]
 
 
 # --- results.json --------------------------------------------------------------------------------
