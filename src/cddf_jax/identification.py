@@ -154,7 +154,10 @@ def fit(
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
-    kinds = {name: parameter_named(name) for name in free}
+    try:
+        kinds = {name: parameter_named(name) for name in free}
+    except InputError as error:
+        raise InputError(f"fit: {error}") from None
     before = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     experiments = (experiment_of(table, manipulator, int(first)) for table, first in zip(tables, before, strict=False))
     model = BenchModel(manipulator, tuple(experiments), nodes)
