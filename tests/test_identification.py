@@ -213,15 +213,14 @@ def slanted():
     return base, np.array([reference_solution(plain, pull).tip_tension[0] for pull in base])
 
 
-@pytest.mark.parametrize("seed", [8, 9, 11])
-def test_slanted_tendon_in_practice(slanted, seed):
+def test_slanted_tendon_in_practice(slanted):
     """The two are separate in theory and not in practice, design.md section 4.
 
     With 0.3 N of noise on 3 x 4 pairs chi-square changes by less than 1 from mu = 0.06 to mu = 1 when E follows:
     no interval of the likelihood closes, whatever the curvature at the minimum says.
     """
     base, truth = slanted
-    tip = np.tile(truth, 3) + 0.3 * np.random.default_rng(seed).normal(size=12)
+    tip = np.tile(truth, 3) + 0.3 * np.random.default_rng(8).normal(size=12)
     fit = cddf.fit(paper_body("exact", tendon_offset=(0.012, 0.009)), bench(np.tile(base, 3), tip_tension=tip))
     assert_only_the_ratio(fit)
     value, error = fit.combinations[RATIO]
