@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 from pathlib import Path
 
 from cddf_jax.application import QUICK_COMPILATION
@@ -35,3 +36,20 @@ def _let_compiled_programs_go():
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MANY_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def cddf_command(monkeypatch, capsys):
+    """Run `cddf` with some arguments in this process, set up by the tests; exit code, standard output and error."""
+
+    def run(*arguments):
+        from cddf_jax import application, cli
+
+        monkeypatch.setattr(application, "configure_jax", lambda: None)
+        monkeypatch.setattr(sys, "argv", ["cddf", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        return ended.value.code, captured.out, captured.err
+
+    return run

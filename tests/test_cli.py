@@ -34,20 +34,6 @@ def _tests_set_jax_up_themselves(monkeypatch):
 
 
 @pytest.fixture
-def cddf_command(monkeypatch, capsys):
-    """Run `cddf` with some arguments in this process; exit code, standard output, standard error."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["cddf", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capsys.readouterr()
-        return ended.value.code, captured.out, captured.err
-
-    return run
-
-
-@pytest.fixture
 def answer_of(cddf_command):
     """The one JSON object on standard output of a command that succeeds."""
 

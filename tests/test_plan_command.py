@@ -1,13 +1,12 @@
 """`cddf plan`: candidates from a file, the same ranking as in Python, one-line errors."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
 import cddf_jax as cddf
-from cddf_jax import application, cli, plan_command
+from cddf_jax import plan_command
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 PAPER, LOAD_CELLS = (DATA / name for name in ("smooth_sil_940.toml", "load_cells_simulated.csv"))
@@ -27,18 +26,9 @@ noise = { pulling_tension = "0.5 N" }
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """Run `cddf plan` in this process, set up by the tests themselves."""
-    monkeypatch.setattr(application, "configure_jax", lambda: None)
-
-    def command(*arguments):
-        monkeypatch.setattr(sys, "argv", ["cddf", "plan", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capsys.readouterr()
-        return ended.value.code, captured.out, captured.err
-
-    return command
+def run(cddf_command):
+    """`cddf plan` with some arguments."""
+    return lambda *arguments: cddf_command("plan", *arguments)
 
 
 @pytest.fixture

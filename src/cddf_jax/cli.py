@@ -197,7 +197,7 @@ def fit(
         nodes=nodes,
     )
     bootstraps = command.draw_bootstraps(found, bootstrap, seed, as_json)
-    options = {"noise": known, "seed": seed}
+    options = {"noise": known}
     report = make_report(found, options=options, bootstraps=bootstraps, with_profiles=out is not None)
     if out is not None:
         write_report(report, out)

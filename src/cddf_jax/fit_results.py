@@ -183,7 +183,7 @@ def _options(fit: Fit) -> dict[str, Any]:
         "per_trial": not np.isnan(fit.trial_spread),
         "loss": fit.loss,
         "starts": max(len(fit.starts), 1),
-        "seed": 0,
+        "seed": fit.seed,
         "nodes": fit.model.nodes,
     }
 

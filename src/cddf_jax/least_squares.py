@@ -44,6 +44,7 @@ class LeastSquaresFit(Determination):
     loss: str
     num_steps: int
     starts: np.ndarray  # the cost that the search from each start came down to, the best first
+    seed: int  # of the further starts
     success: bool
     result: str  # "successful", or what went wrong
     parameters: Any  # the estimate in the structure of `start`
@@ -185,7 +186,7 @@ def least_squares_fit(
         evidence = _evidence(names, problem, data, outcome)
     doubtful = profiles.open | (result != SUCCESSFUL)  # a failed fit has identified nothing
     evidence = replace(evidence, open_profile=doubtful)
-    return _conclude(evidence, data, Search(problem, noise, outcome), result, tried.cost)
+    return _conclude(evidence, data, Search(problem, noise, outcome), result, tried.cost, seed)
 
 
 class _Starts(NamedTuple):
@@ -355,7 +356,7 @@ def _verdict(
 
 
 def _conclude(
-    evidence: Evidence, data: Observations, search: Search, result: str, starts: np.ndarray
+    evidence: Evidence, data: Observations, search: Search, result: str, starts: np.ndarray, seed: int
 ) -> LeastSquaresFit:
     problem, noise, outcome = search
     determined = determine(evidence)
@@ -378,6 +379,7 @@ def _conclude(
         loss=problem.loss,
         num_steps=int(outcome.num_steps),
         starts=starts,
+        seed=seed,
         success=result == SUCCESSFUL,
         result=result,
         parameters=jax.tree.map(np.asarray, problem.unravel(jnp.asarray(outcome.parameters))),

@@ -31,8 +31,8 @@ def write_fit(
     Args:
         fit: of `fit`.
         folder: made if it is missing.
-        options: arguments that were given to `fit` and that the fit does not remember: `seed`, and `noise` of which
-            only one part was given. The others need not be named.
+        options: arguments that were given to `fit` and that the fit does not remember: `noise` of which only one part
+            was given. The others need not be named.
         bootstraps: of `fit.bootstrap`, to be reported with it.
     """
     write_report(make_report(fit, options=options, bootstraps=bootstraps), folder)
