@@ -772,8 +772,8 @@ def test_wrong_options_of_a_fit(fails, options, message):
 @pytest.mark.parametrize(
     ("free", "message"),
     [
-        ("mu", "'mu' is no parameter that can be fitted; there are friction_coefficient, youngs_modulus"),
-        ("density", "'density' is no parameter that can be fitted"),
+        ("mu", "fit: 'mu' is no parameter that can be fitted; there are friction_coefficient, youngs_modulus"),
+        ("density", "fit: 'density' is no parameter that can be fitted"),
     ],
 )
 def test_wrong_parameters(fails, free, message):
