@@ -157,6 +157,13 @@ def test_a_known_tip_force_is_part_of_the_model(paper):
     assert found.value["friction_coefficient"] == pytest.approx(MU, rel=1e-5)
     assert found.value["youngs_modulus"] == pytest.approx(E, rel=1e-5)
 
+    there = found.predict("tip_angle", levels[[0, 2]], tip_force=(0.0, -1.0))
+    np.testing.assert_allclose(there.value, table["tip_angle"][[0, 2]], rtol=1e-5)
+    np.testing.assert_array_less(there.half_width, 2.0 * NOISE["tip_angle"])  # less than the noise of one reading
+    assert not np.any(there.extrapolated)
+    force = np.array([(0.0, -1.0), (0.0, -1.1), (0.1, -1.0)])
+    assert found.predict("tip_angle", np.full(3, levels[0]), force).extrapolated.tolist() == [False, True, True]
+
 
 @pytest.mark.parametrize(
     ("free", "message"),

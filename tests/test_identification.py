@@ -305,6 +305,26 @@ def pulley_alone(paper, pulley):
     return cddf.fit(paper, pulley)
 
 
+def test_a_prediction_that_the_data_do_not_hold_has_no_band(pulley_alone):
+    """A pulley test knows no modulus, and so no tip tension of the manipulator."""
+    prediction = pulley_alone.predict("tip_tension", [20.0, 80.0])
+    assert np.all(np.isinf(prediction.half_width))
+    assert np.all(prediction.extrapolated)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("tip_slope", [10.0]), "'tip_slope' is no reading; there are tip_angle, tip_tension, tip_x, tip_y"),
+        (("tip_angle", [[10.0, 5.0]]), r"needs base_tension \(rows,\) or \(rows, 1\)"),
+        (("tip_angle", [10.0, 20.0], [1.0, 2.0, 3.0]), r"tip_force \(2,\) or \(rows, 2\)"),
+    ],
+)
+def test_conditions_that_are_none(pulley_alone, arguments, message):
+    with pytest.raises(InputError, match=f"^predict: .*{message}"):
+        pulley_alone.predict(*arguments)
+
+
 def test_pulley_alone_gives_the_friction(pulley_alone, pulley):
     assert pulley_alone.status == {"friction_coefficient": "identified", "youngs_modulus": "not identified"}
     (value,), covariance = optimize.curve_fit(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
+from cddf_jax import profile_likelihood
 from cddf_jax.errors import InputError
 from cddf_jax.least_squares import least_squares_fit
 
@@ -158,8 +159,35 @@ def test_a_model_that_ends():
     low, high = profile.confidence_interval
     assert high == pytest.approx((root + NORMAL * error) ** 2, rel=1e-4)
     assert 0 <= low < 0.02 * root**2
+    assert profile.closed == (False, True)  # the data have not spoken where the model ends
+    assert profile.model_ends == (True, False)
     assert np.all(np.isinf(profile.rise[profile.value < 0]))
     assert np.any(profile.value < 0)
+
+
+def test_an_estimate_that_ran_far_onto_its_bound():
+    """Started at 1, a slope that the data put at -0.2 ends within 1e-5 of 0, and its profile still looks beyond.
+
+    With the level a known, (b - best)^2 - best^2 = (1.96 error)^2.
+    """
+    error = SIGMA / np.sqrt(np.sum(X**2))
+    data = -0.02 * X
+    fit = least_squares_fit(lambda p: p["b"] * X, {"b": 1.0}, data, SIGMA, {"b": (0.0, None)})
+    assert fit.value["b"] < 1e-5
+    profile = fit.profile("b")
+    assert profile.closed == (False, True)
+    high = -0.02 + np.sqrt((NORMAL * error) ** 2 + 0.02**2)
+    assert profile.confidence_interval == (0.0, pytest.approx(high, rel=1e-3))
+
+
+def test_a_search_that_creeps_goes_on_or_counts_for_nothing(monkeypatch):
+    """Eight steps to each search, five times continued, tell the interval that a hundred do."""
+    fit = least_squares_fit(decay, TRUTH, DECAY)
+    expected = fit.profile("height").confidence_interval
+    monkeypatch.setattr(profile_likelihood, "MAX_STEPS", 8)
+    np.testing.assert_allclose(fit.profile("height").confidence_interval, expected, rtol=2e-4)
+    monkeypatch.setattr(profile_likelihood, "CONTINUATIONS", 0)
+    assert fit.profile("height").closed == (False, False)
 
 
 def test_a_fit_without_a_number_has_no_interval():

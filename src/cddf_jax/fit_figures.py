@@ -224,7 +224,8 @@ def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, s
     axes.set_xlim(scale * low, scale * high)
     limit = np.sqrt(profile.threshold)
     axes.set_ylim(-0.1 * limit, 1.9 * limit)
-    ends = [end if closed else edge for end, closed, edge in zip(interval, profile.closed, (low, high), strict=True)]
+    known = [closed or ends for closed, ends in zip(profile.closed, profile.model_ends, strict=True)]
+    ends = [end if there else edge for end, there, edge in zip(interval, known, (low, high), strict=True)]
     axes.axvspan(scale * ends[0], scale * ends[1], color=draw.SKY, alpha=0.35, linewidth=0, label="95 % interval")
     root = np.sqrt(np.maximum(profile.rise, 0.0))
     axes.plot(scale * profile.value, root, "o-", color=draw.BLUE, markersize=2.2, label="profile")
@@ -233,9 +234,10 @@ def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, s
         axes.axvline(scale * estimate, color=draw.BLACK, linestyle=":", label="estimate")
     look = {"transform": axes.transAxes, "va": "top", "color": draw.VERMILION}
     if not profile.closed[0]:
-        axes.text(0.03, 0.96, "bound" if status == AT_BOUND else "← open", ha="left", **look)
+        word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
+        axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
     if not profile.closed[1]:
-        axes.text(0.97, 0.96, "open →", ha="right", **look)
+        axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
 
 
 def _is_valley(profile: Profile, status: str) -> bool:
@@ -245,8 +247,8 @@ def _is_valley(profile: Profile, status: str) -> bool:
 
 def _valley_reach(profile: Profile, estimate: float) -> tuple[float, float]:
     """Lowest and highest value to show: two decades each way, or where the valley ends."""
-    (low, high), (below, above) = profile.confidence_interval, profile.closed
-    low, high = low / 1.5 if below else estimate / 100, 1.5 * high if above else 100 * estimate
+    (low, high), known = profile.confidence_interval, np.logical_or(profile.closed, profile.model_ends)
+    low, high = low / 1.5 if known[0] else estimate / 100, 1.5 * high if known[1] else 100 * estimate
     return max(low, float(profile.value[0])), min(high, float(profile.value[-1]))
 
 

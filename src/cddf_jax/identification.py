@@ -44,7 +44,7 @@ class Prediction(NamedTuple):
 
     value: np.ndarray
     half_width: np.ndarray  # of the 95 % band that the uncertainty of the parameters makes
-    extrapolated: np.ndarray  # True beyond the base tensions of the data
+    extrapolated: np.ndarray  # True beyond the base tensions or tip forces of the data
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,21 +75,23 @@ class Fit(LeastSquaresFit):
         ]
         return float(np.mean(np.concatenate(errors))) if errors else float("nan")
 
-    def predict(self, column: str, base_tension: Any) -> Prediction:
-        """A reading with its 95 % band over base tension, every tendon pulled alike, without loads.
+    def predict(self, column: str, base_tension: Any, tip_force: Any = (0.0, 0.0), direction: Any = 1.0) -> Prediction:
+        """A reading with its 95 % band.
 
         Args:
-            column: "tip_tension", "tip_angle", "tip_x", ...
-            base_tension: N, one-dimensional.
+            column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x" or "tip_y".
+            base_tension: N, (rows,) where every tendon is pulled alike, or (rows, tendons).
+            tip_force: N, (2,) or (rows, 2).
+            direction: 1 where tendons slide in and -1 where they slide out; broadcast to (rows, tendons).
+
+        Raises:
+            InputError: for another column, or conditions of other shapes.
         """
-        tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
-        count = self.manipulator.num_tendons
-        pulled = Bench(np.repeat(tension[:, None], count, axis=1), np.ones((tension.size, count)))
-        value, slope, _ = pulled.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
-        levels = [table["base_tension"] for table in self.tables if "base_tension" in table] or [tension]
-        low, high = np.min(np.concatenate(levels)), np.max(np.concatenate(levels))
-        outside = (tension < low * (1 - 1e-9)) | (tension > high * (1 + 1e-9))
-        return Prediction(value[column], self.band(slope[column]), outside)
+        bench = _conditions(base_tension, tip_force, direction, self.manipulator.num_tendons)
+        value, slope, _ = bench.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
+        if column not in value:
+            raise InputError(f"predict: {column!r} is no reading; there are {', '.join(value)}")
+        return Prediction(value[column], self.band(slope[column]), _beyond(bench, self.model))
 
     def bootstrap(self, kind: str = "parametric", replicates: int = 1000, **options: Any) -> Bootstrap:
         """Refits to data drawn anew; "cases" draws whole trials where there are trials, and whole rows elsewhere."""
@@ -105,6 +107,39 @@ class Fit(LeastSquaresFit):
             for name, table, experiment in zip(self.alone, self.tables, self.model.experiments, strict=True)
             for column in experiment.columns
         }
+
+
+def _conditions(base_tension: Any, tip_force: Any, direction: Any, tendons: int) -> Bench:
+    tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
+    tension = tension[:, None] if tension.ndim == 1 else tension
+    rows = len(tension)
+    try:
+        pulled = np.broadcast_to(tension, (rows, tendons))
+        way = np.broadcast_to(np.asarray(direction, np.float64), (rows, tendons))
+        force = np.broadcast_to(np.asarray(tip_force, np.float64), (rows, 2))
+    except ValueError:
+        raise InputError(
+            f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), and direction "
+            f"that fits; got {np.shape(base_tension)}, {np.shape(tip_force)} and {np.shape(direction)}"
+        ) from None
+    return Bench(pulled, way, force if np.any(force) else None)
+
+
+def _beyond(wanted: Bench, model: BenchModel) -> np.ndarray:
+    """Which rows lie outside what the data span, of any tendon's base tension or any component of the tip force."""
+
+    def conditions(bench: Bench) -> np.ndarray:
+        force = np.zeros((len(bench.base_tension), 2)) if bench.tip_force is None else bench.tip_force
+        return np.concatenate([bench.base_tension, force], axis=1)
+
+    measured = [conditions(e) for e in model.experiments if isinstance(e, Bench)]
+    there = conditions(wanted)
+    if not measured:
+        return np.ones(len(there), bool)
+    rows = np.concatenate(measured)
+    low, high = rows.min(axis=0), rows.max(axis=0)
+    slack = 1e-9 * np.maximum(np.abs(low), np.abs(high))
+    return np.any((there < low - slack) | (there > high + slack), axis=1)
 
 
 def fit(

@@ -26,6 +26,7 @@ SUCCESSFUL = "successful"
 NOISE_ROUNDS = 50
 CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
 START_SPREAD = 1.5  # of further starts about the first, in dimensionless unknowns
+UNDETERMINED = 1e-10  # of a prediction's squared derivative, along directions that the data leave open
 ONE_DATUM = 0.5  # share of a parameter's variance that no datum should make alone
 
 
@@ -99,9 +100,17 @@ class LeastSquaresFit(Determination):
         return determine(self.evidence.of(groups, with_priors_of))
 
     def band(self, sensitivity: np.ndarray) -> np.ndarray:
-        """Half-width of the 95 % band of predictions with this derivative by the parameters (rows: predictions)."""
-        variance = np.einsum("ki,ij,kj->k", sensitivity, self.covariance, sensitivity)
-        return self.quantile * np.sqrt(np.maximum(variance, 0.0))
+        """Half-width of the 95 % band of predictions with this derivative by the parameters (rows: predictions).
+
+        Infinite for a prediction that hangs on what the data do not determine.
+        """
+        if self.noise_estimated and self.degrees_of_freedom < 1:
+            return np.full(len(sensitivity), np.inf)
+        spectrum, scaled = spectrum_of(self.evidence.jacobian), sensitivity * self.evidence.size
+        along = scaled @ spectrum.directions[spectrum.determined].T
+        error = np.linalg.norm(along / spectrum.values[spectrum.determined], axis=1)
+        whole = np.sum(scaled**2, axis=1)
+        return np.where(whole - np.sum(along**2, axis=1) > UNDETERMINED * whole, np.inf, self.quantile * error)
 
 
 class Search(NamedTuple):

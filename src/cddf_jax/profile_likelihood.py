@@ -15,8 +15,10 @@ from .robust_loss import loss_of
 LANES = 16  # on each side
 NEAR = np.array([0.15, 0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.35, 1.7, 2.5])  # half-widths of the 95 % interval off
 FAR = np.array([1.5, 3.0, 10.0, 30.0, 100.0, 1000.0])  # times the parameter's size beyond these
-REFINEMENTS = 2
+NARROW = 0.01  # of its distance from the estimate: a bracket about an end that needs no refinement
+MOST_REFINEMENTS = 6
 MAX_STEPS = 100  # of each search: along a flat valley it would creep on
+CONTINUATIONS = 5  # of a search that creeps on above the threshold; after these it tells nothing
 
 
 class Profile(NamedTuple):
@@ -28,8 +30,9 @@ class Profile(NamedTuple):
     others: np.ndarray  # (values, parameters): all parameters, refitted
     names: tuple[str, ...]  # of the columns
     threshold: float  # the rise that ends the 95 % interval
-    confidence_interval: tuple[float, float]  # the bound, or infinite, on a side where it does not close
-    closed: tuple[bool, bool]  # below, above
+    confidence_interval: tuple[float, float]  # where it does not close the bound, infinity, or where the model ends
+    closed: tuple[bool, bool]  # below, above: by the data
+    model_ends: tuple[bool, bool]  # below, above: there is no solution beyond, and the data have not spoken before
 
 
 def profile_likelihood(
@@ -55,19 +58,23 @@ def profile_likelihood(
     i = names.index(name)
     estimate, space = float(best.parameters[i]), problem.space
     threshold = quantile**2 * _stretch(problem, best)
-    half_width = min(quantile * standard_error, float(best.size[i]))
+    size = float(max(best.size[i], space.scale[i]) if space.at_bound(best.parameters)[i] else best.size[i])
+    half_width = min(quantile * standard_error, size)
     found = _Row(np.array([estimate]), np.zeros(1), best.z[None], best.parameters[None])
-    for distances in (NEAR * half_width, NEAR[-1] * half_width + FAR * float(best.size[i])):
+    for distances in (NEAR * half_width, NEAR[-1] * half_width + FAR * size):
         still_open = [sign for sign in (-1, +1) if _crossing(found, estimate, sign, threshold) is None]
         places = [x for sign in still_open for x in _ladder(space, i, estimate, sign * distances)]
         for _ in range(2):  # once from the estimate, once from the better neighbour
-            found = _join(found, _search(problem, noise, best, i, places, found))
-    for _ in range(REFINEMENTS):
+            found = _join(found, _search(problem, noise, best, i, places, found, threshold))
+    for _ in range(MOST_REFINEMENTS):
         places = [x for sign in (-1, +1) for x in _around_crossing(found, estimate, sign, threshold)]
-        found = _join(found, _search(problem, noise, best, i, places, found))
-    low, below = _end(found, estimate, -1, threshold, float(space.lower[i]))
-    high, above = _end(found, estimate, +1, threshold, float(space.upper[i]))
-    return Profile(name, found.value, found.rise, found.parameters, names, threshold, (low, high), (below, above))
+        if not places:
+            break
+        found = _join(found, _search(problem, noise, best, i, places, found, threshold))
+    below = _end(found, estimate, -1, threshold, float(space.lower[i]))
+    above = _end(found, estimate, +1, threshold, float(space.upper[i]))
+    ends, closed, model_ends = zip(below, above, strict=True)
+    return Profile(name, found.value, found.rise, found.parameters, names, threshold, ends, closed, model_ends)
 
 
 class _Row(NamedTuple):
@@ -97,8 +104,13 @@ def _ladder(space: Space, i: int, estimate: float, distances: np.ndarray) -> np.
     return places
 
 
-def _search(problem: LeastSquaresProblem, noise, best: Outcome, i: int, wanted: list[float], known: _Row) -> _Row:
-    """Fit all others with the parameter held, from the nearest known place towards the estimate."""
+def _search(
+    problem: LeastSquaresProblem, noise, best: Outcome, i: int, wanted: list[float], known: _Row, threshold: float
+) -> _Row:
+    """Fit all others with the parameter held, from the nearest known place towards the estimate.
+
+    A search that stops for want of steps bounds the rise from above only: it goes on while that is over the threshold.
+    """
     if not wanted:
         return known
     places = np.resize(wanted, 2 * LANES)  # always as many, so that nothing is compiled anew
@@ -111,9 +123,15 @@ def _search(problem: LeastSquaresProblem, noise, best: Outcome, i: int, wanted: 
         z.append(known.z[nearest])
     held = np.full((places.size, best.z.size), np.nan)
     held[:, i] = places
-    there = minimise_all(problem, noise, np.stack(z), held, max_steps=MAX_STEPS)
-    rise = np.where(np.isfinite(there.cost), there.cost - best.cost, np.inf)
-    return _Row(places, rise, there.z, there.parameters)
+    start = np.stack(z)
+    for _ in range(1 + CONTINUATIONS):
+        there = minimise_all(problem, noise, start, held, max_steps=MAX_STEPS)
+        rise = np.where(np.isfinite(there.cost), there.cost - best.cost, np.inf)
+        creeping = ~there.solved & np.isfinite(rise) & (rise > threshold)
+        start = there.z
+        if not np.any(creeping):
+            break
+    return _Row(*(x[~creeping] for x in (places, rise, there.z, there.parameters)))
 
 
 def _join(a: _Row, b: _Row) -> _Row:
@@ -150,15 +168,26 @@ def _around_crossing(found: _Row, estimate: float, sign: int, threshold: float) 
     if crossing is None:
         return np.empty(0)
     inner, outer, guess = crossing
+    if abs(outer - inner) < NARROW * abs(outer - estimate):
+        return np.empty(0)
     spots = np.append(
         np.linspace(inner, outer, 9)[1:-1], [guess, 0.98 * guess + 0.02 * inner, 0.98 * guess + 0.02 * outer]
     )
     return np.unique(spots[(spots - inner) * (spots - outer) < 0])
 
 
-def _end(found: _Row, estimate: float, sign: int, threshold: float, bound: float) -> tuple[float, bool]:
-    """One end of the interval, and whether the likelihood closes it: it never does where the fit itself has none."""
+class _End(NamedTuple):
+    value: float
+    closed: bool
+    model_ends: bool
+
+
+def _end(found: _Row, estimate: float, sign: int, threshold: float, bound: float) -> _End:
+    """One end of the interval, and what makes it: the likelihood never does where the fit itself has none."""
     if not np.any(np.isfinite(found.rise[found.value != estimate])):
-        return bound, False
+        return _End(bound, False, False)
     crossing = _crossing(found, estimate, sign, threshold)
-    return (bound, False) if crossing is None else (crossing[2], True)
+    if crossing is None:
+        return _End(bound, False, False)
+    ends = bool(np.isinf(found.rise[found.value == crossing[1]][0]))
+    return _End(crossing[2], not ends, ends)

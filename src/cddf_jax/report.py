@@ -138,8 +138,12 @@ def _profile_section(report: Report) -> list[str]:
     for name, profile in report.profiles.items():
         scale, unit = SHOWN[parameter_named(name).dimension]
         ends = [
-            f"{scale * end:.5g}{unit}" if closed else "open"
-            for end, closed in zip(profile.confidence_interval, profile.closed, strict=True)
+            f"{scale * end:.5g}{unit}"
+            if closed
+            else f"open; no solution beyond {scale * end:.5g}{unit}"
+            if ends
+            else "open"
+            for end, closed, ends in zip(profile.confidence_interval, profile.closed, profile.model_ends, strict=True)
         ]
         rows.append([name, *ends])
     head = ["parameter", "from", "to"]
