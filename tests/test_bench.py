@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from bodies import paper_body
+from scipy import stats
 from test_identification import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
@@ -110,6 +111,36 @@ def test_friction_that_differs_from_trial_to_trial(paper):
     pooled = cddf.fit(paper, table, noise=NOISE)
     assert pooled.standard_error["friction_coefficient"] < 0.2 * found.standard_error["friction_coefficient"]
     assert any("trial to trial" in line for line in found.verdict)
+
+    # t-statistics with 5 degrees of freedom, as six trials tell a spread; what tells the modulus are the rows
+    def quantile(name):
+        low, high = found.confidence_interval[name]
+        return (high - low) / 2 / found.standard_error[name]
+
+    assert quantile("friction_coefficient") == pytest.approx(stats.t.ppf(0.975, 5), rel=0.02)
+    assert quantile("youngs_modulus") == pytest.approx(stats.norm.ppf(0.975), rel=1e-3)
+    by_trials = (deviations.std(ddof=1), found.trial_spread)
+    assert by_trials[1] == pytest.approx(by_trials[0], rel=0.1)  # as seen to 1 % of friction each
+    # AIC of the readings as draws that correlate within a trial, by SciPy's multivariate normal
+    mu, modulus, step = found.value["friction_coefficient"], found.value["youngs_modulus"], 1e-4
+    by_effect = [
+        (
+            model(BASE, mu * np.exp(effects[TRIAL] + step), modulus)
+            - model(BASE, mu * np.exp(effects[TRIAL] - step), modulus)
+        )
+        / (2 * step)
+        for model in (closed_form, wrap)
+    ]
+    sigma = np.repeat([CELL, ANGLE], BASE.size)
+    slope = np.concatenate(by_effect) / sigma
+    trial = np.tile(TRIAL, 2)
+    at_estimate = np.concatenate([model(BASE, mu * np.exp(effects[TRIAL]), modulus) for model in (closed_form, wrap)])
+    without_effects = at_estimate / sigma - slope * effects[trial]
+    residual = np.concatenate([table["tip_tension"], table["tip_angle"]]) / sigma - without_effects
+    covariance = np.eye(trial.size) + found.trial_spread**2 * np.outer(slope, slope) * (trial[:, None] == trial)
+    likelihood = stats.multivariate_normal.logpdf(residual, cov=covariance) - np.sum(np.log(sigma))
+    assert found.information_criteria["AIC"] == pytest.approx(2 * 3 - 2 * likelihood, abs=0.01)
+    assert pooled.information_criteria["AIC"] > found.information_criteria["AIC"] + 100
 
 
 def test_trials_that_do_not_differ(paper):

@@ -43,7 +43,7 @@ class Determination:
     rank: int
     condition_number: float
     sloppy_direction: dict[str, float]  # powers of the parameters in the least determined combination
-    quantile: float  # half-width of a 95 % interval over its standard error
+    quantile: float  # half-width of a 95 % interval over its standard error, where the noise of the data makes it
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,7 @@ class Evidence:
     rows: dict[str, np.ndarray]  # by group, (rows, parameters)
     prior_rows: dict[int, np.ndarray]  # by parameter
     noise_estimated: dict[str, bool]
+    random: tuple[int, ...] = ()  # parameters that are draws about 0, with a spread that was estimated from them
 
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
         rows = {name: self.rows[name] for name in groups}
@@ -106,10 +107,9 @@ def determine(evidence: Evidence) -> Determination:
     rank = int(spectrum.determined.sum())
     freedom = jacobian.shape[0] - rank
     error = spectrum.relative_error * size
-    quantile = float(ndtri(0.975))
-    if any(evidence.noise_estimated.values()):
-        quantile = float(stdtrit(max(freedom, 1), 0.975))
-        error = error if freedom > 0 else np.full_like(error, np.inf)  # no data left to tell the noise
+    if any(evidence.noise_estimated.values()) and freedom <= 0:  # no data left to tell the noise
+        error = np.full_like(error, np.inf)
+    quantile = quantiles(evidence, spectrum, np.eye(len(names)))
 
     status = _statuses(evidence, error, quantile)
     lost = np.array([word == NOT_IDENTIFIED for word in status])
@@ -136,11 +136,29 @@ def determine(evidence: Evidence) -> Determination:
         rank=rank,
         condition_number=float(spectrum.values[0] / spectrum.values[-1]) if rank == len(names) else np.inf,
         sloppy_direction=by_name(sloppy.tolist()),
-        quantile=quantile,
+        quantile=float(quantiles(replace(evidence, random=()), spectrum, np.eye(1, len(names)))[0]),
     )
 
 
-def _statuses(evidence: Evidence, error: np.ndarray, quantile: float) -> list[str]:
+def quantiles(evidence: Evidence, spectrum: Spectrum, directions: np.ndarray) -> np.ndarray:
+    """Half-widths of 95 % intervals over their standard errors, of linear combinations (rows) of scaled parameters.
+
+    Those of t-statistics where noise was estimated, and where a spread was, with the degrees of freedom that
+    Satterthwaite (1946), Biometrics Bulletin 2, 110, gives a variance that it makes a part of.
+    """
+    freedom = np.full(len(directions), np.inf)
+    if any(evidence.noise_estimated.values()):
+        freedom[:] = max(evidence.jacobian.shape[0] - int(spectrum.determined.sum()), 1)
+    if evidence.random:
+        along = directions @ spectrum.covariance
+        variance = np.sum(along * directions, axis=1)
+        part = sum((along[:, k] * evidence.prior_rows[k][0, k]) ** 2 for k in evidence.random)
+        of_spread = (len(evidence.random) - 1) * (variance / np.maximum(part, 1e-300)) ** 2
+        freedom = np.minimum(freedom, np.maximum(of_spread, 1.0))
+    return np.where(freedom < 1e9, stdtrit(np.minimum(freedom, 1e9), 0.975), ndtri(0.975))
+
+
+def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> list[str]:
     """By the rule: an interval that closes inside the bounds, and a relative standard error below 0.5."""
     value = evidence.value
     # what may well be 0 is measured by its scale too

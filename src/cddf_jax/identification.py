@@ -1,10 +1,11 @@
 """`fit`: friction, modulus and the errors of the bench from measurements, and what the measurements do not hold."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import optimize
 
 from .bench import (
     POSE,
@@ -17,7 +18,7 @@ from .bench import (
     with_parameters,
 )
 from .bootstrap import Bootstrap
-from .determination import FIXED, IDENTIFIED, NOT_IDENTIFIED, Determination, Estimate
+from .determination import FIXED, IDENTIFIED, NOT_IDENTIFIED, Determination, Estimate, determine
 from .equilibrium import NOTEWORTHY, RESULTS
 from .errors import InputError
 from .least_squares import LeastSquaresFit, least_squares_fit
@@ -34,9 +35,10 @@ SHOWN = {
     "force per length": (1.0, " N/m"),
     "angle": (np.degrees(1.0), " deg"),
 }
-SPREAD_ROUNDS = 60
+SPREAD_ROUNDS = 20
 FIRST_SPREAD = 0.1
-LEAST_SPREAD = 1e-4  # of ln(mu) over trials; less is none
+SPREADS = (1e-4, 3.0)  # of ln(mu) over trials, least and largest; the least is none
+RIDGE = 1e-12  # of the largest information, for directions that the data do not determine
 
 
 class Prediction(NamedTuple):
@@ -74,6 +76,23 @@ class Fit(LeastSquaresFit):
             if column.startswith("tip_tension")
         ]
         return float(np.mean(np.concatenate(errors))) if errors else float("nan")
+
+    @property
+    def num_estimated(self) -> int:
+        """Parameters and numbers of the noise; of friction that differs between trials the spread alone."""
+        return super().num_estimated - len(self.evidence.random) + bool(self.evidence.random)
+
+    @property
+    def information_criteria(self) -> dict[str, float]:
+        """AIC and BIC of the Gaussian likelihood, over all that the trials could have been (Laplace's method)."""
+        random = list(self.evidence.random)
+        if not random:
+            return super().information_criteria
+        size, effects = self.evidence.size[random], self.search.outcome.parameters[random]
+        spread = size / np.array([self.evidence.prior_rows[i][0, i] for i in random])
+        columns = np.concatenate([*self.evidence.rows.values()])[:, random] / size * spread
+        more = np.linalg.slogdet(np.eye(len(random)) + columns.T @ columns)[1] + np.sum((effects / spread) ** 2)
+        return {name: value + float(more) for name, value in super().information_criteria.items()}
 
     def predict(self, column: str, base_tension: Any, tip_force: Any = (0.0, 0.0), direction: Any = 1.0) -> Prediction:
         """A reading with its 95 % band.
@@ -234,7 +253,7 @@ def _noise_of(groups: "list[_Group]", noise: Mapping[str, Any]) -> dict[str, Any
 def _fit_trials(
     tables: tuple[Measurements, ...], model: BenchModel, start: dict[str, Any], data: "_Data", bounds, given
 ) -> Fit:
-    """Random effects: the spread over trials is that which expects what the trials show (EM)."""
+    """Random effects: a spread over trials, the fit that it makes, the likeliest spread there, and so on."""
     count = sum(len(_trials(table)) for table in tables)
     start, spread = start | {TRIALS: np.zeros(count)}, FIRST_SPREAD
     names = [f"{TRIALS}[{k}]" for k in range(count)]
@@ -245,14 +264,41 @@ def _fit_trials(
         return least_squares_fit(model, start, data.observed, data.sigma, bounds, prefer_start=True, **options)
 
     statistics = fitted(start, spread)
+    random = tuple(i for i, name in enumerate(statistics.names) if name in names)
     for _ in range(SPREAD_ROUNDS):
-        own = [i for i, name in enumerate(statistics.names) if name in names]
-        square = [statistics.value[statistics.names[i]] ** 2 + statistics.covariance[i, i] for i in own]
-        last, spread = spread, float(np.sqrt(np.mean(square)))
-        if abs(spread - last) < 1e-3 * last or spread < LEAST_SPREAD:
-            break
+        last, spread = spread, _likeliest_spread(statistics, random)
         statistics = fitted({name: np.asarray(value) for name, value in statistics.parameters.items()}, spread)
-    return _conclude(statistics, tables, model, spread if spread >= LEAST_SPREAD else 0.0)
+        if abs(spread - last) < 1e-3 * last:
+            break
+    evidence = replace(statistics.evidence, random=random)
+    statistics = replace(statistics, **vars(determine(evidence)), evidence=evidence)
+    return _conclude(statistics, tables, model, spread if spread > 1.01 * SPREADS[0] else 0.0)
+
+
+def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> float:
+    """By the restricted likelihood of the model made linear at the estimate.
+
+    Patterson and Thompson (1971), Biometrika 58, 545; Harville (1977), JASA 72, 320, in its mixed-model equations.
+    """
+    evidence, (problem, _, outcome) = statistics.evidence, statistics.search
+    priors = [i for i in evidence.prior_rows if i not in random]
+    jacobian = np.concatenate([*evidence.rows.values(), *(evidence.prior_rows[i] for i in priors)])
+    others = np.delete(jacobian, random, axis=1)
+    effects = jacobian[:, random] / evidence.size[list(random)]
+    pulls = dict(zip(problem.prior, outcome.residual[problem.num_data :], strict=True))
+    residual = np.append(outcome.residual[: problem.num_data], [pulls[i] for i in priors])
+    residual = residual - effects @ outcome.parameters[list(random)]  # as it would be without the effects
+    columns = np.concatenate([others, effects], axis=1)
+    information, pull = columns.T @ columns, columns.T @ residual
+    diagonal = np.arange(others.shape[1], columns.shape[1])
+
+    def minus_twice(logarithm: float) -> float:
+        whole = information + RIDGE * np.max(np.diag(information)) * np.eye(len(information))
+        whole[diagonal, diagonal] += np.exp(-2 * logarithm)
+        return np.linalg.slogdet(whole)[1] + 2 * len(random) * logarithm - pull @ np.linalg.solve(whole, pull)
+
+    found = optimize.minimize_scalar(minus_twice, bounds=np.log(SPREADS), method="bounded", options={"xatol": 1e-5})
+    return float(np.exp(found.x))
 
 
 class _Group(NamedTuple):

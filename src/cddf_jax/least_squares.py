@@ -14,7 +14,7 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from .bootstrap import Bootstrap, bootstrap
-from .determination import IDENTIFIED, Determination, Evidence, determine, spectrum_of, without_nan
+from .determination import IDENTIFIED, Determination, Evidence, determine, quantiles, spectrum_of, without_nan
 from .errors import InputError
 from .levenberg_marquardt import LeastSquaresProblem, Outcome, evaluate, minimise, minimise_all
 from .observations import Noise, Observations, group_observations
@@ -53,13 +53,17 @@ class LeastSquaresFit(Determination):
     search: "Search"
 
     @property
+    def num_estimated(self) -> int:
+        """Parameters, and the numbers of the noise that were estimated."""
+        return len(self.names) + sum(self.noise_parts.values())
+
+    @property
     def information_criteria(self) -> dict[str, float]:
-        """AIC and BIC of the Gaussian likelihood; what was estimated of the noise counts as parameters."""
-        count = sum(np.size(v) for v in self.search.problem.values)
-        parts = sum(self.noise_parts.values())
+        """AIC and BIC of the Gaussian likelihood."""
+        count = self.search.problem.num_data
         return {
-            "AIC": 2 * (len(self.names) + parts) - 2 * self.log_likelihood,
-            "BIC": float(np.log(count)) * (len(self.names) + parts) - 2 * self.log_likelihood,
+            "AIC": 2 * self.num_estimated - 2 * self.log_likelihood,
+            "BIC": float(np.log(count)) * self.num_estimated - 2 * self.log_likelihood,
         }
 
     @property
@@ -78,8 +82,10 @@ class LeastSquaresFit(Determination):
         if self.noise_estimated and self.degrees_of_freedom < 1:
             raise InputError("profile: no data are left to tell the noise; give it, or measure more")
         search = self.search
-        error = self.standard_error[name]
-        return profile_likelihood(search.problem, search.noise, search.outcome, self.names, name, error, self.quantile)
+        error, i = self.standard_error[name], self.names.index(name)
+        quantile = quantiles(self.evidence, spectrum_of(self.evidence.jacobian), np.eye(len(self.names))[i : i + 1])
+        options = {"standard_error": error, "quantile": float(quantile[0])}
+        return profile_likelihood(search.problem, search.noise, search.outcome, self.names, name, **options)
 
     def bootstrap(
         self,
@@ -109,8 +115,9 @@ class LeastSquaresFit(Determination):
         spectrum, scaled = spectrum_of(self.evidence.jacobian), sensitivity * self.evidence.size
         along = scaled @ spectrum.directions[spectrum.determined].T
         error = np.linalg.norm(along / spectrum.values[spectrum.determined], axis=1)
+        half_width = quantiles(self.evidence, spectrum, scaled) * error
         whole = np.sum(scaled**2, axis=1)
-        return np.where(whole - np.sum(along**2, axis=1) > UNDETERMINED * whole, np.inf, self.quantile * error)
+        return np.where(whole - np.sum(along**2, axis=1) > UNDETERMINED * whole, np.inf, half_width)
 
 
 class Search(NamedTuple):

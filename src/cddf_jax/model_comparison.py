@@ -45,7 +45,7 @@ def compare(fits: Mapping[str, Fit]) -> list[Comparison]:
     found = [
         Comparison(
             name,
-            len(fit.names) + sum(fit.noise_parts.values()),
+            fit.num_estimated,
             **fit.information_criteria,
             cross_validation=cross_validation(fit, noise),
             mean_relative_error=fit.mean_relative_error,
