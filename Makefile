@@ -11,7 +11,7 @@ fit: .venv/ready  ## fit the shipped bench data and reproduce the paper's figure
 	$(BIN)/cddf reproduce $(ROBOT) $(TRIALS) --out out/reproduce
 
 test: .venv/ready  ## all tests, on every core
-	$(BIN)/python -m pytest -n auto --dist loadgroup
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: .venv/ready
 	$(BIN)/ruff format --check .

@@ -173,6 +173,33 @@ def test_estimated_noise_of_few_rows_covers_as_it_says():
     assert 0.02 < share(rejected) < 0.06
 
 
+@pytest.mark.parametrize("scatter", [0.0, 0.02])
+def test_what_the_rows_of_a_trial_share_is_in_the_standard_error(scatter):
+    """Six trials of four rows; of rows alone, the interval would hold the truth in 70 % where friction scatters."""
+    rng, trial = np.random.default_rng(11), np.repeat(np.arange(6.0), 4)
+    covered, rejected = [], []
+    for _ in range(REPLICATES):
+        mu = MU * (1 + scatter * rng.standard_normal(6))[trial.astype(int)]
+        tip = BASE * np.exp(-mu * ANGLE + 0.005 * rng.standard_normal(24))
+        table = Measurements.from_columns(base_tension=BASE, tip_tension=tip, tip_angle=ANGLE, trial=trial)
+        found = model_free_friction(table)
+        covered.append(found.confidence_interval[0] < MU < found.confidence_interval[1])
+        rejected.append(found.constancy.p_value < 0.05)
+    assert 0.93 < share(covered) < 0.985  # the jackknife of few groups errs to the safe side
+    assert share(rejected) < 0.07
+
+
+def test_the_standard_error_of_trials_is_that_of_leaving_each_out():
+    trial = np.arange(24) % 5
+    noisy = table_of(BASE, ANGLE, noise=NOISE, rng=np.random.default_rng(12))
+    found = model_free_friction(Measurements.from_columns("bench", **noisy.columns, trial=trial.astype(float)))
+    x, y = noisy["tip_angle"], np.log(noisy["base_tension"] / noisy["tip_tension"])
+    left_out = [np.sum((x * y)[trial != k]) / np.sum((x * x)[trial != k]) for k in range(5)]
+    assert found.standard_error == pytest.approx(np.linalg.norm(np.array(left_out) - found.value), rel=1e-10)
+    half = stats.t(4).ppf(0.975) * found.standard_error
+    assert found.confidence_interval == pytest.approx((found.value - half, found.value + half))
+
+
 # --- one mu in all rows? -------------------------------------------------------------------------
 
 
@@ -325,10 +352,11 @@ def test_the_shipped_table():
         "tip_tension": np.hypot(0.1, 0.01 * table["tip_tension"]),
         "tip_angle": np.radians(0.5),
     }
-    for found in (model_free_friction(table), model_free_friction(table, noise)):
+    # the scatter of three trials is chi-distributed with 2 degrees of freedom: 99 % lie below 2.15 times the true one
+    for found, most in ((model_free_friction(table), 2.15 * 0.004), (model_free_friction(table, noise), 0.004)):
         shared = np.hypot(0.0042 / np.sqrt(3), 0.001 / np.mean(table["tip_angle"]))
         assert abs(found.value - 0.42) < 3 * np.hypot(found.standard_error, shared)
-        assert found.standard_error < 0.004
+        assert found.standard_error < most
         assert disagreement(found, 0.42, 0.0).sentence == ""
 
 

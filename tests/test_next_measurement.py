@@ -1,5 +1,7 @@
 """Which measurement next: expected errors against fits of simulated data, and the cases of design.md section 4."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bodies import paper_body
@@ -146,3 +148,10 @@ def test_a_candidate_that_reads_nothing():
         Candidate("x", {"base_tension": 1.0}, {})
     with pytest.raises(InputError, match="repeats"):
         Candidate("x", {"base_tension": 1.0}, {"tip_angle": 0.1}, repeats=0)
+
+
+def test_a_cheap_candidate_comes_first():
+    """A pulley test tells the friction best; at ten times the cost of tip angles it comes after them."""
+    for cost, first in ((1.0, "pulley"), (10.0, "angles")):
+        found = cddf.plan(paper_body("exact"), [ANGLES, replace(PULLEY, cost=cost)], ["friction_coefficient"], num=1)
+        assert found.ranking[0].candidate.name == found.chosen[0].candidate.name == first

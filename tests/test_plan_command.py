@@ -3,10 +3,12 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cddf_jax as cddf
 from cddf_jax import plan_command
+from cddf_jax.plan_figure import plan_figure
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 PAPER, LOAD_CELLS = (DATA / name for name in ("smooth_sil_940.toml", "load_cells_simulated.csv"))
@@ -16,6 +18,7 @@ name = "angles"
 base_tension = ["20 N", "40 N", "60 N"]
 noise = { tip_angle = "1 deg" }
 repeats = 2
+cost = 1.5
 
 [[candidate]]
 name = "pulley"
@@ -51,7 +54,25 @@ def test_the_command_ranks_as_the_call_does(run, candidates, tmp_path):
     assert pulley["standard_error"]["youngs_modulus"] is None  # infinite
     assert pulley["status"]["friction_coefficient"] == "identified"
     assert json.loads((out / "plan.json").read_text()) == answer
+    assert {row["name"]: row["cost"] for row in answer["ranking"]} == {"angles": 1.5, "pulley": 1.0}
     assert (out / "plan.md").read_text().startswith("# What to measure next")
+    assert (out / "plan.png").stat().st_size > 10_000
+
+
+def test_the_figure_holds_the_table(candidates):
+    """A marker per candidate and parameter: filled at the standard error, hollow at the edge where there is none."""
+    answer = cddf.plan(cddf.read_manipulator(PAPER), plan_command.read_candidates(candidates))
+    (axes,) = plan_figure(answer).axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "now",
+        *(r.candidate.name for r in answer.ranking),
+    ]
+    lines = {line.get_label(): line.get_xdata() for line in axes.lines}
+    for name in ("friction_coefficient", "youngs_modulus"):
+        errors = [100 * r.expected.standard_error[name] / r.expected.value[name] for r in answer.ranking]
+        np.testing.assert_allclose(lines[name], [error for error in errors if np.isfinite(error)], rtol=1e-12)
+    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
+    assert sum(len(line.get_xdata()) for line in hollow) == 2 + 1  # both now, the modulus after a pulley test
 
 
 def test_added_to_what_was_measured(run):
@@ -74,6 +95,8 @@ def test_added_to_what_was_measured(run):
         (CANDIDATES.replace("1 deg", "1 mm"), "tip_angle needs a unit of angle"),
         (CANDIDATES.replace("repeats = 2", "repeats = 0"), "repeats must be 1 or more"),
         (CANDIDATES.replace("repeats = 2", "repeats = 1.5"), "repeats must be a whole number"),
+        (CANDIDATES.replace("cost = 1.5", "cost = 0"), "cost must be a number > 0"),
+        (CANDIDATES.replace("cost = 1.5", "cost = '1 h'"), "cost must be a number, got"),
         (CANDIDATES.replace("base_tension", "base"), "unknown column 'base'"),
         (CANDIDATES.replace('["20 N", "40 N", "60 N"]', "[]"), "base_tension is empty"),
     ],

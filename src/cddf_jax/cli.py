@@ -269,9 +269,11 @@ def plan(
     if out is not None:
         from .artifacts import as_json as json_text
         from .artifacts import write_all
+        from .plan_figure import plan_figure
+        from .plotting import render
 
         files = {"plan.md": plan_command.as_markdown(answer), "plan.json": json_text(plan_command.as_dict(answer))}
-        write_all(out, files)
+        write_all(out, files | render(plan_figure(answer), "plan"))
     _say(as_json, plan_command.as_dict(answer), plan_command.as_markdown(answer))
 
 

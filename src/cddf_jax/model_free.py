@@ -21,6 +21,7 @@ SIGNIFICANT = 0.05  # p-values below are mentioned as a finding
 LARGEST_Z = 3.0  # of a disagreement that needs no word
 _SMALLEST_ANGLE = 1e-9  # rad; below it is 0
 _LEAST_FREEDOM = 1e-6  # of a row in the fit of all; with less its noise cannot be told
+_FEWEST_TRIALS = 3  # whose scatter can be told
 _NUM_STEPS = 100  # of the pooled estimate, which needs 3 or 4
 
 
@@ -79,13 +80,14 @@ def model_free_friction(table: Measurements, noise: Mapping[str, Any] | None = N
     Where `direction` is -1 the tendon slides out and the logarithm changes its sign.
 
     Taken for granted and not checked: exact kinematics, a tendon parallel to the axis, a curvature of one sign, rows
-    that err independently. What rows share - the gain of a cell, the zero of the camera, the friction of a trial - is
-    in no standard error here.
+    that err independently. What rows share - the gain of a cell, the zero of the camera - is in no standard error
+    here; what the rows of a trial share is, where noise is not given and `trial` names three trials or more.
 
     Args:
         table: with `base_tension`, `tip_tension` and `tip_angle`.
         noise: standard deviation of each of the three in SI units, a number or one per row, 0 for what is exact.
-            Without it the scatter of the rows tells their noise, and rows weigh as the square of their angle.
+            Without it the scatter of the rows tells their noise (that of the trials, where there are three or more),
+            and rows weigh as the square of their angle.
 
     Raises:
         InputError: for columns that are missing, a table without any bent row, noise that is incomplete or negative.
@@ -108,7 +110,7 @@ def model_free_friction(table: Measurements, noise: Mapping[str, Any] | None = N
         expected = base * np.exp(-direction * line.slope * angle)  # a reading must not choose its own weight
         relative = np.hypot(sigma[0] / base, sigma[1] / expected)
         line = _line(angle, loss, relative**2, sigma[2] ** 2)
-    return _conclude(table, usable, angle, loss, line, noise is None)
+    return _conclude(table, usable, angle, loss, line, _independent(table, usable) if noise is None else None)
 
 
 def disagreement(
@@ -136,6 +138,14 @@ def disagreement(
         f"alone {model_free.value:.4g} +- {model_free.standard_error:.2g}: {abs(z):.1f} standard errors apart; check "
         "kinematics (exact for a real body), the offset of the tendon, and the zeros of load cells and camera",
     )
+
+
+def _independent(table: Measurements, usable: np.ndarray) -> np.ndarray:
+    """Labels of what errs independently: trials where there are enough, rows elsewhere."""
+    trials = table["trial"][usable] if "trial" in table else np.empty(0)
+    if np.unique(trials).size >= _FEWEST_TRIALS:
+        return np.unique(trials, return_inverse=True)[1]
+    return np.arange(np.count_nonzero(usable))
 
 
 def _noise(table: Measurements, noise: Mapping[str, Any]) -> np.ndarray:
@@ -177,16 +187,18 @@ def _line(x: np.ndarray, y: np.ndarray, variance_y: Any, variance_x: Any) -> _Li
 
 
 def _conclude(
-    table: Measurements, usable: np.ndarray, angle: np.ndarray, loss: np.ndarray, line: _Line, estimated: bool
+    table: Measurements, usable: np.ndarray, angle: np.ndarray, loss: np.ndarray, line: _Line, labels: np.ndarray | None
 ) -> ModelFreeFriction:
-    freedom = angle.size - 1
+    """Labels of what errs independently, None where the noise is known."""
+    freedom, estimated = angle.size - 1, labels is not None
     chi_square = float(np.sum(line.weight * line.residual**2))
     scatter = 1.0 if not estimated else float(np.sqrt(chi_square / freedom)) if freedom else np.inf
     information = line.weight * line.adjusted**2
-    error = (
-        _scattered(line.adjusted, line.residual, information) if estimated else 1 / float(np.sqrt(information.sum()))
-    )
-    quantile = float(stats.t.ppf(0.975, max(freedom, 1)) if estimated else stats.norm.ppf(0.975))
+    if labels is None:
+        error, quantile = 1 / float(np.sqrt(information.sum())), float(stats.norm.ppf(0.975))
+    else:
+        error = _jackknife(line.adjusted[:, None], line.residual, labels)[0]
+        quantile = float(stats.t.ppf(0.975, max(labels.max(), 1)))
     share = line.weight * line.adjusted * angle
     homogeneous = Homogeneity(chi_square, freedom, float(stats.chi2.sf(chi_square, freedom)) if freedom else np.nan)
 
@@ -204,14 +216,14 @@ def _conclude(
         standard_error=error,
         confidence_interval=(line.slope - quantile * error, line.slope + quantile * error),
         scatter=scatter if estimated else None,
-        constancy=_constancy(table["base_tension"][usable], line, estimated),
+        constancy=_constancy(table["base_tension"][usable], line, labels),
         homogeneity=None if estimated else homogeneous,
     )
 
 
-def _constancy(base: np.ndarray, line: _Line, estimated: bool) -> Constancy:
+def _constancy(base: np.ndarray, line: _Line, labels: np.ndarray | None) -> Constancy:
     """The slope b of mu = a + b T_base, about the pooled line to first order."""
-    freedom = base.size - 2 if estimated else np.inf
+    freedom = np.inf if labels is None else float(min(base.size - 2, labels.max()))
     if freedom <= 0 or np.ptp(base) <= ONE_LEVEL * base.max():
         return Constancy(np.nan, np.nan, np.nan, np.nan, freedom)
     information = line.weight * line.adjusted**2
@@ -219,21 +231,34 @@ def _constancy(base: np.ndarray, line: _Line, estimated: bool) -> Constancy:
     steepness = line.weight * regressor**2
     slope = float(np.sum(line.weight * regressor * line.residual) / steepness.sum())
     error = 1 / float(np.sqrt(steepness.sum()))
-    if estimated:
-        error = _scattered(regressor, line.residual - slope * regressor, steepness, information / information.sum())
+    if labels is not None:
+        columns = np.stack([line.adjusted, regressor], axis=1)
+        error = _jackknife(columns, line.residual - slope * regressor, labels)[1]
     t = slope / error if 0 < error < np.inf else np.nan
     return Constancy(slope, error, t, float(2 * stats.t.sf(abs(t), freedom)), freedom)
 
 
-def _scattered(x: np.ndarray, residual: np.ndarray, squares: np.ndarray, leverage: Any = 0.0) -> float:
-    """The standard error of a slope from the scatter of rows whose noise may differ: HC3, the jackknife.
+def _jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Standard errors of the coefficients of a linear fit from what leaving out each label would change.
 
-    MacKinnon and White (1985), Journal of Econometrics 29, 305.
+    Of single rows HC3, MacKinnon and White (1985), Journal of Econometrics 29, 305; of groups CR3, Bell and McCaffrey
+    (2002), Survey Methodology 28, 169.
+
+    Args:
+        columns: (rows, coefficients).
+        residual: (rows,), of the fit.
+        labels: (rows,), 0, 1, ... for each row's group.
     """
-    left = 1 - leverage - squares / squares.sum()
-    if np.any(left < _LEAST_FREEDOM):
-        return np.inf
-    return float(np.sqrt(np.sum((x * residual / left) ** 2)) / np.sum(x**2))
+    order = np.argsort(labels, kind="stable")
+    first = np.flatnonzero(np.diff(labels[order], prepend=-1))
+    squares = np.add.reduceat(columns[order, :, None] * columns[order, None, :], first)
+    pull = np.add.reduceat(columns[order] * residual[order, None], first)
+    whole = squares.sum(axis=0)
+    left = whole - squares
+    if np.any(np.linalg.det(left) < _LEAST_FREEDOM * np.linalg.det(whole)):
+        return np.full(columns.shape[1], np.inf)
+    change = np.linalg.solve(left, pull[..., None])[..., 0]
+    return np.sqrt(np.sum(change**2, axis=0))
 
 
 # --- the verdict ---------------------------------------------------------------------------------

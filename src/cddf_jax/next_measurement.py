@@ -35,18 +35,22 @@ class Candidate:
         conditions: columns of a bench or of a pulley test that are set, SI, numbers or lists of one length.
         noise: standard deviation of each column that is read, SI.
         repeats: how often all of it is done.
+        cost: of all of it, hours say; what is told counts per cost.
     """
 
     name: str
     conditions: Mapping[str, Any]
     noise: Mapping[str, float]
     repeats: int = 1
+    cost: float = 1.0
 
     def __post_init__(self):
         if not self.noise or not all(deviation > 0 for deviation in self.noise.values()):
             raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")
         if self.repeats < 1:
             raise InputError(f"candidate {self.name!r}: repeats must be 1 or more, got {self.repeats}")
+        if not 0 < self.cost < np.inf:
+            raise InputError(f"candidate {self.name!r}: cost must be a number > 0, got {self.cost}")
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class Plan:
 
     criterion: str
     now: Determination
-    ranking: tuple[Ranked, ...]  # the best first
+    ranking: tuple[Ranked, ...]  # the best first, by gain per cost
     chosen: tuple[Ranked, ...]  # in turn: each is the best after those before it, and holds what all of them tell
 
 
@@ -162,7 +166,7 @@ def _rank(evidence: Evidence, candidates: Sequence[Candidate], rows: list[Any], 
     for candidate, (more, warnings) in zip(candidates, rows, strict=True):
         after = _with(evidence, more)
         ranked.append(Ranked(candidate, determine(after), _merit(after, criterion) - before, warnings))
-    return sorted(ranked, key=lambda r: -r.gain)
+    return sorted(ranked, key=lambda r: -r.gain / r.candidate.cost)
 
 
 def _merit(evidence: Evidence, criterion: str) -> float:

@@ -22,6 +22,7 @@ def read_candidates(path: Path) -> list[Candidate]:
         base_tension = ["20 N", "40 N", "60 N"]
         noise = { tip_angle = "1 deg", tip_tension = "0.5 N" }
         repeats = 3
+        cost = 2.0
 
     Raises:
         InputError: names the file, the candidate and the remedy.
@@ -40,15 +41,18 @@ def read_candidates(path: Path) -> list[Candidate]:
 
 def _candidate(where: str, entry: dict[str, Any]) -> Candidate:
     entry = dict(entry)
-    name, noise, repeats = entry.pop("name", where), entry.pop("noise", None), entry.pop("repeats", 1)
+    name, noise = entry.pop("name", where), entry.pop("noise", None)
+    repeats, cost = entry.pop("repeats", 1), entry.pop("cost", 1.0)
     if not isinstance(noise, dict):
         raise InputError(f'{where}: needs what is read, as in noise = {{ tip_tension = "0.5 N" }}')
     if isinstance(repeats, bool) or not isinstance(repeats, int):
         raise InputError(f"{where}: repeats must be a whole number, got {repeats!r}")
+    if isinstance(cost, bool) or not isinstance(cost, int | float):
+        raise InputError(f"{where}: cost must be a number, got {cost!r}")
     try:
         conditions = {column: _numbers(where, column, value) for column, value in entry.items()}
         deviations = {column: float(_numbers(where, column, value)[0]) for column, value in noise.items()}
-        return Candidate(str(name), conditions, deviations, repeats)
+        return Candidate(str(name), conditions, deviations, repeats, float(cost))
     except InputError as error:
         text = str(error)
         raise InputError(text if text.startswith(where) else f"{where}: {text}") from None
@@ -66,7 +70,7 @@ def as_markdown(plan: Plan) -> str:
     """First in words what to do, then the table."""
     lines = ["# What to measure next", ""]
     lines += [f"- {line}" for line in in_words(plan)]
-    lines += ["", "| candidate | gain | expected standard error | told |", "| --- | --- | --- | --- |"]
+    lines += ["", "| candidate | cost | gain | expected standard error | told |", "| --- | --- | --- | --- | --- |"]
     lines += ["| " + " | ".join(_row(ranked)) + " |" for ranked in plan.ranking]
     lines += ["", _explanation(plan), ""]
     warnings = [f"{r.candidate.name}: {text}" for r in plan.ranking for text in r.warnings]
@@ -74,9 +78,12 @@ def as_markdown(plan: Plan) -> str:
 
 
 def _explanation(plan: Plan) -> str:
-    if plan.criterion == "D":
-        return "Gain: growth of the logarithm of the determinant of the Fisher information (D-optimality), each alone."
-    return f"Gain: fall of the logarithm of the standard error of {plan.criterion} (c-optimality), each alone."
+    gain = (
+        "growth of the logarithm of the determinant of the Fisher information (D-optimality)"
+        if plan.criterion == "D"
+        else f"fall of the logarithm of the standard error of {plan.criterion} (c-optimality)"
+    )
+    return f"Gain: {gain}, each candidate alone; ranked by gain per cost."
 
 
 def in_words(plan: Plan) -> list[str]:
@@ -91,7 +98,7 @@ def _row(ranked: Ranked) -> list[str]:
     errors = ", ".join(f"{name} {_error(ranked.expected, name)}" for name in ranked.expected.names)
     open_ones = [name for name in ranked.expected.names if ranked.expected.status[name] == NOT_IDENTIFIED]
     told = f"not: {', '.join(open_ones)}" if open_ones else "all identified"
-    return [ranked.candidate.name, f"{ranked.gain:.2f}", errors, told]
+    return [ranked.candidate.name, f"{ranked.candidate.cost:g}", f"{ranked.gain:.2f}", errors, told]
 
 
 def _told(told: Determination) -> str:
@@ -120,6 +127,7 @@ def as_dict(plan: Plan) -> dict[str, Any]:
         expected = ranked.expected
         return {
             "name": ranked.candidate.name,
+            "cost": ranked.candidate.cost,
             "gain": ranked.gain,
             "standard_error": expected.standard_error,
             "status": expected.status,
