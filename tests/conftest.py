@@ -14,6 +14,8 @@ import jax
 import pytest
 from hypothesis import Phase, settings
 
+# tracing makes many small objects that live: looking for garbage among them took a quarter of its time
+gc.set_threshold(200_000, 50, 50)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
 

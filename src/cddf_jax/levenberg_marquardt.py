@@ -166,17 +166,19 @@ def _descend(problem: LeastSquaresProblem, noise: tuple[Any, ...], z: Any, held:
         value, slope = _residual_and_slope(problem, noise, held, *primals)
         return jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
 
-    solution = optx.least_squares(
-        lambda z, _: residual(z),
-        optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance),
-        jnp.asarray(z),
-        options={"jac": "fwd"},
-        max_steps=max_steps,
-        throw=False,
-    )
-    z = solution.value
+    # The optimiser asks within and without `vmap`, which JAX takes for different contexts and would trace anew.
+    with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
+        solution = optx.least_squares(
+            lambda z, _: residual(z),
+            optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance),
+            jnp.asarray(z),
+            options={"jac": "fwd"},
+            max_steps=max_steps,
+            throw=False,
+        )
+        z = solution.value
+        value, slope = _residual_and_slope(problem, noise, held, z)
     parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))
-    value, slope = _residual_and_slope(problem, noise, held, z)
     slope = slope / jnp.where(stretch == 0, 1.0, stretch)
     solved = solution.result == optx.RESULTS.successful
     cost = jnp.sum(problem.softened(value) ** 2)
