@@ -18,7 +18,6 @@ from .errors import InputError
 from .levenberg_marquardt import LeastSquaresProblem, Outcome, minimise_all
 
 CHUNK = 250  # refits at once: bounds the memory, and shows progress
-MAX_STEPS = 100  # of each refit, which starts near its end; one that creeps on counts as lost
 KINDS = ("parametric", "cases")
 MOST_COPIES = 8  # of a datum under a robust loss: more are drawn with a chance of 1e-6
 
@@ -108,7 +107,7 @@ def bootstrap(
         else:
             drawn = _draw_cases(rng, size, problem, noise, groups, clusters)
         z = np.broadcast_to(best.z, (size, best.z.size))
-        found = minimise_all(drawn.problem, drawn.noise, z, values=drawn.values, max_steps=MAX_STEPS)
+        found = minimise_all(drawn.problem, drawn.noise, z, values=drawn.values)
         pressed = np.any(problem.space.at_bound(found.parameters), axis=1)  # there a search has always a step left
         good = (found.solved | pressed) & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
         estimates.append(found.parameters[good])
