@@ -59,7 +59,7 @@ def code(result: cddf.RESULTS) -> int:
 
 def replaced(body: cddf.Manipulator, **numbers: Any) -> cddf.Manipulator:
     return eqx.tree_at(
-        lambda body: [getattr(body, name) for name in numbers], body, [jnp.asarray(x) for x in numbers.values()]
+        lambda body: [getattr(body, name) for name in numbers], body, [jnp.asarray(x, float) for x in numbers.values()]
     )
 
 

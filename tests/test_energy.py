@@ -5,12 +5,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body, paper_plain, two_slanted_tendons
+from bodies import PAPER, paper_body, paper_plain
 from scipy.integrate import quad
 
 import cddf_jax as cddf
 
-d, MU, E = PAPER["tendon_offset"], PAPER["friction_coefficient"], PAPER["youngs_modulus"]
+LENGTH, d, MU, E = (PAPER[name] for name in ("length", "tendon_offset", "friction_coefficient", "youngs_modulus"))
 CLOSES = 1e-11  # of the work: Gauss quadrature of smooth functions along the pull
 LOADS = cddf.Loads(tip_force=(0.5, 2.0), tip_moment=0.05, gravity=(0.0, 9.81))
 
@@ -42,10 +42,13 @@ def test_one_tendon_against_the_closed_form():
     assert balance.result == cddf.RESULTS.successful
 
 
-def notched_tendon():
-    """A tendon that bends sharply where two pieces meet, and ends before the tip."""
-    offset = cddf.Piecewise([0.06], [cddf.Linear(0.012, 0.009, 0.06), cddf.Constant(0.009)])
-    return replace(paper_body("exact"), tendons=(cddf.Tendon(offset, end=0.1),))
+def pair(heights, other, end):
+    """One tendon along straight lines through three points, anchored at `end`, and one that is straight throughout.
+
+    Where the points do not lie on one line it bends sharply.
+    """
+    bent = cddf.Tendon(cddf.Piecewise.linear([0.0, 0.06, LENGTH], heights), end=end)
+    return replace(paper_body("exact"), tendons=(bent, cddf.Tendon(cddf.Linear(*other, LENGTH), -1)))
 
 
 def soft_tendons():
@@ -53,11 +56,18 @@ def soft_tendons():
     return replace(paper_body("exact", density=1100.0), tendons=tendons)
 
 
+MIDDLE = 0.012 - 0.003 * 0.06 / LENGTH  # on the line from 12 to 9 mm
 EXACT = {
     "loads that help": (paper_body("exact", density=1100.0), 75.0, LOADS, +1),
-    "antagonists": (paper_body("exact", num_tendons=2), (75.0, 20.0), None, (+1, -1)),
-    "slanted antagonists": (two_slanted_tendons("exact"), (75.0, 20.0), None, (+1, -1)),
-    "a sharp bend": (notched_tendon(), 75.0, None, +1),
+    "antagonists": (pair((d, d, d), (d, d), LENGTH), (75.0, 20.0), None, (+1, -1)),
+    "slanted antagonists": (pair((0.012, MIDDLE, 0.009), (0.012, 0.009), LENGTH), (75.0, 20.0), None, (+1, -1)),
+    "a sharp bend": (pair((0.012, 0.009, 0.009), (d, d), 0.1), (75.0, 0.0), None, (+1, -1)),
+    "a sharp bend beside another tendon": (
+        pair((0.012, 0.009, 0.009), (0.012, 0.009), 0.1),
+        (75.0, 20.0),
+        None,
+        (+1, -1),
+    ),
     "tendons that stretch": (soft_tendons(), (60.0, 30.0), LOADS, (+1, -1)),
 }
 
