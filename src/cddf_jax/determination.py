@@ -153,7 +153,7 @@ def quantiles(evidence: Evidence, spectrum: Spectrum, directions: np.ndarray) ->
         along = directions @ spectrum.covariance
         variance = np.sum(along * directions, axis=1)
         part = sum((along[:, k] * evidence.prior_rows[k][0, k]) ** 2 for k in evidence.random)
-        of_spread = (len(evidence.random) - 1) * (variance / np.maximum(part, 1e-6 * variance)) ** 2
+        of_spread = (len(evidence.random) - 1) * (variance / np.maximum(part, 1e-6 * variance + 1e-300)) ** 2
         freedom = np.minimum(freedom, np.maximum(of_spread, 1.0))
     return np.where(freedom < 1e9, stdtrit(np.minimum(freedom, 1e9), 0.975), ndtri(0.975))
 
