@@ -15,7 +15,7 @@ FLOW = [
     {"profiles", "errors"},
     {"manipulator", "loads"},
     {"mechanics"},
-    {"quadrature", "fixed_point", "implicit"},
+    {"quadrature", "fixed_point", "implicit", "trigonometry"},
     {"problem"},
     {"solver", "tendon_travel", "sign_changes"},
     {"load_path"},

@@ -48,7 +48,8 @@ class Balance(NamedTuple):
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
     """The problem that one pass solves; where the path of the loads ended early, under the loads of its end."""
     at = setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads
-    problem = lay_out(*at, settled.splits.arc_length)
+    splits = settled.splits.arc_length
+    problem = lay_out(*at, splits if splits.size else None)
     if setup.loads is None:
         return problem
     found = settled.load_path

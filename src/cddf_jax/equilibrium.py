@@ -98,6 +98,8 @@ class Equilibrium(eqx.Module):
     """
 
     along: Fields
+    tip_position: Float[Array, "2"]  # u(L), m
+    tip_angle: Float[Array, ""]  # phi(L), rad
     tip_tension: Float[Array, " tendons"]  # N; at its anchor for a tendon that ends before the tip
     tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction; without base tension that of bending alone
     tendon_displacement: Float[Array, " tendons"]  # m, pulled in at the base since the straight body: positive
@@ -122,8 +124,6 @@ class Equilibrium(eqx.Module):
     wrap_angle = property(lambda self: self.along.wrap_angle, doc="theta, rad, (tendons, points).")
     normal_force = property(lambda self: self.along.normal_force, doc="F_CDDN, N/m, (tendons, points, 2).")
     friction_force = property(lambda self: self.along.friction_force, doc="F_CDDF, N/m, (tendons, points, 2).")
-    tip_position = property(lambda self: self.along.position[..., -1, :], doc="u(L), m.")
-    tip_angle = property(lambda self: self.along.heading[..., -1], doc="phi(L), rad.")
 
     def at(self, arc_length: Any) -> Fields:
         """The same fields anywhere along the body.

@@ -1,5 +1,7 @@
 """The figure of `cddf plan`: how well each candidate would tell each parameter."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -25,12 +27,12 @@ def plan_figure(plan: Plan) -> Figure:
         axes = figure.subplots()
         axes.axhspan(-0.5, 0.5, color=draw.PALE, linewidth=0)
         for k, name in enumerate(names):
-            look = draw.CURVES[k % len(draw.CURVES)] | {"linestyle": "none"}
+            look: dict[str, Any] = draw.CURVES[k % len(draw.CURVES)] | {"linestyle": "none", "markersize": 4.5}
             shift = 0.16 * (k - (len(names) - 1) / 2)
             height = np.arange(len(rows)) + shift
             there = np.isfinite(errors[:, k])
-            axes.plot(errors[there, k], height[there], **look, markersize=4.5, label=_label(name))
-            axes.plot(np.full((~there).sum(), edge), height[~there], **look, markersize=4.5, markerfacecolor="none")
+            axes.plot(errors[there, k], height[there], **look, label=_label(name))
+            axes.plot(np.full((~there).sum(), edge), height[~there], **look, markerfacecolor="none")
         axes.axvline(edge, color=draw.GREY, linewidth=0.6, linestyle=":")
         axes.text(edge, -0.62, "open", ha="center", va="bottom", color=draw.GREY)
         axes.set_xscale("log")

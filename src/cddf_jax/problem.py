@@ -17,6 +17,7 @@ from . import mechanics
 from .loads import Loads, planar_cross
 from .manipulator import CrossSection, Manipulator
 from .quadrature import Panels, panels
+from .trigonometry import cos_sin
 
 PerTendon = Float[Array, " tendons"]
 Number = Float[Array, ""]
@@ -209,7 +210,7 @@ def moment_rate_of(heading: Float[Array, "*points"], force: Float[Array, "*point
 
 def axis_of(heading: Float[Array, "*points"]) -> Float[Array, "*points 2"]:
     """The unit vector t along the neutral axis."""
-    return jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-1)
+    return jnp.stack(cos_sin(heading), axis=-1)
 
 
 def ratio_rate(problem: Problem, section: CrossSection, turning: PerTendon, ratio: PerTendon) -> PerTendon:

@@ -73,8 +73,12 @@ def profile_likelihood(
         found = _join(found, _search(problem, noise, best, i, places, found, threshold))
     below = _end(found, estimate, -1, threshold, float(space.lower[i]))
     above = _end(found, estimate, +1, threshold, float(space.upper[i]))
-    ends, closed, model_ends = zip(below, above, strict=True)
-    return Profile(name, found.value, found.rise, found.parameters, names, threshold, ends, closed, model_ends)
+    return Profile(
+        name, found.value, found.rise, found.parameters, names, threshold,
+        confidence_interval=(below.value, above.value),
+        closed=(below.closed, above.closed),
+        model_ends=(below.model_ends, above.model_ends),
+    )  # fmt: skip
 
 
 class _Row(NamedTuple):
@@ -123,15 +127,12 @@ def _search(
         z.append(known.z[nearest])
     held = np.full((places.size, best.z.size), np.nan)
     held[:, i] = places
-    start = np.stack(z)
-    for _ in range(1 + CONTINUATIONS):
-        there = minimise_all(problem, noise, start, held, max_steps=MAX_STEPS)
-        rise = np.where(np.isfinite(there.cost), there.cost - best.cost, np.inf)
-        creeping = ~there.solved & np.isfinite(rise) & (rise > threshold)
-        start = there.z
-        if not np.any(creeping):
-            break
-    return _Row(*(x[~creeping] for x in (places, rise, there.z, there.parameters)))
+    there, rounds_left = minimise_all(problem, noise, np.stack(z), held, max_steps=MAX_STEPS), CONTINUATIONS
+    while np.any(creeping := ~there.solved & (there.cost - best.cost > threshold)) and rounds_left:
+        there, rounds_left = minimise_all(problem, noise, there.z, held, max_steps=MAX_STEPS), rounds_left - 1
+    rise = np.where(np.isfinite(there.cost), there.cost - best.cost, np.inf)
+    kept = ~creeping | np.isinf(rise)
+    return _Row(*(x[kept] for x in (places, rise, there.z, there.parameters)))
 
 
 def _join(a: _Row, b: _Row) -> _Row:

@@ -73,14 +73,21 @@ class Panels(eqx.Module):
 
     def gain(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *k"]:
         """The integral of `rate` over each panel."""
-        return self._width_for(rate) * jnp.einsum("j,pj...->p...", self.constant("weights"), rate)
+        return self._width_for(rate) * (jnp.moveaxis(rate, 1, -1) @ self.constant("weights"))
 
     def integrate(self, rate: Float[Array, "P p *k"]) -> tuple[Float[Array, "edges *k"], Float[Array, "P p *k"]]:
         """The integral of `rate` from the base to every edge and to every node."""
         width, gain = self._width_for(rate), self.gain(rate)
         at_edges = jnp.concatenate([jnp.zeros_like(gain[:1]), jnp.cumsum(gain, axis=0)])
-        within = width[:, None] * jnp.einsum("ij,pj...->pi...", self.constant("integration"), rate)
+        within = width[:, None] * self.accumulate(rate, 1)
         return at_edges, at_edges[:-1, None] + within
+
+    def accumulate(self, rate: Float[Array, "*k"], axis: int = 0) -> Float[Array, "*k"]:
+        """The integral of `rate` from the start of a panel of width 1 to its nodes, which lie along `axis`.
+
+        The matrix stands on the right: in a batch XLA then multiplies without copies.
+        """
+        return jnp.moveaxis(jnp.moveaxis(rate, axis, -1) @ self.constant("integration").T, -1, axis)
 
     def differentiate(self, values: Float[Array, "P p"]) -> Float[Array, "P p"]:
         """The derivative along s of the polynomials through the nodes of each panel."""

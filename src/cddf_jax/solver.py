@@ -33,6 +33,7 @@ from .problem import (
     turn_at_joint,
 )
 from .quadrature import Panels
+from .trigonometry import cos_sin
 
 ACCURACY = 1e-5  # a larger error of truncation is not called successful, nor a larger residual of Marching
 SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
@@ -45,7 +46,8 @@ _spent_rates = jax.vmap(spent_rate, AT_NODES[:3])
 def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Heading and position, each at the P + 1 edges and at the nodes."""
     heading = cut.integrate(curvature)
-    return heading, cut.integrate(axis_of(heading[1]))
+    x, y = (cut.integrate(component) for component in cos_sin(heading[1]))
+    return heading, (jnp.stack([x[0], y[0]], axis=-1), jnp.stack([x[1], y[1]], axis=-1))
 
 
 def truncation_error(problem: Problem, path: Path) -> Number:
@@ -110,7 +112,7 @@ class FixedPoint(eqx.Module):
         cut, count = problem.panels, problem.base_tension.shape[0]
         loaded = problem.loads is not None
         tolerance = max(1e-12, round_off(cut.edges.dtype)) if self.tolerance is None else self.tolerance
-        integration, weights = cut.constant("integration"), cut.constant("weights")
+        weights = cut.constant("weights")
 
         def unpack(values):  # r, and M_ext over its scale where there are loads
             return values[..., :count], problem.moment_scale * jnp.sum(values[..., count:], axis=-1)
@@ -119,9 +121,9 @@ class FixedPoint(eqx.Module):
             section, force, width = inputs
             ratio, moment = unpack(values)
             rate = _spent_rates(problem, section, ratio)
-            pull = Pull(ratio, None if rate is None else spent + width * integration @ rate)
+            pull = Pull(ratio, None if rate is None else spent + width * cut.accumulate(rate))
             kappa = _curvatures(problem, section, pull, moment)
-            moment_rate = moment_rate_of(heading + width * integration @ kappa, force)
+            moment_rate = moment_rate_of(heading + width * cut.accumulate(kappa), force) if loaded else 0.0 * kappa
             turning = _rates(problem, section, kappa, pull, moment_rate).turning
             growth = _ratio_rates(problem, section, turning, ratio)
             if loaded:
@@ -134,19 +136,19 @@ class FixedPoint(eqx.Module):
             turn, ratio = turn_at_joint(problem, joint, Pull(ratio, spent), moment)
             start = jnp.concatenate([ratio, values[count:]])
             answer = fixed_point(
-                lambda y: start + inputs[-1] * integration @ rates(inputs, heading, spent, y)[0],
+                lambda y: start + inputs[-1] * cut.accumulate(rates(inputs, heading, spent, y)[0]),
                 jnp.broadcast_to(start, (cut.order, *start.shape)),
                 tolerance=tolerance,
                 max_sweeps=self.max_sweeps,
                 acceptable=lambda y: jnp.all(y[:, :count] > 0) & jnp.all(jnp.isfinite(y)),
             )
             growth, kappa, turning = rates(inputs, heading, spent, answer.value)
-            end = start + inputs[-1] * weights @ growth
+            end = start + inputs[-1] * (growth.T @ weights)
             positive = jnp.all(end[:count] > 0)
             end = jnp.where(positive, end, 1.0)
             rate = _spent_rates(problem, inputs[0], unpack(answer.value)[0])
-            spent = None if rate is None else spent + inputs[-1] * weights @ rate
-            carry = end, heading + inputs[-1] * weights @ kappa, spent
+            spent = None if rate is None else spent + inputs[-1] * (rate.T @ weights)
+            carry = end, heading + inputs[-1] * (kappa @ weights), spent
             return carry, (start, answer, turn, positive, kappa, turning)
 
         base = jnp.append(ones_at_base(problem), problem.base_moment / problem.moment_scale)

@@ -197,6 +197,8 @@ def _solve(
 
     return Equilibrium(
         along=nan_unless(solved, _along(setup, balance, dense)),
+        tip_position=nan_unless(solved, path.tip.position),
+        tip_angle=nan_unless(solved, path.tip.heading),
         tip_tension=nan_unless(solved, at_tip),
         tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, path) / path.tip.ratio),
         tendon_displacement=nan_unless(solved, tendon_displacement(problem, path)),
