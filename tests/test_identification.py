@@ -316,6 +316,9 @@ def test_a_prediction_that_the_data_do_not_hold_has_no_band(pulley_alone):
     ("arguments", "message"),
     [
         (("tip_slope", [10.0]), "'tip_slope' is no reading; there are tip_angle, tip_tension, tip_x, tip_y"),
+        (("tip_angle", [-5.0]), "base_tension must be 0 N or more, got -5; a tendon only pulls"),
+        (("tip_angle", [np.nan]), "base_tension must hold finite numbers"),
+        (("tip_angle", [5.0], (0.0, np.inf)), "tip_force must hold finite numbers"),
         (("tip_angle", [[10.0, 5.0]]), r"needs base_tension \(rows,\) or \(rows, 1\)"),
         (("tip_angle", [10.0, 20.0], [1.0, 2.0, 3.0]), r"tip_force \(2,\) or \(rows, 2\)"),
     ],
@@ -421,7 +424,7 @@ def test_two_tendons_and_a_direction():
         np.any((sign * s.displacement < 0) & (np.array(pull) > 0))
         for s, sign, *pull in zip(solved, direction, first, second, strict=True)
     ]
-    (warning,) = fit.warnings
+    (warning,) = [warning for warning in fit.warnings if "met exactly" not in warning]
     assert warning.startswith(f"bench: {sum(against)} of 5 rows: A tendon travels against its stated direction")
 
 
@@ -438,7 +441,9 @@ def test_a_tendon_that_slides_out(tip_angle):
     fit = cddf.fit(paper_body("exact", friction_coefficient=0.3, youngs_modulus=1e6), table)
     assert fit.value["friction_coefficient"] == pytest.approx(MU, rel=1e-6)
     assert fit.value["youngs_modulus"] == pytest.approx(E, rel=1e-6)
-    (warning,) = fit.warnings  # measured from the straight body, the tendon is in, not out
+    (warning,) = [
+        warning for warning in fit.warnings if "met exactly" not in warning
+    ]  # measured from the straight body, the tendon is in, not out
     assert warning.startswith(f"{table.name}: 12 of 24 rows: A tendon travels against its stated direction")
 
 

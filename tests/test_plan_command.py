@@ -59,6 +59,18 @@ def test_the_command_ranks_as_the_call_does(run, candidates, tmp_path):
     assert (out / "plan.png").stat().st_size > 10_000
 
 
+def test_noise_that_grows_with_the_reading(tmp_path):
+    """0.3 N and 4 % of the pulling tension: the Fisher information of eq. (5) by hand."""
+    path = tmp_path / "candidates.toml"
+    path.write_text(CANDIDATES.replace('"0.5 N"', '"0.3 N + 4 %"'))
+    paper = cddf.read_manipulator(PAPER)
+    answer = cddf.plan(paper, plan_command.read_candidates(path)[1:], ["friction_coefficient"])
+    wrap = np.radians([90.0, 180.0])
+    reading = 10.0 * np.exp(float(paper.friction_coefficient) * wrap)
+    information = np.sum((wrap * reading) ** 2 / (0.3**2 + (0.04 * reading) ** 2))
+    assert answer.ranking[0].expected.standard_error["friction_coefficient"] == pytest.approx(information**-0.5)
+
+
 def test_the_figure_holds_the_table(candidates):
     """A marker per candidate and parameter: filled at the standard error, hollow at the edge where there is none."""
     answer = cddf.plan(cddf.read_manipulator(PAPER), plan_command.read_candidates(candidates))
@@ -92,6 +104,8 @@ def test_added_to_what_was_measured(run):
         ("", "holds no candidates"),
         ("x = [", "is no TOML"),
         ("[[candidate]]\nbase_tension = '20 N'", "candidate 1: needs what is read"),
+        (CANDIDATES.replace("1 deg", "1 deg + 2 mm"), "tip_angle needs a unit of angle"),
+        (CANDIDATES.replace("1 deg", "0 deg + 0 %"), "with standard deviations > 0"),
         (CANDIDATES.replace("1 deg", "1 mm"), "tip_angle needs a unit of angle"),
         (CANDIDATES.replace("repeats = 2", "repeats = 0"), "repeats must be 1 or more"),
         (CANDIDATES.replace("repeats = 2", "repeats = 1.5"), "repeats must be a whole number"),

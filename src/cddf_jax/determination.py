@@ -4,7 +4,7 @@ The Jacobian is scaled by the noise of the data and the size of the parameters, 
 stands for a standard error of 1 / s, relative, along its direction.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -62,6 +62,8 @@ class Evidence:
     rows: dict[str, np.ndarray]  # by group, (rows, parameters)
     prior_rows: dict[int, np.ndarray]  # by parameter
     noise_estimated: dict[str, bool]
+    products: bool = True  # whether combinations of what is not identified may be written as products of powers
+    bounded_above: tuple[int, ...] = ()  # parameters that the data, though not told from their lower bound, limit above
     random: tuple[int, ...] = ()  # parameters that are draws about 0, with a spread that was estimated from them
 
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
@@ -69,7 +71,13 @@ class Evidence:
         estimated = {name: self.noise_estimated[name] for name in groups}
         closed = np.zeros_like(self.open_profile)
         priors = {i: row for i, row in self.prior_rows.items() if self.names[i] in with_priors_of}
-        return replace(self, rows=rows, prior_rows=priors, noise_estimated=estimated, open_profile=closed)
+        told = {"rows": rows, "prior_rows": priors, "noise_estimated": estimated}
+        return replace(self, **told, open_profile=closed, bounded_above=())
+
+    @property
+    def nearest_bound(self) -> np.ndarray:
+        below, above = self.value - self.lower, self.upper - self.value
+        return np.where(below < above, self.lower, self.upper)
 
     @property
     def jacobian(self) -> np.ndarray:
@@ -107,15 +115,17 @@ def determine(evidence: Evidence) -> Determination:
     rank = int(spectrum.determined.sum())
     freedom = jacobian.shape[0] - rank
     error = spectrum.relative_error * size
-    if any(evidence.noise_estimated.values()) and freedom <= 0:  # no data left to tell the noise
-        error = np.full_like(error, np.inf)
+    noise_told = freedom > 0 or not any(evidence.noise_estimated.values())
+    error = error if noise_told else np.full_like(error, np.inf)
     quantile = quantiles(evidence, spectrum, np.eye(len(names)))
 
     status = _statuses(evidence, error, quantile)
     lost = np.array([word == NOT_IDENTIFIED for word in status])
     open_ended = lost | np.array([word == AT_BOUND for word in status])
     low, high = value - quantile * error, value + quantile * error
+    limit = np.minimum(high, evidence.upper)
     low, high = np.where(open_ended, evidence.lower, low), np.where(open_ended, evidence.upper, high)
+    high[list(evidence.bounded_above)] = limit[list(evidence.bounded_above)]
     spread = np.sqrt(np.diag(spectrum.covariance))
     sloppy = spectrum.directions[-1] / max(np.abs(spectrum.directions[-1]).max(), 1e-300)
     sloppy = sloppy * np.sign(sloppy[np.argmax(np.abs(sloppy) > 0.02)])  # the first one that matters counts as up
@@ -125,11 +135,11 @@ def determine(evidence: Evidence) -> Determination:
 
     return Determination(
         names=names,
-        value=by_name(value.tolist()),
+        value=by_name(np.where(evidence.at_bound, evidence.nearest_bound, value).tolist()),
         standard_error=by_name(np.where(open_ended, np.inf, error).tolist()),
         confidence_interval=by_name(zip(low.tolist(), high.tolist(), strict=True)),
         status=by_name(status),
-        combinations=_combinations(names, value, lost, spectrum) if np.any(np.isfinite(error)) or freedom > 0 else {},
+        combinations=_combinations(names, value, lost, jacobian) if evidence.products and noise_told else {},
         covariance=spectrum.covariance * np.outer(size, size),
         correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), 1e-300),
         singular_values=spectrum.values,
@@ -185,29 +195,30 @@ def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> li
 
 
 def _combinations(
-    names: tuple[str, ...], value: np.ndarray, lost: np.ndarray, spectrum: Spectrum
+    names: tuple[str, ...], value: np.ndarray, lost: np.ndarray, jacobian: np.ndarray
 ) -> dict[str, Estimate]:
-    """Products of powers of the unidentified parameters that the data do determine."""
+    """Products of powers of the unidentified parameters that the data do determine, whatever the others are."""
     found = {}
     if np.count_nonzero(lost) < 2 or np.any(value[lost] <= 0):
         return found
+    known, own = jacobian[:, ~lost], jacobian[:, lost]
+    spectrum = spectrum_of(own - known @ np.linalg.lstsq(known, own)[0])
+    own_names = [name for name, gone in zip(names, lost, strict=True) if gone]
+    first = int(np.argmin(own_names))
     for singular, direction in zip(spectrum.values, spectrum.directions, strict=True):
-        if len(found) == np.count_nonzero(lost) - 1:
-            break  # were one more known, so would be the parameters themselves
-        within = np.where(lost, direction, 0.0)
-        if singular * LARGEST_RELATIVE_ERROR <= 1 or np.linalg.norm(within) < 0.99:
-            continue  # not known well enough, or not of these parameters
-        first = min((i for i in range(len(names)) if abs(within[i]) > 0.02), key=lambda i: names[i])
-        powers = within * np.sign(within[first]) / np.abs(within).max()  # the first in the alphabet stands above
+        if len(found) == len(own_names) - 1 or singular * LARGEST_RELATIVE_ERROR <= 1:
+            break  # were as many known as there are, so would be the parameters themselves
+        leading = first if abs(direction[first]) > 0.02 else int(np.argmax(np.abs(direction) > 0.02))
+        powers = direction * np.sign(direction[leading]) / np.abs(direction).max()  # the first one stands above
         whole = np.round(powers)
         powers = np.where(np.abs(powers - whole) < 0.02, whole, np.round(powers, 2))
-        product = float(np.exp(np.sum(powers[lost] * np.log(value[lost]))))
+        product = float(np.exp(np.sum(powers * np.log(value[lost]))))
         along = spectrum.directions[spectrum.determined] @ powers / spectrum.values[spectrum.determined]
-        found[_product_name(names, powers)] = Estimate(product, product * float(np.linalg.norm(along)))
+        found[_product_name(own_names, powers)] = Estimate(product, product * float(np.linalg.norm(along)))
     return found
 
 
-def _product_name(names: tuple[str, ...], powers: np.ndarray) -> str:
+def _product_name(names: Sequence[str], powers: np.ndarray) -> str:
     """For example `friction_coefficient / youngs_modulus`."""
 
     def factor(name: str, power: float) -> str:

@@ -71,15 +71,20 @@ def read_noise(text: str) -> tuple[str, float | Noise]:
             f'--noise {text!r}: write a column and a standard deviation as in "tip_tension=0.5 N" or '
             '"tip_tension=0.2 N + 1 %"'
         )
-    what, dimension = f"--noise {column}", COLUMN_DIMENSION.get(column, "force")
+    return column, noise_of(column, numbers, f"--noise {column}")
+
+
+def noise_of(column: str, numbers: str, what: str) -> float | Noise:
+    """ "0.5 N", or with a part that grows with the reading "0.2 N + 1 %"."""
+    dimension = COLUMN_DIMENSION.get(column, "force")
     floor, *shares = re.split(r"\s\+\s*", numbers, maxsplit=1)
     if not shares and not floor.endswith("%"):
-        return column, quantity(floor, dimension, what)
+        return quantity(floor, dimension, what)
     floor, share = (floor, shares[0]) if shares else ("", floor)
     if not share.endswith("%"):
         raise InputError(f'{what}: the part that grows with the reading is in %, got {share!r}; write "0.2 N + 1 %"')
     fraction = quantity(share[:-1].strip(), "dimensionless", what) / 100
-    return column, Noise(quantity(floor, dimension, what) if floor else 0.0, fraction)
+    return Noise(quantity(floor, dimension, what) if floor else 0.0, fraction)
 
 
 def draw_bootstraps(fit: Fit, replicates: int, seed: int, quiet: bool) -> list[Bootstrap]:

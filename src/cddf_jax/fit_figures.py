@@ -226,13 +226,15 @@ def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, s
     axes.set_ylim(-0.1 * limit, 1.9 * limit)
     known = [closed or ends for closed, ends in zip(profile.closed, profile.model_ends, strict=True)]
     ends = [end if there else edge for end, there, edge in zip(interval, known, (low, high), strict=True)]
+    ends = np.clip(ends, max(low, interval[0]), min(high, interval[1]))
     axes.axvspan(scale * ends[0], scale * ends[1], color=draw.SKY, alpha=0.35, linewidth=0, label="95 % interval")
     root = np.sqrt(np.maximum(profile.rise, 0.0))
     axes.plot(scale * profile.value, root, "o-", color=draw.BLUE, markersize=2.2, label="profile")
     axes.axhline(limit, color=draw.VERMILION, linestyle="--", label="95 % limit")
     if status != NOT_IDENTIFIED:
         axes.axvline(scale * estimate, color=draw.BLACK, linestyle=":", label="estimate")
-    look = {"transform": axes.transAxes, "va": "top", "color": draw.VERMILION}
+    patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+    look = {"transform": axes.transAxes, "va": "top", "color": draw.VERMILION, "bbox": patch}
     if not profile.closed[0]:
         word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
         axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
@@ -292,6 +294,9 @@ def correlation_figure(fit: Fit) -> Figure:
         axes.set_yticks(range(len(names)), labels)
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
+        between = np.arange(1, len(names)) - 0.5
+        axes.hlines(between, -0.5, len(names) - 0.5, color="white", linewidth=1.5)
+        axes.vlines(between, -0.5, len(names) - 0.5, color="white", linewidth=1.5)
         figure.colorbar(image, label="Correlation", shrink=0.9, ticks=[-1, -0.5, 0, 0.5, 1])
     return figure
 

@@ -130,6 +130,11 @@ class Fit(LeastSquaresFit):
 
 def _conditions(base_tension: Any, tip_force: Any, direction: Any, tendons: int) -> Bench:
     tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
+    for name, numbers in (("base_tension", tension), ("tip_force", tip_force), ("direction", direction)):
+        if not np.all(np.isfinite(np.asarray(numbers, np.float64))):
+            raise InputError(f"predict: {name} must hold finite numbers")
+    if np.any(tension < 0):
+        raise InputError(f"predict: base_tension must be 0 N or more, got {np.min(tension):g}; a tendon only pulls")
     tension = tension[:, None] if tension.ndim == 1 else tension
     rows = len(tension)
     try:
@@ -384,14 +389,17 @@ def _verdict(fit: Fit) -> list[str]:
         if status == IDENTIFIED:
             lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
         elif status != NOT_IDENTIFIED:
-            lines.append(f"{name} = {value:.4g}{unit}: {status}")
+            limit = f", at most {high:.4g}{unit} (95 %)" if name in fit.bounded_above else ""
+            lines.append(f"{name} = {value:.4g}{unit}: {status}{limit}")
+        elif name in fit.bounded_above:
+            lines.append(f"{name}: at most {high:.4g}{unit} (95 %), not told from {low:.4g}{unit}: not identified")
         else:
             lines.append(f"{name}: not identified")
     for name, (value, error) in fit.combinations.items():
         lines.append(f"{name} = {value:.4g} +- {error:.2g} (SI): identified, though its factors are not")
     if fit.trial_effects:
         lines.append(f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)")
-    lost = {name for name, status in fit.status.items() if status == NOT_IDENTIFIED}
+    lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
     return lines + [_advice(fit, lost)] * bool(lost)
 
 

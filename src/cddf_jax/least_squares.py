@@ -3,6 +3,7 @@
 The optimiser sees dimensionless unknowns of order one. Noise that is not given is estimated, group by group.
 """
 
+import itertools
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -10,11 +11,22 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import qmc
 
 from .bootstrap import Bootstrap, bootstrap
-from .determination import IDENTIFIED, Determination, Evidence, determine, quantiles, spectrum_of, without_nan
+from .determination import (
+    AT_BOUND,
+    IDENTIFIED,
+    LARGEST_RELATIVE_ERROR,
+    NOT_IDENTIFIED,
+    Determination,
+    Evidence,
+    determine,
+    quantiles,
+    spectrum_of,
+    without_nan,
+)
 from .errors import InputError
 from .levenberg_marquardt import LeastSquaresProblem, Outcome, evaluate, minimise, minimise_all
 from .observations import Noise, Observations, group_observations
@@ -27,6 +39,9 @@ NOISE_ROUNDS = 50
 CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
 START_SPREAD = 1.5  # of further starts about the first, in dimensionless unknowns
 UNDETERMINED = 1e-10  # of a prediction's squared derivative, along directions that the data leave open
+OUTLIER_CHANCE = 0.01
+UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals
+EXACT = 1e-7  # noise over data, below which there is none
 ONE_DATUM = 0.5  # share of a parameter's variance that no datum should make alone
 
 
@@ -53,6 +68,11 @@ class LeastSquaresFit(Determination):
     search: "Search"
 
     @property
+    def bounded_above(self) -> tuple[str, ...]:
+        """Parameters that the data do not tell from their lower bound but limit above: `confidence_interval`."""
+        return tuple(self.names[i] for i in self.evidence.bounded_above)
+
+    @property
     def num_estimated(self) -> int:
         """Parameters, and the numbers of the noise that were estimated."""
         return len(self.names) + sum(self.noise_parts.values())
@@ -68,8 +88,8 @@ class LeastSquaresFit(Determination):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Parameters that end on a bound, that no datum depends on, or that hang on one datum."""
-        return tuple(_remarks(self.evidence))
+        """Parameters on a bound, without effect or hanging on one datum; outliers; residuals that tell too little."""
+        return (*_remarks(self.evidence), *_remarks_on_residuals(self))
 
     def profile(self, name: str) -> Profile:
         """The likelihood with one parameter held at value after value and all others fitted again.
@@ -195,13 +215,15 @@ def least_squares_fit(
 
     evidence = _evidence(names, problem, data, outcome)
     told = determine(evidence)
-    profiles = _profiles(problem, noise, outcome, told, max_steps)
+    profiles = _profiles(problem, noise, outcome, evidence, told, max_steps)
     result = _verdict(problem, outcome, evidence, settled, profiles)
     if prefer_start and np.any(profiles.open):
         outcome = _nearest_to_start(problem, noise, outcome, profiles.open, told.quantile, max_steps)
         evidence = _evidence(names, problem, data, outcome)
     doubtful = profiles.open | (result != SUCCESSFUL)  # a failed fit has identified nothing
-    evidence = replace(evidence, open_profile=doubtful)
+    limited = profiles.bounded_above if result == SUCCESSFUL else ()
+    products = _are_products(problem, noise, outcome, told, max_steps)
+    evidence = replace(evidence, open_profile=doubtful, bounded_above=limited, products=products)
     return _conclude(evidence, data, Search(problem, noise, outcome), result, tried.cost, seed)
 
 
@@ -248,7 +270,9 @@ def _evidence(names, problem: LeastSquaresProblem, data: Observations, outcome: 
     """The scaled Jacobian by groups; none of it where the model gave no number."""
     space = problem.space
     finite = np.all(np.isfinite(outcome.residual))
-    jacobian = without_nan(outcome.jacobian) if finite else np.zeros_like(outcome.jacobian)
+    at_bound = space.at_bound(outcome.parameters)  # where the value is no measure of its own precision
+    size = np.where(at_bound, np.maximum(outcome.size, space.scale), outcome.size)
+    jacobian = without_nan(outcome.jacobian * (size / outcome.size)) if finite else np.zeros_like(outcome.jacobian)
     ends = np.cumsum([v.size for v in data.values])
     *rows, prior_rows = np.split(jacobian, ends)
     if problem.loss != "linear":
@@ -261,8 +285,8 @@ def _evidence(names, problem: LeastSquaresProblem, data: Observations, outcome: 
         lower=np.asarray(space.lower),
         upper=np.asarray(space.upper),
         value=outcome.parameters,
-        size=outcome.size,
-        at_bound=space.at_bound(outcome.parameters),
+        size=size,
+        at_bound=at_bound,
         open_profile=np.zeros(len(names), bool),
         rows=dict(zip(data.names, rows, strict=True)),
         prior_rows={i: row[None] for i, row in zip(problem.prior, prior_rows, strict=True)},
@@ -280,9 +304,12 @@ def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
 class _Profiles(NamedTuple):
     open: np.ndarray  # by parameter: whether its 95 % interval is open on a side, for all that was tried
     least_rise: float  # of the sum of squares, over all that was tried
+    bounded_above: tuple[int, ...]  # of those that are not told from their lower bound
 
 
-def _profiles(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Determination, max_steps: int) -> _Profiles:
+def _profiles(
+    problem: LeastSquaresProblem, noise, outcome: Outcome, evidence: Evidence, told: Determination, max_steps: int
+) -> _Profiles:
     """Hold each parameter that looks identified at values ever farther off and fit the others again.
 
     The curvature at a minimum can feign an interval where the valley is flat beyond. A side is closed where
@@ -306,7 +333,35 @@ def _profiles(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Deter
             error = told.standard_error[name]
             sides = _sides(problem.space, i, told.value[name], told.quantile * error)
             opened[i] = not all(closed(i, error, places) for places in sides)
-    return _Profiles(opened, least)
+    error = spectrum_of(evidence.jacobian).relative_error * evidence.size
+    near = np.isfinite(problem.space.lower) & (outcome.parameters - told.quantile * error <= problem.space.lower)
+    near &= [told.status[name] in (NOT_IDENTIFIED, AT_BOUND) for name in told.names]
+    high = outcome.parameters + told.quantile * error
+    limited = [
+        i for i in np.flatnonzero(near & np.isfinite(high) & (high < problem.space.upper)).tolist()
+        if closed(i, error[i], [high[i], outcome.parameters[i] + 2 * told.quantile * error[i]])
+    ]  # fmt: skip
+    return _Profiles(opened, least, tuple(limited))
+
+
+def _are_products(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Determination, max_steps: int) -> bool:
+    """Whether what is not identified may be doubled along the valley: if not, it is no product that is determined."""
+    lost = np.array([told.status[name] == NOT_IDENTIFIED for name in told.names])
+    if np.count_nonzero(lost) < 2 or np.any(outcome.parameters[lost] <= 0) or not np.all(np.isfinite(outcome.jacobian)):
+        return True
+    _, values, directions = np.linalg.svd(outcome.jacobian)
+    for singular, direction in itertools.zip_longest(values, directions, fillvalue=0.0):
+        along = np.where(lost, direction, 0.0)
+        if singular * LARGEST_RELATIVE_ERROR > 1 or np.linalg.norm(along) < 0.7:
+            continue
+        for factor in (0.5, 2.0):
+            place = outcome.parameters * factor ** (along / np.abs(along).max())
+            if np.any(place <= problem.space.lower) or np.any(place >= problem.space.upper):
+                continue
+            moved = minimise(problem, noise, outcome.z, np.where(lost, place, np.nan), max_steps)
+            if not moved.cost - outcome.cost <= CLOSING_RISE * told.quantile**2:
+                return False
+    return True
 
 
 def _nearest_to_start(
@@ -342,7 +397,8 @@ def _remarks(evidence: Evidence) -> list[str]:
     for i, name in enumerate(evidence.names):
         if evidence.at_bound[i]:
             nearer = min((evidence.lower[i], evidence.upper[i]), key=lambda bound: abs(bound - evidence.value[i]))
-            found.append(f"{name} ended on its bound {nearer:g}: it may lie beyond, or have no effect")
+            otherwise = "" if i in evidence.bounded_above else ", or have no effect"
+            found.append(f"{name} ended on its bound {nearer:g}: it may lie beyond{otherwise}")
         elif not np.any(jacobian[:, i]):
             found.append(f"{name} did not move: no datum depends on it")
         elif len(labels) > 2 * len(evidence.names) and np.max(share[i, : len(labels)]) > ONE_DATUM:
@@ -351,6 +407,48 @@ def _remarks(evidence: Evidence) -> list[str]:
                 f"{name} hangs on one datum, {labels[k]}, which makes {100 * share[i, k]:.0f} % of its variance"
             )
     return found
+
+
+def _remarks_on_residuals(fit: LeastSquaresFit) -> list[str]:
+    """Groups that are met exactly or not at all, data far from all others, noise that hardly any residual tells."""
+    found, ends = [], np.cumsum([np.size(v) for v in fit.search.problem.values])
+    residuals = np.split(fit.search.outcome.residual, ends)[:-1]
+    covariance = spectrum_of(fit.evidence.jacobian).covariance
+    if fit.noise_estimated and fit.degrees_of_freedom in (1, 2):
+        found.append(f"noise is told by {fit.degrees_of_freedom} degree(s) of freedom only; measure more")
+    for (name, rows), residual, values, noise in zip(
+        fit.evidence.rows.items(), residuals, fit.search.problem.values, fit.search.noise, strict=True
+    ):
+        estimated, values = fit.evidence.noise_estimated[name], np.ravel(values)
+        error = residual * np.ravel(noise)
+        if estimated and np.max(np.ravel(noise)) <= EXACT * np.max(np.abs(values), initial=0.0):
+            found.append(f"{name} is met exactly, which tells no noise: standard errors mean nothing; give the noise")
+        elif values.size > 2 and np.std(error) > UNEXPLAINED * np.std(values) > 0:
+            found.append(f"{name} is hardly explained at all; search from another start, or from many (starts)")
+        elif fit.loss == "linear":
+            found += _outliers(name, residual, np.einsum("ki,ij,kj->k", rows, covariance, rows), estimated)
+    return found
+
+
+def _outliers(name: str, residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> list[str]:
+    """Data so far off that of as many honest ones the farthest is nearer in 99 of 100 experiments (Bonferroni)."""
+    distance = np.abs(residual) / np.sqrt(np.maximum(1.0 - leverage, 1e-6))
+    freedom = residual.size - np.sum(leverage)
+    chance = 2 * ndtr(-distance)
+    if estimated:  # by the scatter of all the others
+        if freedom < 3:
+            return []
+        distance = distance * np.sqrt((freedom - 1) / np.maximum(freedom - distance**2, 1e-12 * freedom))
+        chance = 2 * stdtr(freedom - 1, -distance)
+    far = np.flatnonzero(chance * residual.size < OUTLIER_CHANCE)
+    if far.size == 0:
+        return []
+    worst = far[np.argmax(distance[far])]
+    others = f" (and {far.size - 1} more are far off)" if far.size > 1 else ""
+    return [
+        f"entry {worst + 1} of {name} lies {distance[worst]:.2g} standard deviations off the model{others}: "
+        "check it, or use a robust loss"
+    ]
 
 
 def _verdict(

@@ -10,6 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from .errors import InputError
 from .parameter_space import Prior, Space
 from .robust_loss import LOSSES, Loss
 
@@ -31,6 +32,9 @@ class LeastSquaresProblem(eqx.Module):
         """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors."""
         parameters = self.parameters(z, held)
         predicted = jax.tree.leaves(self.predict(self.unravel(parameters)))
+        sizes = [jnp.size(p) for p in predicted], [np.size(v) for v in self.values]
+        if sizes[0] != sizes[1]:
+            raise InputError(f"predict gives arrays of {sizes[0]} numbers where the data have {sizes[1]}")
         groups = zip(predicted, self.values, noise, strict=True)
         rows = [jnp.ravel((jnp.reshape(p, jnp.shape(v)) - v) / s) for p, v, s in groups]
         pulls = [(parameters[i] - prior.mean) / prior.standard_deviation for i, prior in self.prior.items()]

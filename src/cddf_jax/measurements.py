@@ -247,9 +247,9 @@ def dimension_of(column: str) -> Dimension | None:
         column = stem
     if column not in _DIMENSIONS:
         close = get_close_matches(column.lower(), _DIMENSIONS, 1)
-        suggestion = f"did you mean {close[0]}? " if close else ""
+        remedy = f"did you mean {close[0]}? Known are" if close else "known are"
         known = ", ".join([*_DIMENSIONS, *(f"{stem}_2" for stem in _PER_TENDON)])
-        raise InputError(f"unknown column {_short(column)}; {suggestion}Known are {known}, ...")
+        raise InputError(f"unknown column {_short(column)}; {remedy} {known}, ...")
     return _DIMENSIONS[column]
 
 

@@ -23,13 +23,16 @@ class Comparison:
     num_parameters: int  # with the noise that was estimated
     AIC: float
     BIC: float
-    cross_validation: float  # root mean square of what was left out, in standard deviations of the fit's noise
+    cross_validation: float  # root mean square of what was left out, in standard deviations of the first fit's noise
     mean_relative_error: float  # of the tip tensions, the measure of Liu et al. (2020)
     success: bool
 
 
 def compare(fits: Mapping[str, Fit]) -> list[Comparison]:
     """Fits of the same tables, the one of least AIC first.
+
+    Cross-validation measures all of them by the noise of the first, so that they can be compared; alone, each is
+    measured by its own.
 
     Raises:
         InputError: for fewer than two fits, or fits of different data.

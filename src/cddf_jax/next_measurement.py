@@ -21,6 +21,7 @@ from .errors import InputError
 from .identification import Fit
 from .manipulator import Manipulator
 from .measurements import Measurements
+from .observations import Noise
 from .parameter_space import priors_of
 
 BEFOREHAND = 100.0  # relative standard error before any data, so that designs can be compared that leave one open
@@ -33,24 +34,32 @@ class Candidate:
     Args:
         name: for the table.
         conditions: columns of a bench or of a pulley test that are set, SI, numbers or lists of one length.
-        noise: standard deviation of each column that is read, SI.
+        noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
         repeats: how often all of it is done.
         cost: of all of it, hours say; what is told counts per cost.
     """
 
     name: str
     conditions: Mapping[str, Any]
-    noise: Mapping[str, float]
+    noise: Mapping[str, float | Noise]
     repeats: int = 1
     cost: float = 1.0
 
     def __post_init__(self):
-        if not self.noise or not all(deviation > 0 for deviation in self.noise.values()):
+        known = all(not isinstance(noise, Noise) or None not in noise for noise in self.noise.values())
+        if not self.noise or not known or not all(_deviation(noise, 1.0) > 0 for noise in self.noise.values()):
             raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")
         if self.repeats < 1:
             raise InputError(f"candidate {self.name!r}: repeats must be 1 or more, got {self.repeats}")
         if not 0 < self.cost < np.inf:
             raise InputError(f"candidate {self.name!r}: cost must be a number > 0, got {self.cost}")
+
+
+def _deviation(noise: float | Noise, reading: Any) -> Any:
+    """The standard deviation of readings."""
+    if isinstance(noise, Noise):
+        return np.hypot(noise.floor or 0.0, (noise.fraction or 0.0) * reading)
+    return noise + 0.0 * reading
 
 
 @dataclass(frozen=True)
@@ -187,14 +196,20 @@ def _rows(
     warnings: list[str] = []
     if isinstance(experiment, Pulley):
         flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, parameters))
-        slope = jax.jacfwd(lambda x: experiment.predict(body, unravel(x), nodes)["pulling_tension"])(flat)
-        slopes = {"pulling_tension": np.asarray(slope)}
+
+        def read(x):
+            return experiment.predict(body, unravel(x), nodes)["pulling_tension"]
+
+        values = {"pulling_tension": np.asarray(read(flat))}
+        slopes = {"pulling_tension": np.asarray(jax.jacfwd(read)(flat))}
     else:
-        _, slopes, codes = experiment.evaluate(body, parameters, nodes)
+        values, slopes, codes = experiment.evaluate(body, parameters, nodes)
         for code in NOTEWORTHY:
             count = int(np.sum(codes == code))
             warnings += [f"{count} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if count else []
-    scaled = [slopes[column] * size / candidate.noise[column] for column in experiment.columns]
+    deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 without a floor of noise tells nothing
+        scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]
     rows = np.concatenate(scaled) * np.sqrt(candidate.repeats)
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
 

@@ -125,7 +125,8 @@ def priors_of(names: tuple[str, ...], priors: Mapping[str, Any]) -> dict[int, Pr
     for name, (mean, deviation) in gaussian.items():
         if not (np.isfinite(mean) and np.isfinite(deviation) and deviation > 0):
             raise InputError(f"prior for {name}: needs a mean and a standard deviation > 0, got {mean}, {deviation}")
-    return {names.index(name): Prior(*map(np.float64, prior)) for name, prior in gaussian.items()}
+    found = {names.index(name): Prior(*map(np.float64, prior)) for name, prior in gaussian.items()}
+    return dict(sorted(found.items()))  # as JAX orders them
 
 
 def with_uniform_priors(bounds: Mapping[str, Any], priors: Mapping[str, Any]) -> dict[str, Any]:
@@ -133,6 +134,10 @@ def with_uniform_priors(bounds: Mapping[str, Any], priors: Mapping[str, Any]) ->
     narrowed = dict(bounds)
     for name, prior in priors.items():
         if isinstance(prior, Uniform):
+            if not prior.low < prior.high:
+                raise InputError(
+                    f"prior for {name}: {prior.low:g} to {prior.high:g} is no range; write the lower first"
+                )
             low, high = narrowed.get(name, (None, None))
             narrowed[name] = (
                 prior.low if low is None else max(prior.low, low),

@@ -9,8 +9,10 @@ import numpy as np
 from .bench import parameter_named
 from .determination import NOT_IDENTIFIED, Determination
 from .errors import InputError
+from .fit_command import noise_of
 from .measurements import dimension_of
 from .next_measurement import Candidate, Plan, Ranked
+from .observations import Noise
 from .units import quantity
 
 
@@ -51,11 +53,17 @@ def _candidate(where: str, entry: dict[str, Any]) -> Candidate:
         raise InputError(f"{where}: cost must be a number, got {cost!r}")
     try:
         conditions = {column: _numbers(where, column, value) for column, value in entry.items()}
-        deviations = {column: float(_numbers(where, column, value)[0]) for column, value in noise.items()}
+        deviations = {column: _noise(where, column, value) for column, value in noise.items()}
         return Candidate(str(name), conditions, deviations, repeats, float(cost))
     except InputError as error:
         text = str(error)
         raise InputError(text if text.startswith(where) else f"{where}: {text}") from None
+
+
+def _noise(where: str, column: str, value: Any) -> float | Noise:
+    if isinstance(value, str) and value.rstrip().endswith("%"):
+        return noise_of(column, value, f"{where}: {column}")
+    return float(_numbers(where, column, value)[0])
 
 
 def _numbers(where: str, column: str, value: Any) -> np.ndarray:
@@ -98,7 +106,13 @@ def _row(ranked: Ranked) -> list[str]:
     errors = ", ".join(f"{name} {_error(ranked.expected, name)}" for name in ranked.expected.names)
     open_ones = [name for name in ranked.expected.names if ranked.expected.status[name] == NOT_IDENTIFIED]
     told = f"not: {', '.join(open_ones)}" if open_ones else "all identified"
-    return [ranked.candidate.name, f"{ranked.candidate.cost:g}", f"{ranked.gain:.2f}", errors, told]
+    return [
+        ranked.candidate.name,
+        f"{ranked.candidate.cost:g}",
+        f"{ranked.gain:.2f}".replace("-0.00", "0.00"),
+        errors,
+        told,
+    ]
 
 
 def _told(told: Determination) -> str:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, NullFormatter
 
 from . import plotting as draw
 from .bench import parameter_named
@@ -37,7 +37,8 @@ def plan_figure(plan: Plan) -> Figure:
         axes.text(edge, -0.62, "open", ha="center", va="bottom", color=draw.GREY)
         axes.set_xscale("log")
         axes.set_xlim(0.5 * known.min(initial=10.0), 1.5 * edge)
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ticks = np.outer(10.0 ** np.arange(-6, 7), (1, 2, 5)).ravel()
+        axes.xaxis.set_major_locator(FixedLocator(ticks[ticks < 0.7 * edge].tolist()))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_yticks(range(len(rows)), [name for name, _ in rows])

@@ -117,6 +117,7 @@ def lay_out(
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
     turns = manipulator.kinematics == "exact" and manipulator.slanted and breaks.shape[0] > 0
     starts = cut.edges[:-1]
+    inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip turns nobody there
     return Problem(
         manipulator,
         base_tension,
@@ -125,7 +126,7 @@ def lay_out(
         base=jax.tree.map(lambda x: x[0], along),
         nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
         tip=jax.tree.map(lambda x: x[-1], along),
-        joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(starts + nudge)) if turns else None,
+        joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside)) if turns else None,
         loads=loads,
         outboard=_outboard(manipulator, cut, loads),
         base_moment=0.0 * cut.edges[-1],

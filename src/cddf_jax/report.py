@@ -137,20 +137,22 @@ def _profile_section(report: Report) -> list[str]:
     rows = []
     for name, profile in report.profiles.items():
         scale, unit = SHOWN[parameter_named(name).dimension]
-        ends = [
-            f"{scale * end:.5g}{unit}"
-            if closed
-            else f"open; no solution beyond {scale * end:.5g}{unit}"
-            if ends
-            else "open"
-            for end, closed, ends in zip(profile.confidence_interval, profile.closed, profile.model_ends, strict=True)
-        ]
+        told = zip(profile.confidence_interval, profile.closed, profile.model_ends, strict=True)
+        ends = [_end_in_words(scale * end, unit, closed, model_ends) for end, closed, model_ends in told]
         rows.append([name, *ends])
     head = ["parameter", "from", "to"]
     text = (
         "95 % intervals without trust in linearity: a parameter is held at value after value, the others fitted again."
     )
     return ["## Profiles", "", text, "", *_table(head, rows)] if rows else []
+
+
+def _end_in_words(end: float, unit: str, closed: bool, model_ends: bool) -> str:
+    if model_ends:
+        return f"open; no solution beyond {end:.5g}{unit}"
+    if not closed:
+        return f"{end:.5g}{unit} (bound)" if np.isfinite(end) else "open"
+    return f"{end:.5g}{unit}"
 
 
 def _bootstrap_section(report: Report) -> list[str]:
