@@ -63,6 +63,40 @@ def replaced(body: cddf.Manipulator, **numbers: Any) -> cddf.Manipulator:
     )
 
 
+def both_modes(function: Callable) -> Callable:
+    """Value, forward and reverse derivative of a function of a vector, compiled together."""
+
+    def with_value(p):
+        value = function(p)
+        return value, value
+
+    @jax.jit
+    def derivatives(p):
+        forward, value = jax.jacfwd(with_value, has_aux=True)(p)
+        return value, forward, jax.jacrev(function)(p)
+
+    return derivatives
+
+
+def twice(function: Callable) -> Callable:
+    """The same, and the second derivative: reverse mode, and all of that in forward mode."""
+
+    def with_value(p):
+        value = function(p)
+        return value, value
+
+    def reverse(p):
+        both = jax.jacrev(with_value, has_aux=True)(p)
+        return both, both
+
+    @jax.jit
+    def derivatives(p):
+        (second, forward), (reversed_, value) = jax.jacfwd(reverse, has_aux=True)(p)
+        return value, forward, reversed_, second
+
+    return derivatives
+
+
 # --- random bodies -------------------------------------------------------------------------------
 
 

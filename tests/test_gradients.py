@@ -1,10 +1,13 @@
 """Derivatives in both modes and twice: against the closed form, against unrolled sweeps, against marching."""
 
+from dataclasses import replace
+from functools import lru_cache, partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import paper_body, paper_plain
+from bodies import both_modes, paper_body, paper_plain, twice
 from numpy.polynomial import legendre
 from scipy.integrate import quad
 
@@ -17,10 +20,17 @@ MARCHED = 1e-6  # the derivative of RK4 with 8 steps between nodes
 PARAMETERS = jnp.array([0.42, 1.4, 60.0, 20.0, 13.0])
 CASES = {
     "published": ("published", 1, +1, (0.010, 0.010)),
+    "exact": ("exact", 1, +1, (0.010, 0.010)),
     "published, one out": ("published", 2, (+1, -1), (0.012, 0.009)),
-    "exact, one out": ("exact", 2, (+1, -1), (0.010, 0.010)),
-    "exact slanted, one out": ("exact", 2, (+1, -1), (0.012, 0.009)),
+    "exact, out": ("exact", 1, -1, (0.010, 0.010)),
+    "exact slanted, out": ("exact", 1, -1, (0.012, 0.009)),
 }
+
+
+each_kinematics = pytest.mark.parametrize(
+    "case", ["published", "exact"]
+)  # of one tendon, for which there is a closed form
+G = 2.942783188998e4  # int d/J ds, design.md section 3
 
 
 def body_from(parameters, kinematics, count, offset):
@@ -44,10 +54,35 @@ def solved(case, method=cddf.FixedPoint()):
 
     def tip(parameters):
         body = body_from(parameters, kinematics, count, offset)
-        solution = cddf.solve(body, pulls(parameters, count), direction=direction, method=method, throw=False)
-        return jnp.concatenate([solution.tip_tension, 1e3 * solution.tip_position, solution.tip_angle[None]])
+        return tip_of(body, pulls(parameters, count), direction, method)
 
     return tip
+
+
+def tip_of(body, tension, direction, method=cddf.FixedPoint()):
+    """Of order one to a hundred."""
+    solution = cddf.solve(body, tension, direction=direction, method=method, throw=False)
+    return jnp.concatenate([solution.tip_tension, 1e3 * solution.tip_position, solution.tip_angle[None]])
+
+
+KNOTS = np.array([0.0, 0.05, 0.10, 0.14])
+
+
+def bent(numbers):
+    """One tendon in the exact kinematics: after the parameters come its direction and four heights, cm.
+
+    It follows straight lines through its heights, so that it may be parallel, slanted, or kinked.
+    """
+    parameters, direction, heights = numbers[:5], jax.lax.stop_gradient(numbers[5]), 1e-2 * numbers[6:]
+    tendons = (cddf.Tendon(cddf.Piecewise.linear(KNOTS, heights)),)
+    body = replace(body_from(parameters, "exact", 1, (0.01, 0.01)), tendons=tendons)
+    return tip_of(body, pulls(parameters, 1), direction)
+
+
+def between(offset):
+    """The heights of a tendon that does not bend."""
+    base, tip = 1e2 * np.array(offset)
+    return base + (tip - base) * KNOTS / 0.14
 
 
 def collocation(order):
@@ -98,7 +133,7 @@ def unrolled(case, order=16, sweeps=40):
 
         def local_at_base(EJ0, T0):
             kappa = jnp.sum(side * d_base * T0) / EJ0
-            for _ in range(8):
+            for _ in range(8 if slope else 0):
                 q = 1 - side * d_base * kappa
                 residual = EJ0 * kappa - jnp.sum(side * d_base * T0 * q / jnp.hypot(q, slope))
                 kappa -= residual / (EJ0 + jnp.sum(d_base**2 * T0 * slope**2 / jnp.hypot(q, slope) ** 3))
@@ -124,34 +159,43 @@ def assert_close(ours, theirs, tolerance):
     np.testing.assert_allclose(ours / scale, theirs / scale, atol=tolerance, rtol=0)
 
 
-def both_modes(function):
-    """Value, forward and reverse derivative, compiled together."""
-    return jax.jit(lambda p: (function(p), jax.jacfwd(function)(p), jax.jacrev(function)(p)))
+@lru_cache
+def derivatives_of(case):
+    """One compiled program for all tests of a case."""
+    return twice(solved(case))
 
 
-@pytest.mark.parametrize("case", CASES)
+bent_derivatives = both_modes(bent)
+
+
+@pytest.mark.parametrize("case", ["published", "exact", "published, one out"])
 def test_implicit_derivatives_are_those_of_unrolled_sweeps(case):
-    value, forward, reverse = both_modes(solved(case))(PARAMETERS)
-    expected = unrolled(case)
-    np.testing.assert_allclose(value, expected(PARAMETERS), rtol=ACCURATE)
-    slope = jax.jit(jax.jacfwd(expected))(PARAMETERS)
+    value, forward, reverse, second = derivatives_of(case)(PARAMETERS)
+    expected, slope, _, bend = twice(unrolled(case))(PARAMETERS)
+    np.testing.assert_allclose(value, expected, rtol=ACCURATE)
     assert_close(forward, slope, ACCURATE)
     assert_close(reverse, slope, ACCURATE)
+    assert_close(second, bend, 1e-7)  # a second derivative loses a digit to the first
+    np.testing.assert_allclose(second, np.swapaxes(second, 1, 2), rtol=1e-7, atol=1e-9)
 
 
-def test_second_derivatives_are_those_of_unrolled_sweeps():
-    case, weights = "exact, one out", jnp.array([1.0, -2.0, 0.3, 0.7, 5.0])
-    ours = jax.jit(jax.hessian(lambda p: weights @ solved(case)(p)))(PARAMETERS)
-    theirs = jax.jit(jax.hessian(lambda p: weights @ unrolled(case)(p)))(PARAMETERS)
-    assert_close(ours, theirs, 1e-7)  # a second derivative loses a digit to the first
-    np.testing.assert_allclose(ours, ours.T, rtol=1e-7, atol=1e-9)
+@pytest.mark.parametrize("case", ["exact, out", "exact slanted, out"])
+def test_implicit_derivatives_of_a_slanted_tendon_are_those_of_unrolled_sweeps(case):
+    """Two slanted tendons are held to differences of SciPy's solution, see test_sign_changes.py."""
+    _, _, direction, offset = CASES[case]
+    parameters = at(tension=30.0)
+    value, forward, reverse = bent_derivatives(jnp.concatenate([parameters, jnp.array([direction]), between(offset)]))
+    slope = jax.jit(jax.jacfwd(unrolled(case)))(parameters)
+    np.testing.assert_allclose(value, unrolled(case)(parameters), rtol=ACCURATE)
+    assert_close(forward[:, :5], slope, ACCURATE)
+    assert_close(reverse[:, :5], slope, ACCURATE)
 
 
 def test_implicit_derivatives_are_those_of_marching():
-    """Of antagonists in the published kinematics; slanted ones in the exact one are held to unrolled sweeps above."""
+    """Of antagonists in the published kinematics; one in the exact kinematics is held to unrolled sweeps above."""
     case = "published, one out"
     marched = jax.jit(jax.jacfwd(solved(case, cddf.Marching(steps=4))))(PARAMETERS)
-    assert_close(jax.jit(jax.jacfwd(solved(case)))(PARAMETERS), marched, MARCHED)
+    assert_close(derivatives_of(case)(PARAMETERS)[1], marched, MARCHED)
 
 
 def closed_form_derivatives(mu, E, T, G):
@@ -167,18 +211,20 @@ def closed_form_derivatives(mu, E, T, G):
     return first, np.array([[mu_mu, mu_E, mu_T], [mu_E, E_E, E_T], [mu_T, E_T, T_T]])
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
-def test_derivatives_of_the_closed_form(kinematics):
-    def tip_tension(p):
-        body = paper_body(kinematics, friction_coefficient=p[0], youngs_modulus=p[1])
-        return cddf.solve(body, p[2], throw=False).tip_tension[0]
+def at(**changed):
+    """The parameters, some of them replaced."""
+    names = ("mu", "modulus", "tension", "base", "tip")
+    return jnp.array([changed.get(name, number) for name, number in zip(names, PARAMETERS, strict=True)])
 
-    point = jnp.array([0.42, 1.4e6, 75.0])
-    first, second = closed_form_derivatives(*np.asarray(point), 2.942783188998e4)  # G: design.md section 3
-    _, forward, reverse = both_modes(tip_tension)(point)
-    np.testing.assert_allclose(forward, first, rtol=ACCURATE)
-    np.testing.assert_allclose(reverse, first, rtol=ACCURATE)
-    np.testing.assert_allclose(jax.jit(jax.hessian(tip_tension))(point), second, rtol=1e-7)
+
+@each_kinematics
+def test_derivatives_of_the_closed_form(case):
+    first, second = closed_form_derivatives(0.42, 1.4e6, 75.0, G)
+    unit = np.array([1.0, 1e6, 1.0])
+    _, forward, reverse, bend = derivatives_of(case)(at(tension=75.0))
+    np.testing.assert_allclose(forward[0, :3], unit * first, rtol=ACCURATE)
+    np.testing.assert_allclose(reverse[0, :3], unit * first, rtol=ACCURATE)
+    np.testing.assert_allclose(bend[0, :3, :3], np.outer(unit, unit) * second, rtol=1e-7)
 
 
 def test_derivatives_by_the_geometry():
@@ -195,14 +241,14 @@ def test_derivatives_by_the_geometry():
     tip = plain.closed_form(75.0, 0.14)
     expected = -(tip**2) * 0.42 / 1.4e6 * slopes
 
-    def solve_tip(radii):
-        return cddf.solve(paper_body("published", outer_radius=radii), 75.0, throw=False).tip_tension[0]
-
     def closed_tip(radii):
         return cddf.closed_form_tension(paper_body("published", outer_radius=radii), 75.0, 0.14)
 
+    for case in ("published", "exact"):
+        _, by_number, by_number_reverse, _ = derivatives_of(case)(at(tension=75.0))
+        np.testing.assert_allclose(by_number[0, 3:], 1e-3 * expected, rtol=ACCURATE)  # of radii in mm
+        np.testing.assert_allclose(by_number_reverse[0, 3:], 1e-3 * expected, rtol=ACCURATE)
     radii = jnp.array([0.020, 0.013])
-    np.testing.assert_allclose(jax.jit(jax.grad(solve_tip))(radii), expected, rtol=ACCURATE)
     _, forward, reverse = both_modes(closed_tip)(radii)
     np.testing.assert_allclose(forward, expected, rtol=1e-11)
     np.testing.assert_allclose(reverse, expected, rtol=1e-11)
@@ -210,49 +256,47 @@ def test_derivatives_by_the_geometry():
 
 def test_derivatives_by_a_kinked_offset_against_differences():
     """Finite turns included: both modes against central differences of the solver itself."""
-
-    def tip(heights):
-        body = paper_body("exact", tendon_offset=0.01)
-        offset = cddf.Piecewise.linear(jnp.array([0.0, 0.05, 0.10, 0.14]), heights * 1e-2)
-        body = cddf.Manipulator(0.14, body.outer_radius, body.inner_radius, (cddf.Tendon(offset),), 1.4e6, 0.42)
-        solution = cddf.solve(body, 30.0, throw=False)
-        return jnp.concatenate([solution.tip_tension, 1e2 * solution.tip_position])
-
     heights, h = jnp.array([0.8, 1.2, 1.0, 1.0]), 1e-4
-    ends = jax.jit(jax.vmap(tip))(heights + h * jnp.concatenate([jnp.eye(4), -jnp.eye(4)]))
-    differences = (ends[:4] - ends[4:]).T / (2 * h)
-    _, forward, reverse = both_modes(tip)(heights)
-    assert_close(forward, differences, 1e-6)  # h^2 and rounding over h
+    steps = jnp.eye(10)[6:]
+
+    def tip(change):
+        return bent_derivatives(jnp.concatenate([at(tension=30.0), jnp.ones(1), heights]) + change)
+
+    ends = [[tip(sign * h * step)[0] for sign in (+1, -1)] for step in steps]
+    differences = np.stack([(ahead - behind) / (2 * h) for ahead, behind in ends], axis=1)
+    _, forward, reverse = tip(0.0)
+    assert_close(forward[:, 6:], differences, 1e-6)  # h^2 and rounding over h
     assert_close(reverse, forward, ACCURATE)
 
 
-def test_derivatives_without_friction_are_finite():
+@each_kinematics
+def test_derivatives_without_friction_are_finite(case):
     """Mu = 0 lies inside the range of the model: dT_tip/dmu = -T^2 G / E by the closed form."""
-
-    def tip_tension(mu):
-        return cddf.solve(paper_body("exact", friction_coefficient=mu), 75.0, throw=False).tip_tension[0]
-
-    slope = jax.jit(jax.grad(tip_tension))(0.0)
-    np.testing.assert_allclose(slope, -(75.0**2) * 2.942783188998e4 / 1.4e6, rtol=ACCURATE)
+    _, forward, reverse, _ = derivatives_of(case)(at(mu=0.0, tension=75.0))
+    np.testing.assert_allclose(forward[0, 0], -(75.0**2) * G / 1.4e6, rtol=ACCURATE)
+    np.testing.assert_allclose(reverse[0, 0], -(75.0**2) * G / 1.4e6, rtol=ACCURATE)
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
-def test_derivatives_without_tension_are_finite(kinematics):
+@each_kinematics
+def test_derivatives_without_tension_are_finite(case):
     """The straight body: dT_tip/dT_base = 1 and d(tip angle)/dT_base = G / E by the closed form at T = 0."""
-
-    def tip(tension):
-        solution = cddf.solve(paper_body(kinematics), tension, throw=False)
-        return jnp.stack([solution.tip_tension[0], solution.tip_angle])
-
-    _, forward, reverse = both_modes(tip)(0.0)
-    np.testing.assert_allclose(forward, [1.0, 2.942783188998e4 / 1.4e6], rtol=ACCURATE)
-    np.testing.assert_allclose(reverse, forward, rtol=ACCURATE)
+    _, forward, reverse, second = derivatives_of(case)(at(tension=0.0))
+    np.testing.assert_allclose(forward[[0, 3], 2], [1.0, G / 1.4e6], rtol=ACCURATE)
+    np.testing.assert_allclose(reverse[[0, 3], 2], forward[[0, 3], 2], rtol=ACCURATE)
+    assert np.all(np.isfinite(forward) & np.isfinite(reverse))
+    assert np.all(np.isfinite(second))
 
 
 def test_the_fields_along_the_body_have_derivatives():
     """T(s) by the closed form at every node."""
-    fields = jax.jacfwd(lambda mu: cddf.solve(paper_body(friction_coefficient=mu), 75.0, throw=False).tension[0])
-    solution = cddf.solve(paper_body(), 75.0)
+
+    @jax.jit
+    @partial(jax.jacfwd, has_aux=True)
+    def fields(mu):
+        solution = cddf.solve(paper_body(friction_coefficient=mu), 75.0, throw=False)
+        return solution.tension[0], solution
+
+    slope, solution = fields(0.42)
     G = np.array([paper_plain().compliance(s) for s in solution.arc_length])
     expected = -(np.asarray(solution.tension[0]) ** 2) * G / 1.4e6
-    np.testing.assert_allclose(jax.jit(fields)(0.42), expected, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(slope, expected, rtol=1e-7, atol=1e-9)

@@ -2,7 +2,7 @@
 
 import re
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -53,18 +53,32 @@ LANES = 5
 CASES = [("published", 1, False), ("exact", 1, False), ("exact", 2, False), ("exact", 2, True), ("published", 2, True)]
 
 
+@lru_cache
+def solver_of(kinematics: str, count: int) -> Any:
+    """One compiled program for the lanes of all cases with so many tendons, whose offsets may be slanted."""
+
+    def solve(body, tension, loads):
+        return cddf.solve(body, tension, loads, direction=(+1, -1)[:count], throw=False)
+
+    return jax.jit(jax.vmap(solve))
+
+
+def conical(numbers: dict[str, Any]) -> cddf.Manipulator:
+    """The body; two tendons count as slanted, even where their offsets are the same at base and tip."""
+    d = numbers["tendon_offset"]
+    both_ends = numbers["num_tendons"] == 2 and np.ndim(d) == 0
+    return cddf.conical(**{**numbers, "tendon_offset": (d, d) if both_ends else d})
+
+
 def random_batch(kinematics: str, count: int, slanted: bool) -> tuple[list, Any]:
     """Problems with their references, and the solutions, one lane for each."""
     rng = np.random.default_rng(20 + count)
     problems = [random_loaded(rng, kinematics, count, slanted) for _ in range(LANES)]
-
-    def solve(body, tension, loads):
-        return cddf.solve(body, tension, loads, direction=problems[0].direction, throw=False)
-
-    bodies = stack([cddf.conical(**problem.conical) for problem in problems])
+    assert all(problem.direction == (+1, -1)[:count] for problem in problems)
+    bodies = stack([conical(problem.conical) for problem in problems])
     tensions = jnp.array([problem.base_tension for problem in problems])
     loads = stack([cddf.Loads(*problem.loads) for problem in problems])
-    return problems, jax.jit(jax.vmap(solve))(bodies, tensions, loads)
+    return problems, solver_of(kinematics, count)(bodies, tensions, loads)
 
 
 def moment_outboard(solution, loads: PlainLoads, plain: PlainBody, density: float):
@@ -330,61 +344,9 @@ def test_single_precision():
 
 def test_components_may_be_traced_one_by_one():
     """Under jit, with a traced number beside plain ones."""
-
-    def tip(force):
-        return cddf.solve(opposed(), 60.0, cddf.Loads((0.5, force), -0.05, (1.0, -9.81)), throw=False).tip_position
-
-    np.testing.assert_allclose(jax.jit(tip)(-4.0), opposed_reference().tip_position, atol=AGREES)
-
-
-# --- lanes that fail -----------------------------------------------------------------------------
-
-
-def lane_values(density, loads, mu):
-    body = paper_body("exact", density=density, friction_coefficient=mu)
-    solution = cddf.solve(body, 60.0, loads, throw=False)
-    return jnp.concatenate([solution.tip_tension, 10 * solution.tip_position]), solution
-
-
-def summed(densities, loads, mu):
-    values, solutions = jax.vmap(lane_values, (0, 0, None))(densities, loads, mu)
-    return jnp.nansum(values), (values, solutions)
-
-
-lanes_and_slopes = jax.jit(jax.value_and_grad(summed, (0, 1, 2), has_aux=True))
-GOOD_LANES = [(1070.0, OPPOSING), (500.0, PlainLoads((0.0, 2.0)))]
-# 60 N against a force of 30 N at 213.5 degrees: the path of equilibria ends at 91 % of it, see test_load_path.py
-FOLDING = PlainLoads((-13.42, -8.88))
-BAD_LANES = {
-    "NaN force": (1070.0, PlainLoads((np.nan, 1.0)), R.unphysical),
-    "infinite gravity": (1070.0, PlainLoads(gravity=(0.0, np.inf)), R.unphysical),
-    "NaN moment": (1070.0, PlainLoads(tip_moment=np.nan), R.unphysical),
-    "negative density": (-1.0, OPPOSING, R.unphysical),
-    "no equilibrium": (1070.0, FOLDING, R.load_limit),
-}
-
-
-def solved_with(middle, around=GOOD_LANES):
-    lanes = [around[0], middle, around[1]]
-    densities = jnp.array([density for density, _ in lanes])
-    return lanes_and_slopes(densities, stack([cddf.Loads(*loads) for _, loads in lanes]), 0.42)
-
-
-def test_a_failing_lane_reports_itself_and_spoils_nothing():
-    # beside a copy of the first lane, whose part in the slope by mu is taken off again
-    (_, (good_values, _)), (*good_slopes, good_by_mu) = solved_with(GOOD_LANES[0])
-    _, (_, _, three_by_mu) = solved_with(GOOD_LANES[0], [GOOD_LANES[0]] * 2)
-    for failure, (density, loads, expected) in BAD_LANES.items():
-        (_, (values, solutions)), (*slopes, by_mu) = solved_with((density, loads))
-        assert codes(solutions.result) == [0, code(expected), 0], failure
-        assert np.all(np.isnan(values[1])), failure
-        for name in ("tip_tension", "position", "tension", "base_moment", "error_estimate"):
-            assert np.all(np.isnan(getattr(solutions, name)[1])), (failure, name)
-        np.testing.assert_allclose(values[::2], good_values[::2], rtol=SETTLED, err_msg=failure)
-        for ours, theirs in zip(jax.tree.leaves(slopes), jax.tree.leaves(good_slopes), strict=True):
-            np.testing.assert_allclose(ours[::2], theirs[::2], rtol=1e-8, atol=1e-12, err_msg=failure)
-            np.testing.assert_array_equal(ours[1], 0.0, err_msg=failure)
-        np.testing.assert_allclose(by_mu, good_by_mu - three_by_mu / 3, rtol=1e-8, err_msg=failure)
+    loads = jax.jit(lambda force: cddf.Loads((0.5, force), -0.05, (1.0, -9.81)))(np.float64(-4.0))
+    solution = cddf.solve(opposed(), 60.0, loads)
+    np.testing.assert_allclose(solution.tip_position, opposed_reference().tip_position, atol=AGREES)
 
 
 # --- derivatives ---------------------------------------------------------------------------------
@@ -408,7 +370,71 @@ def tip_and_base(times):
     )
     solution = cddf.solve(body, T, cddf.Loads((fx, fy), m, (gx, gy)), throw=False)
     last = jnp.stack([solution.tip_angle, solution.base_moment])
-    return jnp.concatenate([solution.tip_tension / 30, 10 * solution.tip_position, last])
+    return jnp.concatenate([solution.tip_tension / 30, 10 * solution.tip_position, last]), solution
+
+
+class Derivatives(NamedTuple):
+    values: Any  # (lanes, 5)
+    forward: Any  # (lanes, 5, 14)
+    reverse: Any  # (5, lanes, 14), of the sums over the lanes
+    second: Any  # (5, lanes, 14, 14), of the same: forward mode over reverse mode
+    solutions: Any
+
+
+@jax.jit
+def derivatives(times):
+    """Everything about a batch of lanes, in one compiled program."""
+
+    def total(times):
+        values, solutions = jax.vmap(tip_and_base)(times)
+        return jnp.nansum(values, axis=0), (values, solutions)
+
+    def slopes(times):
+        by, (values, solutions) = jax.jacrev(total, has_aux=True)(times)
+        return (values, by), solutions
+
+    def along(number):  # in all lanes
+        return jax.jvp(slopes, (times,), (jnp.broadcast_to(number, times.shape),), has_aux=True)
+
+    (values, reverse), (forward, second), solutions = jax.vmap(along, out_axes=(None, -1, None))(jnp.eye(len(NUMBERS)))
+    return Derivatives(values, forward, reverse, second, solutions)
+
+
+def lane_of(density, loads):
+    """The multiples of one lane."""
+    return np.array([*loads.tip_force, loads.tip_moment, *loads.gravity, density, *VALUES[6:]]) / VALUES
+
+
+GOOD_LANES = [(1070.0, OPPOSING), (500.0, PlainLoads((0.0, 2.0)))]
+# 60 N against a force of 30 N at 213.5 degrees: the path of equilibria ends at 91 % of it, see test_load_path.py
+FOLDING = PlainLoads((-13.42, -8.88))
+BAD_LANES = {
+    "NaN force": (1070.0, PlainLoads((np.nan, 1.0)), R.unphysical),
+    "infinite gravity": (1070.0, PlainLoads(gravity=(0.0, np.inf)), R.unphysical),
+    "NaN moment": (1070.0, PlainLoads(tip_moment=np.nan), R.unphysical),
+    "negative density": (-1.0, OPPOSING, R.unphysical),
+    "no equilibrium": (1070.0, FOLDING, R.load_limit),
+}
+
+
+@lru_cache
+def solved_with(density, loads):
+    """A lane between two good ones."""
+    return derivatives(jnp.array([lane_of(*GOOD_LANES[0]), lane_of(density, loads), lane_of(*GOOD_LANES[1])]))
+
+
+def test_a_failing_lane_reports_itself_and_spoils_nothing():
+    good = solved_with(*GOOD_LANES[0])
+    for failure, (density, loads, expected) in BAD_LANES.items():
+        found = solved_with(density, loads)
+        assert codes(found.solutions.result) == [0, code(expected), 0], failure
+        assert np.all(np.isnan(found.values[1])), failure
+        for name in ("tip_tension", "position", "tension", "base_moment", "error_estimate"):
+            assert np.all(np.isnan(getattr(found.solutions, name)[1])), (failure, name)
+        np.testing.assert_allclose(found.values[::2], good.values[::2], rtol=SETTLED, err_msg=failure)
+        for ours, theirs in ((found.reverse, good.reverse), (found.second, good.second)):
+            np.testing.assert_allclose(ours[:, ::2], theirs[:, ::2], rtol=1e-8, atol=1e-12, err_msg=failure)
+            np.testing.assert_array_equal(ours[:, 1], 0.0, err_msg=failure)
 
 
 def reference_tip_and_base(times):
@@ -430,18 +456,17 @@ def bend(function, at, direction, h=1e-2):
 
 def test_derivatives_by_every_number():
     """Forward and reverse against differences of the reference: h^2 and its 1e-11 over h leave 1e-6."""
-    ones = jnp.ones(len(NUMBERS))
-    forward, reverse = jax.jit(lambda x: (jax.jacfwd(tip_and_base)(x), jax.jacrev(tip_and_base)(x)))(ones)
+    found, ones = solved_with(*GOOD_LANES[0]), np.ones(len(NUMBERS))
     for i, name in enumerate(NUMBERS):
-        expected = slope(reference_tip_and_base, np.array(ones), np.eye(len(NUMBERS))[i])
-        np.testing.assert_allclose(forward[:, i], expected, atol=1e-6, err_msg=name)
-    np.testing.assert_allclose(reverse, forward, atol=1e-9)
+        expected = slope(reference_tip_and_base, ones, np.eye(len(NUMBERS))[i])
+        np.testing.assert_allclose(found.forward[0, :, i], expected, atol=1e-6, err_msg=name)
+    np.testing.assert_allclose(found.reverse[:, 0], found.forward[0], atol=1e-9)
 
 
 def test_a_hessian():
     """Along three directions, against second differences of the reference: h^4 and its 1e-11 over h^2."""
-    weights = jnp.array([1.0, -0.5, 0.7, 0.3, 2.0])
-    hessian = np.array(jax.jit(jax.hessian(lambda x: weights @ tip_and_base(x)))(jnp.ones(len(NUMBERS))))
+    weights = np.array([1.0, -0.5, 0.7, 0.3, 2.0])
+    hessian = np.tensordot(weights, solved_with(*GOOD_LANES[0]).second[:, 0], 1)
     np.testing.assert_allclose(hessian, hessian.T, atol=1e-8)
     rng = np.random.default_rng(3)
     for direction in rng.normal(size=(3, len(NUMBERS))) / 4:

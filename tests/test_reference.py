@@ -11,7 +11,6 @@ from bodies import (
     paper_plain,
     reference_solution,
     straight,
-    two_slanted_tendons,
 )
 from scipy.interpolate import CubicSpline
 
@@ -28,6 +27,26 @@ PAIR = (+1, -1)
 
 def manipulator(kinematics, *tendons, outer_radius=TAPER):
     return cddf.Manipulator(LENGTH, outer_radius, 0.007, tendons, 1.4e6, 0.42, kinematics=kinematics)
+
+
+def pair(kinematics, first, second, end=None):
+    """Antagonists by their offsets at base and tip; `end` of the first. One structure for slanted and parallel ones."""
+    one = cddf.Tendon(cddf.Linear(*first, LENGTH), end=end)
+    return manipulator(kinematics, one, cddf.Tendon(cddf.Linear(*second, LENGTH), -1))
+
+
+def pair_plain(kinematics, first, second, end=None):
+    offsets = [straight(*ends, LENGTH) for ends in (first, second)]
+    slopes = [constant((tip - base) / LENGTH) for base, tip in (first, second)]
+    return paper_plain(kinematics, PAIR, offsets=offsets, slopes=slopes, ends=(LENGTH if end is None else end, LENGTH))
+
+
+def compare_pair(kinematics, first, second, base_tension, direction, end=None):
+    plain = pair_plain(kinematics, first, second, end)
+    compare(pair(kinematics, first, second, end), plain, base_tension, direction)
+
+
+PARALLEL, SLANTED = (0.010, 0.010), (0.012, 0.009)
 
 
 def compare(body, plain, base_tension, direction=+1, nodes=16):
@@ -54,7 +73,7 @@ def test_one_tendon(kinematics, direction):
 @pytest.mark.parametrize("direction", [(+1, +1), (+1, -1), (-1, +1)], ids=str)
 def test_two_tendons(kinematics, direction):
     tension = (75.0, 20.0) if direction[0] > 0 else (30.0, 40.0)
-    compare(paper_body(kinematics, num_tendons=2), paper_plain(kinematics, PAIR), tension, direction)
+    compare_pair(kinematics, PARALLEL, PARALLEL, tension, direction)
 
 
 def test_three_tendons_with_their_own_friction():
@@ -64,28 +83,42 @@ def test_three_tendons_with_their_own_friction():
     compare(manipulator("exact", *tendons), plain, (40.0, 10.0, 15.0), (+1, -1, +1))
 
 
-def slanted_plain(kinematics, sides, base=0.012, tip=0.009):
-    count = len(sides)
-    offsets, slopes = [straight(base, tip, LENGTH)] * count, [constant((tip - base) / LENGTH)] * count
-    return paper_plain(kinematics, sides, offsets=offsets, slopes=slopes)
+KNOTS = np.array([0.0, 0.05, 0.10, LENGTH])
+
+
+def bent(kinematics, heights):
+    """One tendon along straight lines through four points."""
+    return manipulator(kinematics, cddf.Tendon(cddf.Piecewise.linear(KNOTS, heights)))
+
+
+def bent_plain(kinematics, heights):
+    slope = np.diff(heights) / np.diff(KNOTS)
+
+    def slope_at(s):
+        return slope[min(np.searchsorted(KNOTS, s, side="right") - 1, 2)]
+
+    offset = [lambda s: np.interp(s, KNOTS, heights)]
+    return paper_plain(kinematics, offsets=offset, slopes=[slope_at], breaks=(0.05, 0.10))
 
 
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
 @pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
 @pytest.mark.parametrize(("base", "tip"), [(0.012, 0.009), (0.008, 0.0115)], ids=["converging", "diverging"])
 def test_one_slanted_tendon(kinematics, direction, base, tip):
-    body = paper_body(kinematics, tendon_offset=(base, tip))
-    compare(body, slanted_plain(kinematics, (+1,), base, tip), 30.0, direction)
+    """On one straight line, for which the compiled program of the kinked tendon serves."""
+    heights = base + (tip - base) * KNOTS / LENGTH
+    offsets, slopes = [straight(base, tip, LENGTH)], [constant((tip - base) / LENGTH)]
+    compare(bent(kinematics, heights), paper_plain(kinematics, offsets=offsets, slopes=slopes), 30.0, direction)
 
 
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
 @pytest.mark.parametrize("direction", [(+1, +1), (+1, -1)], ids=str)
 def test_two_slanted_tendons(kinematics, direction):
-    compare(two_slanted_tendons(kinematics), slanted_plain(kinematics, PAIR), (75.0, 20.0), direction)
+    compare_pair(kinematics, SLANTED, SLANTED, (75.0, 20.0), direction)
 
 
 def test_a_tendon_sliding_out_beside_one_sliding_in_slanted():
-    compare(two_slanted_tendons("exact"), slanted_plain("exact", PAIR), (30.0, 60.0), (-1, +1))
+    compare_pair("exact", SLANTED, SLANTED, (30.0, 60.0), (-1, +1))
 
 
 SPLINE_KNOTS = np.array([0.0, 0.03, 0.06, 0.10, 0.14])
@@ -103,17 +136,12 @@ def test_a_spline_offset(kinematics):
 
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
 def test_a_tendon_that_ends_before_the_tip(kinematics):
-    body = manipulator(kinematics, cddf.Tendon(0.010, end=0.08), cddf.Tendon(0.011))
-    plain = paper_plain(kinematics, (+1, +1), offsets=[constant(0.010), constant(0.011)], ends=(0.08, LENGTH))
-    compare(body, plain, (40.0, 30.0))
+    compare_pair(kinematics, (0.010, 0.010), (0.011, 0.011), (40.0, 15.0), (+1, -1), end=0.08)
 
 
 def test_a_tendon_that_ends_beside_a_slanted_one_makes_it_turn():
     """The curvature jumps where the first ends, and with it the slanted tendon's angle to the axis."""
-    body = manipulator("exact", cddf.Tendon(0.010, end=0.08), cddf.Tendon(cddf.Linear(0.012, 0.009, LENGTH)))
-    offsets, slopes = [constant(0.010), straight(0.012, 0.009, LENGTH)], [constant(0.0), constant(-0.003 / LENGTH)]
-    plain = paper_plain("exact", (+1, +1), offsets=offsets, slopes=slopes, ends=(0.08, LENGTH))
-    compare(body, plain, (40.0, 30.0))
+    compare_pair("exact", (0.010, 0.010), (0.012, 0.009), (40.0, 15.0), (+1, -1), end=0.08)
 
 
 def test_nothing_bends_beyond_the_last_anchor():
@@ -135,35 +163,16 @@ def test_a_step_of_the_section(kinematics):
     compare(manipulator(kinematics, cddf.Tendon(0.010), outer_radius=step), plain, 40.0)
 
 
-def kinked_plain(heights, sides=(+1,)):
-    knots, heights = np.array([0.0, 0.05, 0.10, LENGTH]), np.asarray(heights)
-    slope = np.diff(heights) / np.diff(knots)
-
-    def slope_at(s):
-        return slope[min(np.searchsorted(knots, s, side="right") - 1, 2)]
-
-    count = len(sides)
-    return paper_plain(
-        "exact",
-        sides,
-        offsets=[lambda s: np.interp(s, knots, heights)] * count,
-        slopes=[slope_at] * count,
-        breaks=(0.05, 0.10),
-    )
-
-
 @pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
 @pytest.mark.parametrize("heights", [(0.008, 0.012, 0.010, 0.010), (0.012, 0.008, 0.011, 0.010)], ids=["out", "in"])
 def test_a_kinked_tendon_loses_tension_at_the_kink(direction, heights):
     """In the exact kinematics T jumps by exp(-mu |delta psi|) where the tendon turns by a finite angle."""
-    body = manipulator("exact", cddf.Tendon(cddf.Piecewise.linear([0.0, 0.05, 0.10, LENGTH], heights)))
-    compare(body, kinked_plain(heights), 30.0, direction)
+    compare(bent("exact", heights), bent_plain("exact", heights), 30.0, direction)
 
 
 def test_the_jump_at_a_kink_is_the_capstan_of_its_angle():
     heights = (0.008, 0.012, 0.010, 0.010)
-    body = manipulator("exact", cddf.Tendon(cddf.Piecewise.linear([0.0, 0.05, 0.10, LENGTH], heights)))
-    solution = cddf.solve(body, 30.0)
+    solution = cddf.solve(bent("exact", heights), 30.0)
     gap = 1e-9
     before, after = (fields_at(solution, jnp.asarray(0.05 + side * gap)) for side in (-1, +1))
     # psi = phi + atan2(d', 1 - d kappa), design.md section 2; d' = 0.08 before, -0.04 after

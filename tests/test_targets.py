@@ -230,7 +230,7 @@ def test_slack_under_a_load_is_what_the_load_leaves():
         assert largest_difference(lane(found, i), hanging, plain) < AGREES
     np.testing.assert_array_equal(found.base_tension[:2], 0.0)
     np.testing.assert_allclose(found.position[0], found.position[1], atol=1e-12)
-    assert R.slack not in codes(found.result)[2:]
+    assert codes(found.result)[2:] == [code(R.successful)] * 3
     assert np.all(found.base_tension[2:, 0] > 0)
     np.testing.assert_allclose(found.tendon_displacement[2:, 0], wanted[2:], rtol=CLOSED)
 
@@ -432,5 +432,5 @@ def test_float32():
 
 
 def test_numbers_of_a_target_are_leaves():
-    target = eqx.tree_at(lambda target: target.value, cddf.TipAngle(0.4), jnp.asarray(0.7))
+    target = eqx.tree_at(lambda target: target.value, cddf.TipAngle(0.4), jnp.asarray(0.7, float))
     assert cddf.solve(paper_body("exact"), target).tip_angle == pytest.approx(0.7, abs=CLOSED)
