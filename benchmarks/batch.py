@@ -1,0 +1,160 @@
+"""A sweep of 100,000 unloaded solves beside a compiled loop: `python benchmarks/batch.py`, about three minutes.
+
+The body is the paper's with one parallel tendon, exact kinematics; tension, friction coefficient and modulus differ
+from solve to solve. Asked for are tip tension, tip position and tip angle. Beside `solve`, in chunks of 512 lanes on
+two devices of the CPU, runs what a numba user would write: the four equations of this very case by RK4, one tendon and
+no more, in parallel on both cores, with 8 and 32 steps. All in one run, interleaved, medians. Errors are those of tip
+tension (relative, against the closed form) and of the tip position (m, against 48 nodes).
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numba  # pyright: ignore[reportMissingImports]
+import numpy as np
+from jax.sharding import PartitionSpec
+
+import cddf_jax as cddf
+from cddf_jax.application import configure_jax
+from cddf_jax.artifacts import as_json, write_all
+from cddf_jax.bench import with_parameters
+
+COUNT, CHUNK, ROUNDS = 102_400, 512, 9
+DEVICES = 2
+
+
+def paper() -> cddf.Manipulator:
+    """The paper's body in the exact kinematics."""
+    robot = cddf.read_manipulator(Path(__file__).parents[1] / "data" / "smooth_sil_940.toml")
+    fields = {name: getattr(robot, name) for name in ("length", "outer_radius", "inner_radius", "tendons")}
+    return cddf.Manipulator(
+        **fields, youngs_modulus=robot.youngs_modulus, friction_coefficient=robot.friction_coefficient
+    )
+
+
+def tip(robot: cddf.Manipulator, nodes: int) -> Callable[..., jax.Array]:
+    """T_tip, u(L) and phi(L) as a function of T_base, mu and E."""
+
+    def at(tension, mu, modulus):
+        body = with_parameters(robot, {"friction_coefficient": mu, "youngs_modulus": modulus})
+        found = cddf.solve(body, tension, nodes=nodes, throw=False)
+        return jnp.concatenate([found.tip_tension, found.tip_position, found.tip_angle[None]])
+
+    return at
+
+
+def batched(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+    """In chunks, an equal share of them on each device."""
+    mesh = jax.make_mesh((DEVICES,), ("lanes",), axis_types=(jax.sharding.AxisType.Auto,))
+    lanes = PartitionSpec("lanes")
+
+    def share(*inputs):
+        return jax.lax.map(lambda x: function(*x), inputs, batch_size=CHUNK)
+
+    return jax.jit(jax.shard_map(share, mesh=mesh, in_specs=(lanes,) * 3, out_specs=lanes))
+
+
+@numba.njit(parallel=True)
+def runge_kutta(tension, friction, modulus, length, outer, inner, offset, steps, out):
+    """T' = -mu kappa T with kappa = d T / (E J), phi' = kappa, u' = (cos phi, sin phi)."""
+    h = length / steps
+    stiffness = np.empty(2 * steps + 1)
+    for k in range(2 * steps + 1):
+        part = 0.5 * k / steps
+        stiffness[k] = (outer[0] + (outer[1] - outer[0]) * part) ** 4 - (inner[0] + (inner[1] - inner[0]) * part) ** 4
+    for i in numba.prange(tension.size):
+        mu, bend = friction[i], offset / (modulus[i] * np.pi / 4)
+        T, phi, x, y = tension[i], 0.0, 0.0, 0.0
+        for k in range(steps):
+            a1 = bend * T / stiffness[2 * k]
+            t1 = -mu * a1 * T
+            a2 = bend * (T + 0.5 * h * t1) / stiffness[2 * k + 1]
+            t2 = -mu * a2 * (T + 0.5 * h * t1)
+            a3 = bend * (T + 0.5 * h * t2) / stiffness[2 * k + 1]
+            t3 = -mu * a3 * (T + 0.5 * h * t2)
+            a4 = bend * (T + h * t3) / stiffness[2 * k + 2]
+            t4 = -mu * a4 * (T + h * t3)
+            p2, p3, p4 = phi + 0.5 * h * a1, phi + 0.5 * h * a2, phi + h * a3
+            x += h / 6 * (np.cos(phi) + 2 * np.cos(p2) + 2 * np.cos(p3) + np.cos(p4))
+            y += h / 6 * (np.sin(phi) + 2 * np.sin(p2) + 2 * np.sin(p3) + np.sin(p4))
+            phi += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+            T += h / 6 * (t1 + 2 * t2 + 2 * t3 + t4)
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = T, x, y, phi
+
+
+def numba_loop(robot: cddf.Manipulator, steps: int) -> Callable[..., np.ndarray]:
+    """The loop over given samples."""
+    ends = np.array([0.0, float(robot.length)])
+    outer, inner = np.asarray(robot.outer_radius(ends)), np.asarray(robot.inner_radius(ends))
+    offset = float(robot.tendons[0].offset(0.0))
+
+    def run(tension, mu, modulus):
+        out = np.empty((COUNT, 4))
+        samples = np.asarray(tension), np.asarray(mu), np.asarray(modulus)
+        runge_kutta(samples[0], samples[1], samples[2], ends[1], outer, inner, offset, steps, out)
+        return out
+
+    return run
+
+
+def interleaved(calls: dict[str, Callable[[], Any]]) -> dict[str, float]:
+    """Median seconds of each, all of them in turn, after a first call."""
+    for call in calls.values():
+        jax.block_until_ready(call())
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(ROUNDS):
+        for name, call in calls.items():
+            begin = time.perf_counter()
+            jax.block_until_ready(call())
+            times[name].append(time.perf_counter() - begin)
+    return {name: float(np.median(spent)) for name, spent in times.items()}
+
+
+def main() -> None:
+    """Measure, print and save."""
+    configure_jax(quick_compilation=False)
+    jax.config.update("jax_num_cpu_devices", DEVICES)
+    robot, rng = paper(), np.random.default_rng(0)
+    ranges = ((5.0, 85.0), (0.1, 0.6), (1e6, 2e6))
+    samples = tuple(jnp.asarray(rng.uniform(*limits, COUNT)) for limits in ranges)
+    by_numbers = {nodes: tip(robot, nodes) for nodes in (16, 8)}
+    functions: dict[str, Callable[..., Any]] = {
+        f"`solve`, {nodes} nodes": batched(value) for nodes, value in by_numbers.items()
+    }
+    functions["its Jacobian by mu and E, 16 nodes"] = batched(jax.jacfwd(by_numbers[16], (1, 2)))
+    functions["gradient of its tip tension by mu and E, reverse, 16 nodes"] = batched(
+        jax.grad(lambda *x: by_numbers[16](*x)[0], (1, 2))
+    )
+    functions |= {f"numba, RK4, {steps} steps": numba_loop(robot, steps) for steps in (8, 32)}
+    times = interleaved({name: lambda f=f: f(*samples) for name, f in functions.items()})
+
+    compliance = (1.0 / float(cddf.closed_form_tension(robot, 1.0, robot.length)) - 1.0) * float(
+        robot.youngs_modulus / robot.friction_coefficient
+    )
+    tension, mu, modulus = map(np.asarray, samples)
+    exact = tension / (1 + mu / modulus * compliance * tension)
+    fine = np.asarray(batched(tip(robot, 48))(*samples))
+    reference = times["numba, RK4, 32 steps"]
+    rows = {}
+    for name, function in functions.items():
+        rows[name] = {"us": 1e6 * times[name] / COUNT, "numba32 over it": reference / times[name]}
+        if "mu" not in name:
+            found = np.asarray(function(*samples))
+            rows[name]["tension error"] = float(np.max(np.abs(found[:, 0] / exact - 1)))
+            rows[name]["position error"] = float(np.max(np.abs(found[:, 1:3] - fine[:, 1:3])))
+    lines = ["| what | us a solve | numba, 32 steps, over it | error of T_tip | error of u(L), m |"]
+    lines += ["| --- | ---: | ---: | ---: | ---: |"]
+    for name, row in rows.items():
+        errors = [f"{row[key]:.1e}" if key in row else "" for key in ("tension error", "position error")]
+        lines.append(f"| {name} | {row['us']:.3f} | {row['numba32 over it']:.1f} | " + " | ".join(errors) + " |")
+    text = "\n".join(lines) + "\n"
+    print(text)
+    write_all("out/benchmark", {"batch.md": text, "batch.json": as_json(rows)})
+
+
+if __name__ == "__main__":
+    main()
