@@ -34,6 +34,16 @@ def test_the_other_side_gives_the_mirror_image(kinematics):
         np.testing.assert_allclose(ours, theirs * jnp.array([1, -1]), rtol=1e-10, atol=1e-9)
 
 
+def test_an_anchor_at_the_tip_is_none():
+    """Where a tendon ends at s = L nobody turns."""
+    body = two_slanted_tendons()
+    there = tuple(cddf.Tendon(tendon.offset, tendon.side, end=body.length) for tendon in body.tendons)
+    anchored = cddf.solve(eqx.tree_at(lambda body: body.tendons, body, there), (60.0, 15.0), direction=(+1, -1))
+    plain = cddf.solve(body, (60.0, 15.0), direction=(+1, -1))
+    np.testing.assert_allclose(anchored.tip_tension, plain.tip_tension, rtol=SCALED)
+    np.testing.assert_allclose(anchored.tip_position, plain.tip_position, atol=SCALED)
+
+
 def test_the_order_of_the_tendons_does_not_matter():
     body = two_slanted_tendons()
     one = cddf.solve(body, (60.0, 15.0), direction=(+1, -1))
