@@ -1,4 +1,4 @@
-"""How often a 95 % interval holds the truth, on 200 experiments; benchmarks/coverage.py has a thousand of each kind."""
+"""How often a 95 % interval holds the truth, on 200 experiments; the benchmark has a thousand of each kind."""
 
 import importlib.util
 import sys
@@ -13,7 +13,7 @@ EXPERIMENTS = 200
 
 @pytest.fixture(scope="module")
 def benchmark():
-    path = Path(__file__).parents[1] / "benchmarks" / "coverage.py"
+    path = Path(__file__).parents[1] / "benchmarks" / "interval_coverage.py"
     spec = importlib.util.spec_from_file_location("coverage_benchmark", path)
     assert spec is not None
     assert spec.loader is not None

@@ -1,4 +1,4 @@
-"""How often a 95 % interval holds the truth: `python benchmarks/coverage.py`, about 15 minutes.
+"""How often a 95 % interval holds the truth: `python benchmarks/interval_coverage.py`, about 15 minutes.
 
 The experiments are those of data/*_simulated.csv, drawn anew 1,000 times: a pulley test, then tension pairs of the
 paper's body at 17 levels of 5 to 85 N in six trials; friction coefficient and modulus are fitted to both tables
@@ -165,7 +165,9 @@ def main() -> None:
     text = markdown(results)
     print(text)
     about = {"experiments": EXPERIMENTS, "bootstrapped": BOOTSTRAPPED, "replicates": REPLICATES, "seed": SEED}
-    write_all("out/benchmark", {"coverage.md": text, "coverage.json": as_json(about | {"results": results})})
+    write_all(
+        "out/benchmark", {"interval_coverage.md": text, "interval_coverage.json": as_json(about | {"results": results})}
+    )
 
 
 if __name__ == "__main__":
