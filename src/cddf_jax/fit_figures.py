@@ -222,6 +222,8 @@ def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, s
     low, high = _valley_reach(profile, estimate) if valley else _reach(profile, estimate)
     axes.set_xscale("log" if valley else "linear")
     axes.set_xlim(scale * low, scale * high)
+    if not valley:
+        axes.xaxis.set_major_locator(MaxNLocator(5))
     limit = np.sqrt(profile.threshold)
     axes.set_ylim(-0.1 * limit, 1.9 * limit)
     known = [closed or ends for closed, ends in zip(profile.closed, profile.model_ends, strict=True)]

@@ -397,8 +397,8 @@ def _remarks(evidence: Evidence) -> list[str]:
     for i, name in enumerate(evidence.names):
         if evidence.at_bound[i]:
             nearer = min((evidence.lower[i], evidence.upper[i]), key=lambda bound: abs(bound - evidence.value[i]))
-            otherwise = "" if i in evidence.bounded_above else ", or have no effect"
-            found.append(f"{name} ended on its bound {nearer:g}: it may lie beyond{otherwise}")
+            otherwise = "" if i in evidence.bounded_above else ", or it has no effect"
+            found.append(f"{name} ended on its bound {nearer:g}: the data put it there or beyond{otherwise}")
         elif not np.any(jacobian[:, i]):
             found.append(f"{name} did not move: no datum depends on it")
         elif len(labels) > 2 * len(evidence.names) and np.max(share[i, : len(labels)]) > ONE_DATUM:

@@ -290,7 +290,7 @@ def fit_figure(panels: Sequence[FitPanel]) -> Figure:
 
 
 def _draw_fit(axes: Axes, panel: FitPanel) -> None:
-    draw_band(axes, panel.grid, panel.lower, panel.upper, label="95 % band")
+    draw_band(axes, panel.grid, panel.lower, panel.upper, label="95 % band of the model")
     axes.plot(panel.grid, panel.predicted, color=BLUE, label="model")
     draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
     axes.set_ylabel(panel.y_label)

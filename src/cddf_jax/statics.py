@@ -141,6 +141,7 @@ def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> t
     def checked(name, value):
         traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
         value = jnp.asarray(value) if traced else np.asarray(value, dtype=_precision(manipulator))
+        value = value.astype(value.dtype)  # a weakly typed number would be compiled for anew
         if value.shape not in ((), (count,)):
             raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got shape {value.shape}")
         return value
