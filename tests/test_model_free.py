@@ -175,7 +175,7 @@ def test_estimated_noise_of_few_rows_covers_as_it_says():
 
 @pytest.mark.parametrize("scatter", [0.0, 0.02])
 def test_what_the_rows_of_a_trial_share_is_in_the_standard_error(scatter):
-    """Six trials of four rows; of rows alone, the interval would hold the truth in 70 % where friction scatters."""
+    """Six trials of four rows; of rows alone, the interval holds the truth in 67 % where friction scatters."""
     rng, trial = np.random.default_rng(11), np.repeat(np.arange(6.0), 4)
     covered, rejected = [], []
     for _ in range(REPLICATES):
