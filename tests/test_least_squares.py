@@ -809,6 +809,15 @@ def test_a_sum_is_no_product():
     assert error == pytest.approx(SIGMA * np.sqrt(np.linalg.inv(DESIGN.T @ DESIGN)[1, 1]), rel=1e-6)
 
 
+def test_a_product_of_many_rows():
+    """30,000 rows: what needs a square matrix of them needs 7 GB."""
+    x = np.linspace(0.0, 3.0, 30_000)
+    fit = least_squares_fit(lambda p: p["c"] * p["d"] * x, {"c": 1.0, "d": 1.0}, 2.0 * x + 0.1 * np.cos(50 * x), 0.1)
+    value, error = fit.combinations["c * d"]
+    assert value == pytest.approx(np.sum(x * (2.0 * x + 0.1 * np.cos(50 * x))) / np.sum(x**2), rel=1e-6)
+    assert error == pytest.approx(0.1 / np.sqrt(np.sum(x**2)), rel=1e-6)
+
+
 @pytest.mark.parametrize("sigma", [SIGMA, None])
 def test_an_outlier_is_pointed_out(sigma):
     """Its distance is that of statsmodels' externally studentised residual where the noise is estimated."""

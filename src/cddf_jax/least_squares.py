@@ -222,8 +222,8 @@ def least_squares_fit(
         evidence = _evidence(names, problem, data, outcome)
     doubtful = profiles.open | (result != SUCCESSFUL)  # a failed fit has identified nothing
     limited = profiles.bounded_above if result == SUCCESSFUL else ()
-    products = _are_products(problem, noise, outcome, told, max_steps)
-    evidence = replace(evidence, open_profile=doubtful, bounded_above=limited, products=products)
+    evidence = replace(evidence, open_profile=doubtful, bounded_above=limited)
+    evidence = replace(evidence, products=_are_products(problem, noise, outcome, determine(evidence), max_steps))
     return _conclude(evidence, data, Search(problem, noise, outcome), result, tried.cost, seed)
 
 
@@ -349,7 +349,7 @@ def _are_products(problem: LeastSquaresProblem, noise, outcome: Outcome, told: D
     lost = np.array([told.status[name] == NOT_IDENTIFIED for name in told.names])
     if np.count_nonzero(lost) < 2 or np.any(outcome.parameters[lost] <= 0) or not np.all(np.isfinite(outcome.jacobian)):
         return True
-    _, values, directions = np.linalg.svd(outcome.jacobian)
+    _, values, directions = np.linalg.svd(np.linalg.qr(outcome.jacobian, mode="r"))  # all directions, however many rows
     for singular, direction in itertools.zip_longest(values, directions, fillvalue=0.0):
         along = np.where(lost, direction, 0.0)
         if singular * LARGEST_RELATIVE_ERROR > 1 or np.linalg.norm(along) < 0.7:
@@ -396,7 +396,7 @@ def _remarks(evidence: Evidence) -> list[str]:
     labels = [f"entry {k + 1} of {name}" for name, rows in evidence.rows.items() for k in range(len(rows))]
     for i, name in enumerate(evidence.names):
         if evidence.at_bound[i]:
-            nearer = min((evidence.lower[i], evidence.upper[i]), key=lambda bound: abs(bound - evidence.value[i]))
+            nearer = evidence.nearest_bound[i]
             otherwise = "" if i in evidence.bounded_above else ", or it has no effect"
             found.append(f"{name} ended on its bound {nearer:g}: the data put it there or beyond{otherwise}")
         elif not np.any(jacobian[:, i]):
