@@ -30,9 +30,11 @@ if TYPE_CHECKING:
     from .profiles import Constant, Linear, Piecewise, Spline
     from .pulley import pulling_tension
     from .report import write_fit
+    from .sampling import latin_hypercube, sobol
     from .solver import FixedPoint
     from .statics import solve
     from .stiffness import TipJacobian, tip_compliance, tip_jacobian
+    from .sweeping import sweep
     from .targets import CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension
 
 _HOME = {
@@ -59,9 +61,11 @@ _HOME = {
     "profiles": "Constant, Linear, Piecewise, Spline",
     "pulley": "pulling_tension",
     "report": "write_fit",
+    "sampling": "latin_hypercube, sobol",
     "solver": "FixedPoint",
     "statics": "solve",
     "stiffness": "TipJacobian, tip_compliance, tip_jacobian",
+    "sweeping": "sweep",
     "targets": "CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension",
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names.split(", ")}
@@ -111,14 +115,17 @@ __all__ = [
     "energy_balance",
     "fit",
     "iteration_history",
+    "latin_hypercube",
     "least_squares_fit",
     "model_free_friction",
     "plan",
     "pulling_tension",
     "read_manipulator",
     "read_measurements",
+    "sobol",
     "solve",
     "standard_candidates",
+    "sweep",
     "tip_compliance",
     "tip_jacobian",
     "write_fit",

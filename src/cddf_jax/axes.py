@@ -1,0 +1,118 @@
+"""The axes of a sweep: what varies along each dimension of its answer."""
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .case import Case
+from .errors import InputError
+from .manipulator import KINEMATICS
+from .problem import Method
+from .statics import check_nodes
+
+OPTIONS = ("nodes", "method", "kinematics")  # each value is a program of its own
+RESERVED = ("tendon", "point", "component")
+
+
+class Dimension(NamedTuple):
+    """A dimension of the answer; everything along it has one length."""
+
+    name: str
+    numbers: dict[str, np.ndarray]  # by the name of a number of the case
+    options: dict[str, tuple[Any, ...]]
+
+    @property
+    def size(self) -> int:
+        return len(next(iter((self.numbers | self.options).values())))
+
+
+def dimensions_of(axes: Mapping[str, Any]) -> tuple[Dimension, ...]:
+    """The dimensions that the argument `axes` of `sweep` means.
+
+    Raises:
+        InputError: names the axis and the remedy.
+    """
+    if not isinstance(axes, Mapping) or not axes:
+        raise InputError('sweep: axes must be a dictionary such as {"base_tension": values}, with one axis or more')
+    found = tuple(_dimension(name, values) for name, values in axes.items())
+    names = [name for dimension in found for name in (*dimension.numbers, *dimension.options)]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"sweep: {name!r} varies along two axes; let it vary along one")
+        inner = [other for other in names if other.startswith(f"{name}.")]
+        if inner:
+            raise InputError(f"sweep: {name!r} holds {inner[0]!r}; let only one of them vary")
+    return found
+
+
+def _dimension(name: str, values: Any) -> Dimension:
+    if name in RESERVED:
+        raise InputError(f"sweep: a dimension cannot be called {name!r}, which the answer has itself; rename it")
+    together = values if isinstance(values, Mapping) else {name: values}
+    if not together:
+        raise InputError(f"sweep: nothing varies along the axis {name!r}; give names and values")
+    options = {key: _options(key, given) for key, given in together.items() if key in OPTIONS}
+    numbers = {key: _numbers(key, given) for key, given in together.items() if key not in OPTIONS}
+    sizes = {key: len(given) for key, given in (numbers | options).items()}
+    if len(set(sizes.values())) > 1:
+        told = ", ".join(f"{key} {size}" for key, size in sizes.items())
+        raise InputError(f"sweep: what varies together along {name!r} must have one length, got {told}")
+    return Dimension(name, numbers, options)
+
+
+def _numbers(name: str, given: Any) -> np.ndarray:
+    try:
+        values = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"sweep: the axis {name!r} must be a list of numbers, got {given!r}") from None
+    if values.ndim != 1 or values.size == 0:
+        raise InputError(f"sweep: the axis {name!r} must be a list of one number or more, got shape {values.shape}")
+    if not np.all(np.isfinite(values)):
+        place = int(np.argmin(np.isfinite(values)))
+        raise InputError(f"sweep: the axis {name!r} holds {values[place]} at place {place}; leave it out")
+    return values
+
+
+def _options(name: str, given: Any) -> tuple[Any, ...]:
+    values = tuple(given) if isinstance(given, list | tuple | np.ndarray | range) else ()
+    values = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
+    if not values:
+        raise InputError(f"sweep: the axis {name!r} must be a list of one value or more, got {given!r}")
+    for value in values:
+        if name == "nodes":
+            try:
+                check_nodes(value)
+            except ValueError as error:
+                raise InputError(f"sweep: {error}") from None
+        elif name == "kinematics" and value not in KINEMATICS:
+            raise InputError(f"sweep: kinematics {value!r} is not known; there are {', '.join(KINEMATICS)}")
+        elif name == "method" and (not isinstance(value, Method) or isinstance(value, type)):
+            raise InputError(f"sweep: method must be one such as FixedPoint(), got {value!r}")
+    return values
+
+
+def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...], case: Case) -> None:
+    """Refuse what is no number of the case.
+
+    Raises:
+        InputError: names it, and what is near.
+    """
+    swept = {name for dimension in dimensions for name in dimension.numbers}
+    for name in swept:
+        case.number(name)
+    tension = case.base_tension
+    if tension is None and "base_tension" not in swept:
+        raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
+    for name in sensitivities:
+        if name in OPTIONS or name == "direction" or name.startswith("direction."):
+            raise InputError(f"sweep: nothing can be differentiated by {name!r}; take it out of the sensitivities")
+        if case.number(name) is None and name not in swept:
+            raise InputError(f"sweep: the case has no {name!r} to differentiate by; give it a value")
+        wider = [
+            other for other in swept if other != name and (name.startswith(f"{other}.") or other.startswith(f"{name}."))
+        ]
+        if wider:
+            close = get_close_matches(name, wider, 1) or wider
+            raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")

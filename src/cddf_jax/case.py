@@ -1,0 +1,151 @@
+"""One case of a sweep: a manipulator, how it is actuated and loaded, and the names of all numbers in it.
+
+A name is a path of attributes and places: "youngs_modulus", "outer_radius.tip", "tendons.0.offset" (of a constant
+profile its value), "base_tension" (of all tendons), "base_tension.1", "loads.tip_force.1", "direction.0".
+"""
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .errors import InputError
+from .loads import Loads
+from .manipulator import Manipulator
+from .profiles import Constant
+
+OWN = ("base_tension", "loads", "direction")  # parts of a case beside the parts of its manipulator
+UNITS = {
+    "base_tension": "N",
+    "direction": "1",
+    "tip_force": "N",
+    "tip_moment": "N m",
+    "gravity": "m/s^2",
+    "length": "m",
+    "outer_radius": "m",
+    "inner_radius": "m",
+    "offset": "m",
+    "end": "m",
+    "free_length": "m",
+    "axial_stiffness": "N",
+    "youngs_modulus": "Pa",
+    "friction_coefficient": "1",
+    "drag": "N/m",
+    "density": "kg/m^3",
+}
+_TARGET_UNITS = {
+    "Displacement": "m",
+    "TipAngle": "rad",
+    "TipTension": "N",
+    "TotalTension": "N",
+    "CurvatureAt": "1/m",
+    "TipStiffness": "N/m",
+}
+
+
+class Case(eqx.Module):
+    """What is solved once."""
+
+    manipulator: Manipulator
+    base_tension: Any  # a number, one per tendon, or targets; None where it is swept
+    loads: Loads | None
+    direction: Any
+
+    def number(self, name: str) -> Any:
+        """The number of a name.
+
+        Raises:
+            InputError: names what is not there, and what is.
+        """
+        return _Path(self, name).number
+
+    def with_numbers(self, numbers: Mapping[str, Any]) -> "Case":
+        """The case with other numbers, which may be traced."""
+        case = self
+        for name, number in numbers.items():
+            case = _Path(case, name).replaced(number)
+        return case
+
+    def unit(self, name: str) -> str:
+        """The SI unit of a number, "1" for none."""
+        parts = name.split(".")
+        target = _Path(self, name).parent
+        if parts[0] == "base_tension" and type(target).__name__ in _TARGET_UNITS:
+            return "m" if parts[-1] == "arc_length" else _TARGET_UNITS[type(target).__name__]
+        return next((UNITS[part] for part in parts if part in UNITS), "1")
+
+
+class _Path:
+    """The way from a case to one of its numbers."""
+
+    def __init__(self, case: Case, name: str):
+        self.case, self.name = case, name
+        self.steps = name.split(".")
+        if self.steps[0] not in OWN:
+            self.steps = ["manipulator", *self.steps]
+        node: Any = case
+        self.parent: Any = case
+        self.component: int | None = None  # of an array, which is no node of the tree
+        for depth, step in enumerate(self.steps):
+            self.parent = node
+            if self._is_vector(node) and step.isdigit() and int(step) < np.shape(node)[0]:
+                self.component = int(step)
+                node = node[self.component]
+            elif step in _parts(node):
+                node = _step(node, step)
+            else:
+                raise InputError(self._unknown(depth, node))
+        if isinstance(node, Constant):
+            self.steps.append("value")
+            self.parent, node = node, node.value
+        self.number = node
+        whole = self.steps[-1] in ("base_tension", "direction")  # one number for all tendons
+        if not whole and node is not None and (not isinstance(node, jax.Array | np.ndarray | float) or np.ndim(node)):
+            inside = ", ".join(f"{name}.{part}" for part in _parts(node))
+            raise InputError(f"{name} is not one number; name a number of it: {inside or 'it has none'}")
+
+    @staticmethod
+    def _is_vector(node: Any) -> bool:
+        return isinstance(node, jax.Array | np.ndarray) and np.ndim(node) == 1
+
+    def _unknown(self, depth: int, node: Any) -> str:
+        step, known = self.steps[depth], sorted(_parts(node))
+        if node is self.case.manipulator:
+            known += OWN
+        close = get_close_matches(step, known, 1)
+        remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known) or 'none'}"
+        inside = ".".join(self.steps[:depth]).removeprefix("manipulator").removeprefix(".")
+        there = f"{inside} has" if inside else "there is"
+        return f"{self.name!r} is no number of a case: {there} no {step!r}; {remedy}"
+
+    def replaced(self, number: Any) -> Case:
+        def where(case: Case) -> Any:
+            node: Any = case
+            for step in self.steps if self.component is None else self.steps[:-1]:
+                node = _step(node, step)
+            return node
+
+        if self.component is not None:
+            number = jnp.asarray(where(self.case)).at[self.component].set(number)
+        return eqx.tree_at(where, self.case, number, is_leaf=lambda x: x is None)
+
+
+def _parts(node: Any) -> list[str]:
+    """The names of what a node holds."""
+    if isinstance(node, tuple | list) or _Path._is_vector(node):
+        return [str(i) for i in range(len(node))]
+    return list(_fields(node))
+
+
+def _fields(node: Any) -> Iterator[str]:
+    for name, field in getattr(type(node), "__dataclass_fields__", {}).items():
+        if not field.metadata.get("static", False):
+            yield name
+
+
+def _step(node: Any, step: str) -> Any:
+    return node[int(step)] if step.isdigit() else getattr(node, step)

@@ -1,0 +1,168 @@
+"""The answer of a sweep before it is computed: its variables with their dimensions and units, its chunks."""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .axes import Dimension
+from .equilibrium import RESULTS
+
+CHUNK = 131072  # solves
+COMPONENTS = ("X", "Y")
+RESULT = "result"
+RESULT_NAMES = tuple(RESULTS._name_to_item)  # equinox has no public way to them; in the order of their codes
+
+
+class Output(NamedTuple):
+    """A quantity of an `Equilibrium`."""
+
+    unit: str
+    meaning: str
+    dims: tuple[str, ...] = ()
+
+
+OUTPUTS = {
+    "tip_position": Output("m", "position of the tip", ("component",)),
+    "tip_angle": Output("rad", "heading of the tip"),
+    "tip_tension": Output("N", "tip tension", ("tendon",)),
+    "tension_loss": Output("1", "loss of tension", ("tendon",)),
+    "tendon_displacement": Output("m", "tendon displacement", ("tendon",)),
+    "base_tension": Output("N", "base tension", ("tendon",)),
+    "target_miss": Output("", "reached less wanted, SI", ("tendon",)),
+    "base_moment": Output("N m", "moment of the loads at the base"),
+    "load_fraction": Output("1", "fraction of the loads carried"),
+    "num_load_steps": Output("1", "steps of the loads"),
+    "stable": Output("", "stability"),
+    "direction_contradicted": Output("", "travel against the stated direction", ("tendon",)),
+    "error_estimate": Output("1", "estimated relative error"),
+    "num_iterations": Output("1", "iterations"),
+    "arc_length": Output("m", "arc length", ("point",)),
+    "curvature": Output("1/m", "curvature", ("point",)),
+    "heading": Output("rad", "heading", ("point",)),
+    "position": Output("m", "position", ("point", "component")),
+    "tension": Output("N", "tension", ("tendon", "point")),
+    "wrap_angle": Output("rad", "wrap angle", ("tendon", "point")),
+    "normal_force": Output("N/m", "normal force on the body", ("tendon", "point", "component")),
+    "friction_force": Output("N/m", "friction force on the body", ("tendon", "point", "component")),
+}
+
+
+class Variable(NamedTuple):
+    """One array of the answer."""
+
+    dims: tuple[str, ...]  # those of the sweep, then its own
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    attrs: dict[str, Any]
+
+    @property
+    def missing(self) -> Any:
+        """What stands where nothing has been computed."""
+        return {"f": np.nan, "b": False}.get(self.dtype.kind, -1)
+
+
+Coordinate = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]  # as xarray takes it
+Index = tuple[int, ...]  # of a chunk
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The shape of the answer and of its chunks."""
+
+    shape: dict[str, int]  # of the sweep, by dimension
+    chunks: Index  # along the same dimensions
+    coords: dict[str, Coordinate]
+    variables: dict[str, Variable]
+    attrs: dict[str, Any]
+
+    @property
+    def size(self) -> int:
+        """How many solves."""
+        return int(np.prod(list(self.shape.values())))
+
+    @property
+    def bytes_each(self) -> int:
+        """Of the answer, for each solve."""
+        return bytes_each(self.variables, len(self.shape))
+
+    @property
+    def chunk_size(self) -> int:
+        return int(np.prod(self.chunks))
+
+    def indices(self) -> Iterator[Index]:
+        """Of all chunks, in the order of the answer."""
+        counts = (-(-size // chunk) for size, chunk in zip(self.shape.values(), self.chunks, strict=True))
+        return itertools.product(*map(range, counts))
+
+    def region(self, index: Index) -> tuple[slice, ...]:
+        """The places of a chunk along the dimensions of the sweep."""
+        along = zip(index, self.chunks, self.shape.values(), strict=True)
+        return tuple(slice(i * chunk, min((i + 1) * chunk, size)) for i, chunk, size in along)
+
+
+def bytes_each(variables: Mapping[str, Variable], rank: int) -> int:
+    """Of the answer, for each solve; `rank` counts the dimensions of the sweep."""
+    return sum(int(np.prod(v.shape[rank:])) * v.dtype.itemsize for v in variables.values())
+
+
+def chunks_of(dimensions: tuple[Dimension, ...], most: int) -> Index:
+    """Chunks of nearly equal size with no more than `most` solves, the last dimensions whole as far as that goes.
+
+    An option has one value in a chunk.
+    """
+    chunks: list[int] = []
+    for dimension in reversed(dimensions):
+        room = 1 if dimension.options else max(most // int(np.prod([1, *chunks])), 1)
+        pieces = -(-dimension.size // room)
+        chunks.append(-(-dimension.size // pieces))
+    return tuple(reversed(chunks))
+
+
+def variable(name: str, array: Any, shape: Mapping[str, int], unit_by: str = "", by: str = "") -> Variable:
+    """An output of `array`'s shape and type for every solve, or its derivative by what has the unit `unit_by`."""
+    if name == RESULT:
+        attrs = {
+            "long_name": RESULT,
+            "flag_values": [*range(len(RESULT_NAMES))],
+            "flag_meanings": " ".join(RESULT_NAMES),
+        }
+        return Variable(tuple(shape), tuple(shape.values()), np.dtype(np.int8), attrs)
+    own = tuple(f"{name}_{i}" for i in range(array.ndim))
+    known = OUTPUTS.get(name, Output("", name, own))
+    unit, meaning = known.unit, known.meaning
+    if by:
+        unit, meaning = unit and quotient(unit, unit_by), f"{meaning}, by {by}"
+    attrs = {"long_name": meaning} | ({"units": unit} if unit else {})
+    return Variable((*shape, *known.dims), (*shape.values(), *array.shape), np.dtype(array.dtype), attrs)
+
+
+def slope_name(output: str, by: str) -> str:
+    """What the derivative of an output is called."""
+    return f"{output}_by_{by}"
+
+
+def quotient(unit: str, by: str) -> str:
+    """The unit of a derivative: "N" by "Pa" is "N/Pa"."""
+    if by == "1":
+        return unit
+    return f"{unit}/({by})" if " " in by or "/" in by else f"{unit}/{by}"
+
+
+def coordinates(dimensions: tuple[Dimension, ...], units: Mapping[str, str], variables: Mapping[str, Variable]) -> dict:
+    """What labels the answer."""
+    coords: dict[str, Coordinate] = {}
+    for dimension in dimensions:
+        for name, values in dimension.numbers.items():
+            coords[name] = ((dimension.name,), values, {"units": units[name]})
+        for name, values in dimension.options.items():
+            labels = [value if isinstance(value, int | str) else repr(value) for value in values]
+            coords[name] = ((dimension.name,), np.asarray(labels), {})
+    sizes = {dim: size for v in variables.values() for dim, size in zip(v.dims, v.shape, strict=True)}
+    if "tendon" in sizes:
+        coords["tendon"] = (("tendon",), np.arange(sizes["tendon"]), {"long_name": "place among the tendons"})
+    if "component" in sizes:
+        coords["component"] = (("component",), np.array(COMPONENTS), {})
+    return coords
