@@ -4,6 +4,7 @@
 trials) from the data with replacement. On few cases the second is known to be too narrow.
 """
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -12,10 +13,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.progress import track
 
+from .chunks import Coordinate, Index, Layout, Variable, even_chunks
 from .errors import InputError
+from .fingerprint import digest, numbers_of
 from .levenberg_marquardt import LeastSquaresProblem, Outcome, minimise_all
+from .work import Work, carry_out
 
 CHUNK = 250  # refits at once: bounds the memory, and shows progress
 KINDS = ("parametric", "cases")
@@ -72,6 +75,7 @@ def bootstrap(
     clusters: Mapping[str, tuple[str, Any]] | None = None,
     seed: int = 0,
     progress: bool = False,
+    out: Any = None,
 ) -> Bootstrap:
     """Draw data anew and fit them from the estimate on, the weights of the data held.
 
@@ -86,33 +90,107 @@ def bootstrap(
             are drawn together, also across groups that draw from the same. Without, each datum by itself.
         seed: of NumPy's generator.
         progress: show a bar.
+        out: path of a Zarr store for the estimates; a bootstrap that was stopped goes on where it was, and several
+            processes share the work.
 
     Raises:
-        InputError: for a kind that is none, too few replicates, clusters that fit no group.
+        InputError: for a kind that is none, too few replicates, clusters that fit no group, a store of other work.
     """
     if kind not in KINDS:
         raise InputError(f"bootstrap: kind {kind!r} is not known; there are {', '.join(KINDS)}")
     if replicates < 2:
         raise InputError(f"bootstrap: needs 2 replicates or more, got {replicates}")
-    rng = np.random.default_rng(seed)
     clusters = clusters or {}
     for name, (_, labels) in clusters.items():
         if name not in groups or len(labels) != np.size(problem.values[groups.index(name)]):
             raise InputError(f"bootstrap: clusters of {name!r} need one label for each datum of a group of data")
-    estimates, num_failed = [], 0
-    sizes = [CHUNK] * (replicates // CHUNK) + [replicates % CHUNK] * (replicates % CHUNK > 0)
-    for size in track(sizes, description="bootstrap", disable=not progress, transient=True):
+
+    def draw(layout: Layout, index: Index) -> _Drawn:
+        size, rng = layout.count(index), np.random.default_rng([seed, *index])
         if kind == "parametric":
-            drawn = _draw_noise(rng, size, problem, noise, best)
-        else:
-            drawn = _draw_cases(rng, size, problem, noise, groups, clusters)
-        z = np.broadcast_to(best.z, (size, best.z.size))
+            return _draw_noise(rng, size, problem, noise, best)
+        return _draw_cases(rng, size, problem, noise, groups, clusters)
+
+    identity = {"kind": kind, "seed": seed, "data and model": _digest((problem, noise, best.z, clusters))}
+    found = _refit_all(best, names, draw, "replicate", replicates, identity, progress, out)
+    return Bootstrap(kind, names, found.estimates[found.ended], best.parameters, int(np.sum(~found.ended)), seed)
+
+
+class Refits(NamedTuple):
+    """Estimates from the data of many benches."""
+
+    names: tuple[str, ...]
+    estimates: np.ndarray  # (benches, parameters)
+    ended: np.ndarray  # (benches,), at a minimum; estimates of others are to be thrown away
+
+
+def refits(
+    problem: LeastSquaresProblem,
+    noise: tuple[np.ndarray, ...],
+    best: Outcome,
+    names: tuple[str, ...],
+    groups: tuple[str, ...],
+    observed: Mapping[str, Any],
+    progress: bool = False,
+    out: Any = None,
+) -> Refits:
+    """Fit the data of many benches from the estimate on; see `LeastSquaresFit.refits`."""
+    data = {name: np.asarray(values, float) for name, values in observed.items()}
+    shapes = {name: np.shape(value) for name, value in zip(groups, problem.values, strict=True)}
+    for name, values in data.items():
+        if name not in shapes:
+            raise InputError(f"refits: {name!r} is no group of data; there are {', '.join(groups)}")
+        if values.shape[1:] != shapes[name] or not len(values):
+            raise InputError(f"refits: {name!r} must have shape (benches, *{shapes[name]}), got {values.shape}")
+    counts = {len(values) for values in data.values()}
+    if len(counts) != 1:
+        raise InputError(f"refits: give every group the data of the same number of benches, got {sorted(counts)}")
+
+    def draw(layout: Layout, index: Index) -> _Drawn:
+        places = layout.region(index)[0]
+        own = zip(groups, problem.values, strict=True)
+        return _Drawn(problem, noise, tuple(data[name][places] if name in data else np.asarray(v) for name, v in own))
+
+    identity = {"data and model": _digest((problem, noise, best.z, data))}
+    return _refit_all(best, names, draw, "bench", counts.pop(), identity, progress, out)
+
+
+def _refit_all(
+    best: Outcome,
+    names: tuple[str, ...],
+    draw: Callable[[Layout, Index], "_Drawn"],
+    dimension: str,
+    count: int,
+    identity: dict[str, Any],
+    progress: bool,
+    out: Any,
+) -> Refits:
+    """All the refits, chunk by chunk."""
+    estimate = Variable((dimension, "parameter"), (count, len(names)), np.dtype(float), {"long_name": "estimate"})
+    ended = Variable((dimension,), (count,), np.dtype(bool), {"long_name": "ended at a minimum"})
+    coords: dict[str, Coordinate] = {"parameter": (("parameter",), np.asarray(names), {})}
+    variables = {"estimate": estimate, "ended": ended}
+    layout = Layout(
+        {dimension: count}, even_chunks([count], CHUNK, [False]), coords, variables, {"title": "cddf_jax refits"}
+    )
+
+    def refit(layout: Layout, index: Index) -> dict[str, np.ndarray]:
+        drawn = draw(layout, index)
+        z = np.broadcast_to(best.z, (layout.count(index), best.z.size))
         found = minimise_all(drawn.problem, drawn.noise, z, values=drawn.values)
-        pressed = np.any(problem.space.at_bound(found.parameters), axis=1)  # there a search has always a step left
+        pressed = np.any(
+            drawn.problem.space.at_bound(found.parameters), axis=1
+        )  # there a search has always a step left
         good = (found.solved | pressed) & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
-        estimates.append(found.parameters[good])
-        num_failed += int(np.sum(~good))
-    return Bootstrap(kind, names, np.concatenate(estimates), best.parameters, num_failed, seed)
+        return {"estimate": found.parameters, "ended": good}
+
+    work = Work(layout, identity | {dimension: count, "parameters": list(names)}, refit)
+    found = carry_out(work, out, progress=progress).values()
+    return Refits(names, found["estimate"], found["ended"])
+
+
+def _digest(tree: Any) -> str:
+    return digest(json.dumps(numbers_of(tree)))
 
 
 class _Drawn(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import qmc
 
-from .bootstrap import Bootstrap, bootstrap
+from .bootstrap import Bootstrap, Refits, bootstrap, refits
 from .determination import (
     AT_BOUND,
     IDENTIFIED,
@@ -115,11 +115,26 @@ class LeastSquaresFit(Determination):
         clusters: Mapping[str, tuple[str, Any]] | None = None,
         seed: int = 0,
         progress: bool = False,
+        out: Any = None,
     ) -> Bootstrap:
         """Refits to data drawn anew; see `bootstrap.bootstrap`."""
         search, groups = self.search, tuple(self.evidence.rows)
-        options = {"clusters": clusters, "seed": seed, "progress": progress}
+        options = {"clusters": clusters, "seed": seed, "progress": progress, "out": out}
         return bootstrap(search.problem, search.noise, search.outcome, self.names, groups, kind, replicates, **options)
+
+    def refits(self, observed: Mapping[str, Any], *, progress: bool = False, out: Any = None) -> Refits:
+        """The same fit to the data of many benches, from this estimate on, with its weights.
+
+        Args:
+            observed: by group of data, (benches, *its shape); a group that is left out keeps its data.
+            progress: show a bar.
+            out: path of a Zarr store, as for `bootstrap`.
+
+        Raises:
+            InputError: for a group that is none, data of another shape, a store of other work.
+        """
+        search, groups = self.search, tuple(self.evidence.rows)
+        return refits(search.problem, search.noise, search.outcome, self.names, groups, observed, progress, out)
 
     def told_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
         """What some groups of the data alone, without priors but those named, would determine, were this the truth."""

@@ -1,7 +1,6 @@
 """`sweep`: one solve for every combination of what varies, labelled, in chunks of which none is lost."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -13,36 +12,25 @@ import numpy as np
 
 from .axes import RESERVED, Dimension, check_names, dimensions_of
 from .case import Case
+from .chunks import Index, Layout, Variable, bytes_each, even_chunks
 from .equilibrium import Equilibrium
 from .errors import InputError
+from .fingerprint import code_of, numbers_of, told
 from .lanes import Lanes
 from .loads import Loads
 from .manipulator import Manipulator
 from .problem import Method
 from .solver import FixedPoint
 from .statics import check_nodes, solve
-from .sweep_identity import identity
-from .sweep_layout import (
-    CHUNK,
-    OUTPUTS,
-    RESULT,
-    RESULT_NAMES,
-    Index,
-    Layout,
-    Variable,
-    bytes_each,
-    chunks_of,
-    coordinates,
-    slope_name,
-    variable,
-)
-from .sweep_store import Memory, Store, ZarrStore, needed
+from .store import needed
+from .sweep_outputs import OUTPUTS, RESULT, RESULT_NAMES, coordinates, slope_name, variable
+from .work import COPIES, Work, carry_out
 
 if TYPE_CHECKING:
     import xarray
 
+CHUNK = 131072  # solves
 SHARE = 0.25  # of the memory that is free
-COPIES = 3  # of a chunk in memory: as it is computed, gathered, written
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Numbers = Mapping[str, Any]
 
@@ -110,7 +98,7 @@ def sweep(
         method=method,
         precision=precision,
         memory=memory,
-        chunk=chunk,
+        chunk_size=chunk,
     )
     return work.run(out, progress)
 
@@ -131,7 +119,7 @@ class Sweep:
     method: Method = field(default_factory=FixedPoint)
     precision: str | None = None
     memory: float | None = None
-    chunk: int | None = None
+    chunk_size: int | None = None
 
     # --- what is asked for ------------------------------------------------------------------------
 
@@ -182,8 +170,8 @@ class Sweep:
                 raise InputError(f"sweep: the answer has a {name!r} already; give the observable another name")
         if not self.outputs and not self.observables:
             raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
-        if self.chunk is not None and (not isinstance(self.chunk, int) or self.chunk < 1):
-            raise InputError(f"sweep: chunk must be a whole number of 1 or more, got {self.chunk!r}")
+        if self.chunk_size is not None and (not isinstance(self.chunk_size, int) or self.chunk_size < 1):
+            raise InputError(f"sweep: chunk must be a whole number of 1 or more, got {self.chunk_size!r}")
         try:
             check_nodes(self.nodes)
         except ValueError as error:
@@ -204,11 +192,11 @@ class Sweep:
         each = COPIES * bytes_each(variables, len(self.dimensions))
         if each > self.allowed:
             raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
-        most = self.chunk or min(CHUNK, int(self.allowed // each))
+        most = self.chunk_size or min(CHUNK, int(self.allowed // each))
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
         return Layout(
             self._shape,
-            chunks_of(self.dimensions, most),
+            even_chunks([d.size for d in self.dimensions], most, [bool(d.options) for d in self.dimensions]),
             coordinates(self.dimensions, units, variables),
             variables,
             {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name},
@@ -222,31 +210,41 @@ class Sweep:
         inputs = {name: jax.ShapeDtypeStruct((), self.dtype) for d in self.dimensions for name in d.numbers}
         found: dict[str, Variable] = {}
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
-            told = jax.eval_shape(self.solver(index), inputs)
-            for name, base, by in self._names(told):
-                new = variable(base, told[name], self._shape, self.case.unit(by) if by else "", by)
+            shapes = jax.eval_shape(self.solver(index), inputs)
+            for name, base, by in self._names(shapes):
+                new = variable(base, shapes[name], self._shape, self.case.unit(by) if by else "", by)
                 if found.setdefault(name, new).shape != new.shape:
                     raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
         return found
 
-    def _names(self, told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-        """What was told, in the order in which it was asked for: name, output and by what it is differentiated."""
+    def _names(self, known: Collection[str]) -> Iterator[tuple[str, str, str]]:
+        """In the order in which it was asked for: name, output and by what it is differentiated."""
         for name in (*self.outputs, *self.observables):
             yield name, name, ""
             for by in self.sensitivities:
-                if (slope := slope_name(name, by)) in told:
+                if (slope := slope_name(name, by)) in known:
                     yield slope, name, by
         yield RESULT, RESULT, ""
 
     @cached_property
     def identity(self) -> dict[str, Any]:
         """What makes this sweep, JSON."""
-        others = {
+        body = self.case.manipulator
+        along = np.linspace(0.0, float(np.asarray(body.length)), 101)  # a function as a profile has no leaves
+        profiles = [body.outer_radius, body.inner_radius, *(tendon.offset for tendon in body.tendons)]
+        axes = {f"axis {d.name}": {k: told(v) for k, v in (d.numbers | d.options).items()} for d in self.dimensions}
+        return {
+            **{name.removeprefix("manipulator."): value for name, value in numbers_of(self.case).items()},
+            **axes,
+            "order of axes": [dimension.name for dimension in self.dimensions],
+            "radii and offsets": told(np.stack([np.asarray(profile(along), float) for profile in profiles])),
+            **{name: told(value) for name, value in self.options.items()},
             "outputs": list(self.outputs),
+            "observables": {name: code_of(function) for name, function in self.observables.items()},
             "sensitivities": list(self.sensitivities),
             "precision": self.dtype.name,
+            "version of cddf_jax": version("cddf_jax"),
         }
-        return identity(self.case, self.dimensions, self.options, self.observables, others)
 
     # --- one solve --------------------------------------------------------------------------------------
 
@@ -269,9 +267,9 @@ class Sweep:
                 nodes=options["nodes"],
                 throw=False,
             )
-            told = {name: getattr(found, name) for name in self.outputs}
-            told |= {name: jnp.asarray(function(found)) for name, function in self.observables.items()}
-            return told | {RESULT: found.result._value.astype(jnp.int8)}
+            outputs = {name: getattr(found, name) for name in self.outputs}
+            outputs |= {name: jnp.asarray(function(found)) for name, function in self.observables.items()}
+            return outputs | {RESULT: found.result._value.astype(jnp.int8)}
 
         return answer if not self.sensitivities else lambda numbers: self._with_slopes(answer, case, numbers)
 
@@ -280,11 +278,11 @@ class Sweep:
         by = {name: jnp.asarray(numbers.get(name, case.number(name)), self.dtype) for name in self.sensitivities}
 
         def real(by: Numbers) -> tuple[dict[str, Any], dict[str, Any]]:
-            told = answer({**numbers, **by})
-            return {name: x for name, x in told.items() if jnp.issubdtype(x.dtype, jnp.floating)}, told
+            outputs = answer({**numbers, **by})
+            return {name: x for name, x in outputs.items() if jnp.issubdtype(x.dtype, jnp.floating)}, outputs
 
-        slopes, told = jax.jacfwd(real, has_aux=True)(by)
-        return told | {slope_name(name, by): slope for name, of in slopes.items() for by, slope in of.items()}
+        slopes, outputs = jax.jacfwd(real, has_aux=True)(by)
+        return outputs | {slope_name(name, by): slope for name, of in slopes.items() for by, slope in of.items()}
 
     def _cast(self, leaf: Any) -> Any:
         return np.asarray(leaf, self.dtype) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else leaf
@@ -293,86 +291,28 @@ class Sweep:
 
     def run(self, out: Any = None, progress: bool = False) -> "xarray.Dataset":
         """Compute what is not there yet, and return everything."""
-        store = self._store(out)
-        layout, rank, ranks = store.layout, jax.process_index(), jax.process_count()
-        mine = [index for i, index in enumerate(layout.indices()) if i % ranks == rank]
-        missing = [index for index in mine if not store.has(index)]
-        sizes = {index: int(np.prod([r.stop - r.start for r in layout.region(index)])) for index in mine}
-        lanes: dict[Index, Lanes] = {}
-        with _bar(sum(sizes.values()), sum(sizes[i] for i in missing), progress and rank == 0) as advance:
-            for index in missing:
-                store.write(index, self._chunk(layout, index, lanes))
-                advance(sizes[index])
-        _wait_for_all("cddf_jax sweep: done")
-        return _with_mask(store.dataset())
+        store = carry_out(Work(self.layout, self.identity, self.chunk), out, self.allowed, progress)
+        answer = store.dataset()
+        good = answer[RESULT] == RESULT_NAMES.index("successful")
+        return answer.assign(successful=good.assign_attrs(long_name="solved without any doubt"))
 
-    def _store(self, out: Any) -> Store:
-        ranks, layout = jax.process_count(), self.layout
-        if out is None:
-            if ranks > 1:
-                raise InputError(f"sweep: {ranks} processes need out=, a store that all of them reach")
-            self._check_memory(layout.bytes_each * (layout.size + COPIES * layout.chunk_size), "give out= or memory=")
-            return Memory(layout)
-        first = jax.process_index() == 0
-        store = ZarrStore(out, layout, self.identity) if first else None
-        _wait_for_all("cddf_jax sweep: store")
-        store = store or ZarrStore(out, layout, self.identity, create=False)
-        self._check_memory(
-            COPIES * layout.bytes_each * store.layout.chunk_size, "raise memory= or choose another store"
-        )
-        return store
-
-    def _check_memory(self, wanted: float, remedy: str) -> None:
-        if wanted > self.allowed:
-            raise InputError(
-                f"sweep: takes {wanted / 1e6:.4g} MB of memory, {self.allowed / 1e6:.4g} MB are allowed; {remedy}"
-            )
-
-    def _chunk(self, layout: Layout, index: Index, lanes: dict[Index, Lanes]) -> dict[str, np.ndarray]:
+    def chunk(self, layout: Layout, index: Index) -> dict[str, np.ndarray]:
         """The outputs of one chunk, in the shape of its region."""
         region = layout.region(index)
         options = tuple(r.start if d.options else 0 for d, r in zip(self.dimensions, region, strict=True))
-        if options not in lanes:
+        if options not in self._lanes:
             solver = self.solver(options)
-            lanes[options] = Lanes(lambda lane: solver(lane["numbers"]), layout.chunk_size)
+            self._lanes[options] = Lanes(lambda lane: solver(lane["numbers"]), layout.chunk_size)
         places = np.meshgrid(*(np.arange(r.start, r.stop) for r in region), indexing="ij")
         numbers = {
             name: values[place.ravel()].astype(self.dtype)
             for dimension, place in zip(self.dimensions, places, strict=True)
             for name, values in dimension.numbers.items()
         }
-        told = lanes[options]({"numbers": numbers, "place": places[0].ravel()})
-        return {name: x.reshape(*places[0].shape, *x.shape[1:]) for name, x in told.items()}
+        outputs = self._lanes[options]({"numbers": numbers, "place": places[0].ravel()})
+        return {name: x.reshape(*places[0].shape, *x.shape[1:]) for name, x in outputs.items()}
 
-
-def _with_mask(answer: "xarray.Dataset") -> "xarray.Dataset":
-    good = answer[RESULT] == RESULT_NAMES.index("successful")
-    return answer.assign(successful=good.assign_attrs(long_name="solved without any doubt"))
-
-
-def _wait_for_all(what: str) -> None:
-    """Until every process has come here."""
-    if jax.process_count() > 1:
-        from jax.experimental import multihost_utils
-
-        multihost_utils.sync_global_devices(what)
-
-
-@contextmanager
-def _bar(total: int, missing: int, shown: bool) -> Iterator[Callable[[int], None]]:
-    """A bar of progress with the rate and the time that is left."""
-    if not shown:
-        yield lambda count: None
-        return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    rate = TextColumn("{task.fields[rate]}")
-    with Progress(TextColumn("sweep"), BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn()) as bar:
-        task = bar.add_task("sweep", total=total, completed=total - missing, rate="")
-
-        def advance(count: int) -> None:
-            bar.advance(task, count)
-            speed = bar.tasks[0].speed
-            bar.update(task, rate="" if speed is None else f"{speed:,.0f} a second")
-
-        yield advance
+    @cached_property
+    def _lanes(self) -> dict[Index, Lanes]:
+        """The compiled solvers, by the options along the dimensions."""
+        return {}

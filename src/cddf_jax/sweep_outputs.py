@@ -1,16 +1,14 @@
-"""The answer of a sweep before it is computed: its variables with their dimensions and units, its chunks."""
+"""What a sweep can be asked for, with dimensions and units."""
 
-import itertools
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .axes import Dimension
+from .chunks import Coordinate, Variable
 from .equilibrium import RESULTS
 
-CHUNK = 131072  # solves
 COMPONENTS = ("X", "Y")
 RESULT = "result"
 RESULT_NAMES = tuple(RESULTS._name_to_item)  # equinox has no public way to them; in the order of their codes
@@ -48,77 +46,6 @@ OUTPUTS = {
     "normal_force": Output("N/m", "normal force on the body", ("tendon", "point", "component")),
     "friction_force": Output("N/m", "friction force on the body", ("tendon", "point", "component")),
 }
-
-
-class Variable(NamedTuple):
-    """One array of the answer."""
-
-    dims: tuple[str, ...]  # those of the sweep, then its own
-    shape: tuple[int, ...]
-    dtype: np.dtype
-    attrs: dict[str, Any]
-
-    @property
-    def missing(self) -> Any:
-        """What stands where nothing has been computed."""
-        return {"f": np.nan, "b": False}.get(self.dtype.kind, -1)
-
-
-Coordinate = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]  # as xarray takes it
-Index = tuple[int, ...]  # of a chunk
-
-
-@dataclass(frozen=True)
-class Layout:
-    """The shape of the answer and of its chunks."""
-
-    shape: dict[str, int]  # of the sweep, by dimension
-    chunks: Index  # along the same dimensions
-    coords: dict[str, Coordinate]
-    variables: dict[str, Variable]
-    attrs: dict[str, Any]
-
-    @property
-    def size(self) -> int:
-        """How many solves."""
-        return int(np.prod(list(self.shape.values())))
-
-    @property
-    def bytes_each(self) -> int:
-        """Of the answer, for each solve."""
-        return bytes_each(self.variables, len(self.shape))
-
-    @property
-    def chunk_size(self) -> int:
-        return int(np.prod(self.chunks))
-
-    def indices(self) -> Iterator[Index]:
-        """Of all chunks, in the order of the answer."""
-        counts = (-(-size // chunk) for size, chunk in zip(self.shape.values(), self.chunks, strict=True))
-        return itertools.product(*map(range, counts))
-
-    def region(self, index: Index) -> tuple[slice, ...]:
-        """The places of a chunk along the dimensions of the sweep."""
-        along = zip(index, self.chunks, self.shape.values(), strict=True)
-        return tuple(slice(i * chunk, min((i + 1) * chunk, size)) for i, chunk, size in along)
-
-
-def bytes_each(variables: Mapping[str, Variable], rank: int) -> int:
-    """Of the answer, for each solve; `rank` counts the dimensions of the sweep."""
-    return sum(int(np.prod(v.shape[rank:])) * v.dtype.itemsize for v in variables.values())
-
-
-def chunks_of(dimensions: tuple[Dimension, ...], most: int) -> Index:
-    """Chunks of nearly equal size with no more than `most` solves, the last dimensions whole as far as that goes.
-
-    An option has one value in a chunk.
-    """
-    chunks: list[int] = []
-    for dimension in reversed(dimensions):
-        room = 1 if dimension.options else max(most // int(np.prod([1, *chunks])), 1)
-        pieces = -(-dimension.size // room)
-        chunks.append(-(-dimension.size // pieces))
-    return tuple(reversed(chunks))
 
 
 def variable(name: str, array: Any, shape: Mapping[str, int], unit_by: str = "", by: str = "") -> Variable:

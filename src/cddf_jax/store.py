@@ -1,7 +1,7 @@
-"""Where the numbers of a sweep go: into memory, or chunk by chunk into a Zarr store that survives everything.
+"""Where an answer in chunks goes: into memory, or into a Zarr store that survives whatever stops the work.
 
-A chunk of the store belongs to one process. Of its variables `result` is written last, each file in one step: where it
-is there, the chunk is whole, and whoever starts the same sweep again goes on with the others.
+A chunk belongs to one process. Its variables are written one after the other, each file in one step: where the last
+of them is there, the chunk is whole, and whoever starts the same work again goes on with the other chunks.
 """
 
 import errno
@@ -16,22 +16,23 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from .chunks import Index, Layout
 from .errors import InputError
-from .sweep_layout import RESULT, Index, Layout
 
 if TYPE_CHECKING:
     import xarray
 
-IDENTITY = "cddf_sweep"
+IDENTITY = "identity"
 
 
 class Store(Protocol):
-    """Takes the chunks of a sweep."""
+    """Takes the chunks of an answer."""
 
     layout: Layout
 
     def has(self, index: Index) -> bool: ...
     def write(self, index: Index, blocks: Mapping[str, np.ndarray]) -> None: ...
+    def values(self) -> dict[str, np.ndarray]: ...
     def dataset(self) -> "xarray.Dataset": ...
 
 
@@ -49,6 +50,9 @@ class Memory:
         for name, block in blocks.items():
             self._arrays[name][self.layout.region(index)] = block
 
+    def values(self) -> dict[str, np.ndarray]:
+        return self._arrays
+
     def dataset(self) -> "xarray.Dataset":
         xarray = needed("xarray")
         layout = self.layout
@@ -61,12 +65,12 @@ class ZarrStore:
 
     Args:
         path: of the store; one that is there already is gone on with.
-        layout: of the sweep; where a store is there already, its chunks hold.
-        identity: what makes this sweep, JSON.
+        layout: of the answer; where a store is there already, its chunks hold.
+        identity: what makes this work and no other, JSON.
         create: whether this process makes the store where there is none.
 
     Raises:
-        InputError: where `path` holds something else, or another sweep.
+        InputError: where `path` holds something else, or the answer of other work.
     """
 
     def __init__(
@@ -76,21 +80,27 @@ class ZarrStore:
         self.path = Path(path)
         if create and not self.path.exists():
             _create(zarr, self.path, layout, identity)
-        self._group = _same_sweep(zarr, self.path, identity)
-        self.layout = replace(layout, chunks=tuple(self._group[RESULT].chunks))
+        self._group = _same_work(zarr, self.path, identity)
+        chunks = self._group[layout.last].chunks[: len(layout.shape)]
+        self.layout = replace(layout, chunks=tuple(chunks))
 
     def has(self, index: Index) -> bool:
-        return (self.path / RESULT / "c" / Path(*map(str, index))).exists()
+        last = self.layout.variables[self.layout.last]
+        own = len(last.shape) - len(index)
+        return (self.path / self.layout.last / "c" / Path(*map(str, (*index, *(0,) * own)))).exists()
 
     def write(self, index: Index, blocks: Mapping[str, np.ndarray]) -> None:
         region = self.layout.region(index)
         try:
-            for name in sorted(blocks, key=lambda name: name == RESULT):
+            for name in self.layout.variables:
                 self._group[name][region] = blocks[name]
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT):
                 raise
-            raise InputError(f"{self.path}: the disk is full; free some of it and start the same sweep again") from None
+            raise InputError(f"{self.path}: the disk is full; free some of it and start the same work again") from None
+
+    def values(self) -> dict[str, np.ndarray]:
+        return {name: self._group[name][...] for name in self.layout.variables}
 
     def dataset(self) -> "xarray.Dataset":
         found = needed("xarray").open_zarr(self.path, chunks=None, consolidated=False)
@@ -98,7 +108,7 @@ class ZarrStore:
 
 
 def needed(package: str) -> Any:
-    """A package that only sweeps need.
+    """A package that only this needs.
 
     Raises:
         InputError: says how to get it.
@@ -106,7 +116,7 @@ def needed(package: str) -> Any:
     try:
         return __import__(package)
     except ImportError:
-        raise InputError(f"sweep: needs {package}; install it with: pip install 'cddf-jax[sweep]'") from None
+        raise InputError(f"this needs {package}; install it with: pip install 'cddf-jax[sweep]'") from None
 
 
 def _create(zarr: Any, path: Path, layout: Layout, identity: Mapping[str, Any]) -> None:
@@ -140,26 +150,27 @@ def _create(zarr: Any, path: Path, layout: Layout, identity: Mapping[str, Any]) 
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _same_sweep(zarr: Any, path: Path, identity: Mapping[str, Any]) -> Any:
+def _same_work(zarr: Any, path: Path, identity: Mapping[str, Any]) -> Any:
     """The group at the path.
 
     Raises:
-        InputError: where it is not one of this very sweep.
+        InputError: where it is not that of this very work.
     """
     remedy = "give another path, or delete it"
     try:
         group = zarr.open_group(path, mode="r+")
         found = json.loads(group.attrs[IDENTITY])
     except (FileNotFoundError, NotADirectoryError, KeyError, ValueError, zarr.errors.BaseZarrError):
-        raise InputError(f"{path} is there and is no sweep; {remedy}") from None
+        raise InputError(f"{path} is there and is no store of ours; {remedy}") from None
     if not isinstance(found, dict):
-        raise InputError(f"{path} is there and is no sweep; {remedy}")
-    for name in sorted({*found, *identity}):
-        ours, theirs = identity.get(name), found.get(name)
-        if ours != theirs:
-            raise InputError(
-                f"{path} holds another sweep: its {name} is {_short(theirs)}, not {_short(ours)}; {remedy}"
-            )
+        raise InputError(f"{path} is there and is no store of ours; {remedy}")
+    for name in sorted({*found, *identity}, key=lambda name: (name in found) + (name in identity), reverse=True):
+        if name not in found or name not in identity:
+            whose = "the work asked for" if name in found else "it"
+            raise InputError(f"{path} holds other work: {whose} has no {name}; {remedy}")
+        if found[name] != identity[name]:
+            differs = f"its {name} is {_short(found[name])}, not {_short(identity[name])}"
+            raise InputError(f"{path} holds other work: {differs}; {remedy}")
     return group
 
 

@@ -1,0 +1,53 @@
+"""What makes a piece of work this one and no other, by names that a message can tell."""
+
+import hashlib
+import re
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+SHOWN = 8  # numbers that are told themselves; more of them by their digest
+
+
+def numbers_of(tree: Any) -> dict[str, Any]:
+    """The numbers of a pytree by their names, and the digest of its structure."""
+    leaves, structure = jax.tree.flatten_with_path(tree)
+    return {_name(path): told(leaf) for path, leaf in leaves} | {"structure": digest(without_addresses(str(structure)))}
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("manipulator.")
+
+
+def told(value: Any) -> Any:
+    """A value in JSON, or the digest of a long one."""
+    if isinstance(value, tuple | list):
+        return [told(item) for item in value]
+    if isinstance(value, int | str):
+        return value
+    try:
+        numbers = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        return without_addresses(repr(value))
+    return numbers.tolist() if numbers.size <= SHOWN else f"{numbers.shape}, {digest(numbers.tobytes())}"
+
+
+def code_of(function: Callable) -> str:
+    """What a function does, as far as its code and its constants tell."""
+    code = getattr(function, "__code__", None)
+    if code is None:
+        return without_addresses(repr(function))
+    cells = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
+    return digest(without_addresses(repr((code.co_code, code.co_consts, code.co_names, cells))))
+
+
+def without_addresses(text: str) -> str:
+    """A text without the places in memory that it names."""
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", text)
+
+
+def digest(content: str | bytes) -> str:
+    """Sixteen characters that tell one content from another."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()[:16]
