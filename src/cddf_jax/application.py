@@ -1,7 +1,9 @@
 """How the command line, scripts and notebooks set JAX up; the library itself never does."""
 
 import os
+from collections.abc import Mapping
 from importlib.metadata import version
+from typing import Any
 
 # Small programs spend their time in the compiler: these flags make it several times faster and its
 # code slower, which fits and single solves do not feel. XLA refuses flags that it does not know.
@@ -24,3 +26,27 @@ def configure_jax(*, quick_compilation: bool = True) -> None:
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", os.path.join(user_cache_dir("cddf_jax"), "compiled"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> None:
+    """As `configure_jax`, for large batches: code compiled with all care, and every core a device.
+
+    Settings of the user's for the devices, JAX_NUM_CPU_DEVICES or XLA_FLAGS, are respected.
+
+    Args:
+        processes: arguments of `jax.distributed.initialize` where several processes share the work; with none of
+            them in it JAX asks Slurm or MPI.
+    """
+    configure_jax(quick_compilation=False)
+    import jax
+
+    told = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
+    if jax.config.jax_num_cpu_devices < 0 and not told:  # type: ignore[attr-defined]
+        jax.config.update("jax_num_cpu_devices", _cores())
+    if processes is not None:
+        jax.distributed.initialize(**processes)
+
+
+def _cores() -> int:
+    """Those that this process may use, where the system tells."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,6 +1,7 @@
-"""The command line: `cddf solve | fit | reproduce`. Nothing heavy is imported before a command runs."""
+"""The command line: `cddf solve | sweep | fit | reproduce | plan`. Nothing heavy is imported before a command runs."""
 
 import sys
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -105,10 +106,7 @@ def solve(
 
     actuation = solve_command.read_actuation(base_tension, manipulator)
     loads = solve_command.read_loads(tip_force, tip_moment, gravity, manipulator)
-    for value in direction or []:
-        if value not in (+1, -1):
-            raise InputError(f"--direction {value}: give +1 for a tendon that slides in, -1 for one that slides out")
-    directions = solve_command.per_tendon("--direction", list(direction or [1]), manipulator.num_tendons)
+    directions = _directions(direction, manipulator)
     equilibrium = solve_command.solve_or_explain(
         manipulator, actuation, loads, base_tension, direction=directions, nodes=nodes
     )
@@ -124,6 +122,150 @@ def solve(
     _say(as_json, answer, solve_command.in_words(equilibrium, actuation, base_tension, loads))
     if equilibrium.result == RESULTS.unstable:
         _stop(RESULTS[equilibrium.result], 1)
+
+
+# --- sweep ---------------------------------------------------------------------------------------
+
+
+class Sampler(StrEnum):
+    """How samples are spread."""
+
+    latin_hypercube = "latin_hypercube"
+    sobol = "sobol"
+
+
+class Precision(StrEnum):
+    """Of all numbers of a sweep."""
+
+    float32 = "float32"
+    float64 = "float64"
+
+
+Over = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list, "kinematics=published,exact" '
+        'or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. Any number has a name: outer_radius.tip, '
+        "tendons.0.offset, loads.tip_force.1, base_tension.1, of a target base_tension.value.",
+        show_default=False,
+    ),
+]
+Sample = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='What varies at random between two values, "youngs_modulus=1.2MPa:1.6MPa". Repeated: all together.',
+        show_default=False,
+    ),
+]
+SweptPull = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given.", show_default=False
+    ),
+]
+Output = Annotated[
+    str, typer.Option(help="Names of outputs; also base_tension, tension_loss, tendon_displacement, curvature, ...")
+]
+Sensitivity = Annotated[
+    list[str] | None,
+    typer.Option(help="Derivatives of the outputs by this number, into the store and the files.", show_default=False),
+]
+SweepOut = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for the Zarr store, figures and results; or the store itself, x.zarr, and the others beside it. "
+        "A sweep that was stopped goes on.",
+        show_default=False,
+    ),
+]
+
+
+@app.command()
+def sweep(
+    context: typer.Context,
+    robot: Robot,
+    over: Over = None,
+    sample: Sample = None,
+    samples: Annotated[int | None, typer.Option(help="How many, for --sample.", min=1, show_default=False)] = None,
+    sampler: Annotated[Sampler, typer.Option(help="How they are spread.")] = Sampler.latin_hypercube,
+    seed: Annotated[int, typer.Option(help="Of the samples.", min=0)] = 0,
+    base_tension: SweptPull = None,
+    direction: Direction = None,
+    tip_force: TipForce = None,
+    tip_moment: TipMoment = None,
+    gravity: Gravity = None,
+    kinematics: KinematicsOption = None,
+    nodes: Nodes = 16,
+    output: Output = "tip_tension,tip_position,tip_angle",
+    sensitivity: Sensitivity = None,
+    precision: Annotated[Precision, typer.Option(help="Of the numbers.")] = Precision.float64,
+    memory: Annotated[str | None, typer.Option(help='"2 GB".', show_default="a quarter of what is free")] = None,
+    chunk: Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")] = None,
+    netcdf: Annotated[Path | None, typer.Option(help="Also a NetCDF file.", show_default=False)] = None,
+    csv: Annotated[Path | None, typer.Option(help="Also a table, a row for each solve.", show_default=False)] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what it would take; write nothing.")] = False,
+    coordinator: Annotated[
+        str | None, typer.Option(help="HOST:PORT of process 0, where several share the work.", show_default=False)
+    ] = None,
+    num_processes: Annotated[int | None, typer.Option(help="How many.", min=1, show_default=False)] = None,
+    process_id: Annotated[int | None, typer.Option(help="Which this is, from 0.", min=0, show_default=False)] = None,
+    distributed: Annotated[bool, typer.Option("--distributed", help="Several, as Slurm or MPI started them.")] = False,
+    as_json: AsJson = False,
+    out: SweepOut = None,
+) -> None:
+    """A solve for every combination of what varies, on all cores, into a store that survives a stop.
+
+    Figures show up to three axes, or outputs over samples, and no derivatives. Solves that fail are counted and marked.
+    """
+    if kinematics is not None and any(text.partition("=")[0].strip() == "kinematics" for text in over or []):
+        raise InputError("kinematics is given by --kinematics and varies too; leave one out")
+    processes = (coordinator, num_processes, process_id, distributed)
+    manipulator = _read(robot, kinematics, lambda: _configure_for_batches(*processes))
+    from . import solve_command
+    from . import sweep_command as command
+
+    work = command.read_sweep(
+        manipulator,
+        over or [],
+        command.Samples(sample or [], samples, sampler.value, seed),
+        base_tension=command.read_base_tension(base_tension or [], manipulator),
+        loads=solve_command.read_loads(tip_force, tip_moment, gravity, manipulator),
+        direction=_directions(direction, manipulator),
+        outputs=command.read_outputs(output),
+        sensitivities=tuple(sensitivity or ()),
+        nodes=nodes,
+        precision=precision.value,
+        memory=None if memory is None else command.read_memory(memory),
+        chunk_size=chunk,
+    )
+    if dry_run:
+        told = command.rehearse(work, None if out is None else command.read_places(out, netcdf, csv))
+        _say(as_json, told, command.rehearsal_in_words(told))
+        return
+    places = command.read_places(out, netcdf, csv)
+    try:
+        told = command.carry_out(work, places, context.params, progress=sys.stderr.isatty())
+    except KeyboardInterrupt:
+        _stop("interrupted; what is in the store stays there, start the same command again and it goes on", 130)
+    if told is not None:
+        _say(as_json, told, command.in_words(told))
+        if "successful" not in told["results"]:
+            _stop("no solve was successful; see the results", 1)
+
+
+def _configure_for_batches(*processes: Any) -> None:
+    """Set JAX up, alone or as one of several processes."""
+    from . import application
+    from .sweep_command import read_processes
+
+    given = read_processes(*processes)
+    try:
+        application.configure_jax_for_batches(given)
+    except (ValueError, RuntimeError) as error:
+        if given is None:
+            raise
+        remedy = "check --coordinator" if given else "give --coordinator, --num-processes and --process-id"
+        raise InputError(f"the processes do not find each other ({error}); {remedy}") from None
 
 
 # --- fit -----------------------------------------------------------------------------------------
@@ -280,17 +422,26 @@ def plan(
 # --- common --------------------------------------------------------------------------------------
 
 
-def _read(robot: Path, kinematics: Kinematics | None) -> "Manipulator":
-    """Set JAX up and read the manipulator."""
+def _read(robot: Path, kinematics: Kinematics | None, configure: Callable[[], None] | None = None) -> "Manipulator":
+    """Set JAX up, by `configure_jax` where nothing else is given, and read the manipulator."""
     from dataclasses import replace
 
-    from .application import configure_jax
+    from . import application
 
-    configure_jax()
+    (configure or application.configure_jax)()
     from .manipulator_file import read_manipulator
 
     manipulator = read_manipulator(robot)
     return manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
+
+
+def _directions(direction: list[int] | None, manipulator: "Manipulator") -> list[int]:
+    from .solve_command import per_tendon
+
+    for value in direction or []:
+        if value not in (+1, -1):
+            raise InputError(f"--direction {value}: give +1 for a tendon that slides in, -1 for one that slides out")
+    return per_tendon("--direction", list(direction or [1]), manipulator.num_tendons)
 
 
 def _say(as_json: bool, answer: dict[str, Any], text: str) -> None:

@@ -27,6 +27,8 @@ def told(value: Any) -> Any:
         return [told(item) for item in value]
     if isinstance(value, int | str):
         return value
+    if callable(value):
+        return code_of(value)
     try:
         numbers = np.asarray(value, np.float64)
     except (TypeError, ValueError):

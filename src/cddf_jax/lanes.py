@@ -23,7 +23,8 @@ class Lanes:
 
     def __init__(self, function: Callable[[Any], Any], count: int, devices: Sequence[Any] | None = None):
         devices = jax.local_devices() if devices is None else devices
-        batch = CPU_BATCH if devices[0].platform == "cpu" else ACCELERATOR_BATCH
+        most = CPU_BATCH if devices[0].platform == "cpu" else ACCELERATOR_BATCH
+        batch = min(most, -(-count // len(devices)))
         width = batch * len(devices)
         self.size = width * min(CALL, -(-count // width))  # of every call, so that one program serves all
         mesh, lanes = Mesh(np.array(devices), ("lanes",)), PartitionSpec("lanes")

@@ -160,11 +160,12 @@ def _same_work(zarr: Any, path: Path, identity: Mapping[str, Any]) -> Any:
     try:
         group = zarr.open_group(path, mode="r+")
         found = json.loads(group.attrs[IDENTITY])
-    except (FileNotFoundError, NotADirectoryError, KeyError, ValueError, zarr.errors.BaseZarrError):
+    except (FileNotFoundError, FileExistsError, NotADirectoryError, KeyError, ValueError, zarr.errors.BaseZarrError):
         raise InputError(f"{path} is there and is no store of ours; {remedy}") from None
     if not isinstance(found, dict):
         raise InputError(f"{path} is there and is no store of ours; {remedy}")
-    for name in sorted({*found, *identity}, key=lambda name: (name in found) + (name in identity), reverse=True):
+    both = found.keys() & identity.keys()
+    for name in sorted({*found, *identity}, key=lambda name: (name == "structure", name not in both, name)):
         if name not in found or name not in identity:
             whose = "the work asked for" if name in found else "it"
             raise InputError(f"{path} holds other work: {whose} has no {name}; {remedy}")

@@ -285,7 +285,10 @@ class Sweep:
         return outputs | {slope_name(name, by): slope for name, of in slopes.items() for by, slope in of.items()}
 
     def _cast(self, leaf: Any) -> Any:
-        return np.asarray(leaf, self.dtype) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else leaf
+        number = isinstance(leaf, float | np.ndarray | jax.Array) and jnp.issubdtype(
+            jnp.result_type(leaf), jnp.floating
+        )
+        return np.asarray(leaf, self.dtype) if number else leaf
 
     # --- running ------------------------------------------------------------------------------------
 

@@ -123,7 +123,8 @@ def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> tu
     blank, eye = unsettled(setup, given), jnp.eye(len(wanted), dtype=start.dtype)
     aims = [0.0 * jnp.sum(jnp.asarray(x)) for x in jax.tree.leaves(wanted)]
     zero = blank.load_path.num_steps + jnp.sum(jnp.stack(aims))
-    blank = jax.tree.map(lambda x: jnp.where(zero == 0, x, x), blank)  # varies over the devices of shard_map
+    # all of it varies over the devices of shard_map; an empty array would not, were it chosen by `where`
+    blank = jax.tree.map(lambda x: x ^ (zero != 0) if x.dtype == bool else x + zero.astype(x.dtype), blank)
     blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
     nothing = _Trial(start + zero, 0.0 * start + zero, eye + zero, zero + jnp.inf, blank)
     state = _Search(nothing, start + zero, zero, zero, zero > 0, nothing.tension < 0, zero > 0)

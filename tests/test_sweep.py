@@ -1,0 +1,298 @@
+"""Sweeps: the closed form, one solve at a time, and whatever is wrong with an axis is said by name."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import paper_body
+from scipy.integrate import quad
+
+import cddf_jax as cddf
+from cddf_jax.sweep_outputs import OUTPUTS, RESULT_NAMES
+
+TENSIONS, FRICTION = np.linspace(5.0, 85.0, 5), np.linspace(0.1, 0.6, 4)
+SAME = 1e-12  # another batch, another order of the same operations
+xarray = pytest.importorskip("xarray")
+
+
+def compliance(body):
+    """G(L) of T_tip = T / (1 + mu G T / E), design.md: the integral of d / J."""
+
+    def rate(s):
+        outer, inner = float(body.outer_radius(s)), float(body.inner_radius(s))
+        return 0.010 / (np.pi / 4 * (outer**4 - inner**4))
+
+    return quad(rate, 0.0, 0.14, epsabs=0.0, epsrel=1e-13)[0]
+
+
+@pytest.fixture(scope="module")
+def grid():
+    """A product of two axes with every scalar of one tendon, and derivatives by a swept number and another."""
+    return cddf.sweep(
+        paper_body(),
+        {"base_tension": TENSIONS, "friction_coefficient": FRICTION},
+        outputs=("tip_tension", "tip_position", "tip_angle", "tension_loss", "stable", "num_iterations", "curvature"),
+        observables={
+            "height": lambda found: found.tip_position[1],
+            "ends": lambda found: found.curvature[jnp.array([0, -1])],
+        },
+        sensitivities=("friction_coefficient", "youngs_modulus"),
+    )
+
+
+def test_tip_tensions_are_those_of_the_closed_form(grid):
+    x = TENSIONS[:, None] * FRICTION * compliance(paper_body()) / 1.4e6
+    np.testing.assert_allclose(grid.tip_tension[..., 0], TENSIONS[:, None] / (1 + x), rtol=1e-11)
+    # its derivatives, by hand
+    slope = -TENSIONS[:, None] * x / (1 + x) ** 2
+    np.testing.assert_allclose(grid.tip_tension_by_friction_coefficient[..., 0], slope / FRICTION, rtol=1e-10)
+    np.testing.assert_allclose(grid.tip_tension_by_youngs_modulus[..., 0], -slope / 1.4e6, rtol=1e-10)
+
+
+def test_it_is_labelled(grid):
+    assert dict(grid.sizes) == {
+        "base_tension": 5,
+        "friction_coefficient": 4,
+        "tendon": 1,
+        "component": 2,
+        "point": 18,
+        "ends_0": 2,
+    }
+    assert list(grid.component.values) == ["X", "Y"]
+    np.testing.assert_array_equal(grid.base_tension, TENSIONS)
+    assert grid.tip_position.dims == ("base_tension", "friction_coefficient", "component")
+    units = {name: grid[name].attrs.get("units") for name in grid.variables}
+    assert units["base_tension"] == units["tip_tension"] == "N"
+    assert units["friction_coefficient"] == units["tension_loss"] == "1"
+    assert units["tip_position"] == "m"
+    assert units["tip_tension_by_friction_coefficient"] == "N"
+    assert units["tip_position_by_youngs_modulus"] == "m/Pa"
+    assert units["curvature_by_youngs_modulus"] == "1/m/Pa"
+    assert units["height"] is None  # nobody knows what a function returns
+
+
+def test_observables_are_functions_of_the_equilibrium(grid):
+    np.testing.assert_array_equal(grid.height, grid.tip_position.sel(component="Y"))
+    np.testing.assert_array_equal(grid.ends, grid.curvature.isel(point=[0, -1]))
+    np.testing.assert_allclose(
+        grid.height_by_youngs_modulus, grid.tip_position_by_youngs_modulus.sel(component="Y"), rtol=SAME
+    )
+
+
+def test_all_is_well_and_said_to_be(grid):
+    assert grid.successful.all()
+    assert grid.stable.dtype == bool
+    assert grid.stable.all()
+    assert "stable_by_youngs_modulus" not in grid
+
+
+def test_every_output_is_an_attribute_of_an_equilibrium():
+    found = cddf.solve(paper_body(), 40.0)
+    answer = cddf.sweep(
+        paper_body(), {"base_tension": [40.0]}, outputs=[name for name in OUTPUTS if name != "base_tension"]
+    )
+    for name in OUTPUTS:
+        if name != "base_tension":
+            assert answer[name].shape[1:] == np.shape(getattr(found, name))
+            np.testing.assert_allclose(answer[name][0], getattr(found, name), rtol=1e-10, atol=1e-12)
+
+
+def one_by_one(answer, solve):
+    """`solve(**coordinates)` for every solve of an answer whose numbers vary along `sample`."""
+    names = [name for name, coord in answer.coords.items() if coord.dims == ("sample",)]
+    for i in range(answer.sizes["sample"]):
+        found = solve(*(float(answer[name][i]) for name in names))
+        np.testing.assert_allclose(answer.tip_tension[i], found.tip_tension, rtol=1e-9)
+        np.testing.assert_allclose(answer.tip_position[i], found.tip_position, rtol=1e-9, atol=1e-12)
+
+
+def test_numbers_that_vary_together():
+    ranges = {"base_tension": (5.0, 85.0), "outer_radius.tip": (0.0125, 0.0150), "tendons.0.offset": (0.008, 0.011)}
+    answer = cddf.sweep(paper_body("exact"), {"sample": cddf.latin_hypercube(ranges, 6)})
+
+    def solve(tension, tip, offset):
+        return cddf.solve(paper_body("exact", outer_radius=(0.020, tip), tendon_offset=offset), tension)
+
+    assert answer["outer_radius.tip"].attrs["units"] == "m"
+    assert answer.tip_tension.dims == ("sample", "tendon")
+    one_by_one(answer, solve)
+
+
+def test_two_tendons_loads_and_directions():
+    body = paper_body(num_tendons=2)
+    rng = np.random.default_rng(0)
+    together = {
+        "base_tension.0": rng.uniform(20, 60, 4),
+        "base_tension.1": rng.uniform(0, 15, 4),
+        "loads.tip_force.1": rng.uniform(-2, 2, 4),
+    }
+    answer = cddf.sweep(body, {"sample": together}, direction=(1, -1))
+
+    def solve(first, second, force):
+        return cddf.solve(body, (first, second), cddf.Loads(tip_force=(0.0, force)), direction=(1, -1), throw=False)
+
+    assert answer["loads.tip_force.1"].attrs["units"] == "N"
+    one_by_one(answer, solve)
+
+
+def test_one_tension_for_all_tendons_and_one_of_several():
+    body = paper_body(num_tendons=2)
+    both = cddf.sweep(body, {"base_tension": [30.0]}, outputs=["tip_tension"], direction=[1, -1])
+    one = cddf.sweep(body, {"base_tension.1": [30.0]}, base_tension=30.0, outputs=["tip_tension"], direction=[1, -1])
+    np.testing.assert_allclose(both.tip_tension, one.tip_tension.values, rtol=SAME)
+
+
+def test_a_target_is_swept_by_its_value():
+    angles = np.deg2rad([20.0, 40.0])
+    answer = cddf.sweep(
+        paper_body(),
+        {"base_tension.value": angles},
+        base_tension=cddf.TipAngle(0.0),
+        outputs=("tip_angle", "base_tension"),
+    )
+    assert answer["base_tension.value"].attrs["units"] == "rad"
+    np.testing.assert_allclose(answer.tip_angle, angles, rtol=1e-9)
+    expected = [float(cddf.solve(paper_body(), cddf.TipAngle(angle)).base_tension[0]) for angle in angles]
+    np.testing.assert_allclose(answer.base_tension[:, 0], expected, rtol=1e-8)
+
+
+def test_options_are_axes_too():
+    answer = cddf.sweep(
+        paper_body(),
+        {"kinematics": ["published", "exact"], "base_tension": [40.0, 75.0], "nodes": [8, 16]},
+        outputs=["tip_angle"],
+    )
+    assert list(answer.kinematics.values) == ["published", "exact"]
+    assert list(answer.nodes.values) == [8, 16]
+    for kinematics in ("published", "exact"):
+        angle = answer.tip_angle.sel(kinematics=kinematics, base_tension=75.0, nodes=8)
+        np.testing.assert_allclose(angle, cddf.solve(paper_body(kinematics), 75.0, nodes=8).tip_angle, rtol=1e-10)
+
+
+def test_methods_side_by_side():
+    methods = [cddf.FixedPoint(), cddf.Marching()]
+    answer = cddf.sweep(paper_body(), {"method": methods}, base_tension=75.0, outputs=["tip_tension"])
+    assert [str(label).split("(")[0] for label in answer.method.values] == ["FixedPoint", "Marching"]
+    np.testing.assert_allclose(answer.tip_tension[0], answer.tip_tension[1], rtol=1e-8)
+
+
+def test_failed_and_doubtful_solves_are_masked_and_harm_no_neighbour():
+    answer = cddf.sweep(
+        paper_body("exact"),
+        {"base_tension": [40.0, -1.0, 4000.0, 75.0]},
+        outputs=["tip_tension"],
+        sensitivities=["youngs_modulus"],
+    )
+    kinds = [RESULT_NAMES[code] for code in answer.result.values]
+    assert kinds == ["successful", "unphysical", "crossing", "successful"]
+    assert answer.successful.values.tolist() == [True, False, False, True]
+    assert answer.result.attrs["flag_meanings"].split() == list(RESULT_NAMES)
+    assert np.isnan(answer.tip_tension[1, 0])
+    alone = cddf.sweep(
+        paper_body("exact"), {"base_tension": [40.0, 75.0]}, outputs=["tip_tension"], sensitivities=["youngs_modulus"]
+    )
+    for name in ("tip_tension", "tip_tension_by_youngs_modulus"):
+        np.testing.assert_allclose(answer[name][[0, 3]], alone[name], rtol=SAME)
+
+
+def test_the_names_of_the_results_are_those_of_the_enumeration():
+    for i, name in enumerate(RESULT_NAMES):
+        assert int(getattr(cddf.RESULTS, name)._value) == i
+
+
+def test_sensitivities_are_those_of_reverse_mode():
+    body, names = (
+        paper_body("exact", num_tendons=2),
+        ("outer_radius.tip", "loads.tip_force.1", "tendons.1.friction_coefficient"),
+    )
+    body = eqx.tree_at(lambda m: m.tendons[1].friction_coefficient, body, 0.3, is_leaf=lambda x: x is None)
+    answer = cddf.sweep(
+        body,
+        {"loads.tip_force.1": [-1.0, 1.0]},
+        base_tension=(50.0, 10.0),
+        direction=(1, -1),
+        outputs=["tip_angle"],
+        sensitivities=names,
+    )
+
+    @jax.jit
+    def slopes(force):
+        def angle(body, force):
+            loads = cddf.Loads(tip_force=jnp.array([0.0, 1.0]) * force)
+            return cddf.solve(body, (50.0, 10.0), loads, direction=(1, -1), throw=False).tip_angle
+
+        by_body, by_force = jax.grad(angle, (0, 1))(body, force)
+        return by_body.outer_radius.tip, by_force, by_body.tendons[1].friction_coefficient
+
+    for i, force in enumerate((-1.0, 1.0)):
+        found = [float(answer[f"tip_angle_by_{name}"][i]) for name in names]
+        np.testing.assert_allclose(found, slopes(force), rtol=1e-7)
+    assert answer["tip_angle_by_outer_radius.tip"].attrs["units"] == "rad/m"
+
+
+def test_single_precision():
+    single = cddf.sweep(paper_body(), {"base_tension": TENSIONS}, precision="float32")
+    double = cddf.sweep(paper_body(), {"base_tension": TENSIONS}, precision="float64")
+    assert single.tip_tension.dtype == np.float32
+    assert single.attrs["precision"] == "float32"
+    np.testing.assert_allclose(single.tip_tension, double.tip_tension, rtol=1e-5)
+    assert np.max(np.abs(single.tip_tension - double.tip_tension)) > 0
+
+
+def test_float64_where_jax_has_none_is_refused():
+    with jax.enable_x64(False), pytest.raises(cddf.InputError, match="jax_enable_x64"):
+        cddf.sweep(paper_body(), {"base_tension": TENSIONS}, precision="float64")
+
+
+def test_a_single_range_of_a_dictionary_of_one_is_still_labelled():
+    answer = cddf.sweep(paper_body(), {"pull": {"base_tension": [10.0, 20.0]}}, outputs=["tip_tension"])
+    assert answer.base_tension.dims == ("pull",)
+
+
+BAD = {
+    "no axes": ({}, {}, "axes must be a dictionary"),
+    "no dictionary": ([1.0], {}, "axes must be a dictionary"),
+    "unknown": ({"youngs_modulos": [1.0]}, {"base_tension": 1.0}, "did you mean 'youngs_modulus'"),
+    "unknown part": ({"outer_radius.tp": [1.0]}, {"base_tension": 1.0}, "outer_radius has no 'tp'; did you mean 'tip'"),
+    "beyond the tendons": ({"tendons.1.offset": [1.0]}, {"base_tension": 1.0}, "tendons has no '1'"),
+    "no number": ({"outer_radius": [1.0]}, {"base_tension": 1.0}, r"not one number.*outer_radius.tip"),
+    "a vector": ({"loads.tip_force": [1.0]}, {"base_tension": 1.0}, r"loads.tip_force.0, loads.tip_force.1"),
+    "words": ({"base_tension": ["much"]}, {}, "'base_tension' must be a list of numbers"),
+    "empty": ({"base_tension": []}, {}, "one number or more"),
+    "one number": ({"base_tension": 5.0}, {}, "one number or more"),
+    "not finite": ({"base_tension": [1.0, np.nan]}, {}, "holds nan at place 1"),
+    "lengths": ({"s": {"base_tension": [1.0], "youngs_modulus": [1e6, 2e6]}}, {}, "base_tension 1, youngs_modulus 2"),
+    "nothing along it": ({"s": {}}, {}, "nothing varies along the axis 's'"),
+    "twice": ({"base_tension": [1.0], "s": {"base_tension": [1.0]}}, {}, "varies along two axes"),
+    "inside another": ({"base_tension": [1.0], "base_tension.0": [1.0]}, {}, "only one of them"),
+    "reserved": ({"tendon": [1.0]}, {}, "rename it"),
+    "no tension": ({"youngs_modulus": [1e6]}, {}, "neither given nor an axis"),
+    "nodes": ({"nodes": [2]}, {"base_tension": 1.0}, "nodes must be a whole number of 4 or more, got 2"),
+    "kinematics": ({"kinematics": ["exakt"]}, {"base_tension": 1.0}, "'exakt' is not known"),
+    "method": ({"method": ["FixedPoint"]}, {"base_tension": 1.0}, "method must be one such as"),
+    "output": ({"base_tension": [1.0]}, {"outputs": ["tip_tensions"]}, "'tip_tensions' is no output"),
+    "no output": ({"base_tension": [1.0]}, {"outputs": []}, "nothing is asked for"),
+    "axis and output": ({"base_tension": [1.0]}, {"outputs": ["base_tension"]}, "an axis and an output"),
+    "observable": ({"base_tension": [1.0]}, {"observables": {"result": len}}, "another name"),
+    "sensitivity": ({"base_tension": [1.0]}, {"sensitivities": ["nodes"]}, "nothing can be differentiated by 'nodes'"),
+    "absent": ({"base_tension": [1.0]}, {"sensitivities": ["drag"]}, "has no 'drag' to differentiate by"),
+    "overlap": ({"base_tension": [1.0]}, {"sensitivities": ["base_tension.0"]}, "overlap"),
+    "precision": ({"base_tension": [1.0]}, {"precision": "float16"}, "'float32' or 'float64'"),
+    "chunk": ({"base_tension": [1.0]}, {"chunk": 0}, "chunk must be"),
+    "fields over nodes": (
+        {"nodes": [8, 16]},
+        {"base_tension": 1.0, "outputs": ["curvature"]},
+        "changes with the nodes",
+    ),
+    "memory": ({"base_tension": TENSIONS}, {"memory": 200.0}, "give out= or memory="),
+    "no memory": ({"base_tension": TENSIONS}, {"memory": 20.0}, "raise memory="),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_named(case):
+    axes, options, message = BAD[case]
+    with pytest.raises(cddf.InputError, match=message) as error:
+        cddf.sweep(paper_body(), axes, **options)
+    assert "\n" not in str(error.value)
