@@ -130,7 +130,7 @@ class Bench(eqx.Module):
         arrays = self.base_tension, self.direction, self.tip_force, self.trial
         padded = jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
         answer = _evaluate(Bench(*padded), manipulator, jax.tree.map(jnp.asarray, parameters), nodes)
-        return jax.device_get(jax.tree.map(lambda x: x[:rows], answer))
+        return jax.tree.map(lambda x: x[:rows], jax.device_get(answer))
 
 
 def _of_cells(parameters: Mapping[str, Any], name: str, readings: Array) -> Array:

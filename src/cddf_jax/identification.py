@@ -369,7 +369,7 @@ def _warnings(statistics: LeastSquaresFit, tables, model: BenchModel) -> list[st
         if isinstance(experiment, Bench):
             codes = experiment.evaluate(body, statistics.parameters, model.nodes)[2]
             for code in NOTEWORTHY:
-                rows = int(np.sum(codes == code))
+                rows = int(np.sum(codes._value == code._value))
                 found += [f"{name}: {rows} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if rows else []
     return found
 
