@@ -1,13 +1,12 @@
 """`sweep`: one solve for every combination of what varies, labelled, in chunks of which none is lost."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .axes import RESERVED, Dimension, check_names, dimensions_of
@@ -21,9 +20,10 @@ from .loads import Loads
 from .manipulator import Manipulator
 from .problem import Method
 from .solver import FixedPoint
-from .statics import check_nodes, solve
+from .statics import check_nodes
 from .store import needed
 from .sweep_outputs import OUTPUTS, RESULT, RESULT_NAMES, coordinates, slope_name, variable
+from .sweep_solve import OneSolve, prepared
 from .work import COPIES, Work, carry_out
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 CHUNK = 131072  # solves
 SHARE = 0.25  # of the memory that is free
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
-Numbers = Mapping[str, Any]
 
 
 def sweep(
@@ -246,49 +245,20 @@ class Sweep:
             "version of cddf_jax": version("cddf_jax"),
         }
 
-    # --- one solve --------------------------------------------------------------------------------------
-
-    def solver(self, index: Index) -> Callable[[Numbers], dict[str, Any]]:
+    def solver(self, index: Index) -> OneSolve:
         """One solve as a function of the numbers that vary; `index` is that of the options along the dimensions."""
         options = self.options
         for dimension, i in zip(self.dimensions, index, strict=True):
             options |= {name: values[i] for name, values in dimension.options.items()}
-        body = replace(self.case.manipulator, kinematics=options["kinematics"])
-        case = jax.tree.map(self._cast, replace(self.case, manipulator=body))
-
-        def answer(numbers: Numbers) -> dict[str, Any]:
-            there = case.with_numbers(numbers)
-            found = solve(
-                there.manipulator,
-                there.base_tension,
-                there.loads,
-                direction=there.direction,
-                method=options["method"],
-                nodes=options["nodes"],
-                throw=False,
-            )
-            outputs = {name: getattr(found, name) for name in self.outputs}
-            outputs |= {name: jnp.asarray(function(found)) for name, function in self.observables.items()}
-            return outputs | {RESULT: found.result._value.astype(jnp.int8)}
-
-        return answer if not self.sensitivities else lambda numbers: self._with_slopes(answer, case, numbers)
-
-    def _with_slopes(self, answer: Callable[[Numbers], dict[str, Any]], case: Case, numbers: Numbers) -> dict[str, Any]:
-        """The outputs and the derivatives of those that are real."""
-        by = {name: jnp.asarray(numbers.get(name, case.number(name)), self.dtype) for name in self.sensitivities}
-
-        def real(by: Numbers) -> tuple[dict[str, Any], dict[str, Any]]:
-            outputs = answer({**numbers, **by})
-            return {name: x for name, x in outputs.items() if jnp.issubdtype(x.dtype, jnp.floating)}, outputs
-
-        slopes, outputs = jax.jacfwd(real, has_aux=True)(by)
-        return outputs | {slope_name(name, by): slope for name, of in slopes.items() for by, slope in of.items()}
-
-    def _cast(self, leaf: Any) -> Any:
-        number = isinstance(leaf, float | np.ndarray | jax.Array) and jnp.issubdtype(
-            jnp.result_type(leaf), jnp.floating
+        return OneSolve(
+            prepared(self.case, options["kinematics"], self.dtype),
+            self.outputs,
+            tuple(self.observables.items()),
+            self.sensitivities,
+            options["nodes"],
+            options["method"],
+            self.dtype,
         )
-        return np.asarray(leaf, self.dtype) if number else leaf
 
     # --- running ------------------------------------------------------------------------------------
 
@@ -303,19 +273,12 @@ class Sweep:
         """The outputs of one chunk, in the shape of its region."""
         region = layout.region(index)
         options = tuple(r.start if d.options else 0 for d, r in zip(self.dimensions, region, strict=True))
-        if options not in self._lanes:
-            solver = self.solver(options)
-            self._lanes[options] = Lanes(lambda lane: solver(lane["numbers"]), layout.chunk_size)
+        lanes = Lanes(self.solver(options), layout.chunk_size)
         places = np.meshgrid(*(np.arange(r.start, r.stop) for r in region), indexing="ij")
         numbers = {
             name: values[place.ravel()].astype(self.dtype)
             for dimension, place in zip(self.dimensions, places, strict=True)
             for name, values in dimension.numbers.items()
         }
-        outputs = self._lanes[options]({"numbers": numbers, "place": places[0].ravel()})
+        outputs = lanes(numbers, places[0].size)
         return {name: x.reshape(*places[0].shape, *x.shape[1:]) for name, x in outputs.items()}
-
-    @cached_property
-    def _lanes(self) -> dict[Index, Lanes]:
-        """The compiled solvers, by the options along the dimensions."""
-        return {}
