@@ -2,9 +2,9 @@
 
 The body is the paper's in the exact kinematics; tension and friction coefficient are a product grid. Asked for are tip
 tension, tip position and tip angle; every solve has its error estimate and its result, without which no number of a
-sweep is handed out. Each row is a process of its own that sweeps a small grid first, which compiles, then the large
-one `ROUNDS` times; told are the medians, and the most memory that the process ever took beyond what it took after the
-small sweep. The errors are those of the tip tension against the closed form, relative. Rows with two processes share one
+sweep is handed out. Each row is a process of its own that sweeps a small grid first, which compiles, then the large one
+`ROUNDS` times; told are the medians, and the most memory that the process ever took beyond what it took after the small
+sweep. The errors are those of the tip tension against the closed form, relative. Rows with two processes share one
 store. The last row is the loop of benchmarks/batch.py, compiled by numba, on both cores: the bare numbers, no check.
 """
 
