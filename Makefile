@@ -28,7 +28,9 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/standard_errors.py
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[benchmark]"
 	$(BIN)/python benchmarks/fits.py
+	$(BIN)/python benchmarks/seventeen_levels.py
 	$(BIN)/python benchmarks/batch.py
+	$(BIN)/python benchmarks/sweeps.py
 	$(BIN)/python benchmarks/cold_start.py
 
 .venv/ready: pyproject.toml constraints.txt
