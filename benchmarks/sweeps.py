@@ -90,7 +90,10 @@ def child(asked: dict[str, Any]) -> dict[str, float]:
         found = run(asked["solves"], str(i))
         spent.append(time.perf_counter() - begin)
     assert found is not None
-    told = {"us a solve": 1e6 * float(np.median(spent)) / found.successful.size, "memory, MB": peak() - before}
+    told: dict[str, float] = {
+        "us a solve": 1e6 * float(np.median(spent)) / found.successful.size,
+        "memory, MB": peak() - before,
+    }
     if not asked.get("loaded"):
         told["error"] = closed_form_error(found)
     return told | {"doubtful": int((~found.successful).sum())}

@@ -259,6 +259,8 @@ def _configure_for_batches(*processes: Any) -> None:
     from .sweep_command import read_processes
 
     given = read_processes(*processes)
+    if given is not None:
+        _keep_standard_output()
     try:
         application.configure_jax_for_batches(given)
     except (ValueError, RuntimeError) as error:
@@ -266,6 +268,16 @@ def _configure_for_batches(*processes: Any) -> None:
             raise
         remedy = "check --coordinator" if given else "give --coordinator, --num-processes and --process-id"
         raise InputError(f"the processes do not find each other ({error}); {remedy}") from None
+
+
+def _keep_standard_output() -> None:
+    """For our own words: what libraries print there when processes meet goes to standard error."""
+    import os
+
+    sys.stdout.flush()
+    ours = os.dup(sys.stdout.fileno())
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding)
 
 
 # --- fit -----------------------------------------------------------------------------------------

@@ -149,13 +149,16 @@ def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> t
     return checked("base_tension", base_tension), checked("direction", direction)
 
 
+_GOOD = tuple(int(code._value) for code in (RESULTS.successful, RESULTS.direction_contradicted))
+
+
 def _raise_if_failed(equilibrium: Equilibrium) -> None:
     code = equilibrium.result
     if isinstance(code._value, Tracer) or np.ndim(code._value) > 0:
         return
-    message = RESULTS[code]
-    if code == RESULTS.successful or code == RESULTS.direction_contradicted:
+    if int(code._value) in _GOOD:
         return
+    message = RESULTS[code]
     if code == RESULTS.crossing:
         message = f"{describe_crossing(equilibrium)}. {message}"
     if code == RESULTS.load_limit:
@@ -261,8 +264,9 @@ def _first_of(*cases: tuple[Any, RESULTS]) -> RESULTS:
 
 def _precision(*trees: Any) -> jnp.dtype:
     """The precision of the numbers of a pytree."""
-    numbers = [x for x in jax.tree.leaves(trees) if eqx.is_inexact_array(x)]
-    return jnp.result_type(jnp.float32, *(jax.dtypes.canonicalize_dtype(x.dtype) for x in numbers))
+    kinds = {x.dtype for x in jax.tree.leaves(trees) if isinstance(x, jax.Array | np.ndarray | np.generic)}
+    kinds = {jax.dtypes.canonicalize_dtype(kind) for kind in kinds if jnp.issubdtype(kind, jnp.inexact)}
+    return jnp.result_type(jnp.float32, *kinds)
 
 
 def one_precision(

@@ -302,8 +302,7 @@ def carry_out(work: Sweep, places: Places, options: Mapping[str, Any], progress:
         InputError: as `sweep`, and for a place that cannot be written.
     """
     first = jax.process_index() == 0
-    if first:
-        check_places(places, work)
+    check_places(places, work)
     there = solves_there(work, places.store)[0]
     start = time.perf_counter()
     answer = work.run(places.store, progress)
