@@ -15,6 +15,7 @@ FLOW = [
     {"profiles", "errors"},
     {"manipulator", "loads"},
     {"mechanics"},
+    {"reductions"},
     {"quadrature", "fixed_point", "implicit", "trigonometry"},
     {"problem"},
     {"solver", "tendon_travel", "sign_changes"},

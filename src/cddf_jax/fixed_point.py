@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .reductions import largest
+
 Values = Float[Array, "*values"]
 Scalar = Float[Array, ""]
 
@@ -20,16 +22,7 @@ class FixedPointResult(NamedTuple):
 
 def relative_size(change: Values, value: Values) -> Scalar:
     """The largest change over the largest value."""
-    return _largest(change) / jnp.maximum(_largest(value), jnp.finfo(value.dtype).tiny)
-
-
-def _largest(values: Values) -> Scalar:
-    """The largest magnitude, by halves: in a batch that is ten times as fast as XLA's reduction on the CPU."""
-    left = jnp.abs(values).ravel()
-    while left.size > 1:
-        half = left.size // 2
-        left = jnp.concatenate([jnp.maximum(left[:half], left[half : 2 * half]), left[2 * half :]])
-    return left[0]
+    return largest(jnp.abs(change)) / jnp.maximum(largest(jnp.abs(value)), jnp.finfo(value.dtype).tiny)
 
 
 def round_off(dtype: jnp.dtype) -> float:

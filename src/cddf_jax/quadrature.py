@@ -5,6 +5,7 @@ nodes; a function sampled there is integrated to every node by one small matrix 
 the panel by the Gauss weights, whose error falls like rho^(-2 order) for an analytic function.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -98,17 +99,21 @@ class Panels(eqx.Module):
         """The same panels with a few more nodes each, to check an integral with."""
         return Panels(self.edges, self.order + 3)
 
-    def densely(self, times: int, order: int) -> "Panels":
-        """Every panel cut into `times`, to see what happens between the nodes."""
-        fraction = jnp.arange(times, dtype=self.edges.dtype) / times
-        starts = self.edges[:-1, None] + self.width[:, None] * fraction
-        return Panels(jnp.concatenate([starts.ravel(), self.edges[-1:]]), order)
+    def dense_gain(self, rate: Callable[[Array], Array], times: int, order: int) -> Float[Array, "P *k"]:
+        """The integral of a function of the arc length over each panel cut into `times`, with `order` nodes in each."""
+        rule = gauss_rule(order)
+        fractions = (np.arange(times)[:, None] + rule.nodes).ravel() / times
+        weights = jnp.asarray(np.tile(rule.weights, times) / times, self.edges.dtype)
+        places = self.edges[:-1, None] + self.width[:, None] * jnp.asarray(fractions, self.edges.dtype)
+        values = jax.vmap(jax.vmap(rate))(places)
+        return self._width_for(values) * (jnp.moveaxis(values, 1, -1) @ weights)
 
     def resample(self, start: Float[Array, "P *k"], values: Float[Array, "P p *k"], nodes: np.ndarray) -> Array:
         """The polynomials through the starts and the nodes of the panels, at other places in [0, 1] of each."""
         basis = legendre.legvander(2 * nodes - 1, self.order) @ self.rule.interpolation
-        samples = jnp.concatenate([start[:, None], values], axis=1)
-        return jnp.einsum("ij,pj...->pi...", jnp.asarray(basis, self.edges.dtype), samples)
+        at_start, at_nodes = jnp.split(jnp.asarray(basis, self.edges.dtype), [1], axis=1)
+        inside = jnp.moveaxis(values, 1, -1) @ at_nodes.T  # the matrix on the right, as in `accumulate`
+        return jnp.moveaxis(inside + start[..., None] * at_start[:, 0], -1, 1)
 
     def interpolate(self, start: Any, values: Any, arc_length: Float[Array, ""]) -> Any:
         """The polynomials through the start and the nodes of the panel that holds `arc_length`.

@@ -20,7 +20,6 @@ from .problem import (
     Problem,
     Pull,
     State,
-    axis_of,
     curvature_along,
     curvature_of,
     guarded_section,
@@ -33,6 +32,7 @@ from .problem import (
     turn_at_joint,
 )
 from .quadrature import Panels
+from .reductions import largest
 from .trigonometry import cos_sin
 
 ACCURACY = 1e-5  # a larger error of truncation is not called successful, nor a larger residual of Marching
@@ -67,29 +67,28 @@ def truncation_error(problem: Problem, path: Path) -> Number:
         turning = rates_along(problem, sections, kappa, state.pull, moment_rate).turning
         growth = sections.friction_coefficient * jnp.abs(turning) * state.ratio / path.tip.ratio
         spending, scale = spent_rate(problem, sections, state.ratio), spent_scale(problem, path.tip.pull)
-        if spending is not None and scale is not None:
-            growth = jnp.concatenate([growth, spending / scale], axis=-1)
-        shape = axis_of(state.heading) / cut.edges[-1]
-        bending = (moment_rate / problem.moment_scale)[..., None]
-        return cut.gain(jnp.concatenate([growth, shape, kappa[..., None], bending], axis=-1))
+        spent = [] if spending is None or scale is None else [cut.gain(spending / scale)]
+        shape = [cut.gain(component)[:, None] / cut.edges[-1] for component in cos_sin(state.heading)]
+        bending = [cut.gain(moment_rate)[:, None] / problem.moment_scale] if problem.loads is not None else []
+        return jnp.concatenate([cut.gain(growth), *spent, *shape, cut.gain(kappa)[:, None], *bending], axis=1)
 
     differences = jnp.abs(gains(fine, sections, finer) - gains(coarse, problem.nodes, path.nodes))
-    return jnp.maximum(SAFETY * jnp.max(jnp.sum(differences, axis=0)), _unseen_turning(problem))
+    return jnp.maximum(SAFETY * largest(jnp.sum(differences, axis=0)), _unseen_turning(problem))
 
 
 def _unseen_turning(problem: Problem) -> Number:
     """What the nodes miss of the bend under constant moments, T_base d and M_ext(0) over E J, rad: a notch."""
-    body, coarse = problem.manipulator, problem.panels
-    dense = coarse.densely(times=32, order=4)
+    body, cut = problem.manipulator, problem.panels
 
     def bend(arc_length):
         stiffness = body.bending_stiffness(arc_length)
-        moments = jnp.append(problem.base_tension * body.offset(arc_length), problem.base_moment)
+        moments = problem.base_tension * body.offset(arc_length)
+        if problem.loads is not None:
+            moments = jnp.append(moments, problem.base_moment)
         return moments / jnp.where(stiffness > 0, stiffness, 1.0)
 
-    seen = coarse.gain(jax.vmap(jax.vmap(bend))(coarse.nodes))
-    there = dense.gain(jax.vmap(jax.vmap(bend))(dense.nodes)).reshape(seen.shape[0], -1, seen.shape[1]).sum(axis=1)
-    return jnp.max(jnp.sum(jnp.abs(there - seen), axis=0))
+    seen = cut.gain(jax.vmap(jax.vmap(bend))(cut.nodes))
+    return largest(jnp.sum(jnp.abs(cut.dense_gain(bend, times=32, order=4) - seen), axis=0))
 
 
 class FixedPoint(eqx.Module):

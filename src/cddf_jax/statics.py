@@ -15,6 +15,7 @@ from .loads import Loads
 from .manipulator import Manipulator
 from .problem import Method, Path, Problem, guarded_section, line_up, unspent
 from .quadrature import panels
+from .reductions import largest
 from .solver import ACCURACY, FixedPoint, truncation_error
 from .targets import CurvatureAt, Target, TipStiffness
 from .tendon_travel import tendon_displacement
@@ -195,7 +196,7 @@ def _solve(
     slides = jnp.where(_pulls(problem, at_tip), setup.direction * balance.load_path.travel, 0.0)
     contradicted = solved & (slides < -1e-6 * problem.panels.edges[-1])
     truncation = truncation_error(problem, path)
-    crossing = jnp.max(inside_of_bend(problem, path)) >= 1.0
+    crossing = largest(inside_of_bend(problem, path)) >= 1.0
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     dense = Dense(manipulator, problem.base_tension, direction, problem.panels, path.starts, path.nodes, solved)
 
