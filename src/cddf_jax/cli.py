@@ -240,7 +240,8 @@ def sweep(
     )
     if dry_run:
         told = command.rehearse(work, None if out is None else command.read_places(out, netcdf, csv))
-        _say(as_json, told, command.rehearsal_in_words(told))
+        if told is not None:
+            _say(as_json, told, command.rehearsal_in_words(told))
         return
     places = command.read_places(out, netcdf, csv)
     try:

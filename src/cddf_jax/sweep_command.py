@@ -21,7 +21,7 @@ from .axes import Dimension as Axis
 from .chunks import Layout, even_chunks
 from .equilibrium import RESULTS
 from .errors import InputError
-from .lanes import CPU_BATCH, Lanes
+from .lanes import Lanes
 from .manipulator import Manipulator
 from .sampling import latin_hypercube, sobol
 from .solve_command import TARGETS, read_actuation
@@ -337,8 +337,6 @@ def solves_there(work: Sweep, store: Path) -> tuple[int, int, int]:
 
 def _write(work: Sweep, answer: "xarray.Dataset", places: Places, told: dict[str, Any]) -> dict[str, Any]:
     """Exports, figures and the JSON; where they are."""
-    from matplotlib.figure import Figure
-
     from .artifacts import as_json, write_all
     from .plotting import render
     from .sweep_figure import in_words, sweep_figure
@@ -349,13 +347,13 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, told: dict[str
         write_csv(work.layout, answer, places.csv)
     varied = [name for axis in work.dimensions for name in (*axis.numbers, *axis.options)]
     figure = sweep_figure(answer, work.outputs, {name: _target(work, name) or in_words(name) for name in varied})
-    drawn = render(figure, places.stem) if isinstance(figure, Figure) else {}
+    drawn = {} if isinstance(figure, str) else render(figure, places.stem)
     written = f"{places.stem}.json"
     paths: dict[str, Any] = {
         "store": str(places.store),
         "json": str(places.folder / written),
         "figures": [str(places.folder / name) for name in drawn],
-        "no_figure": None if drawn else figure,
+        "no_figure": figure if isinstance(figure, str) else None,
         "netcdf": None if places.netcdf is None else str(places.netcdf),
         "csv": None if places.csv is None else str(places.csv),
     }
@@ -440,16 +438,17 @@ def _output_columns(layout: Layout, block: "xarray.Dataset") -> dict[str, Any]:
             continue
         values, own = block[name].values, variable.dims[len(layout.shape) :]
         for place in np.ndindex(values.shape[len(layout.shape) :]):
-            label = "".join(map(component_label, own, place, values.shape[len(layout.shape) :]))
-            found[_head(name + label, variable.attrs)] = values[(..., *place)].ravel()
+            words = map(_component, own, place, values.shape[len(layout.shape) :])
+            label = "_".join([name, *(word.removeprefix("tendon ") for word in words if word)])
+            found[_head(label, variable.attrs)] = values[(..., *place)].ravel()
     return found | {RESULT: np.array(RESULT_NAMES)[block[RESULT].values.ravel()]}
 
 
-def component_label(dimension: str, place: int, size: int) -> str:
-    """What tells the columns of an output apart: "_X", "_2"; nothing where there is one."""
+def _component(dimension: str, place: int, size: int) -> str:
+    """What tells the components of an output apart: "X", "tendon 2"; nothing where there is one."""
     if dimension == "component":
-        return f"_{COMPONENTS[place]}"
-    return f"_{place + 1}" if size > 1 else ""
+        return COMPONENTS[place]
+    return f"tendon {place + 1}" if size > 1 else ""
 
 
 def _head(name: str, attrs: Mapping[str, Any]) -> str:
@@ -502,8 +501,10 @@ def _summary(work: Sweep, answer: "xarray.Dataset") -> dict[str, Any]:
 # --- dry runs ------------------------------------------------------------------------------------
 
 
-def rehearse(work: Sweep, places: Places | None) -> dict[str, Any]:
+def rehearse(work: Sweep, places: Places | None) -> dict[str, Any] | None:
     """What a sweep would take, measured on a piece of it and without writing anything, SI units, for JSON.
+
+    None for all processes but the first, as from `carry_out`.
 
     Raises:
         InputError: as `carry_out`.
@@ -512,6 +513,9 @@ def rehearse(work: Sweep, places: Places | None) -> dict[str, Any]:
     solves, chunks, of = (0, 0, len(list(layout.indices()))) if places is None else solves_there(work, places.store)
     needed_bytes = COPIES * layout.bytes_each * layout.chunk_size
     store = None if places is None else {"path": str(places.store), "solves_there": solves, "chunks_there": chunks}
+    expected = _expected(work, layout.size - solves)
+    if jax.process_index() != 0:
+        return None
     return {
         "solves": layout.size,
         "axes": _axes(work),
@@ -520,7 +524,7 @@ def rehearse(work: Sweep, places: Places | None) -> dict[str, Any]:
         "chunks": {"count": of, "shape": layout.chunks, "solves": layout.chunk_size},
         "memory": {"needed": needed_bytes, "allowed": work.allowed},
         "store": store,
-        "expected": _expected(work, layout.size - solves),
+        "expected": expected,
     }
 
 
@@ -542,12 +546,12 @@ def _expected(work: Sweep, missing: int) -> dict[str, Any]:
 
 def _probe(work: Sweep, program: tuple[int, ...]) -> tuple[float, float]:
     """Seconds for each solve and for compiling, with the options at these places along the dimensions."""
-    solver = work.solver(program)
     sizes = [1 if d.options else d.size for d in work.dimensions]
-    lanes = Lanes(solver, min(int(np.prod(sizes)), work.layout.chunk_size))
-    run = min(CPU_BATCH, int(np.prod(sizes)))  # neighbours, as a batch has them
-    starts = np.linspace(0, np.prod(sizes) - run, -(-lanes.size // run)).astype(int)
-    places = np.unravel_index((starts[:, None] + np.arange(run)).ravel()[: lanes.size], sizes)
+    total = int(np.prod(sizes))
+    lanes = Lanes(work.solver(program), min(total, work.layout.chunk_size))
+    count, batch = min(total, lanes.size), min(total, lanes.batch)
+    starts = np.linspace(0, total - batch, -(-count // batch)).astype(int)  # neighbours, as they are in a batch
+    places = np.unravel_index((starts[:, None] + np.arange(batch)).ravel()[:count], sizes)
     numbers = {
         name: values[place].astype(work.dtype)
         for dimension, place in zip(work.dimensions, places, strict=True)
@@ -556,9 +560,9 @@ def _probe(work: Sweep, program: tuple[int, ...]) -> tuple[float, float]:
     seconds = []
     for _ in range(2):
         start = time.perf_counter()
-        lanes(numbers)
+        lanes(numbers, count)
         seconds.append(time.perf_counter() - start)
-    return seconds[1] / min(lanes.size, int(np.prod(sizes))), max(seconds[0] - seconds[1], 0.0)
+    return seconds[1] / count, max(seconds[0] - seconds[1], 0.0)
 
 
 # --- saying --------------------------------------------------------------------------------------
@@ -591,13 +595,12 @@ def _range(output: Mapping[str, Any]) -> str:
     """ "5.2 N to 45.1 N", of the components of an output one after the other."""
     unit = output["unit"] or ""
     least, largest = (np.atleast_1d(np.asarray(output[end])) for end in ("min", "max"))
-    dims = output["dims"]
-    own = [dim for dim in dims if dim != "point"]
+    own = [dimension for dimension in output["dims"] if dimension != "point"]
     found = []
     for place in np.ndindex(least.shape if own else (1,)):
-        label = "".join(map(component_label, own, place, least.shape)).replace("_", " ").strip()
+        labels = filter(None, map(_component, own, place, least.shape))
         low, high = (_number(ends[place], unit) for ends in (least, largest))
-        found.append(f"{label} {low} to {high}".strip())
+        found.append(" ".join([*labels, f"{low} to {high}"]))
     return ", ".join(found)
 
 

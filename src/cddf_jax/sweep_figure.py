@@ -265,7 +265,7 @@ def _lines(view: _View, number: str) -> Figure:
                 drawn: dict[str, Any] = look | ({} if len(y) <= MARKED else {"marker": "none"})
                 (line,) = panel.plot(axis.values, np.where(code == SUCCESSFUL, y, np.nan), **drawn)
                 marks.curve(part.label, line)
-                _draw_others(panel, axis.values, y, code, look, marks)
+                _draw_others(panel, axis.values, y, code, look | {"markersize": 4.2}, marks)
             panel.set(xlabel=axis.label, ylabel=quantity.label)
             panel.margins(x=0.02)
             _format(panel, quantity)
@@ -280,8 +280,8 @@ def _draw_others(
     """Solves that are doubtful, hollow and alone, and those that gave no number, at the foot."""
     others, there = codes != SUCCESSFUL, np.isfinite(y)
     if np.any(doubtful := others & there):
-        hollow = {"marker": look["marker"], "color": look["color"], "markerfacecolor": "white", "markersize": 4.2}
-        (points,) = axes.plot(x[doubtful], y[doubtful], linestyle="none", markeredgewidth=0.8, **hollow)
+        hollow: dict[str, Any] = {name: look[name] for name in ("marker", "color", "markersize")}
+        (points,) = axes.plot(x[doubtful], y[doubtful], linestyle="none", mew=0.7, mfc="white", zorder=1.9, **hollow)
         marks.other(f"hollow: doubtful, {_names(codes[doubtful])}", points)
     if np.any(failed := others & ~there):
         foot = {"transform": axes.get_xaxis_transform(), "color": draw.BLACK, "markersize": 3.5, "zorder": 4}
@@ -412,5 +412,5 @@ def _draw_dots(axes: Axes, points: list[np.ndarray], look: dict[str, Any], marks
     size = float(np.clip(60.0 / np.sqrt(len(x)), 1.2, 3.5))
     dots = {"marker": look["marker"], "color": look["color"], "markersize": size, "markeredgewidth": 0, "alpha": 0.6}
     (line,) = axes.plot(x[sure], y[sure], linestyle="none", rasterized=len(x) > 500, **dots)
-    _draw_others(axes, x, y, codes, look, marks)
+    _draw_others(axes, x, y, codes, look | {"markersize": max(size, 2.4)}, marks)
     return line
