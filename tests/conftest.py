@@ -47,7 +47,7 @@ def cddf_command(monkeypatch, capsys):
     def run(*arguments):
         from cddf_jax import application, cli
 
-        monkeypatch.setattr(application, "configure_jax", lambda: None)
+        monkeypatch.setattr(application, "configure_jax", lambda **_: None)
         monkeypatch.setattr(sys, "argv", ["cddf", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
             cli.main()

@@ -30,7 +30,7 @@ RATIO = "friction_coefficient / youngs_modulus"
 @pytest.fixture(autouse=True)
 def _tests_set_jax_up_themselves(monkeypatch):
     """The tests' own settings hold; what `configure_jax` does is seen in a process of its own."""
-    monkeypatch.setattr(application, "configure_jax", lambda: None)
+    monkeypatch.setattr(application, "configure_jax", lambda **_: None)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import xarray
 from bodies import paper_body
 
 import cddf_jax as cddf
-from cddf_jax import application, plotting, sweep_command
+from cddf_jax import application, plotting, sweep_command, sweep_exports, sweep_options
 from cddf_jax.store import Memory
 
 PAPER = Path(__file__).resolve().parents[1] / "data" / "smooth_sil_940.toml"
@@ -64,10 +64,10 @@ def tip_tension(tension, friction):
     return float(cddf.closed_form_tension(replace(paper_body(), friction_coefficient=friction), tension, LENGTH))
 
 
-def read(*over, base_tension=None, sample=sweep_command.Samples(), body=None):
+def read(*over, base_tension=None, sample=sweep_options.Samples(), body=None):
     body = body or paper_body(density=1070.0)
-    actuation = sweep_command.read_base_tension(base_tension or [], body)
-    return sweep_command.read_sweep(body, over, sample, base_tension=actuation)
+    actuation = sweep_options.read_base_tension(base_tension or [], body)
+    return sweep_options.read_sweep(body, over, sample, base_tension=actuation)
 
 
 # --- running -------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ def test_two_tendons_in_a_table(tmp_path):
     answer = Memory(work.layout).dataset()
     answer["tip_tension"][...] = np.arange(8.0).reshape(2, 2, 2)
     answer["result"][...] = [[0, 0], [3, 0]]
-    sweep_command.write_csv(work.layout, answer, tmp_path / "two.csv")
+    sweep_exports.write_csv(work.layout, answer, tmp_path / "two.csv")
     rows = rows_of(tmp_path / "two.csv")
     assert list(rows[0]) == ["base_tension.0 [N]", "nodes", "tip_tension_1 [N]", "tip_tension_2 [N]", "result"]
     assert [tuple(row.values()) for row in rows] == [
@@ -315,7 +315,7 @@ def test_options_as_axes():
 
 
 def test_samples_are_those_of_the_library():
-    sample = sweep_command.Samples(["youngs_modulus=1.2MPa:1.6MPa", "friction_coefficient=0.1:0.6"], 50, seed=7)
+    sample = sweep_options.Samples(["youngs_modulus=1.2MPa:1.6MPa", "friction_coefficient=0.1:0.6"], 50, seed=7)
     *_, axis = read("base_tension=5N,10N", sample=sample).dimensions
     expected = cddf.latin_hypercube({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 50, 7)
     assert axis.name == "sample"
@@ -325,7 +325,7 @@ def test_samples_are_those_of_the_library():
 
 @pytest.mark.parametrize(("text", "count"), [("2 GB", 2e9), ("500MB", 5e8), (".5 kB", 500.0), ("1 GiB", 2.0**30)])
 def test_memory(text, count):
-    assert sweep_command.read_memory(text) == count
+    assert sweep_options.read_memory(text) == count
 
 
 def test_where_things_go():
@@ -428,8 +428,8 @@ def test_a_full_disk_leaves_no_half_table(monkeypatch, tmp_path):
     answer = Memory(work.layout).dataset()
     monkeypatch.setattr(os, "replace", full)
     path = tmp_path / "table.csv"
-    for write in (lambda: sweep_command.write_csv(work.layout, answer, path),
-                  lambda: sweep_command.write_netcdf(answer, path)):  # fmt: skip
+    for write in (lambda: sweep_exports.write_csv(work.layout, answer, path),
+                  lambda: sweep_exports.write_netcdf(answer, path)):  # fmt: skip
         with pytest.raises(cddf.InputError, match=r": No space left on device; choose another place"):
             write()
         assert not list(tmp_path.iterdir())
@@ -456,17 +456,17 @@ def test_an_interruption(run, monkeypatch):
 
 
 def test_processes_as_they_are_given():
-    assert sweep_command.read_processes(None, None, None, False) is None
-    assert sweep_command.read_processes(None, None, None, True) == {}
+    assert sweep_options.read_processes(None, None, None, False) is None
+    assert sweep_options.read_processes(None, None, None, True) == {}
     told = {"coordinator_address": "node1:1234", "num_processes": 4, "process_id": 3}
-    assert sweep_command.read_processes("node1:1234", 4, 3, False) == told
+    assert sweep_options.read_processes("node1:1234", 4, 3, False) == told
     for arguments, message in (
         (("node1", 4, 3, False), "write host and port as in 'node1:1234'"),
         (("node1:1234", 4, 4, False), "--process-id 4: 4 processes are 0 to 3"),
         ((None, 4, None, True), "belong together"),
     ):
         with pytest.raises(cddf.InputError, match=message):
-            sweep_command.read_processes(*arguments)
+            sweep_options.read_processes(*arguments)
 
 
 def test_all_cores_and_careful_compilation(tmp_path):

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from cddf_jax.plotting import render
-from cddf_jax.sweep_figure import in_words, sweep_figure
+from cddf_jax.sweep_figure import in_words, left_out, sweep_figure
 from cddf_jax.sweep_outputs import RESULT_NAMES
 
 CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")
@@ -237,3 +237,28 @@ def test_one_value_is_no_axis():
 )
 def test_names_in_words(name, words):
     assert in_words(name) == words
+
+
+@pytest.mark.parametrize(
+    ("axes", "outputs", "expected"),
+    [
+        ({"base_tension": 5, "friction_coefficient": 4}, ["tip_angle"], []),
+        ({"base_tension": 5}, ["tip_angle", "curvature"], ["curvature, which runs along the body"]),
+        ({"base_tension": 5, "nodes": 8}, ["tip_angle"], ["2 of 8 combinations of options"]),
+        ({"length": 6, "base_tension": 5, "friction_coefficient": 4}, ["tip_angle"], ["2 of 6 values of length"]),
+    ],
+)
+def test_what_has_no_room_is_said(axes, outputs, expected):
+    """Six combinations along lines, four slices of a third axis: counted by hand."""
+    dims = tuple(axes)
+    sizes = tuple(axes.values())
+    data = {
+        name: (
+            (*dims, "point") if name == "curvature" else dims,
+            np.zeros((*sizes, 3) if name == "curvature" else sizes),
+        )
+        for name in outputs
+    }
+    data["result"] = (dims, np.zeros(sizes, np.int8))
+    answer = xarray.Dataset(data, {name: np.arange(size) for name, size in axes.items()})
+    assert left_out(answer, outputs) == expected

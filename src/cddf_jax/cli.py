@@ -221,27 +221,27 @@ def sweep(
         raise InputError("kinematics is given by --kinematics and varies too; leave one out")
     processes = (coordinator, num_processes, process_id, distributed)
     manipulator = _read(robot, kinematics, lambda: _configure_for_batches(*processes))
-    from . import solve_command
+    from . import solve_command, sweep_options, sweep_words
     from . import sweep_command as command
 
-    work = command.read_sweep(
+    work = sweep_options.read_sweep(
         manipulator,
         over or [],
-        command.Samples(sample or [], samples, sampler.value, seed),
-        base_tension=command.read_base_tension(base_tension or [], manipulator),
+        sweep_options.Samples(sample or [], samples, sampler.value, seed),
+        base_tension=sweep_options.read_base_tension(base_tension or [], manipulator),
         loads=solve_command.read_loads(tip_force, tip_moment, gravity, manipulator),
         direction=_directions(direction, manipulator),
-        outputs=command.read_outputs(output),
+        outputs=sweep_options.read_outputs(output),
         sensitivities=tuple(sensitivity or ()),
         nodes=nodes,
         precision=precision.value,
-        memory=None if memory is None else command.read_memory(memory),
+        memory=None if memory is None else sweep_options.read_memory(memory),
         chunk_size=chunk,
     )
     if dry_run:
         told = command.rehearse(work, None if out is None else command.read_places(out, netcdf, csv))
         if told is not None:
-            _say(as_json, told, command.rehearsal_in_words(told))
+            _say(as_json, told, sweep_words.rehearsal_in_words(told))
         return
     places = command.read_places(out, netcdf, csv)
     try:
@@ -249,7 +249,7 @@ def sweep(
     except KeyboardInterrupt:
         _stop("interrupted; what is in the store stays there, start the same command again and it goes on", 130)
     if told is not None:
-        _say(as_json, told, command.in_words(told))
+        _say(as_json, told, sweep_words.in_words(told))
         if "successful" not in told["results"]:
             _stop("no solve was successful; see the results", 1)
 
@@ -257,7 +257,7 @@ def sweep(
 def _configure_for_batches(*processes: Any) -> None:
     """Set JAX up, alone or as one of several processes."""
     from . import application
-    from .sweep_command import read_processes
+    from .sweep_options import read_processes
 
     given = read_processes(*processes)
     if given is not None:
@@ -330,7 +330,10 @@ def fit(
     ] = None,
 ) -> None:
     """Friction and modulus from measurements, and what the measurements cannot tell."""
-    manipulator = _read(robot, kinematics)
+    from . import application
+
+    # code that is compiled quickly makes refits slow
+    manipulator = _read(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
     from . import fit_command as command
     from .fit_results import as_dict, make_report
     from .identification import fit

@@ -33,7 +33,11 @@ def told(value: Any) -> Any:
         numbers = np.asarray(value, np.float64)
     except (TypeError, ValueError):
         return without_addresses(repr(value))
-    return numbers.tolist() if numbers.size <= SHOWN else f"{numbers.shape}, {digest(numbers.tobytes())}"
+    if numbers.size <= SHOWN:
+        return numbers.tolist()
+    first, last = numbers.ravel()[[0, -1]]
+    content = numbers.tobytes() + str(numbers.shape).encode()
+    return f"{numbers.size} numbers, {first:.6g} to {last:.6g}, digest {digest(content)}"
 
 
 def code_of(function: Callable) -> str:

@@ -93,6 +93,30 @@ def sweep_figure(answer: "xarray.Dataset", outputs: Sequence[str], varied: Mappi
     return _lines(view, numbers[0]) if len(numbers) == 1 else _contours(view, numbers)
 
 
+def left_out(answer: "xarray.Dataset", outputs: Sequence[str]) -> list[str]:
+    """What the figure of a sweep has no room for, in words."""
+    sizes = {str(name): answer.sizes[name] for name in answer[RESULT].dims if answer.sizes[name] > 1}
+    sampled = [name for name in sizes if name not in answer.coords]
+    numbers = [name for name in sizes if name not in (*sampled, *OPTIONS)]
+    drawn = [name for name in outputs if "point" not in answer[name].dims]
+    components = sum(int(np.prod(answer[name].shape[answer[RESULT].ndim :])) for name in drawn)
+    combinations = int(np.prod([sizes[name] for name in sizes if name in OPTIONS]))
+    columns = sum(
+        coordinate.ndim > 0 for name, coordinate in answer.coords.items() if name not in ("tendon", "component")
+    )
+    lines = bool(sampled) or len(numbers) == 1
+    found = [f"{name}, which runs along the body" for name in outputs if name not in drawn]
+    for count, room, what in (
+        (components, PANELS, "components of outputs"),
+        (combinations, LINES if lines else COLUMNS, "combinations of options"),
+        (sizes[numbers[0]] if len(numbers) == 3 else 0, COLUMNS, f"values of {numbers[0] if numbers else ''}"),
+        (columns if sampled else 0, DOT_COLUMNS, "numbers that vary"),
+        (sizes[sampled[0]] if sampled else 0, SAMPLES, "samples"),
+    ):
+        found += [f"{count - room:,} of {count:,} {what}"] if count > room else []
+    return found
+
+
 class _View(NamedTuple):
     """What is to be drawn."""
 

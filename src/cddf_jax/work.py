@@ -39,11 +39,19 @@ def carry_out(work: Work, out: Any = None, allowed: float = np.inf, progress: bo
     mine = [index for i, index in enumerate(layout.indices()) if i % ranks == rank]
     missing = [index for index in mine if not store.has(index)]
     total, left = (sum(layout.count(index) for index in some) for some in (mine, missing))
-    with _bar(total, left, progress and rank == 0) as advance:
-        for index in missing:
-            store.write(index, work.chunk(layout, index))
-            advance(layout.count(index))
-    _all_say("done", True)
+    done = False
+    try:
+        with _bar(total, left, progress and rank == 0) as advance:
+            for index in missing:
+                store.write(index, work.chunk(layout, index))
+                advance(layout.count(index))
+        done = True
+    finally:
+        all_done = _all_say("done", done)
+    if not all_done:
+        raise InputError(
+            "another process failed, and says why; the chunks that are whole stay: start the same work again"
+        )
     return store
 
 

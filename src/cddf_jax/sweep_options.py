@@ -1,0 +1,199 @@
+"""What `cddf sweep` reads at the command line."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from . import units
+from .axes import OPTIONS, dimensions_of
+from .axes import Dimension as Axis
+from .errors import InputError
+from .manipulator import Manipulator
+from .sampling import latin_hypercube, sobol
+from .solve_command import read_actuation
+from .sweeping import Sweep
+
+if TYPE_CHECKING:
+    pass
+
+OVER = '"base_tension=5N:85N:17" or "kinematics=published,exact"'
+SAMPLE = '"youngs_modulus=1.2MPa:1.6MPa"'
+SAMPLERS = {"latin_hypercube": latin_hypercube, "sobol": sobol}
+DIMENSIONS: dict[str, units.Dimension] = {
+    "1": "dimensionless",
+    "m": "length",
+    "N": "force",
+    "Pa": "pressure",
+    "kg/m^3": "density",
+    "rad": "angle",
+    "N m": "moment",
+    "m/s^2": "acceleration",
+    "1/m": "curvature",
+    "N/m": "stiffness",
+}
+BYTES = {"B": 1, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40}
+
+
+class Samples(NamedTuple):
+    """What varies together along the dimension "sample"."""
+
+    ranges: Sequence[str] = ()
+    size: int | None = None
+    sampler: str = "latin_hypercube"
+    seed: int = 0
+
+
+def read_sweep(manipulator: Manipulator, over: Sequence[str], sample: Samples, **given: Any) -> Sweep:
+    """The sweep over axes such as "base_tension=5N:85N:17" and samples such as "youngs_modulus=1.2MPa:1.6MPa".
+
+    Args:
+        manipulator: the body.
+        over: one axis each, in the order of the dimensions.
+        sample: what varies together along one more dimension.
+        given: other fields of `Sweep`.
+
+    Raises:
+        InputError: names the option, the text and the remedy.
+    """
+    axes, ranges = _by_name("--over", over, OVER), _by_name("--sample", sample.ranges, SAMPLE)
+    if not axes and not ranges:
+        raise InputError(f"nothing varies; give --over {OVER} or --sample")
+    _check_samples(ranges, sample.size)
+    if given.get("base_tension") is not None and "base_tension" in (*axes, *ranges):
+        raise InputError("base_tension is given by --base-tension and varies too; leave one out")
+    names = [name for name in (*axes, *ranges) if name not in OPTIONS]
+    draft = Sweep(
+        manipulator=manipulator, dimensions=tuple(Axis(name, {name: np.zeros(1)}, {}) for name in names), **given
+    )
+    si = {name: draft.case.unit(name) for name in names}
+    values: dict[str, Any] = {name: _values(name, text, si.get(name, "")) for name, text in axes.items()}
+    if ranges:
+        limits = {name: _limits(name, text, si[name]) for name, text in ranges.items()}
+        values["sample"] = SAMPLERS[sample.sampler](limits, sample.size, sample.seed)  # type: ignore[arg-type]
+    return replace(draft, dimensions=dimensions_of(values))
+
+
+def _by_name(option: str, texts: Sequence[str], example: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in texts:
+        name, _, values = (part.strip() for part in text.partition("="))
+        if not name or not values:
+            raise InputError(f"{option} {text!r}: write for example {example}")
+        if name in found:
+            raise InputError(f"{option} {name} is given twice; leave one out")
+        found[name] = values
+    return found
+
+
+def _check_samples(ranges: Mapping[str, str], count: int | None) -> None:
+    if ranges and count is None:
+        raise InputError("--sample needs the number of samples; give for example --samples 1000")
+    if count is not None and not ranges:
+        raise InputError(f"--samples {count}: nothing is sampled; give for example --sample {SAMPLE}")
+    for name in ranges:
+        if name in OPTIONS:
+            raise InputError(f"--sample {name}: only numbers have a range; write --over {name}=, with a list")
+
+
+def _values(name: str, text: str, si: str) -> Any:
+    """The values along an axis: an even range of numbers, or a list."""
+    if name in OPTIONS:
+        return _options(name, text)
+    what, dimension = f"--over {name}", DIMENSIONS[si]
+    if ":" not in text:
+        return [units.quantity(part.strip(), dimension, what) for part in text.split(",")]
+    first, _, rest = text.partition(":")
+    last, _, count = (part.strip() for part in rest.partition(":"))
+    if not count.isdigit() or int(count) < 2:
+        raise InputError(
+            f"{what}: write first, last and how many, 2 or more, as in {_example(name, dimension)}, got {text!r}"
+        )
+    start, stop = (units.quantity(end.strip(), dimension, what) for end in (first, last))
+    if start == stop:
+        raise InputError(f"{what}: first and last are the same, got {text!r}; give two different ones")
+    return np.linspace(start, stop, int(count))
+
+
+def _options(name: str, text: str) -> list[Any]:
+    values = [part.strip() for part in text.split(",")]
+    if name == "kinematics":
+        return values
+    if name == "nodes" and all(value.isdigit() for value in values):
+        return [int(value) for value in values]
+    if name == "nodes":
+        raise InputError(f"--over nodes: write whole numbers as in nodes=8,16, got {text!r}")
+    raise InputError(f"--over {name}: the command line takes no {name}s; use cddf_jax.sweep in Python")
+
+
+def _limits(name: str, text: str, si: str) -> tuple[float, float]:
+    dimension = DIMENSIONS[si]
+    low, colon, high = (part.strip() for part in text.partition(":"))
+    if not colon or ":" in high:
+        unit = "" if si == "1" else f" {si}"
+        raise InputError(f"--sample {name}: write least and largest as in {name}=1{unit}:2{unit}, got {text!r}")
+    least, largest = (units.quantity(end, dimension, f"--sample {name}") for end in (low, high))
+    if not least < largest:
+        raise InputError(f"--sample {name}: the least comes first and is less than the largest, got {text!r}")
+    return least, largest
+
+
+def _example(name: str, dimension: units.Dimension) -> str:
+    ends = ("0.1", "0.6") if dimension == "dimensionless" else (units.written(x, dimension) for x in (1.0, 2.0))
+    return f"{name}={':'.join(ends)}:11"
+
+
+def read_base_tension(texts: Sequence[str], manipulator: Manipulator) -> Any:
+    """What `Sweep` takes for texts as `cddf solve` takes them; None for none.
+
+    Raises:
+        InputError: as `read_actuation`.
+    """
+    if not texts:
+        return None
+    entries = read_actuation(texts, manipulator)
+    if len(entries) == 1:
+        return entries[0]
+    return np.array(entries) if all(isinstance(entry, float) for entry in entries) else tuple(entries)
+
+
+def read_outputs(text: str) -> tuple[str, ...]:
+    """The names in "tip_tension, tip_angle", each once."""
+    return tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+
+
+def read_memory(text: str) -> float:
+    """Bytes out of a text such as "2 GB".
+
+    Raises:
+        InputError: for text that is none.
+    """
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([A-Za-z]+)\s*", text)
+    if not found or found[2] not in BYTES or not float(found[1]) > 0:
+        raise InputError(f"--memory {text!r}: write a number above 0 and one of {', '.join(BYTES)} as in '2 GB'")
+    return float(found[1]) * BYTES[found[2]]
+
+
+def read_processes(
+    coordinator: str | None, num_processes: int | None, process_id: int | None, distributed: bool
+) -> dict[str, Any] | None:
+    """Arguments of `jax.distributed.initialize`; None for one process alone.
+
+    Raises:
+        InputError: where some of them are missing, or do not fit.
+    """
+    given = {"coordinator_address": coordinator, "num_processes": num_processes, "process_id": process_id}
+    if all(value is None for value in given.values()):
+        return {} if distributed else None
+    if coordinator is None or num_processes is None or process_id is None:
+        raise InputError(
+            "--coordinator, --num-processes and --process-id belong together; "
+            "give all three, or --distributed alone under Slurm or MPI"
+        )
+    if not re.fullmatch(r".+:\d+", coordinator):
+        raise InputError(f"--coordinator {coordinator!r}: write host and port as in 'node1:1234'")
+    if process_id >= num_processes:
+        raise InputError(f"--process-id {process_id}: {num_processes} processes are 0 to {num_processes - 1}")
+    return given
