@@ -1,5 +1,7 @@
 """Sweeps: the closed form, one solve at a time, and whatever is wrong with an axis is said by name."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -244,7 +246,15 @@ def test_a_single_range_of_a_dictionary_of_one_is_still_labelled():
     assert answer.base_tension.dims == ("pull",)
 
 
+OWN_FRICTION = replace(paper_body(), tendons=(replace(paper_body().tendons[0], friction_coefficient=0.3),))
 BAD = {
+    "overruled": (
+        {"friction_coefficient": [0.1]},
+        {"base_tension": 1.0, "manipulator": OWN_FRICTION},
+        "'friction_coefficient' has no effect here; every tendon has its own",
+    ),
+    "no gravity": ({"density": [1e3]}, {"base_tension": 1.0}, "'density' has no effect here; there is no gravity"),
+    "no density": ({"loads.gravity.1": [-9.8]}, {"base_tension": 1.0}, "the body has no density"),
     "no axes": ({}, {}, "axes must be a dictionary"),
     "no dictionary": ([1.0], {}, "axes must be a dictionary"),
     "unknown": ({"youngs_modulos": [1.0]}, {"base_tension": 1.0}, "did you mean 'youngs_modulus'"),
@@ -288,5 +298,5 @@ BAD = {
 def test_bad_input_is_named(case):
     axes, options, message = BAD[case]
     with pytest.raises(cddf.InputError, match=message) as error:
-        cddf.sweep(paper_body(), axes, **options)
+        cddf.sweep(axes=axes, **({"manipulator": paper_body()} | options))
     assert "\n" not in str(error.value)

@@ -102,6 +102,8 @@ def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...
     swept = {name for dimension in dimensions for name in dimension.numbers}
     for name in swept:
         case.number(name)
+    for name, remedy in _idle(swept, case).items():
+        raise InputError(f"sweep: {name!r} has no effect here; {remedy}")
     tension = case.base_tension
     if tension is None and "base_tension" not in swept:
         raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
@@ -116,3 +118,19 @@ def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...
         if wider:
             close = get_close_matches(name, wider, 1) or wider
             raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")
+
+
+def _idle(swept: set[str], case: Case) -> dict[str, str]:
+    """Numbers that change nothing, with the remedy."""
+    found: dict[str, str] = {}
+    body, loads = case.manipulator, case.loads
+    for name in ("friction_coefficient", "drag"):
+        if name in swept and all(getattr(tendon, name) is not None for tendon in body.tendons):
+            found[name] = f"every tendon has its own; let 'tendons.0.{name}' vary"
+    gravity = swept & {"loads.gravity.0", "loads.gravity.1"}
+    weightless = loads is None or not np.any(np.asarray(loads.gravity))
+    if "density" in swept and not gravity and weightless:
+        found["density"] = "there is no gravity; give loads=Loads(gravity=(0.0, -9.81))"
+    if gravity and "density" not in swept and not np.any(np.asarray(body.density)):
+        found[min(gravity)] = "the body has no density; give it one, or let 'density' vary too"
+    return found
