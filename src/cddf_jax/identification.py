@@ -1,11 +1,10 @@
 """`fit`: friction, modulus and the errors of the bench from measurements, and what the measurements do not hold."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import optimize
 
 from .bench import (
     POSE,
@@ -18,9 +17,10 @@ from .bench import (
     with_parameters,
 )
 from .bootstrap import Bootstrap
-from .determination import FIXED, IDENTIFIED, NOT_IDENTIFIED, Determination, Estimate, determine
+from .determination import FIXED, IDENTIFIED, NOT_IDENTIFIED, Determination, Estimate
 from .equilibrium import NOTEWORTHY, RESULTS
 from .errors import InputError
+from .friction_by_trial import fit_trials
 from .least_squares import LeastSquaresFit, least_squares_fit
 from .manipulator import Manipulator
 from .measurements import Measurements, repeated_tables
@@ -35,10 +35,6 @@ SHOWN = {
     "force per length": (1.0, " N/m"),
     "angle": (np.degrees(1.0), " deg"),
 }
-SPREAD_ROUNDS = 20
-FIRST_SPREAD = 0.1
-SPREADS = (1e-4, 3.0)  # of ln(mu) over trials, least and largest; the least is none
-RIDGE = 1e-12  # of the largest information, for directions that the data do not determine
 
 
 class Prediction(NamedTuple):
@@ -225,20 +221,16 @@ def fit(
     bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive} | dict(bounds or {})
     scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
     given = {"priors": dict(priors or {}), "scales": scales, "loss": loss, "starts": starts, "seed": seed}
-    observations = _Data({group.label: group.observed for group in groups}, _noise_of(groups, noise or {}))
+    observed, sigma = {group.label: group.observed for group in groups}, _noise_of(groups, noise or {})
     if not per_trial:
-        statistics = least_squares_fit(model, start, *observations, bounds, prefer_start=True, **given)
+        statistics = least_squares_fit(model, start, observed, sigma, bounds, prefer_start=True, **given)
         return _conclude(statistics, tables, model, float("nan"))
     if "friction_coefficient" not in free or before[-1] < 2:
         raise InputError(
             "fit: per_trial needs a free friction_coefficient and tables whose column trial names 2 or more"
         )
-    return _fit_trials(tables, model, start, observations, bounds, given)
-
-
-class _Data(NamedTuple):
-    observed: dict[str, np.ndarray]
-    sigma: dict[str, Any]
+    statistics, spread = fit_trials(model, int(before[-1]), start, observed, sigma, bounds, given)
+    return _conclude(statistics, tables, model, spread)
 
 
 def _trials(table: Measurements) -> tuple[str, ...]:
@@ -253,57 +245,6 @@ def _noise_of(groups: "list[_Group]", noise: Mapping[str, Any]) -> dict[str, Any
             f"fit: noise is given for {column!r}, which no table holds; they hold {', '.join(sorted(columns))}"
         )
     return {group.label: noise.get(group.column) for group in groups}
-
-
-def _fit_trials(
-    tables: tuple[Measurements, ...], model: BenchModel, start: dict[str, Any], data: "_Data", bounds, given
-) -> Fit:
-    """Random effects: a spread over trials, the fit that it makes, the likeliest spread there, and so on."""
-    count = sum(len(_trials(table)) for table in tables)
-    start, spread = start | {TRIALS: np.zeros(count)}, FIRST_SPREAD
-    names = [f"{TRIALS}[{k}]" for k in range(count)]
-
-    def fitted(start: Any, spread: float) -> LeastSquaresFit:
-        priors = given["priors"] | dict.fromkeys(names, (0.0, spread))
-        options = given | {"priors": priors, "scales": given["scales"] | dict.fromkeys(names, spread)}
-        return least_squares_fit(model, start, data.observed, data.sigma, bounds, prefer_start=True, **options)
-
-    statistics = fitted(start, spread)
-    random = tuple(i for i, name in enumerate(statistics.names) if name in names)
-    for _ in range(SPREAD_ROUNDS):
-        last, spread = spread, _likeliest_spread(statistics, random)
-        statistics = fitted({name: np.asarray(value) for name, value in statistics.parameters.items()}, spread)
-        if abs(spread - last) < 1e-3 * last:
-            break
-    evidence = replace(statistics.evidence, random=random)
-    statistics = replace(statistics, **vars(determine(evidence)), evidence=evidence)
-    return _conclude(statistics, tables, model, spread if spread > 1.01 * SPREADS[0] else 0.0)
-
-
-def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> float:
-    """By the restricted likelihood of the model made linear at the estimate.
-
-    Patterson and Thompson (1971), Biometrika 58, 545; Harville (1977), JASA 72, 320, in its mixed-model equations.
-    """
-    evidence, (problem, _, outcome) = statistics.evidence, statistics.search
-    priors = [i for i in evidence.prior_rows if i not in random]
-    jacobian = np.concatenate([*evidence.rows.values(), *(evidence.prior_rows[i] for i in priors)])
-    others = np.delete(jacobian, random, axis=1)
-    effects = jacobian[:, random] / evidence.size[list(random)]
-    pulls = dict(zip(problem.prior, outcome.residual[problem.num_data :], strict=True))
-    residual = np.append(outcome.residual[: problem.num_data], [pulls[i] for i in priors])
-    residual = residual - effects @ outcome.parameters[list(random)]  # as it would be without the effects
-    columns = np.concatenate([others, effects], axis=1)
-    information, pull = columns.T @ columns, columns.T @ residual
-    diagonal = np.arange(others.shape[1], columns.shape[1])
-
-    def minus_twice(logarithm: float) -> float:
-        whole = information + RIDGE * np.max(np.diag(information)) * np.eye(len(information))
-        whole[diagonal, diagonal] += np.exp(-2 * logarithm)
-        return np.linalg.slogdet(whole)[1] + 2 * len(random) * logarithm - pull @ np.linalg.solve(whole, pull)
-
-    found = optimize.minimize_scalar(minus_twice, bounds=np.log(SPREADS), method="bounded", options={"xatol": 1e-5})
-    return float(np.exp(found.x))
 
 
 class _Group(NamedTuple):

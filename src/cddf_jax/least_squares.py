@@ -3,7 +3,6 @@
 The optimiser sees dimensionless unknowns of order one. Noise that is not given is estimated, group by group.
 """
 
-import itertools
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -11,15 +10,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import ndtr, ndtri, stdtr
+from scipy.special import ndtri
 from scipy.stats import qmc
 
 from .bootstrap import Bootstrap, Refits, bootstrap, refits
 from .determination import (
-    AT_BOUND,
-    IDENTIFIED,
-    LARGEST_RELATIVE_ERROR,
-    NOT_IDENTIFIED,
     Determination,
     Evidence,
     determine,
@@ -28,21 +23,18 @@ from .determination import (
     without_nan,
 )
 from .errors import InputError
-from .levenberg_marquardt import LeastSquaresProblem, Outcome, evaluate, minimise, minimise_all
+from .levenberg_marquardt import LeastSquaresProblem, Outcome, Search, minimise, minimise_all
 from .observations import Noise, Observations, group_observations
 from .parameter_space import Prior, Space, bounds_of, lay_out_parameters, priors_of, with_uniform_priors
 from .profile_likelihood import Profile, profile_likelihood
+from .remarks import remarks_on_parameters, remarks_on_residuals
 from .robust_loss import loss_of
+from .valleys import Profiles, are_products, nearest_to_start, profiles_of
 
 SUCCESSFUL = "successful"
 NOISE_ROUNDS = 50
-CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
 START_SPREAD = 1.5  # of further starts about the first, in dimensionless unknowns
 UNDETERMINED = 1e-10  # of a prediction's squared derivative, along directions that the data leave open
-OUTLIER_CHANCE = 0.01
-UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals
-EXACT = 1e-7  # noise over data, below which there is none
-ONE_DATUM = 0.5  # share of a parameter's variance that no datum should make alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +81,10 @@ class LeastSquaresFit(Determination):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Parameters on a bound, without effect or hanging on one datum; outliers; residuals that tell too little."""
-        return (*_remarks(self.evidence), *_remarks_on_residuals(self))
+        return (
+            *remarks_on_parameters(self.evidence),
+            *remarks_on_residuals(self.evidence, self.search, self.degrees_of_freedom),
+        )
 
     def profile(self, name: str) -> Profile:
         """The likelihood with one parameter held at value after value and all others fitted again.
@@ -153,14 +148,6 @@ class LeastSquaresFit(Determination):
         half_width = quantiles(self.evidence, spectrum, scaled) * error
         whole = np.sum(scaled**2, axis=1)
         return np.where(whole - np.sum(along**2, axis=1) > UNDETERMINED * whole, np.inf, half_width)
-
-
-class Search(NamedTuple):
-    """What a fit ended with, for all that looks around it."""
-
-    problem: LeastSquaresProblem
-    noise: tuple[np.ndarray, ...]  # standard deviations, one array for each group of data
-    outcome: Outcome
 
 
 def least_squares_fit(
@@ -230,15 +217,15 @@ def least_squares_fit(
 
     evidence = _evidence(names, problem, data, outcome)
     told = determine(evidence)
-    profiles = _profiles(problem, noise, outcome, evidence, told, max_steps)
+    profiles = profiles_of(problem, noise, outcome, evidence, told, max_steps)
     result = _verdict(problem, outcome, evidence, settled, profiles)
     if prefer_start and np.any(profiles.open):
-        outcome = _nearest_to_start(problem, noise, outcome, profiles.open, told.quantile, max_steps)
+        outcome = nearest_to_start(problem, noise, outcome, profiles.open, told.quantile, max_steps)
         evidence = _evidence(names, problem, data, outcome)
     doubtful = profiles.open | (result != SUCCESSFUL)  # a failed fit has identified nothing
     limited = profiles.bounded_above if result == SUCCESSFUL else ()
     evidence = replace(evidence, open_profile=doubtful, bounded_above=limited)
-    evidence = replace(evidence, products=_are_products(problem, noise, outcome, determine(evidence), max_steps))
+    evidence = replace(evidence, products=are_products(problem, noise, outcome, determine(evidence), max_steps))
     return _conclude(evidence, data, Search(problem, noise, outcome), result, tried.cost, seed)
 
 
@@ -316,158 +303,8 @@ def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
     return float(np.mean(kind.slope(residual)) / np.sqrt(max(spread, 1e-300)))
 
 
-class _Profiles(NamedTuple):
-    open: np.ndarray  # by parameter: whether its 95 % interval is open on a side, for all that was tried
-    least_rise: float  # of the sum of squares, over all that was tried
-    bounded_above: tuple[int, ...]  # of those that are not told from their lower bound
-
-
-def _profiles(
-    problem: LeastSquaresProblem, noise, outcome: Outcome, evidence: Evidence, told: Determination, max_steps: int
-) -> _Profiles:
-    """Hold each parameter that looks identified at values ever farther off and fit the others again.
-
-    The curvature at a minimum can feign an interval where the valley is flat beyond. A side is closed where
-    the sum of squares has risen by twice what ends a 95 % interval.
-    """
-    opened, least = np.zeros(len(told.names), bool), 0.0
-
-    def closed(i: int, error: float, places: list[float]) -> bool:
-        nonlocal least
-        for place in places:
-            held = np.where(np.arange(len(opened)) == i, place, np.nan)
-            rise = float(minimise(problem, noise, outcome.z, held, max_steps).cost - outcome.cost)
-            least = min(least, rise) if np.isfinite(rise) else least
-            expected = ((place - outcome.parameters[i]) / error) ** 2
-            if not rise <= min(CLOSING_RISE * told.quantile**2, 0.5 * expected):  # NaN: the model ends there
-                return True
-        return False
-
-    for i, name in enumerate(told.names):
-        if told.status[name] == IDENTIFIED:
-            error = told.standard_error[name]
-            sides = _sides(problem.space, i, told.value[name], told.quantile * error)
-            opened[i] = not all(closed(i, error, places) for places in sides)
-    error = spectrum_of(evidence.jacobian).relative_error * evidence.size
-    near = np.isfinite(problem.space.lower) & (outcome.parameters - told.quantile * error <= problem.space.lower)
-    near &= [told.status[name] in (NOT_IDENTIFIED, AT_BOUND) for name in told.names]
-    high = outcome.parameters + told.quantile * error
-    limited = [
-        i for i in np.flatnonzero(near & np.isfinite(high) & (high < problem.space.upper)).tolist()
-        if closed(i, error[i], [high[i], outcome.parameters[i] + 2 * told.quantile * error[i]])
-    ]  # fmt: skip
-    return _Profiles(opened, least, tuple(limited))
-
-
-def _are_products(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Determination, max_steps: int) -> bool:
-    """Whether what is not identified may be doubled along the valley: if not, it is no product that is determined."""
-    lost = np.array([told.status[name] == NOT_IDENTIFIED for name in told.names])
-    if np.count_nonzero(lost) < 2 or np.any(outcome.parameters[lost] <= 0) or not np.all(np.isfinite(outcome.jacobian)):
-        return True
-    _, values, directions = np.linalg.svd(np.linalg.qr(outcome.jacobian, mode="r"))  # all directions, however many rows
-    for singular, direction in itertools.zip_longest(values, directions, fillvalue=0.0):
-        along = np.where(lost, direction, 0.0)
-        if singular * LARGEST_RELATIVE_ERROR > 1 or np.linalg.norm(along) < 0.7:
-            continue
-        for factor in (0.5, 2.0):
-            place = outcome.parameters * factor ** (along / np.abs(along).max())
-            if np.any(place <= problem.space.lower) or np.any(place >= problem.space.upper):
-                continue
-            moved = minimise(problem, noise, outcome.z, np.where(lost, place, np.nan), max_steps)
-            if not moved.cost - outcome.cost <= CLOSING_RISE * told.quantile**2:
-                return False
-    return True
-
-
-def _nearest_to_start(
-    problem: LeastSquaresProblem, noise, outcome: Outcome, opened: np.ndarray, quantile: float, max_steps: int
-) -> Outcome:
-    """Along an open valley any place will do: the one at the start of the first open parameter, if it fits."""
-    i, first = int(np.argmax(opened)), np.asarray(problem.space.first())
-    held = np.where(np.arange(len(first)) == i, problem.space.start, np.nan)
-    moved = minimise(problem, noise, outcome.z, held, max_steps)
-    there = evaluate(problem, noise, np.where(np.isnan(held), moved.z, first))
-    return there if there.cost - outcome.cost <= CLOSING_RISE * quantile**2 else outcome
-
-
-def _sides(space: Space, i: int, value: float, half_width: float) -> tuple[list[float], list[float]]:
-    """Places below and above an estimate: 2 and 10 half-widths of its interval off, and a fifth and five times it."""
-    lower, upper = float(space.lower[i]), float(space.upper[i])
-    below, above = ([value + sign * factor * half_width for factor in (2, 10)] for sign in (-1, 1))
-    if np.isfinite(lower):
-        below = [max(place, value - 0.9 * (value - lower)) for place in below]
-    if np.isfinite(upper):
-        above = [min(place, value + 0.9 * (upper - value)) for place in above]
-    if np.isfinite(lower) and not np.isfinite(upper):
-        below.append(lower + (value - lower) / 5)
-        above.append(lower + (value - lower) * 5)
-    return below, above
-
-
-def _remarks(evidence: Evidence) -> list[str]:
-    jacobian, found = evidence.jacobian, []
-    covariance = spectrum_of(jacobian).covariance
-    share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), 1e-300)[:, None]
-    labels = [f"entry {k + 1} of {name}" for name, rows in evidence.rows.items() for k in range(len(rows))]
-    for i, name in enumerate(evidence.names):
-        if evidence.at_bound[i]:
-            nearer = evidence.nearest_bound[i]
-            otherwise = "" if i in evidence.bounded_above else ", or it has no effect"
-            found.append(f"{name} ended on its bound {nearer:g}: the data put it there or beyond{otherwise}")
-        elif not np.any(jacobian[:, i]):
-            found.append(f"{name} did not move: no datum depends on it")
-        elif len(labels) > 2 * len(evidence.names) and np.max(share[i, : len(labels)]) > ONE_DATUM:
-            k = int(np.argmax(share[i, : len(labels)]))
-            found.append(
-                f"{name} hangs on one datum, {labels[k]}, which makes {100 * share[i, k]:.0f} % of its variance"
-            )
-    return found
-
-
-def _remarks_on_residuals(fit: LeastSquaresFit) -> list[str]:
-    """Groups that are met exactly or not at all, data far from all others, noise that hardly any residual tells."""
-    found, ends = [], np.cumsum([np.size(v) for v in fit.search.problem.values])
-    residuals = np.split(fit.search.outcome.residual, ends)[:-1]
-    covariance = spectrum_of(fit.evidence.jacobian).covariance
-    if fit.noise_estimated and fit.degrees_of_freedom in (1, 2):
-        found.append(f"noise is told by {fit.degrees_of_freedom} degree(s) of freedom only; measure more")
-    for (name, rows), residual, values, noise in zip(
-        fit.evidence.rows.items(), residuals, fit.search.problem.values, fit.search.noise, strict=True
-    ):
-        estimated, values = fit.evidence.noise_estimated[name], np.ravel(values)
-        error = residual * np.ravel(noise)
-        if estimated and np.max(np.ravel(noise)) <= EXACT * np.max(np.abs(values), initial=0.0):
-            found.append(f"{name} is met exactly, which tells no noise: standard errors mean nothing; give the noise")
-        elif values.size > 2 and np.std(error) > UNEXPLAINED * np.std(values) > 0:
-            found.append(f"{name} is hardly explained at all; search from another start, or from many (starts)")
-        elif fit.loss == "linear":
-            found += _outliers(name, residual, np.einsum("ki,ij,kj->k", rows, covariance, rows), estimated)
-    return found
-
-
-def _outliers(name: str, residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> list[str]:
-    """Data so far off that of as many honest ones the farthest is nearer in 99 of 100 experiments (Bonferroni)."""
-    distance = np.abs(residual) / np.sqrt(np.maximum(1.0 - leverage, 1e-6))
-    freedom = residual.size - np.sum(leverage)
-    chance = 2 * ndtr(-distance)
-    if estimated:  # by the scatter of all the others
-        if freedom < 3:
-            return []
-        distance = distance * np.sqrt((freedom - 1) / np.maximum(freedom - distance**2, 1e-12 * freedom))
-        chance = 2 * stdtr(freedom - 1, -distance)
-    far = np.flatnonzero(chance * residual.size < OUTLIER_CHANCE)
-    if far.size == 0:
-        return []
-    worst = far[np.argmax(distance[far])]
-    others = f" (and {far.size - 1} more are far off)" if far.size > 1 else ""
-    return [
-        f"entry {worst + 1} of {name} lies {distance[worst]:.2g} standard deviations off the model{others}: "
-        "check it, or use a robust loss"
-    ]
-
-
 def _verdict(
-    problem: LeastSquaresProblem, outcome: Outcome, evidence: Evidence, settled: bool, profiles: _Profiles
+    problem: LeastSquaresProblem, outcome: Outcome, evidence: Evidence, settled: bool, profiles: Profiles
 ) -> str:
     if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
         return "the model gave no number at the estimate; start closer, or leave out data beyond its reach"

@@ -74,6 +74,14 @@ class Outcome(NamedTuple):
     solved: Any
 
 
+class Search(NamedTuple):
+    """What a fit ended with, for all that looks around it."""
+
+    problem: LeastSquaresProblem
+    noise: tuple[np.ndarray, ...]  # standard deviations, one array for each group of data
+    outcome: Outcome
+
+
 def minimise(
     problem: LeastSquaresProblem,
     noise: tuple[np.ndarray, ...],

@@ -14,7 +14,8 @@ import numpy as np
 from scipy import stats
 
 from .errors import InputError
-from .measurements import ONE_LEVEL, Measurements
+from .measurements import Measurements
+from .table_warnings import ONE_LEVEL
 
 COLUMNS = ("base_tension", "tip_tension", "tip_angle")
 SIGNIFICANT = 0.05  # p-values below are mentioned as a finding
