@@ -248,6 +248,21 @@ def test_a_single_range_of_a_dictionary_of_one_is_still_labelled():
 
 OWN_FRICTION = replace(paper_body(), tendons=(replace(paper_body().tendons[0], friction_coefficient=0.3),))
 BAD = {
+    "no manipulator": ({"base_tension": [1.0]}, {"manipulator": "robot.toml"}, "manipulator must be a Manipulator"),
+    "no loads": ({"base_tension": [1.0]}, {"loads": (0.0, -5.0)}, "loads must be Loads"),
+    "memory in words": ({"base_tension": [1.0]}, {"memory": "2 GB"}, "memory must be a number of bytes"),
+    "one name": ({"base_tension": [1.0]}, {"outputs": "tip_angle"}, "outputs must be a tuple of names"),
+    "a name twice": ({"base_tension": [1.0]}, {"outputs": ["tip_angle"] * 2}, "outputs names something twice"),
+    "tension twice": ({"base_tension": [1.0]}, {"base_tension": 1.0}, "given and an axis"),
+    "no function": ({"base_tension": [1.0]}, {"observables": {"x": 3}}, "'x' must be a function"),
+    "a bad function": (
+        {"base_tension": [1.0]},
+        {"observables": {"x": lambda found: found.nothing}},
+        "the observable 'x' makes no array",
+    ),
+    "direction": ({"direction": [1.0, 0.0]}, {"base_tension": 1.0}, "must hold 1 for sliding in and -1"),
+    "a slash": ({"a/b": {"base_tension": [1.0]}}, {}, "cannot be called 'a/b'"),
+    "no stretch": ({"tendons.0.free_length": [0.1]}, {"base_tension": 1.0}, "the tendon does not stretch"),
     "overruled": (
         {"friction_coefficient": [0.1]},
         {"base_tension": 1.0, "manipulator": OWN_FRICTION},
@@ -278,7 +293,7 @@ BAD = {
     "output": ({"base_tension": [1.0]}, {"outputs": ["tip_tensions"]}, "'tip_tensions' is no output"),
     "no output": ({"base_tension": [1.0]}, {"outputs": []}, "nothing is asked for"),
     "axis and output": ({"base_tension": [1.0]}, {"outputs": ["base_tension"]}, "an axis and an output"),
-    "observable": ({"base_tension": [1.0]}, {"observables": {"result": len}}, "another name"),
+    "observable": ({"base_tension": [1.0]}, {"observables": {"result": len}}, "no observable can be called"),
     "sensitivity": ({"base_tension": [1.0]}, {"sensitivities": ["nodes"]}, "nothing can be differentiated by 'nodes'"),
     "absent": ({"base_tension": [1.0]}, {"sensitivities": ["drag"]}, "has no 'drag' to differentiate by"),
     "overlap": ({"base_tension": [1.0]}, {"sensitivities": ["base_tension.0"]}, "overlap"),

@@ -160,12 +160,24 @@ def test_killed_at_random_times_it_goes_on_where_it_was(plain, tmp_path):
     assert len(whole_chunks(path)) == SOLVES
 
 
-def test_a_chunk_without_its_last_variable_is_computed_again(plain, tmp_path):
+@pytest.mark.parametrize("damage", ["missing", "empty", "last"])
+def test_a_chunk_that_is_not_whole_is_computed_again(plain, tmp_path, damage):
     path = tmp_path / "s.zarr"
     cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
-    (path / "result" / "c" / "3" / "0").unlink()
-    shutil.rmtree(path / "tip_position" / "c" / "3")
+    if damage == "missing":
+        shutil.rmtree(path / "tip_position" / "c" / "3")
+    elif damage == "empty":  # what a power cut leaves of a file
+        (path / "tip_tension" / "c" / "3" / "0" / "0").write_bytes(b"")
+    else:
+        (path / "result" / "c" / "3" / "0").unlink()
     same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+
+
+def test_a_store_without_one_of_its_arrays_is_said_to_be_damaged(tmp_path):
+    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
+    (tmp_path / "s.zarr" / "tip_position" / "zarr.json").unlink()
+    with pytest.raises(cddf.InputError, match=r"s\.zarr is damaged: its array 'tip_position' cannot be read"):
+        cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
 
 
 def test_a_full_disk_is_said_and_nothing_is_lost(plain, tmp_path, monkeypatch):
@@ -324,7 +336,8 @@ def test_refits_of_many_benches_are_linear_regressions(line, tmp_path):
         ({"dta": np.zeros((3, 20))}, "'dta' is no group of data; there are data"),
         ({"data": np.zeros((3, 19))}, r"must have shape \(benches, \*\(20,\)\), got \(3, 19\)"),
         ({"data": np.zeros((0, 20))}, "must have shape"),
-        ({}, "the same number of benches"),
+        ({}, "give data; the groups are data"),
+        ({"data": np.full((3, 20), [np.nan] + [0.0] * 19)}, "not finite in bench 0"),
     ],
 )
 def test_bad_benches(line, observed, message):

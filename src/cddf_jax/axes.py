@@ -13,7 +13,7 @@ from .problem import Method
 from .statics import check_nodes
 
 OPTIONS = ("nodes", "method", "kinematics")  # each value is a program of its own
-RESERVED = ("tendon", "point", "component")
+RESERVED = ("tendon", "point", "component", "result", "successful")
 
 
 class Dimension(NamedTuple):
@@ -48,8 +48,8 @@ def dimensions_of(axes: Mapping[str, Any]) -> tuple[Dimension, ...]:
 
 
 def _dimension(name: str, values: Any) -> Dimension:
-    if name in RESERVED:
-        raise InputError(f"sweep: a dimension cannot be called {name!r}, which the answer has itself; rename it")
+    if not isinstance(name, str) or not name or "/" in name or name in RESERVED:
+        raise InputError(f"sweep: a dimension cannot be called {name!r}; rename it")
     together = values if isinstance(values, Mapping) else {name: values}
     if not together:
         raise InputError(f"sweep: nothing varies along the axis {name!r}; give names and values")
@@ -69,6 +69,8 @@ def _numbers(name: str, given: Any) -> np.ndarray:
         raise InputError(f"sweep: the axis {name!r} must be a list of numbers, got {given!r}") from None
     if values.ndim != 1 or values.size == 0:
         raise InputError(f"sweep: the axis {name!r} must be a list of one number or more, got shape {values.shape}")
+    if name.split(".")[0] == "direction" and not np.all(np.abs(values) == 1):
+        raise InputError(f"sweep: the axis {name!r} must hold 1 for sliding in and -1 for sliding out, got {given!r}")
     if not np.all(np.isfinite(values)):
         place = int(np.argmin(np.isfinite(values)))
         raise InputError(f"sweep: the axis {name!r} holds {values[place]} at place {place}; leave it out")
@@ -123,6 +125,10 @@ def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...
 def _idle(swept: set[str], case: Case) -> dict[str, str]:
     """Numbers that change nothing, with the remedy."""
     found: dict[str, str] = {}
+    for i, tendon in enumerate(case.manipulator.tendons):
+        stiff = tendon.axial_stiffness is None and f"tendons.{i}.axial_stiffness" not in swept
+        if f"tendons.{i}.free_length" in swept and stiff:
+            found[f"tendons.{i}.free_length"] = "the tendon does not stretch; give it an axial_stiffness"
     body, loads = case.manipulator, case.loads
     for name in ("friction_coefficient", "drag"):
         if name in swept and all(getattr(tendon, name) is not None for tendon in body.tendons):

@@ -121,7 +121,7 @@ class Refits(NamedTuple):
 
     names: tuple[str, ...]
     estimates: np.ndarray  # (benches, parameters)
-    ended: np.ndarray  # (benches,), at a minimum; estimates of others are to be thrown away
+    ended: np.ndarray  # (benches,), at a minimum; the estimates of others are NaN
 
 
 def refits(
@@ -140,8 +140,13 @@ def refits(
     for name, values in data.items():
         if name not in shapes:
             raise InputError(f"refits: {name!r} is no group of data; there are {', '.join(groups)}")
+        if not np.all(np.isfinite(values)):
+            bench = int(np.argmin(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1)))
+            raise InputError(f"refits: {name!r} holds a number that is not finite in bench {bench}; leave that one out")
         if values.shape[1:] != shapes[name] or not len(values):
             raise InputError(f"refits: {name!r} must have shape (benches, *{shapes[name]}), got {values.shape}")
+    if not data:
+        raise InputError(f"refits: give data; the groups are {', '.join(groups)}")
     counts = {len(values) for values in data.values()}
     if len(counts) != 1:
         raise InputError(f"refits: give every group the data of the same number of benches, got {sorted(counts)}")
@@ -182,7 +187,7 @@ def _refit_all(
             drawn.problem.space.at_bound(found.parameters), axis=1
         )  # there a search has always a step left
         good = (found.solved | pressed) & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
-        return {"estimate": found.parameters, "ended": good}
+        return {"estimate": np.where(good[:, None], found.parameters, np.nan), "ended": good}
 
     work = Work(layout, identity | {dimension: count, "parameters": list(names)}, refit)
     found = carry_out(work, out, progress=progress).values()

@@ -105,7 +105,7 @@ def solve(
     from .equilibrium import RESULTS
 
     actuation = solve_command.read_actuation(base_tension, manipulator)
-    loads = solve_command.read_loads(tip_force, tip_moment, gravity, manipulator)
+    loads = solve_command.read_loads(tip_force, tip_moment, gravity, bool(manipulator.density))
     directions = _directions(direction, manipulator)
     equilibrium = solve_command.solve_or_explain(
         manipulator, actuation, loads, base_tension, direction=directions, nodes=nodes
@@ -146,7 +146,8 @@ Over = Annotated[
     typer.Option(
         help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list, "kinematics=published,exact" '
         'or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. Any number has a name: outer_radius.tip, '
-        "tendons.0.offset, loads.tip_force.1, base_tension.1, of a target base_tension.value.",
+        "tendons.0.offset, loads.tip_force.1, base_tension.1, of a target base_tension.value. "
+        "A taper keeps its own length where the length varies.",
         show_default=False,
     ),
 ]
@@ -224,12 +225,14 @@ def sweep(
     from . import solve_command, sweep_options, sweep_words
     from . import sweep_command as command
 
+    varied = {text.partition("=")[0].strip() for text in (*(over or []), *(sample or []))}
+    has_weight = bool(manipulator.density) or "density" in varied
     work = sweep_options.read_sweep(
         manipulator,
         over or [],
         sweep_options.Samples(sample or [], samples, sampler.value, seed),
         base_tension=sweep_options.read_base_tension(base_tension or [], manipulator),
-        loads=solve_command.read_loads(tip_force, tip_moment, gravity, manipulator),
+        loads=solve_command.read_loads(tip_force, tip_moment, gravity, has_weight),
         direction=_directions(direction, manipulator),
         outputs=sweep_options.read_outputs(output),
         sensitivities=tuple(sensitivity or ()),

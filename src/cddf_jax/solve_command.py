@@ -106,10 +106,12 @@ def _curvature(text: str, value: str, manipulator: Manipulator) -> CurvatureAt:
     return CurvatureAt(quantity(curvature.strip(), "curvature", "--base-tension curvature"), arc_length)
 
 
-def read_loads(
-    tip_force: str | None, tip_moment: str | None, gravity: str | None, manipulator: Manipulator
-) -> Loads | None:
+def read_loads(tip_force: str | None, tip_moment: str | None, gravity: str | None, has_weight: bool) -> Loads | None:
     """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where no text is given.
+
+    Args:
+        tip_force, tip_moment, gravity: as typed.
+        has_weight: whether the body has a density.
 
     Raises:
         InputError: for text that is none of that, and for gravity on a body without density.
@@ -121,7 +123,7 @@ def read_loads(
         given["tip_moment"] = quantity(tip_moment, "moment", "--tip-moment")
     if gravity is not None:
         given["gravity"] = vector(gravity, "acceleration", "--gravity")
-        if any(given["gravity"]) and manipulator.density == 0:
+        if any(given["gravity"]) and not has_weight:
             raise InputError(
                 f"--gravity {gravity!r}: the body has no weight, since its density is 0; "
                 'give the density in its file as in density = "1070 kg/m^3"'

@@ -1,7 +1,7 @@
 """Where an answer in chunks goes: into memory, or into a Zarr store that survives whatever stops the work.
 
-A chunk belongs to one process. Its variables are written one after the other, each file in one step: where the last
-of them is there, the chunk is whole, and whoever starts the same work again goes on with the other chunks.
+A chunk belongs to one process. Its variables are written one after the other, each file in one step: where all of
+them are there, the chunk is whole, and whoever starts the same work again goes on with the other chunks.
 """
 
 import errno
@@ -9,7 +9,7 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -80,14 +80,20 @@ class ZarrStore:
         self.path = Path(path)
         if create and not self.path.exists():
             _create(zarr, self.path, layout, identity)
-        self._group = _same_work(zarr, self.path, identity)
+        self._group = _same_work(zarr, self.path, identity, layout.variables)
         chunks = self._group[layout.last].chunks[: len(layout.shape)]
         self.layout = replace(layout, chunks=tuple(chunks))
 
     def has(self, index: Index) -> bool:
-        last = self.layout.variables[self.layout.last]
-        own = len(last.shape) - len(index)
-        return (self.path / self.layout.last / "c" / Path(*map(str, (*index, *(0,) * own)))).exists()
+        """Whether every file of a chunk is there, and none of them empty as a lost disk cache leaves it."""
+        for name, variable in self.layout.variables.items():
+            place = (*index, *(0,) * (len(variable.shape) - len(index)))
+            try:
+                if not (self.path / name / "c" / Path(*map(str, place))).stat().st_size:
+                    return False
+            except FileNotFoundError:
+                return False
+        return True
 
     def write(self, index: Index, blocks: Mapping[str, np.ndarray]) -> None:
         region = self.layout.region(index)
@@ -150,7 +156,7 @@ def _create(zarr: Any, path: Path, layout: Layout, identity: Mapping[str, Any]) 
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _same_work(zarr: Any, path: Path, identity: Mapping[str, Any]) -> Any:
+def _same_work(zarr: Any, path: Path, identity: Mapping[str, Any], names: Collection[str]) -> Any:
     """The group at the path.
 
     Raises:
@@ -172,6 +178,9 @@ def _same_work(zarr: Any, path: Path, identity: Mapping[str, Any]) -> Any:
         if found[name] != identity[name]:
             differs = f"its {name} is {_short(found[name])}, not {_short(identity[name])}"
             raise InputError(f"{path} holds other work: {differs}; {remedy}")
+    for name in names:
+        if name not in group:
+            raise InputError(f"{path} is damaged: its array {name!r} cannot be read; {remedy}")
     return group
 
 

@@ -16,7 +16,7 @@ from .lanes import Lanes
 from .solve_command import TARGETS
 from .store import ZarrStore
 from .sweep_exports import blocks_of, is_short, write_csv, write_netcdf
-from .sweep_outputs import RESULT, RESULT_NAMES
+from .sweep_outputs import RESULT, RESULT_NAMES, VERDICTS
 from .sweep_words import plain_words, size_in_words
 from .sweeping import Sweep
 from .work import COPIES
@@ -70,7 +70,9 @@ def check_places(places: Places, work: Sweep) -> None:
     layout = work.layout
     if places.netcdf is not None:
         _check_netcdf(places.netcdf, work)
-    if places.csv is not None and not [name for name in layout.variables if name != RESULT and is_short(layout, name)]:
+    if places.csv is not None and not [
+        name for name in layout.variables if name not in VERDICTS and is_short(layout, name)
+    ]:
         raise InputError(f"--csv {places.csv}: a table takes no outputs along the body; add one such as tip_tension")
     for path in (places.netcdf, places.csv):
         if path is not None:
@@ -161,6 +163,7 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, told: dict[str
         "figures": [str(places.folder / name) for name in drawn],
         "no_figure": figure if isinstance(figure, str) else None,
         "left_out": left_out(answer, work.outputs) if drawn else [],
+        "not_in_csv": [name for name in work.outputs if not is_short(work.layout, name)] if places.csv else [],
         "netcdf": None if places.netcdf is None else str(places.netcdf),
         "csv": None if places.csv is None else str(places.csv),
     }
@@ -213,7 +216,7 @@ def _summary(work: Sweep, answer: "xarray.Dataset") -> dict[str, Any]:
         name: {"unit": variable.attrs.get("units"), "dims": variable.dims[rank:]}
         | dict(zip(("min", "max"), ranges.get(name, (None, None)), strict=True))
         for name, variable in layout.variables.items()
-        if name != RESULT
+        if name not in VERDICTS
     }
     results = {name: int(n) for name, n in zip(RESULT_NAMES, counts, strict=True) if n}
     return {"results": results, "outputs": outputs}
@@ -240,7 +243,7 @@ def rehearse(work: Sweep, places: Places | None) -> dict[str, Any] | None:
     return {
         "solves": layout.size,
         "axes": _axes(work),
-        "outputs": [name for name in layout.variables if name != RESULT],
+        "outputs": [name for name in layout.variables if name not in VERDICTS],
         "bytes": layout.size * layout.bytes_each,
         "chunks": {"count": of, "shape": layout.chunks, "solves": layout.chunk_size},
         "memory": {"needed": needed_bytes, "allowed": work.allowed},

@@ -13,7 +13,7 @@ import numpy as np
 from .chunks import Layout, even_chunks
 from .errors import InputError
 from .store import needed
-from .sweep_outputs import COMPONENTS, RESULT, RESULT_NAMES
+from .sweep_outputs import COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
 
 if TYPE_CHECKING:
     import xarray
@@ -80,12 +80,12 @@ def _axis_columns(layout: Layout, region: tuple[slice, ...]) -> dict[str, np.nda
 def _output_columns(layout: Layout, block: "xarray.Dataset") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, variable in layout.variables.items():
-        if not is_short(layout, name) or name == RESULT:
+        if not is_short(layout, name) or name in VERDICTS:
             continue
         values, own = block[name].values, variable.dims[len(layout.shape) :]
         for place in np.ndindex(values.shape[len(layout.shape) :]):
-            words = map(component_label, own, place, values.shape[len(layout.shape) :])
-            label = "_".join([name, *(word.removeprefix("tendon ") for word in words if word)])
+            parts = zip(own, place, values.shape[len(layout.shape) :], strict=True)  # tendons from 0, as in all names
+            label = ".".join([name, *(COMPONENTS[i] if d == "component" else str(i) for d, i, n in parts if n > 1)])
             found[_head(label, variable.attrs)] = values[(..., *place)].ravel()
     return found | {RESULT: np.array(RESULT_NAMES)[block[RESULT].values.ravel()]}
 

@@ -10,7 +10,7 @@ from .chunks import Coordinate, Variable
 from .equilibrium import RESULTS
 
 COMPONENTS = ("X", "Y")
-RESULT = "result"
+SUCCESSFUL, RESULT = VERDICTS = "successful", "result"
 RESULT_NAMES = tuple(RESULTS._name_to_item)  # equinox has no public way to them; in the order of their codes
 
 
@@ -57,6 +57,9 @@ def variable(name: str, array: Any, shape: Mapping[str, int], unit_by: str = "",
             "flag_meanings": " ".join(RESULT_NAMES),
         }
         return Variable(tuple(shape), tuple(shape.values()), np.dtype(np.int8), attrs)
+    if name == SUCCESSFUL:
+        attrs = {"long_name": "solved without any doubt"}
+        return Variable(tuple(shape), tuple(shape.values()), np.dtype(bool), attrs)
     own = tuple(f"{name}_{i}" for i in range(array.ndim))
     known = OUTPUTS.get(name, Output("", name, own))
     unit, meaning = known.unit, known.meaning

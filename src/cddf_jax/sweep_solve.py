@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from .case import Case
-from .equilibrium import Equilibrium
+from .equilibrium import RESULTS, Equilibrium
+from .errors import InputError
 from .problem import Method
 from .statics import solve
-from .sweep_outputs import RESULT, slope_name
+from .sweep_outputs import RESULT, SUCCESSFUL, slope_name
 
 Numbers = Mapping[str, Any]
 Observables = tuple[tuple[str, Callable[[Equilibrium], Any]], ...]
@@ -47,8 +48,17 @@ class OneSolve(eqx.Module):
         options = {"direction": there.direction, "method": self.method, "nodes": self.nodes}
         found = solve(there.manipulator, there.base_tension, there.loads, throw=False, **options)
         outputs = {name: getattr(found, name) for name in self.outputs}
-        outputs |= {name: jnp.asarray(function(found)) for name, function in self.observables}
-        return outputs | {RESULT: found.result._value.astype(jnp.int8)}
+        outputs |= {name: _observed(name, function, found) for name, function in self.observables}
+        code = found.result._value
+        return outputs | {SUCCESSFUL: code == RESULTS.successful._value, RESULT: code.astype(jnp.int8)}
+
+
+def _observed(name: str, function: Callable[[Equilibrium], Any], found: Equilibrium) -> jax.Array:
+    try:
+        return jnp.asarray(function(found))
+    except (TypeError, ValueError, AttributeError) as error:
+        why = str(error).splitlines()[0]
+        raise InputError(f"sweep: the observable {name!r} makes no array of an Equilibrium ({why})") from None
 
 
 def prepared(case: Case, kinematics: Any, dtype: np.dtype) -> Case:

@@ -22,6 +22,11 @@ def in_words(told: Mapping[str, Any]) -> str:
     lines += [f"{plain_words(name)}: {_meaning(name)}" for name in results if name != "successful"]
     lines += [f"{name}: {_range(output)}" for name, output in told["outputs"].items() if output["min"] is not None]
     lines += [f"no figure: {paths['no_figure']}"] if paths["no_figure"] else []
+    lines += (
+        [f"not in the table, as they run along the body: {', '.join(paths['not_in_csv'])}"]
+        if paths["not_in_csv"]
+        else []
+    )
     lines += [f"not in the figure: {'; '.join(paths['left_out'])}"] if paths["left_out"] else []
     written = [paths["store"], *paths["figures"], paths["json"], paths["netcdf"], paths["csv"]]
     return "\n".join([*lines, f"written: {', '.join(path for path in written if path)}"])

@@ -22,7 +22,7 @@ from .problem import Method
 from .solver import FixedPoint
 from .statics import check_nodes
 from .store import needed
-from .sweep_outputs import OUTPUTS, RESULT, RESULT_NAMES, coordinates, slope_name, variable
+from .sweep_outputs import OUTPUTS, RESULT, SUCCESSFUL, coordinates, slope_name, variable
 from .sweep_solve import OneSolve, prepared
 from .work import COPIES, Work, carry_out
 
@@ -58,7 +58,7 @@ def sweep(
         manipulator: the body; what no axis names is taken from here.
         axes: by dimension of the answer. Either the name of a number and its values, {"base_tension": values}, or any
             other name and several numbers that vary together along it, {"sample": latin_hypercube(...)}. The dimensions
-            are combined with each other. For the names see `case`: "base_tension", "youngs_modulus",
+            are combined with each other. A name is the path to a number: "base_tension", "youngs_modulus",
             "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension.1", and the options "nodes",
             "method", "kinematics". SI units.
         base_tension, loads, direction, nodes, method: as `solve` takes them, where no axis names them.
@@ -76,7 +76,9 @@ def sweep(
     Returns:
         The outputs with the dimensions of the axes first, then "tendon", "point" (along the body), "component" (X, Y).
         `result` says how each solve went (its codes are among its attributes) and `successful` where all is well: a
-        failed solve is NaN, a doubtful one (crossing, inaccurate, unstable, ...) keeps its numbers.
+        failed solve is NaN, a doubtful one (crossing, inaccurate, unstable, ...) keeps its numbers. As in `solve`,
+        walls and clearances are the business of `manipulator.validate()`. Chunks, devices and processes change
+        numbers in the last bits at most (1e-13 relative).
 
     A number that a profile holds stays what it is when another varies: with "length" alone the taper of a `Linear`
     radius goes on at its slope; let "outer_radius.length" vary together with it.
@@ -84,15 +86,16 @@ def sweep(
     Raises:
         InputError: for an axis, output or option that is none, a store of another sweep, too little memory.
     """
+    _check_kinds(manipulator, base_tension, loads, method, memory, axes)
     work = Sweep(
         manipulator=manipulator,
         dimensions=dimensions_of(axes),
         base_tension=base_tension,
         loads=loads,
         direction=direction,
-        outputs=tuple(outputs),
+        outputs=_names("outputs", outputs),
         observables=dict(observables or {}),
-        sensitivities=tuple(sensitivities),
+        sensitivities=_names("sensitivities", sensitivities),
         nodes=nodes,
         method=method,
         precision=precision,
@@ -100,6 +103,25 @@ def sweep(
         chunk_size=chunk,
     )
     return work.run(out, progress)
+
+
+def _names(what: str, given: Any) -> tuple[str, ...]:
+    if isinstance(given, str) or not all(isinstance(name, str) for name in given):
+        raise InputError(f"sweep: {what} must be a tuple of names, as in {what}=('tip_tension',), got {given!r}")
+    return tuple(given)
+
+
+def _check_kinds(manipulator: Any, base_tension: Any, loads: Any, method: Any, memory: Any, axes: Any) -> None:
+    if not isinstance(manipulator, Manipulator):
+        raise InputError(f"sweep: manipulator must be a Manipulator, as of read_manipulator, got {manipulator!r}")
+    if loads is not None and not isinstance(loads, Loads):
+        raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {loads!r}")
+    if not isinstance(method, Method) or isinstance(method, type):
+        raise InputError(f"sweep: method must be one such as FixedPoint(), got {method!r}")
+    if memory is not None and not (isinstance(memory, int | float) and memory > 0):
+        raise InputError(f"sweep: memory must be a number of bytes above 0, as in memory=2e9, got {memory!r}")
+    if base_tension is not None and "base_tension" in axes:
+        raise InputError("sweep: base_tension is given and an axis; leave one out")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +179,9 @@ class Sweep:
         return {"nodes": self.nodes, "method": self.method, "kinematics": self.manipulator.kinematics}
 
     def _check(self) -> None:
+        for name in ("outputs", "sensitivities"):
+            if len(set(getattr(self, name))) < len(getattr(self, name)):
+                raise InputError(f"sweep: {name} names something twice; leave one out")
         known = {name for dimension in self.dimensions for name in (dimension.name, *dimension.numbers)}
         for name in self.outputs:
             if name not in OUTPUTS:
@@ -165,8 +190,10 @@ class Sweep:
             if name in known:
                 raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")
         for name in self.observables:
-            if name in OUTPUTS or name in (RESULT, "successful", *RESERVED):
-                raise InputError(f"sweep: the answer has a {name!r} already; give the observable another name")
+            if name in OUTPUTS or name in RESERVED or "/" in name:
+                raise InputError(f"sweep: no observable can be called {name!r}; give it another name")
+            if not callable(self.observables[name]):
+                raise InputError(f"sweep: the observable {name!r} must be a function of an Equilibrium")
         if not self.outputs and not self.observables:
             raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
         if self.chunk_size is not None and (not isinstance(self.chunk_size, int) or self.chunk_size < 1):
@@ -223,7 +250,8 @@ class Sweep:
             for by in self.sensitivities:
                 if (slope := slope_name(name, by)) in known:
                     yield slope, name, by
-        yield RESULT, RESULT, ""
+        for name in (SUCCESSFUL, RESULT):
+            yield name, name, ""
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -264,10 +292,7 @@ class Sweep:
 
     def run(self, out: Any = None, progress: bool = False) -> "xarray.Dataset":
         """Compute what is not there yet, and return everything."""
-        store = carry_out(Work(self.layout, self.identity, self.chunk), out, self.allowed, progress)
-        answer = store.dataset()
-        good = answer[RESULT] == RESULT_NAMES.index("successful")
-        return answer.assign(successful=good.assign_attrs(long_name="solved without any doubt"))
+        return carry_out(Work(self.layout, self.identity, self.chunk), out, self.allowed, progress).dataset()
 
     def chunk(self, layout: Layout, index: Index) -> dict[str, np.ndarray]:
         """The outputs of one chunk, in the shape of its region."""
