@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cddf_jax as cddf
+
 ROOT = Path(__file__).parents[1]
 G = 2.942783188998e4  # int_0^L d/J ds of the paper's body, m^-2, design.md section 3
 BOTH = ("friction_coefficient", "youngs_modulus")
@@ -35,6 +37,24 @@ def test_readme_example(capsys):
     pulls = np.linspace(5.0, 85.0, 17)
     np.testing.assert_allclose(names["loss"], 1 - 1 / (1 + 0.42 / 1.4e6 * pulls * G), rtol=1e-9)
     assert "0.117343" in capsys.readouterr().out  # tip X of the exact kinematics, design.md section 3
+
+
+def test_readme_example_of_sweeps(tmp_path, monkeypatch):
+    """The second sweep with 2**6 samples instead of 2**20."""
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    sweeps = next(block for block in blocks if "cddf.sweep(" in block)
+    assert sweeps.count("2**20") == 1
+    robot = cddf.read_manipulator(ROOT / "data" / "smooth_sil_940.toml")
+    names: dict = {"cddf": cddf, "robot": robot}
+    exec(compile(sweeps.replace("2**20", "2**6"), "README.md", "exec"), names)
+    grid = names["grid"]
+    assert grid.successful.all()
+    # the closed form at the paper's own tip radius, 13 mm: T / (1 + mu / E T G)
+    at = grid.tip_tension.sel(tendon=0).interp({"outer_radius.tip": 0.013})
+    pulls = np.linspace(5.0, 85.0, 17)
+    np.testing.assert_allclose(at, pulls / (1 + 0.42 / 1.4e6 * pulls * G), rtol=1e-4)  # interpolated
+    assert (tmp_path / "sweep.zarr").is_dir()
 
 
 def test_readme_example_is_short():
