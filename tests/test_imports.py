@@ -14,7 +14,7 @@ SOURCE = Path(cddf.__file__).parent
 FLOW = [
     {"profiles", "errors"},
     {"manipulator", "loads"},
-    {"mechanics"},
+    {"mechanics", "batches"},
     {"quadrature", "fixed_point", "implicit", "trigonometry"},
     {"problem"},
     {"solver", "tendon_travel", "sign_changes"},

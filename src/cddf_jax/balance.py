@@ -8,11 +8,26 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .batches import largest
 from .implicit import implicit, without_derivative
 from .load_path import LoadPath, follow_loads
 from .loads import Loads
 from .manipulator import Manipulator
-from .problem import Method, Number, Path, PerTendon, Problem, all_points, curvature_of, lay_out, loaded_to
+from .problem import (
+    Method,
+    Nodal,
+    Number,
+    Path,
+    PerTendon,
+    Problem,
+    all_points,
+    at_base,
+    curvature_of,
+    everywhere,
+    lay_out,
+    loaded_to,
+    nodal,
+)
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
@@ -35,6 +50,7 @@ class Settled(NamedTuple):
 
     load_path: LoadPath
     splits: Splits
+    guess: Nodal | None  # the values at the nodes under loads, rough where nothing has been solved yet
 
 
 class Balance(NamedTuple):
@@ -94,23 +110,23 @@ def balance(
     count = len(unknown), len(unknown) + (setup.loads is not None)
 
     def put(unknowns):
-        load_path, splits = settled
+        load_path, splits, guess = settled
         if setup.loads is not None:
             load_path = load_path._replace(base_moment=unknowns[count[0]])
         splits = splits._replace(arc_length=unknowns[count[1] :])
         tension = base_tension.at[which].set(unknowns[: count[0]]) if unknown else base_tension
-        return place(setup, tension, Settled(load_path, splits)), splits
+        return place(setup, tension, Settled(load_path, splits, guess)), splits
 
     def residual(unknowns):
         problem, splits = put(unknowns)
-        path = setup.method(problem)
+        path = setup.method(problem, settled.guess)
         turning = turning_at_splits(problem, path, splits)
         return jnp.concatenate([equations(problem, path), missing_moment(problem, path), turning])
 
     moment = [settled.load_path.base_moment[None]] if setup.loads is not None else []
     start = jnp.concatenate([base_tension[which] if unknown else base_tension[:0], *moment, settled.splits.arc_length])
     problem, _ = put(implicit(residual, start))
-    path = setup.method(problem)
+    path = setup.method(problem, settled.guess)
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
     return Balance(problem, path, found if moment else found._replace(travel=tendon_displacement(problem, path)))
@@ -129,7 +145,17 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     zero = 0.0 * jnp.sum(jnp.stack([jnp.sum(x) for x in numbers]))
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
     fraction, travel = (zero + 1.0 if setup.loads is None else zero), zero + jnp.zeros_like(base_tension)
-    return Settled(LoadPath(zero, fraction, zero, zero == 0, zero == 0, travel, zero == 0), splits)
+    load_path = LoadPath(zero, fraction, zero, zero == 0, zero == 0, travel, zero == 0)
+    guess = None
+    if setup.loads is not None:
+        problem = _lay_out(setup, base_tension, splits)
+        guess = jax.tree.map(lambda x: x + zero, everywhere(problem, at_base(problem)))
+    return Settled(load_path, splits, guess)
+
+
+def _lay_out(setup: Setup, base_tension: PerTendon, splits: Splits | None) -> Problem:
+    at = setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads
+    return lay_out(*at, None if splits is None else splits.arc_length)
 
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
@@ -139,27 +165,46 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     if setup.loads is None and num_splits(setup.manipulator, None) == 0:
         return start
 
-    def once(state: _Round) -> _Round:
-        found, splits = state.settled
-        problem = lay_out(setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads, splits.arc_length)
-        if problem.loads is None:
+    def solved(problem: Problem, found: LoadPath, guess: Nodal | None) -> tuple[LoadPath, Splits, Path]:
+        if problem.loads is None or guess is None:
             path = setup.method(problem)
-            found = found._replace(converged=path.converged)
-        else:
-            steps = found.num_steps
-            found, path = follow_loads(problem, problem.loads, setup.method, found.fraction, found.base_moment)
-            found = found._replace(num_steps=jnp.maximum(found.num_steps, steps))
-            problem = loaded_to(problem, found.fraction, found.base_moment * problem.moment_scale)
-        new = locate(problem, path)
-        moved = jnp.max(jnp.abs(new.arc_length - splits.arc_length)) / length
-        return _Round(Settled(found, new), moved, state.num_rounds + 1.0)
+            return found._replace(converged=path.converged), locate(problem, path), path
+        new, path = follow_loads(problem, problem.loads, setup.method, found.fraction, found.base_moment, guess)
+        problem = loaded_to(problem, new.fraction, new.base_moment * problem.moment_scale)
+        return new._replace(num_steps=jnp.maximum(new.num_steps, found.num_steps)), locate(problem, path), path
+
+    def once(state: _Round) -> _Round:
+        old = state.settled
+        problem = _lay_out(setup, base_tension, old.splits)
+        found, splits, path = solved(problem, old.load_path, old.guess)
+        return _Round(
+            Settled(found, splits, guess_from(problem, path)), moved(splits, old.splits), state.num_rounds + 1.0
+        )
+
+    def moved(new: Splits, old: Splits) -> Number:
+        return largest(new.arc_length - old.arc_length) / length
+
+    def guess_from(problem: Problem, path: Path, more: int = 0) -> Nodal | None:
+        """With as many empty panels at the tip as there may be sign changes."""
+        if problem.loads is None:
+            return None
+        values = nodal(problem, path)
+        tip = path.tip.ratio, path.tip.moment / problem.moment_scale
+        empty = jax.tree.map(
+            lambda x: jnp.broadcast_to(x, (more, *problem.panels.nodes.shape[1:], *x.shape)), Nodal(*tip)
+        )
+        return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), values, empty)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
         return (state.moved > SETTLED) & (state.num_rounds < MAX_ROUNDS) & converged
 
+    problem = _lay_out(setup, base_tension, None)
+    guess = None if setup.loads is None else everywhere(problem, at_base(problem))
+    found, splits, path = solved(problem, start.load_path, guess)
     zero = start.load_path.num_steps
-    return jax.lax.while_loop(goes_on, once, _Round(start, zero + jnp.inf, zero)).settled
+    first = Settled(found, splits, guess_from(problem, path, start.splits.owner.shape[0]))
+    return jax.lax.while_loop(goes_on, once, _Round(first, moved(splits, start.splits), zero + 1.0)).settled
 
 
 def inside_of_bend(problem: Problem, path: Path) -> Float[Array, " points"]:

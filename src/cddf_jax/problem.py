@@ -94,11 +94,24 @@ class Path(NamedTuple):
     locked: Bool[Array, ""]  # the tension of a tendon sliding out grows without bound
 
 
+class Nodal(NamedTuple):
+    """What has to be known at the nodes for everything else to follow, and is improved sweep by sweep."""
+
+    ratio: Float[Array, "P p tendons"]  # r
+    moment: Float[Array, "P p"] | None  # M_ext over its scale; None without loads
+
+
 @runtime_checkable
 class Method(Protocol):
     """A way to resolve shape and tension from the base to the tip. Its settings are static."""
 
-    def __call__(self, problem: Problem) -> Path: ...
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
+        """The whole way, from a first guess if there is one."""
+        ...
+
+    def improve(self, problem: Problem, guess: Nodal) -> Path:
+        """One sweep from a guess, `converged` if that was right; a method without sweeps goes the whole way."""
+        ...
 
 
 def lay_out(
@@ -249,6 +262,31 @@ def turn_at_joint(problem: Problem, joint: Joints | None, pull: Pull, moment: Nu
         return turn, ratio * jnp.exp(gain * turn)
 
     return jax.lax.fori_loop(0, 6, improve, (0.0 * arriving, ratio + 0.0 * arriving))
+
+
+def ones_at_base(problem: Problem) -> PerTendon:
+    """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
+    there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
+    total = jnp.sum(jnp.stack([jnp.sum(x) for x in jax.tree.leaves(there)]))
+    return jnp.where(total == total, jnp.ones_like(problem.base_tension), 1.0)
+
+
+def at_base(problem: Problem) -> Nodal:
+    """What holds at the base."""
+    ones = ones_at_base(problem)
+    moment = problem.base_moment / problem.moment_scale + 0.0 * ones[0]
+    return Nodal(ones, None if problem.loads is None else moment)
+
+
+def everywhere(problem: Problem, values: Nodal) -> Nodal:
+    """The same values at all nodes."""
+    shape = problem.panels.nodes.shape
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (*shape, *x.shape)), values)
+
+
+def nodal(problem: Problem, path: Path) -> Nodal:
+    """What a path tells the next sweep."""
+    return Nodal(path.nodes.ratio, None if problem.loads is None else path.nodes.moment / problem.moment_scale)
 
 
 def line_up(base: Array, nodes: Array, tip: Array) -> Array:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .batches import largest, only_if
 from .loads import Loads
 from .manipulator import CrossSection, Manipulator
 from .problem import (
@@ -73,11 +74,16 @@ def turning_at(problem: Problem, section: CrossSection, state: State) -> Float[A
 
 def locate(problem: Problem, path: Path) -> Splits:
     """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
-    none = unsplit(problem.manipulator, problem.loads)
-    cut = problem.panels
     turning = jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
-    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
+    bend = _largest_bend(problem, turning)
+    positive, negative = (largest(jnp.where(x > NEGLIGIBLE * bend, x, 0.0)) > 0 for x in (turning, -turning))
+    none = jax.tree.map(lambda x: x + (0.0 * bend).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
+    return only_if(positive & negative, lambda: _first_changes(problem, path, turning, none), none)
 
+
+def _first_changes(problem: Problem, path: Path, turning: Float[Array, "points owners"], none: Splits) -> Splits:
+    cut = problem.panels
+    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
     sign = jnp.where(jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.sign(turning), 0.0)
     index = jnp.arange(arc_length.shape[0])[:, None]
     last = jax.lax.cummax(jnp.where(sign != 0, index, -1))
@@ -95,7 +101,7 @@ def locate(problem: Problem, path: Path) -> Splits:
 def _largest_bend(problem: Problem, turning: Array) -> Number:
     """What one tendon alone or the largest turning would make of the curvature, 1/m."""
     alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
-    return jnp.maximum(jnp.max(alone), jnp.max(jnp.abs(turning)))
+    return largest((alone, turning))
 
 
 def _refine(
@@ -123,7 +129,8 @@ def _refine(
         jax.vmap(turning)(jnp.concatenate([jnp.stack([left, right]), joints - nudge, joints + nudge])),
         [2, 2 + joints.shape[0]],
     )
-    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left, ends[0], right, ends[1]))[2]
+    zero = 0.0 * ends[0]  # shard_map wants the bracket to vary as the turning does
+    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left + zero, ends[0], right + zero, ends[1]))[2]
     within = (joints >= left) & (joints <= right)
     return place, jnp.any(within & (before * after < 0))
 

@@ -6,25 +6,31 @@ kinematics theta' r does not depend on r, and one sweep of the fixed point is ex
 base tension follows from r by one more integral, see `problem`.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .fixed_point import fixed_point, round_off
+from .batches import all_finite, minus, relative_size
+from .fixed_point import FixedPointResult, fixed_point, round_off
 from .problem import (
     AT_NODES,
+    Nodal,
     Number,
     Path,
-    PerTendon,
     Problem,
     Pull,
     State,
+    at_base,
     axis_of,
     curvature_along,
     curvature_of,
     guarded_section,
     moment_rate_of,
+    nodal,
+    ones_at_base,
     rates_along,
     rates_of,
     ratio_rate,
@@ -108,69 +114,94 @@ class FixedPoint(eqx.Module):
     tolerance: float | None = eqx.field(default=None, static=True)
     max_sweeps: int = eqx.field(default=64, static=True)
 
-    def __call__(self, problem: Problem) -> Path:
-        cut, count = problem.panels, problem.base_tension.shape[0]
-        loaded = problem.loads is not None
-        tolerance = max(1e-12, round_off(cut.edges.dtype)) if self.tolerance is None else self.tolerance
-        weights = cut.constant("weights")
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
+        tolerance = self._tolerance(problem)
 
-        def unpack(values):  # r, and M_ext over its scale where there are loads
-            return values[..., :count], problem.moment_scale * jnp.sum(values[..., count:], axis=-1)
-
-        def rates(inputs, heading, spent, values):
-            section, force, width = inputs
-            ratio, moment = unpack(values)
-            rate = _spent_rates(problem, section, ratio)
-            pull = Pull(ratio, None if rate is None else spent + width * cut.accumulate(rate))
-            kappa = _curvatures(problem, section, pull, moment)
-            moment_rate = moment_rate_of(heading + width * cut.accumulate(kappa), force) if loaded else 0.0 * kappa
-            turning = _rates(problem, section, kappa, pull, moment_rate).turning
-            growth = _ratio_rates(problem, section, turning, ratio)
-            if loaded:
-                growth = jnp.concatenate([growth, moment_rate[:, None] / problem.moment_scale], axis=1)
-            return growth, kappa, turning
-
-        def panel(carry, inputs):
-            (values, heading, spent), (joint, *inputs) = carry, inputs
-            ratio, moment = unpack(values)
-            turn, ratio = turn_at_joint(problem, joint, Pull(ratio, spent), moment)
-            start = jnp.concatenate([ratio, values[count:]])
-            answer = fixed_point(
-                lambda y: start + inputs[-1] * cut.accumulate(rates(inputs, heading, spent, y)[0]),
-                jnp.broadcast_to(start, (cut.order, *start.shape)),
+        def repeated(sweep: Callable[[Nodal], Nodal], first: Nodal) -> FixedPointResult:
+            return fixed_point(
+                sweep,
+                first,
                 tolerance=tolerance,
                 max_sweeps=self.max_sweeps,
-                acceptable=lambda y: jnp.all(y[:, :count] > 0) & jnp.all(jnp.isfinite(y)),
+                acceptable=lambda y: jnp.all(y.ratio > 0) & all_finite(y),
             )
-            growth, kappa, turning = rates(inputs, heading, spent, answer.value)
-            end = start + inputs[-1] * (growth.T @ weights)
-            positive = jnp.all(end[:count] > 0)
-            end = jnp.where(positive, end, 1.0)
-            rate = _spent_rates(problem, inputs[0], unpack(answer.value)[0])
-            spent = None if rate is None else spent + inputs[-1] * (rate.T @ weights)
-            carry = end, heading + inputs[-1] * (kappa @ weights), spent
-            return carry, (start, answer, turn, positive, kappa, turning)
 
-        base = jnp.append(ones_at_base(problem), problem.base_moment / problem.moment_scale)
-        base = base if loaded else base[:count]
-        inputs = problem.joints, problem.nodes, problem.outboard.nodes, cut.width
-        start = base, 0.0 * base[0], None if problem.base.drag is None else 0.0 * base[:count]
-        (tip, *_), (starts, answer, turns, positive, *rate) = jax.lax.scan(panel, start, inputs)
-        settled = answer.change <= tolerance
-        return _follow(
-            problem, unpack(starts), unpack(answer.value), unpack(tip), turns, *rate,
+        path, answer = _pass(problem, guess, repeated)
+        good = answer.converged & path.converged
+        return path._replace(
             num_iterations=jnp.max(answer.num_sweeps),
             residual=jnp.max(answer.change),
-            converged=jnp.all(answer.converged & positive),
-            locked=jnp.any(settled & ~(answer.converged & positive)),
-        )  # fmt: skip
+            converged=jnp.all(good),
+            locked=jnp.any((answer.change <= tolerance) & ~good),
+        )
+
+    def improve(self, problem: Problem, guess: Nodal) -> Path:
+        zero = 0.0 * problem.panels.edges[-1]
+        path, _ = _pass(problem, guess, lambda _, first: FixedPointResult(first, zero, zero, zero == 0))
+        better = nodal(problem, path)
+        change = relative_size(minus(better, guess), better)
+        return path._replace(residual=change, converged=jnp.all(path.converged) & (change <= self._tolerance(problem)))
+
+    def _tolerance(self, problem: Problem) -> float:
+        return max(1e-12, round_off(problem.panels.edges.dtype)) if self.tolerance is None else self.tolerance
 
 
-def ones_at_base(problem: Problem) -> PerTendon:
-    """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
-    there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
-    total = jnp.sum(jnp.stack([jnp.sum(x) for x in jax.tree.leaves(there)]))
-    return jnp.where(total == total, jnp.ones_like(problem.base_tension), 1.0)
+def _pass(
+    problem: Problem, guess: Nodal | None, resolve: Callable[[Callable[[Nodal], Nodal], Nodal], FixedPointResult]
+) -> tuple[Path, FixedPointResult]:
+    """From base to tip, panel by panel.
+
+    Args:
+        problem: what is to be solved.
+        guess: where to start; None for the values at the start of each panel.
+        resolve: (sweep, first guess) -> what the values at the nodes of a panel are taken to be.
+
+    Returns:
+        The path that one sweep makes of the values that were resolved, `converged` and `resolved` by panel.
+    """
+    cut, loaded = problem.panels, problem.loads is not None
+    weights = cut.constant("weights")
+
+    def moment_of(values: Nodal) -> Array:
+        return 0.0 * values.ratio[..., 0] if values.moment is None else problem.moment_scale * values.moment
+
+    def panel(carry, inputs):
+        (before, heading, spent), (joint, section, force, width, guess) = carry, inputs
+        turn, ratio = turn_at_joint(problem, joint, Pull(before.ratio, spent), moment_of(before))
+        start = before._replace(ratio=ratio)
+
+        def rates(values: Nodal):
+            spending = _spent_rates(problem, section, values.ratio)
+            pull = Pull(values.ratio, None if spending is None else spent + width * cut.accumulate(spending))
+            kappa = _curvatures(problem, section, pull, moment_of(values))
+            moment_rate = moment_rate_of(heading + width * cut.accumulate(kappa), force) if loaded else 0.0 * kappa
+            turning = _rates(problem, section, kappa, pull, moment_rate).turning
+            growth = _ratio_rates(problem, section, turning, values.ratio)
+            return Nodal(growth, moment_rate / problem.moment_scale if loaded else None), spending, kappa, turning
+
+        def swept(growth: Nodal) -> Nodal:
+            return jax.tree.map(lambda a, rate: a + width * cut.accumulate(rate), start, growth)
+
+        first = jax.tree.map(lambda a: jnp.broadcast_to(a, (cut.order, *a.shape)), start) if guess is None else guess
+        answer = resolve(lambda values: swept(rates(values)[0]), first)
+        growth, spending, kappa, turning = rates(answer.value)
+        end = jax.tree.map(lambda a, rate: a + width * (rate.T @ weights), start, growth)
+        positive = jnp.all(end.ratio > 0)
+        end = jax.tree.map(lambda x: jnp.where(positive, x, 1.0), end)
+        spent = None if spending is None else spent + width * (spending.T @ weights)
+        carry = end, heading + width * (kappa @ weights), spent
+        return carry, (start, swept(growth), answer, turn, positive, kappa, turning)
+
+    ones = ones_at_base(problem)
+    base = at_base(problem)
+    inputs = problem.joints, problem.nodes, problem.outboard.nodes, cut.width, guess
+    start = base, 0.0 * ones[0], None if problem.base.drag is None else 0.0 * ones
+    (tip, *_), (starts, nodes, answer, turns, positive, *rate) = jax.lax.scan(panel, start, inputs)
+    values = ((x.ratio, moment_of(x)) for x in (starts, nodes, tip))
+    none = 0.0 * ones[0]
+    return _follow(
+        problem, *values, turns, *rate, num_iterations=none, residual=none, converged=positive, locked=none > 0
+    ), answer
 
 
 def _follow(problem: Problem, starts, nodes, tip, turns: Array, kappa: Array, turning: Array, **outcome) -> Path:
