@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from .batches import largest
 from .implicit import implicit, without_derivative
-from .load_path import LoadPath, follow_loads
+from .load_path import LoadPath, Trial, follow_loads, hold_loads, moment_left_at_tip, start_from
 from .loads import Loads
 from .manipulator import Manipulator
 from .problem import (
@@ -26,7 +26,6 @@ from .problem import (
     everywhere,
     lay_out,
     loaded_to,
-    nodal,
 )
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
@@ -50,7 +49,12 @@ class Settled(NamedTuple):
 
     load_path: LoadPath
     splits: Splits
-    guess: Nodal | None  # the values at the nodes under loads, rough where nothing has been solved yet
+    trial: Trial | None  # the values at the nodes; None without loads
+
+    @property
+    def guess(self) -> Nodal | None:
+        """Where a pass may start."""
+        return None if self.trial is None else self.trial.nodal
 
 
 class Balance(NamedTuple):
@@ -63,9 +67,7 @@ class Balance(NamedTuple):
 
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
     """The problem that one pass solves; where the path of the loads ended early, under the loads of its end."""
-    at = setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads
-    splits = settled.splits.arc_length
-    problem = lay_out(*at, splits if splits.size else None)
+    problem = _lay_out(setup, base_tension, settled.splits)
     if setup.loads is None:
         return problem
     found = settled.load_path
@@ -74,10 +76,8 @@ def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
 
 
 def missing_moment(problem: Problem, path: Path) -> Float[Array, " equations"]:
-    """M_ext(L) - m over the moment scale; empty without loads."""
-    if problem.loads is None:
-        return path.tip.moment[None][:0]
-    return ((path.tip.moment - problem.loads.tip_moment) / problem.moment_scale)[None]
+    """What is missing of the moment at the tip, see `moment_at_tip`; empty without loads."""
+    return path.tip.moment[None][:0] if problem.loads is None else moment_left_at_tip(problem, path)[None]
 
 
 def equilibrate(setup: Setup, base_tension: PerTendon) -> Balance:
@@ -107,26 +107,27 @@ def balance(
         equations: what vanishes at these tensions, one for each.
     """
     which = jnp.asarray(unknown, int)
+    guess = settled.guess
     count = len(unknown), len(unknown) + (setup.loads is not None)
 
     def put(unknowns):
-        load_path, splits, guess = settled
+        load_path, splits, trial = settled
         if setup.loads is not None:
             load_path = load_path._replace(base_moment=unknowns[count[0]])
         splits = splits._replace(arc_length=unknowns[count[1] :])
         tension = base_tension.at[which].set(unknowns[: count[0]]) if unknown else base_tension
-        return place(setup, tension, Settled(load_path, splits, guess)), splits
+        return place(setup, tension, Settled(load_path, splits, trial)), splits
 
     def residual(unknowns):
         problem, splits = put(unknowns)
-        path = setup.method(problem, settled.guess)
+        path = setup.method(problem, guess)
         turning = turning_at_splits(problem, path, splits)
         return jnp.concatenate([equations(problem, path), missing_moment(problem, path), turning])
 
     moment = [settled.load_path.base_moment[None]] if setup.loads is not None else []
     start = jnp.concatenate([base_tension[which] if unknown else base_tension[:0], *moment, settled.splits.arc_length])
     problem, _ = put(implicit(residual, start))
-    path = setup.method(problem, settled.guess)
+    path = setup.method(problem, guess)
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
     return Balance(problem, path, found if moment else found._replace(travel=tendon_displacement(problem, path)))
@@ -146,65 +147,78 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
     fraction, travel = (zero + 1.0 if setup.loads is None else zero), zero + jnp.zeros_like(base_tension)
     load_path = LoadPath(zero, fraction, zero, zero == 0, zero == 0, travel, zero == 0)
-    guess = None
+    trial = None
     if setup.loads is not None:
         problem = _lay_out(setup, base_tension, splits)
-        guess = jax.tree.map(lambda x: x + zero, everywhere(problem, at_base(problem)))
-    return Settled(load_path, splits, guess)
+        trial = start_from(zero, everywhere(problem, at_base(problem)))
+    return Settled(load_path, splits, trial)
 
 
 def _lay_out(setup: Setup, base_tension: PerTendon, splits: Splits | None) -> Problem:
     at = setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads
-    return lay_out(*at, None if splits is None else splits.arc_length)
+    return lay_out(*at, splits.arc_length if splits is not None and splits.arc_length.size else None)
 
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     """Base moment and sign changes in turn, until the sign changes stay where they are. No derivatives."""
-    length = jnp.asarray(setup.manipulator.length)
     start = unsettled(setup, base_tension)
     if setup.loads is None and num_splits(setup.manipulator, None) == 0:
         return start
 
-    def solved(problem: Problem, found: LoadPath, guess: Nodal | None) -> tuple[LoadPath, Splits, Path]:
-        if problem.loads is None or guess is None:
-            path = setup.method(problem)
-            return found._replace(converged=path.converged), locate(problem, path), path
-        new, path = follow_loads(problem, problem.loads, setup.method, found.fraction, found.base_moment, guess)
-        problem = loaded_to(problem, new.fraction, new.base_moment * problem.moment_scale)
-        return new._replace(num_steps=jnp.maximum(new.num_steps, found.num_steps)), locate(problem, path), path
-
     def once(state: _Round) -> _Round:
         old = state.settled
         problem = _lay_out(setup, base_tension, old.splits)
-        found, splits, path = solved(problem, old.load_path, old.guess)
-        return _Round(
-            Settled(found, splits, guess_from(problem, path)), moved(splits, old.splits), state.num_rounds + 1.0
-        )
+        if old.trial is None:
+            found, trial, path = _unloaded(setup, problem, old)
+        else:
+            found, trial = hold_loads(problem, setup.method, old.load_path, old.trial)
+            path = _pass_at(setup, problem, found, trial)
+        return judge(problem, Settled(found, locate(problem, path), trial), old.splits, state.num_rounds + 1.0)
 
-    def moved(new: Splits, old: Splits) -> Number:
-        return largest(new.arc_length - old.arc_length) / length
-
-    def guess_from(problem: Problem, path: Path, more: int = 0) -> Nodal | None:
-        """With as many empty panels at the tip as there may be sign changes."""
-        if problem.loads is None:
-            return None
-        values = nodal(problem, path)
-        tip = path.tip.ratio, path.tip.moment / problem.moment_scale
-        empty = jax.tree.map(
-            lambda x: jnp.broadcast_to(x, (more, *problem.panels.nodes.shape[1:], *x.shape)), Nodal(*tip)
-        )
-        return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), values, empty)
+    def judge(problem: Problem, new: Settled, old: Splits, num_rounds: Number) -> _Round:
+        moved = largest(new.splits.arc_length - old.arc_length) / problem.panels.edges[-1]
+        return _Round(new, moved, num_rounds)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
         return (state.moved > SETTLED) & (state.num_rounds < MAX_ROUNDS) & converged
 
-    problem = _lay_out(setup, base_tension, None)
-    guess = None if setup.loads is None else everywhere(problem, at_base(problem))
-    found, splits, path = solved(problem, start.load_path, guess)
     zero = start.load_path.num_steps
-    first = Settled(found, splits, guess_from(problem, path, start.splits.owner.shape[0]))
-    return jax.lax.while_loop(goes_on, once, _Round(first, moved(splits, start.splits), zero + 1.0)).settled
+    problem = _lay_out(setup, base_tension, None)
+    if start.trial is None:
+        found, trial, path = _unloaded(setup, problem, start)
+    else:
+        found, trial = follow_loads(problem, setup.method, everywhere(problem, at_base(problem)), zero)
+        path = _pass_at(setup, problem, found, trial)
+        trial = _with_empty_panels(trial, problem, path, start.splits.owner.shape[0])
+    first = judge(problem, Settled(found, locate(problem, path), trial), start.splits, zero + 1.0)
+    return jax.lax.while_loop(goes_on, once, first).settled
+
+
+def _unloaded(setup: Setup, problem: Problem, old: Settled) -> tuple[LoadPath, None, Path]:
+    path = setup.method(problem)
+    return old.load_path._replace(converged=path.converged), None, path
+
+
+def _pass_at(setup: Setup, problem: Problem, found: LoadPath, trial: Trial) -> Path:
+    there = loaded_to(problem, found.fraction, found.base_moment * problem.moment_scale)
+    return setup.method.improve(there, trial.nodal)
+
+
+def _with_empty_panels(trial: Trial, problem: Problem, path: Path, count: int) -> Trial:
+    """With as many more panels at the tip as there may be sign changes."""
+    order = problem.panels.order
+    at_tip = Nodal(path.tip.ratio, path.tip.moment / problem.moment_scale)
+
+    def more(x: Array, tip: Array) -> Array:
+        return jnp.concatenate([x, jnp.broadcast_to(tip, (count, order, *tip.shape))])
+
+    def more_tangents(x: Array) -> Array:
+        return jnp.concatenate([x, jnp.broadcast_to(x[:, -1:], (3, count, *x.shape[2:]))], axis=1)
+
+    return trial._replace(
+        nodal=jax.tree.map(more, trial.nodal, at_tip), tangents=jax.tree.map(more_tangents, trial.tangents)
+    )
 
 
 def inside_of_bend(problem: Problem, path: Path) -> Float[Array, " points"]:

@@ -5,15 +5,15 @@ M_ext(L) = m is one equation. Where it has several solutions, the one that is me
 of equilibria along which the tensions act first and then all loads grow together from 0 to 1.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .batches import all_finite, minus, relative_size
-from .loads import Loads
+from .batches import all_finite, largest
 from .problem import Method, Nodal, Number, Path, PerTendon, Problem, loaded_to, nodal
 from .tendon_travel import tendon_displacement
 
@@ -23,6 +23,7 @@ LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: in a longer one stability must not change, lest a step lands on another branch
 MAX_TRIES = 200
 MAX_SWEEPS = 64  # in one of them
+ROUGH = 0.1  # relative change in a sweep, above which what is missing at the tip says little of M_ext(0)
 
 
 class LoadPath(NamedTuple):
@@ -37,28 +38,32 @@ class LoadPath(NamedTuple):
     resolved: Bool[Array, ""]  # false where it was not the path that ended but the method that failed on it
 
 
-class _Place(NamedTuple):
-    """An equilibrium on the path, or what is taken for one."""
+class Trial(NamedTuple):
+    """What is made an equilibrium under some fraction of the loads, sweep by sweep."""
 
-    fraction: Number
-    moment: Number
-    slope: Number  # of the moment, by the fraction
+    moment: Number  # M_ext(0) over its scale
     nodal: Nodal
-    tangents: Nodal  # by moment, fraction and pull, leading axis 3
-    heading: Float[Array, " points"]
-    turning: Float[Array, " points"]  # slope of the heading, by the fraction
-    stable: Bool[Array, ""]
-    travel: PerTendon
-
-
-class _Trial(NamedTuple):
-    """A place that is made an equilibrium, sweep by sweep."""
-
-    place: _Place
+    tangents: Nodal  # of the values at the nodes by moment, fraction and pull, leading axis 3
+    slopes: Float[Array, "3"]  # of the moment missing at the tip
     settled: Bool[Array, ""]
     lost: Bool[Array, ""]
     sane: Bool[Array, ""]  # at the first sweep
     num_sweeps: Number
+
+
+class _Place(NamedTuple):
+    """An equilibrium on the path."""
+
+    fraction: Number
+    at: Trial
+    heading: Float[Array, " points"]
+    turning: Float[Array, " points"]  # slope of the heading, by the fraction
+    stable: Bool[Array, ""]
+
+    @property
+    def slope(self) -> Number:
+        """Slope of the moment, by the fraction."""
+        return jnp.where(self.at.slopes[1] == 0, 0.0, -self.at.slopes[1] / self.at.slopes[0])
 
 
 class _Walk(NamedTuple):
@@ -72,106 +77,149 @@ class _Walk(NamedTuple):
     resolved: Bool[Array, ""]
 
 
-def follow_loads(
-    problem: Problem, loads: Loads, method: Method, start_fraction: Number, start_moment: Number, guess: Nodal
-) -> tuple[LoadPath, Path]:
-    """Walk along the path of equilibria until all loads act.
+class LoadedBody(NamedTuple):
+    """A body between no loads and all of them, with any moment at its base, its tensions pulled in proportion."""
 
-    Euler steps, each corrected by sweeps of the method that carry their own tangents along: after every
-    sweep Newton's method puts M_ext(0) right, and along its tangent everything else. A step is taken back
-    and shortened where that does not settle, or where the body turns or misses its prediction by more than
-    a path would let it, or where the stability changes within more than a small step.
+    problem: Problem
+    method: Method
 
-    Args:
-        problem: under its full loads, which are these.
-        method: makes a path of the body out of a problem with a given base moment.
-        start_fraction, start_moment: a known equilibrium: 0 and 0, or 1 and one that is nearly right.
-        guess: the values at the nodes there.
+    def at(self, moment: Number, fraction: Number, pull: Number | float = 1.0) -> Problem:
+        """The problem there."""
+        there = loaded_to(self.problem, fraction, moment * self.problem.moment_scale)
+        return eqx.tree_at(lambda problem: problem.base_tension, there, pull * self.problem.base_tension)
 
-    Returns:
-        Where it led, and the body there.
-    """
-    scale, one = problem.moment_scale, jnp.ones_like(start_moment)
-    close = 4 * float(jnp.finfo(start_moment.dtype).eps) ** 0.5
+    def slopes(self, reading: Callable[[Problem, Path], Any], trial: Trial, fraction: Number) -> Any:
+        """One sweep with its tangents: what is read of it, the slopes of that by moment, fraction and pull, and all."""
 
-    def loaded(fraction: Number, moment: Number, pull: Number) -> Problem:
-        there = loaded_to(problem, fraction, moment * scale)
-        return eqx.tree_at(lambda problem: problem.base_tension, there, pull * problem.base_tension)
-
-    def flow(guess: Nodal, moment: Number, fraction: Number, pull: Number):
-        here = loaded(fraction, moment, pull)
-        path = method.improve(here, guess)
-        residual = (path.tip.moment - fraction * loads.tip_moment) / scale
-        heading = jnp.append(path.nodes.heading, path.tip.heading)
-        return (nodal(here, path), residual, heading, tendon_displacement(here, path)), path.converged
-
-    def sweep(trial: _Trial) -> _Trial:
-        at = trial.place
+        def flow(guess: Nodal, *at: Number):
+            here = self.at(*at)
+            path = self.method.improve(here, guess)
+            return reading(here, path), path
 
         def push(*tangents):
-            return jax.jvp(flow, (at.nodal, at.moment, at.fraction, one), tangents, has_aux=True)
+            at = trial.nodal, trial.moment, fraction, jnp.ones_like(trial.moment)
+            return jax.jvp(flow, at, tangents, has_aux=True)
 
-        basis = jnp.eye(3, dtype=one.dtype) + 0.0 * at.moment  # shard_map wants tangents like their values
-        (values, residual, heading, _), slopes, converged = jax.vmap(push, out_axes=(None, 0, None))(
-            at.tangents, *basis
+        basis = jnp.eye(3, dtype=trial.moment.dtype) + 0.0 * trial.moment  # shard_map wants tangents like their values
+        return jax.vmap(push, out_axes=(None, 0, None))(trial.tangents, *basis)
+
+    def correct(self, trial: Trial, fraction: Number) -> Trial:
+        """Sweeps that carry their tangents along, until nothing changes.
+
+        After every sweep Newton's method puts M_ext(0) right, and along its tangent everything else.
+        """
+        close = 4 * float(jnp.finfo(trial.moment.dtype).eps) ** 0.5
+
+        def sweep(trial: Trial) -> Trial:
+            (values, residual), (tangents, slopes), path = self.slopes(
+                lambda here, path: (nodal(here, path), moment_left_at_tip(here, path)), trial, fraction
+            )
+            exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where its slope vanishes
+            correction = jnp.where(exact | (path.residual > ROUGH), 0.0, -residual / slopes[0])
+            better = jax.tree.map(lambda x, v: x + correction * v[0], values, tangents)
+            sane = jnp.isfinite(correction) & jnp.all(values.ratio > 0) & all_finite(values)
+            steady = largest(slopes - trial.slopes) <= close * largest(slopes)
+            settled = path.converged & steady & (jnp.abs(correction) <= close * (1 + jnp.abs(trial.moment)))
+            return Trial(
+                trial.moment + correction,
+                better,
+                tangents,
+                slopes,
+                settled & sane,
+                ~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
+                jnp.where(trial.num_sweeps == 0, sane, trial.sane),
+                trial.num_sweeps + 1.0,
+            )
+
+        again = trial._replace(settled=trial.settled & False, lost=trial.lost & False, num_sweeps=0.0 * trial.moment)
+        return jax.lax.while_loop(lambda trial: ~(trial.settled | trial.lost), sweep, again)
+
+    def look(self, trial: Trial, fraction: Number) -> _Place:
+        """The place of an equilibrium on the path."""
+        heading, (by_moment, by_fraction, _), _ = self.slopes(
+            lambda _, path: jnp.append(path.nodes.heading, path.tip.heading), trial, fraction
         )
-        tangents, (by_moment, by_fraction, by_pull), (heading_by_moment, heading_by_fraction, _), travel = slopes
-        exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where by_moment vanishes
-        correction = jnp.where(exact, 0.0, -residual / by_moment)
-        slope = jnp.where(by_fraction == 0, 0.0, -by_fraction / by_moment)
-        place = _Place(
-            at.fraction,
-            at.moment + correction,
-            slope,
-            jax.tree.map(lambda x, v: x + correction * v[0], values, tangents),
-            tangents,
-            heading + correction * heading_by_moment,
-            heading_by_fraction + slope * heading_by_moment,
-            (by_moment > 0) & jnp.all(heading_by_moment > 0),
-            travel[2] - jnp.where(by_pull == 0, 0.0, by_pull / by_moment) * travel[0],
-        )
-        sane = jnp.isfinite(place.moment) & all_finite(place.nodal) & jnp.all(values.ratio > 0)
-        settled = converged & (jnp.abs(correction) <= close * (1 + jnp.abs(at.moment)))
-        settled = settled & (relative_size(minus(tangents, at.tangents), tangents) <= close)
-        return _Trial(
-            place,
-            settled & sane,
-            ~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
-            jnp.where(trial.num_sweeps == 0, sane, trial.sane),
-            trial.num_sweeps + 1.0,
-        )
+        place = _Place(fraction, trial, heading, heading, (trial.slopes[0] > 0) & jnp.all(by_moment > 0))
+        return place._replace(turning=by_fraction + place.slope * by_moment)
+
+    def travel(self, trial: Trial, fraction: Number) -> PerTendon:
+        """By how much the tendons slide in as all tensions rise in proportion, m."""
+        _, by, _ = self.slopes(tendon_displacement, trial, fraction)
+        return by[2] - jnp.where(trial.slopes[2] == 0, 0.0, trial.slopes[2] / trial.slopes[0]) * by[0]
+
+
+def moment_left_at_tip(problem: Problem, path: Path) -> Number:
+    """M_ext(L) - m over the moment scale."""
+    assert problem.loads is not None
+    return (path.tip.moment - problem.loads.tip_moment) / problem.moment_scale
+
+
+def start_from(moment: Number, guess: Nodal) -> Trial:
+    """Nothing but a guess."""
+    zero = 0.0 * moment
+    guess = jax.tree.map(lambda x: x + zero, guess)
+    none = jax.tree.map(lambda x: jnp.stack([0.0 * x] * 3), guess)
+    return Trial(moment, guess, none, jnp.stack([zero] * 3), zero > 0, zero > 0, zero == 0, zero)
+
+
+def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
+    """Walk along the path of equilibria until all loads act.
+
+    Euler steps, each of them corrected. A step is taken back and shortened where the correction does not
+    settle, or where the body turns or misses its prediction by more than a path would let it, or where
+    the stability changes within more than a small step.
+
+    Args:
+        problem: under its full loads.
+        method: makes a path of the body out of a problem with a given base moment.
+        guess: the values at the nodes without loads.
+        zero: 0, which under shard_map varies as all numbers do.
+
+    Returns:
+        Where it led, and the values there.
+    """
+    body = LoadedBody(problem, method)
+    no, yes = zero > 0, zero == 0
 
     def advance(walk: _Walk) -> _Walk:
         old, step = walk.place, walk.fraction - walk.place.fraction
-        ahead = jax.tree.map(lambda x, v: x + step * (v[1] + old.slope * v[0]), old.nodal, old.tangents)
-        place = old._replace(fraction=walk.fraction, moment=old.moment + step * old.slope, nodal=ahead)
-        trial = _Trial(place, no, no, yes, zero)
-        trial = jax.lax.while_loop(lambda trial: ~(trial.settled | trial.lost), sweep, trial)
-        return _decide(walk, trial)
+        ahead = jax.tree.map(lambda x, v: x + step * (v[1] + old.slope * v[0]), old.at.nodal, old.at.tangents)
+        trial = old.at._replace(moment=old.at.moment + step * old.slope, nodal=ahead)
+        return _decide(walk, body.look(body.correct(trial, walk.fraction), walk.fraction))
 
-    zero = 0.0 * start_moment
     still = zero + jnp.zeros(problem.panels.nodes.size + 1, zero.dtype)
-    no, yes = zero > 0, zero == 0
-    none = zero + jnp.zeros_like(problem.base_tension)
-    guess = jax.tree.map(lambda x: x + zero, guess)
-    flat = jax.tree.map(lambda x: jnp.stack([0.0 * x] * 3), guess)
-    place = _Place(start_fraction + zero, start_moment + zero, zero, guess, flat, still, still, yes, none)
-    walk = _Walk(place, zero + 1.0, place.fraction, zero, zero, no, no, yes)
+    walk = _Walk(_Place(zero, start_from(zero, guess), still, still, yes), zero + 1.0, zero, zero, zero, no, no, yes)
     walk = jax.lax.while_loop(lambda walk: ~(walk.arrived | walk.ended), advance, walk)
     place = walk.place
-    path = method.improve(loaded(place.fraction, place.moment, one), place.nodal)
+    travel = body.travel(place.at, place.fraction)
     return LoadPath(
-        place.moment, place.fraction, walk.num_steps - 1.0, walk.arrived, place.stable, place.travel, walk.resolved
-    ), path
+        place.at.moment, place.fraction, walk.num_steps - 1.0, walk.arrived, place.stable, travel, walk.resolved
+    ), place.at
 
 
-def _decide(walk: _Walk, trial: _Trial) -> _Walk:
+def hold_loads(problem: Problem, method: Method, found: LoadPath, guess: Trial) -> tuple[LoadPath, Trial]:
+    """The same place on other panels."""
+    body = LoadedBody(problem, method)
+    trial = body.correct(guess, found.fraction)
+    settled, resolved = trial.settled, trial.sane
+    trial = jax.tree.map(lambda new, old: jnp.where(settled, new, old), trial, guess)
+    place = body.look(trial, found.fraction)
+    return found._replace(
+        base_moment=trial.moment,
+        converged=settled,
+        stable=place.stable,
+        travel=body.travel(trial, found.fraction),
+        resolved=resolved,
+    ), trial
+
+
+def _decide(walk: _Walk, here: _Place) -> _Walk:
     """Go on, or take the step back."""
-    first, place, here = walk.num_steps == 0, walk.place, trial.place
+    first, place = walk.num_steps == 0, walk.place
     predicted = place.heading + (here.fraction - place.fraction) * place.turning
-    missed = jnp.where(first, 0.0, jnp.max(jnp.abs(here.heading - predicted)))
-    turned = jnp.where(first, 0.0, jnp.max(jnp.abs(here.heading - place.heading)))
-    settled = trial.settled & jnp.all(jnp.isfinite(here.turning))
+    missed = jnp.where(first, 0.0, largest(here.heading - predicted))
+    turned = jnp.where(first, 0.0, largest(here.heading - place.heading))
+    settled = here.at.settled & all_finite(here.turning)
     jumped = ~first & (here.stable != place.stable) & (walk.step > CRITICAL_STEP)
     accepted = settled & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
 
@@ -179,7 +227,7 @@ def _decide(walk: _Walk, trial: _Trial) -> _Walk:
     shorter = walk.step * jnp.where(settled & ~jumped, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = walk.step * jnp.clip(ideal, 0.3, 4.0)
     place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), here, place)
-    gentle = 0.8 * LARGEST_TURN / jnp.maximum(jnp.max(jnp.abs(place.turning)), 0.1 * LARGEST_TURN)
+    gentle = 0.8 * LARGEST_TURN / jnp.maximum(largest(place.turning), 0.1 * LARGEST_TURN)
     remaining = 1.0 - place.fraction
     step = jnp.minimum(jnp.minimum(jnp.where(accepted, longer, shorter), gentle), remaining)
     tries = walk.num_tries + 1.0
@@ -192,5 +240,5 @@ def _decide(walk: _Walk, trial: _Trial) -> _Walk:
         num_tries=tries,
         arrived=arrived,
         ended=~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES)),
-        resolved=trial.sane,
+        resolved=here.at.sane,
     )
