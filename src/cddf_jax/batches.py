@@ -41,10 +41,19 @@ def all_finite(numbers: Numbers) -> Bool[Array, ""]:
     return jnp.isfinite(largest(numbers))
 
 
-def only_if(needed: Bool[Array, ""], compute: Callable[[], Any], otherwise: Any) -> Any:
+def only_if(needed: Bool[Array, ""], compute: Callable[[Scalar], Any], otherwise: Any) -> Any:
     """What `compute` makes where it is needed; a batch computes nothing where no lane needs it.
 
     `lax.cond` would compute for the whole batch whatever happens. There are no derivatives in reverse mode.
+
+    Args:
+        needed: whether this lane needs it.
+        compute: gets a zero, to be added to what it works on: the rest XLA moves out of the loop that this is.
+        otherwise: what comes back where it is not needed.
     """
-    found = jax.lax.while_loop(lambda carry: carry[0], lambda carry: (carry[0] & False, compute()), (needed, otherwise))
-    return found[1]
+    turns = jnp.where(needed, 1.0, 0.0)
+
+    def once(carry):
+        return carry[0] - 1.0, compute(0.0 * carry[0])
+
+    return jax.lax.while_loop(lambda carry: carry[0] > 0, once, (turns, otherwise))[1]

@@ -78,12 +78,12 @@ def locate(problem: Problem, path: Path) -> Splits:
     bend = _largest_bend(problem, turning)
     positive, negative = (largest(jnp.where(x > NEGLIGIBLE * bend, x, 0.0)) > 0 for x in (turning, -turning))
     none = jax.tree.map(lambda x: x + (0.0 * bend).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
-    return only_if(positive & negative, lambda: _first_changes(problem, path, turning, none), none)
+    return only_if(positive & negative, lambda zero: _first_changes(problem, path, turning + zero, none), none)
 
 
 def _first_changes(problem: Problem, path: Path, turning: Float[Array, "points owners"], none: Splits) -> Splits:
     cut = problem.panels
-    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
+    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1]) + 0.0 * turning[0, 0]
     sign = jnp.where(jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.sign(turning), 0.0)
     index = jnp.arange(arc_length.shape[0])[:, None]
     last = jax.lax.cummax(jnp.where(sign != 0, index, -1))
