@@ -150,7 +150,7 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     trial = None
     if setup.loads is not None:
         problem = _lay_out(setup, base_tension, splits)
-        trial = start_from(zero, everywhere(problem, at_base(problem)))
+        trial = start_from(zero, everywhere(problem.panels, at_base(problem)))
     return Settled(load_path, splits, trial)
 
 
@@ -188,7 +188,7 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     if start.trial is None:
         found, trial, path = _unloaded(setup, problem, start)
     else:
-        found, trial = follow_loads(problem, setup.method, everywhere(problem, at_base(problem)), zero)
+        found, trial = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
         path = _pass_at(setup, problem, found, trial)
         trial = _with_empty_panels(trial, problem, path, start.splits.owner.shape[0])
     first = judge(problem, Settled(found, locate(problem, path), trial), start.splits, zero + 1.0)

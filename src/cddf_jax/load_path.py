@@ -117,7 +117,7 @@ class LoadedBody(NamedTuple):
             exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where its slope vanishes
             correction = jnp.where(exact | (path.residual > ROUGH), 0.0, -residual / slopes[0])
             better = jax.tree.map(lambda x, v: x + correction * v[0], values, tangents)
-            sane = jnp.isfinite(correction) & jnp.all(values.ratio > 0) & all_finite(values)
+            sane = jnp.isfinite(correction) & ~path.locked & all_finite(values)
             steady = largest(slopes - trial.slopes) <= close * largest(slopes)
             settled = path.converged & steady & (jnp.abs(correction) <= close * (1 + jnp.abs(trial.moment)))
             return Trial(

@@ -278,9 +278,9 @@ def at_base(problem: Problem) -> Nodal:
     return Nodal(ones, None if problem.loads is None else moment)
 
 
-def everywhere(problem: Problem, values: Nodal) -> Nodal:
+def everywhere(cut: Panels, values: Nodal) -> Nodal:
     """The same values at all nodes."""
-    shape = problem.panels.nodes.shape
+    shape = cut.nodes.shape
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (*shape, *x.shape)), values)
 
 

@@ -6,7 +6,7 @@ kinematics theta' r does not depend on r, and one sweep of the fixed point is ex
 base tension follows from r by one more integral, see `problem`.
 """
 
-from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,25 +14,25 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .batches import all_finite, minus, relative_size
-from .fixed_point import FixedPointResult, fixed_point, round_off
+from .fixed_point import fixed_point, round_off
+from .manipulator import CrossSection
 from .problem import (
     AT_NODES,
+    Joints,
     Nodal,
     Number,
     Path,
+    PerTendon,
     Problem,
     Pull,
     State,
     at_base,
     axis_of,
     curvature_along,
-    curvature_of,
+    everywhere,
     guarded_section,
     moment_rate_of,
-    nodal,
-    ones_at_base,
     rates_along,
-    rates_of,
     ratio_rate,
     spent_rate,
     spent_scale,
@@ -43,10 +43,7 @@ from .trigonometry import cos_sin
 
 ACCURACY = 1e-5  # a larger error of truncation is not called successful, nor a larger residual of Marching
 SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
-_curvatures = jax.vmap(curvature_of, AT_NODES)  # over the nodes of a panel
-_rates = jax.vmap(rates_of, (*AT_NODES, 0))
-_ratio_rates = jax.vmap(ratio_rate, AT_NODES)
-_spent_rates = jax.vmap(spent_rate, AT_NODES[:3])
+_ratio_rates = jax.vmap(jax.vmap(ratio_rate, AT_NODES), AT_NODES)  # over panels and nodes
 
 
 def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -117,18 +114,30 @@ class FixedPoint(eqx.Module):
     def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
         tolerance = self._tolerance(problem)
 
-        def repeated(sweep: Callable[[Nodal], Nodal], first: Nodal) -> FixedPointResult:
-            return fixed_point(
-                sweep,
-                first,
+        def panel(start: _Reached, inputs: tuple[Panels, Any, Nodal | None]):
+            cut, (along, guess) = inputs[0], jax.tree.map(lambda x: x[None], inputs[1:])
+            part = _Part(cut, *along)
+            answer = fixed_point(
+                lambda values: _sweep(problem, part, start, values)[0].nodes,
+                everywhere(cut, start.values) if guess is None else guess,
                 tolerance=tolerance,
                 max_sweeps=self.max_sweeps,
-                acceptable=lambda y: jnp.all(y.ratio > 0) & all_finite(y),
+                acceptable=lambda values: jnp.all(values.ratio > 0) & all_finite(values),
             )
+            swept, end = _sweep(problem, part, start, answer.value)
+            positive = jnp.all(end.values.ratio > 0)
+            values = end.values._replace(ratio=jnp.where(positive, end.values.ratio, 1.0))
+            alone = jax.tree.map(lambda x: x[0], swept)
+            return end._replace(values=values), (alone, answer._replace(value=None), positive)
 
-        path, answer = _pass(problem, guess, repeated)
-        good = answer.converged & path.converged
-        return path._replace(
+        edges, whole = problem.panels.edges, _whole(problem)
+        single = Panels(jnp.stack([edges[:-1], edges[1:]], axis=1), problem.panels.order)
+        tip, (swept, answer, positive) = jax.lax.scan(panel, _base(problem), (single, whole[1:], guess))
+        good = answer.converged & positive
+        return _follow(
+            problem,
+            swept,
+            tip,
             num_iterations=jnp.max(answer.num_sweeps),
             residual=jnp.max(answer.change),
             converged=jnp.all(good),
@@ -136,88 +145,131 @@ class FixedPoint(eqx.Module):
         )
 
     def improve(self, problem: Problem, guess: Nodal) -> Path:
-        zero = 0.0 * problem.panels.edges[-1]
-        path, _ = _pass(problem, guess, lambda _, first: FixedPointResult(first, zero, zero, zero == 0))
-        better = nodal(problem, path)
-        change = relative_size(minus(better, guess), better)
-        return path._replace(residual=change, converged=jnp.all(path.converged) & (change <= self._tolerance(problem)))
+        swept, tip = _sweep(problem, _whole(problem), _base(problem), guess)
+        change = relative_size(minus(swept.nodes, guess), swept.nodes)
+        positive = jnp.all(tip.values.ratio > 0) & jnp.all(swept.nodes.ratio > 0)
+        return _follow(
+            problem,
+            swept,
+            tip,
+            num_iterations=jnp.ones_like(change),
+            residual=change,
+            converged=positive & (change <= self._tolerance(problem)),
+            locked=~positive,
+        )
 
     def _tolerance(self, problem: Problem) -> float:
         return max(1e-12, round_off(problem.panels.edges.dtype)) if self.tolerance is None else self.tolerance
 
 
-def _pass(
-    problem: Problem, guess: Nodal | None, resolve: Callable[[Callable[[Nodal], Nodal], Nodal], FixedPointResult]
-) -> tuple[Path, FixedPointResult]:
-    """From base to tip, panel by panel.
+class _Part(NamedTuple):
+    """Some panels in a row, leading axis P."""
+
+    cut: Panels
+    joints: Joints | None
+    section: CrossSection
+    force: Float[Array, "P p 2"]
+
+
+class _Reached(NamedTuple):
+    """What is known at one place once everything inboard is."""
+
+    values: Nodal
+    heading: Number
+    spent: PerTendon | None
+
+
+class _Swept(NamedTuple):
+    """What one sweep makes of some panels."""
+
+    starts: Nodal
+    nodes: Nodal
+    turns: Float[Array, "P tendons"]
+    curvature: Float[Array, "P p"]
+    turning: Float[Array, "P p tendons"]
+
+
+def _whole(problem: Problem) -> _Part:
+    return _Part(problem.panels, problem.joints, problem.nodes, problem.outboard.nodes)
+
+
+def _base(problem: Problem) -> _Reached:
+    base = at_base(problem)
+    return _Reached(base, 0.0 * base.ratio[0], None if problem.base.drag is None else 0.0 * base.ratio)
+
+
+def _moment(problem: Problem, values: Nodal) -> Float[Array, "*points"]:
+    """M_ext, N m."""
+    return 0.0 * values.ratio[..., 0] if values.moment is None else problem.moment_scale * values.moment
+
+
+def _onward(cut: Panels, start: Array | None, rate: Array | None) -> tuple[Any, Any]:
+    """What grows at some rate from a start on, at the edges and at the nodes; None where nothing does."""
+    if start is None or rate is None:
+        return None, None
+    edges, nodes = cut.integrate(rate)
+    return start + edges, start + nodes
+
+
+def _sweep(problem: Problem, part: _Part, start: _Reached, guess: Nodal) -> tuple[_Swept, _Reached]:
+    """Curvature and turning that go with a guess, and r and M_ext that go with these, which are a better one."""
+    cut, section, loaded = part.cut, part.section, guess.moment is not None
+    moment = _moment(problem, guess)
+    spent, spent_at_nodes = _onward(cut, start.spent, spent_rate(problem, section, guess.ratio))
+    pull = Pull(guess.ratio, spent_at_nodes)
+    kappa = curvature_along(problem, section, pull, moment)
+    heading, heading_at_nodes = _onward(cut, start.heading, kappa)
+    moment_rate = moment_rate_of(heading_at_nodes, part.force) if loaded else 0.0 * kappa
+    turning = rates_along(problem, section, kappa, pull, moment_rate).turning
+    bending, bending_at_nodes = _onward(cut, start.values.moment, moment_rate * (1.0 / problem.moment_scale))
+    gains, within = cut.integrate(_ratio_rates(problem, section, turning, guess.ratio))
+    starts, tip, turns = _across_joints(problem, part, Nodal(start.values.ratio + gains, bending), spent)
+    nodes = Nodal((starts - gains[:-1])[:, None] + within, bending_at_nodes)
+    begun, end = (Nodal(ratio, bending[at] if loaded else None) for ratio, at in ((starts, slice(-1)), (tip, -1)))
+    reached = _Reached(end, heading[-1], None if spent is None else spent[-1])
+    return _Swept(begun, nodes, turns, kappa, turning), reached
+
+
+def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array]:
+    """Where tendons turn by a finite angle from panel to panel: r beyond, r at the end, and these angles.
 
     Args:
-        problem: what is to be solved.
-        guess: where to start; None for the values at the start of each panel.
-        resolve: (sweep, first guess) -> what the values at the nodes of a panel are taken to be.
-
-    Returns:
-        The path that one sweep makes of the values that were resolved, `converged` and `resolved` by panel.
+        problem, part: what is swept.
+        edges: at the edges of the panels, as if no tendon did that.
+        spent: c there.
     """
-    cut, loaded = problem.panels, problem.loads is not None
-    weights = cut.constant("weights")
+    if part.joints is None:
+        return edges.ratio[:-1], edges.ratio[-1], 0.0 * edges.ratio[:-1]
 
-    def moment_of(values: Nodal) -> Array:
-        return 0.0 * values.ratio[..., 0] if values.moment is None else problem.moment_scale * values.moment
+    def across(ratio: PerTendon, inputs):
+        joint, gain, spent, moment = inputs
+        turn, beyond = turn_at_joint(problem, joint, Pull(ratio, spent), moment)
+        return beyond + gain, (beyond, turn)
 
-    def panel(carry, inputs):
-        (before, heading, spent), (joint, section, force, width, guess) = carry, inputs
-        turn, ratio = turn_at_joint(problem, joint, Pull(before.ratio, spent), moment_of(before))
-        start = before._replace(ratio=ratio)
-
-        def rates(values: Nodal):
-            spending = _spent_rates(problem, section, values.ratio)
-            pull = Pull(values.ratio, None if spending is None else spent + width * cut.accumulate(spending))
-            kappa = _curvatures(problem, section, pull, moment_of(values))
-            moment_rate = moment_rate_of(heading + width * cut.accumulate(kappa), force) if loaded else 0.0 * kappa
-            turning = _rates(problem, section, kappa, pull, moment_rate).turning
-            growth = _ratio_rates(problem, section, turning, values.ratio)
-            return Nodal(growth, moment_rate / problem.moment_scale if loaded else None), spending, kappa, turning
-
-        def swept(growth: Nodal) -> Nodal:
-            return jax.tree.map(lambda a, rate: a + width * cut.accumulate(rate), start, growth)
-
-        first = jax.tree.map(lambda a: jnp.broadcast_to(a, (cut.order, *a.shape)), start) if guess is None else guess
-        answer = resolve(lambda values: swept(rates(values)[0]), first)
-        growth, spending, kappa, turning = rates(answer.value)
-        end = jax.tree.map(lambda a, rate: a + width * (rate.T @ weights), start, growth)
-        positive = jnp.all(end.ratio > 0)
-        end = jax.tree.map(lambda x: jnp.where(positive, x, 1.0), end)
-        spent = None if spending is None else spent + width * (spending.T @ weights)
-        carry = end, heading + width * (kappa @ weights), spent
-        return carry, (start, swept(growth), answer, turn, positive, kappa, turning)
-
-    ones = ones_at_base(problem)
-    base = at_base(problem)
-    inputs = problem.joints, problem.nodes, problem.outboard.nodes, cut.width, guess
-    start = base, 0.0 * ones[0], None if problem.base.drag is None else 0.0 * ones
-    (tip, *_), (starts, nodes, answer, turns, positive, *rate) = jax.lax.scan(panel, start, inputs)
-    values = ((x.ratio, moment_of(x)) for x in (starts, nodes, tip))
-    none = 0.0 * ones[0]
-    return _follow(
-        problem, *values, turns, *rate, num_iterations=none, residual=none, converged=positive, locked=none > 0
-    ), answer
+    gains, moment = jnp.diff(edges.ratio, axis=0), _moment(problem, edges)
+    inputs = part.joints, gains, None if spent is None else spent[:-1], moment[:-1]
+    tip, (starts, turns) = jax.lax.scan(across, edges.ratio[0], inputs)
+    return starts, tip, turns
 
 
-def _follow(problem: Problem, starts, nodes, tip, turns: Array, kappa: Array, turning: Array, **outcome) -> Path:
-    """Integrate the turning that goes with (r, M_ext) at starts, nodes and tip into wrap angle, heading, position."""
-    outboard = problem.outboard
-    (heading_edges, heading), (position_edges, position) = integrate_shape(problem.panels, kappa)
-    wrap_edges, wrap = problem.panels.integrate(jnp.abs(turning))
-    turned = jnp.cumsum(turns, axis=0)
-    pulls = Pull(starts[0]), Pull(nodes[0]), Pull(tip[0])
-    spent_rates = spent_rate(problem, problem.nodes, nodes[0])
-    if spent_rates is not None:
-        edges, inner = problem.panels.integrate(spent_rates)
-        pulls = Pull(starts[0], edges[:-1]), Pull(nodes[0], inner), Pull(tip[0], edges[-1])
+def _follow(problem: Problem, swept: _Swept, tip: _Reached, **outcome) -> Path:
+    """Integrate what goes with (r, M_ext) at starts, nodes and tip into wrap angle, heading, position."""
+    cut, outboard = problem.panels, problem.outboard
+    (heading_edges, heading), (position_edges, position) = integrate_shape(cut, swept.curvature)
+    wrap_edges, wrap = cut.integrate(jnp.abs(swept.turning))
+    turned = jnp.cumsum(swept.turns, axis=0)
+    spending = spent_rate(problem, problem.nodes, swept.nodes.ratio)
+    spent, spent_at_nodes = _onward(cut, _base(problem).spent, spending)
+    starts, nodes = Pull(swept.starts.ratio), Pull(swept.nodes.ratio, spent_at_nodes)
+    at_tip = Pull(tip.values.ratio)
+    if spent is not None:
+        starts, at_tip = starts._replace(spent=spent[:-1]), at_tip._replace(spent=spent[-1])
+    moments = (_moment(problem, values) for values in (swept.starts, swept.nodes, tip.values))
     return Path(
-        State(pulls[0], wrap_edges[:-1] + turned, heading_edges[:-1], position_edges[:-1], starts[1], outboard.starts),
-        State(pulls[1], wrap + turned[:, None], heading, position, nodes[1], outboard.nodes),
-        State(pulls[2], wrap_edges[-1] + turned[-1], heading_edges[-1], position_edges[-1], tip[1], outboard.tip),
+        State(
+            starts, wrap_edges[:-1] + turned, heading_edges[:-1], position_edges[:-1], next(moments), outboard.starts
+        ),
+        State(nodes, wrap + turned[:, None], heading, position, next(moments), outboard.nodes),
+        State(at_tip, wrap_edges[-1] + turned[-1], heading_edges[-1], position_edges[-1], next(moments), outboard.tip),
         **outcome,
     )
