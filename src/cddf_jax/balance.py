@@ -27,11 +27,12 @@ from .problem import (
     lay_out,
     loaded_to,
 )
+from .quadrature import Panels, redistribute
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
 MAX_ROUNDS = 6
-SETTLED = 1e-6  # of the length: a kink that lies so far off a panel's end costs 1e-12
+SETTLED = 3e-5  # of the length: the places found improve like its square, and M_ext(0) with it
 
 
 class Setup(eqx.Module):
@@ -135,6 +136,7 @@ def balance(
 
 class _Round(NamedTuple):
     settled: Settled
+    panels: Panels  # on which that was found
     moved: Number
     num_rounds: Number
 
@@ -171,13 +173,13 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
         if old.trial is None:
             found, trial, path = _unloaded(setup, problem, old)
         else:
-            found, trial = hold_loads(problem, setup.method, old.load_path, old.trial)
-            path = _pass_at(setup, problem, found, trial)
+            guess = old.trial._replace(nodal=redistribute(state.panels, problem.panels, old.trial.nodal))
+            found, trial, path = hold_loads(problem, setup.method, old.load_path, guess)
         return judge(problem, Settled(found, locate(problem, path), trial), old.splits, state.num_rounds + 1.0)
 
     def judge(problem: Problem, new: Settled, old: Splits, num_rounds: Number) -> _Round:
         moved = largest(new.splits.arc_length - old.arc_length) / problem.panels.edges[-1]
-        return _Round(new, moved, num_rounds)
+        return _Round(new, problem.panels, moved, num_rounds)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
@@ -188,21 +190,16 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     if start.trial is None:
         found, trial, path = _unloaded(setup, problem, start)
     else:
-        found, trial = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
-        path = _pass_at(setup, problem, found, trial)
+        found, trial, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
         trial = _with_empty_panels(trial, problem, path, start.splits.owner.shape[0])
-    first = judge(problem, Settled(found, locate(problem, path), trial), start.splits, zero + 1.0)
+    new = Settled(found, locate(problem, path), trial)
+    first = judge(_lay_out(setup, base_tension, start.splits), new, start.splits, zero + 1.0)
     return jax.lax.while_loop(goes_on, once, first).settled
 
 
 def _unloaded(setup: Setup, problem: Problem, old: Settled) -> tuple[LoadPath, None, Path]:
     path = setup.method(problem)
     return old.load_path._replace(converged=path.converged), None, path
-
-
-def _pass_at(setup: Setup, problem: Problem, found: LoadPath, trial: Trial) -> Path:
-    there = loaded_to(problem, found.fraction, found.base_moment * problem.moment_scale)
-    return setup.method.improve(there, trial.nodal)
 
 
 def _with_empty_panels(trial: Trial, problem: Problem, path: Path, count: int) -> Trial:

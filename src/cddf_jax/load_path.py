@@ -134,18 +134,17 @@ class LoadedBody(NamedTuple):
         again = trial._replace(settled=trial.settled & False, lost=trial.lost & False, num_sweeps=0.0 * trial.moment)
         return jax.lax.while_loop(lambda trial: ~(trial.settled | trial.lost), sweep, again)
 
-    def look(self, trial: Trial, fraction: Number) -> _Place:
-        """The place of an equilibrium on the path."""
-        heading, (by_moment, by_fraction, _), _ = self.slopes(
-            lambda _, path: jnp.append(path.nodes.heading, path.tip.heading), trial, fraction
-        )
-        place = _Place(fraction, trial, heading, heading, (trial.slopes[0] > 0) & jnp.all(by_moment > 0))
-        return place._replace(turning=by_fraction + place.slope * by_moment)
+    def look(self, trial: Trial, fraction: Number) -> tuple[_Place, PerTendon, Path]:
+        """The place of an equilibrium on the path, how tendons slide in there as all tensions rise, and the body."""
 
-    def travel(self, trial: Trial, fraction: Number) -> PerTendon:
-        """By how much the tendons slide in as all tensions rise in proportion, m."""
-        _, by, _ = self.slopes(tendon_displacement, trial, fraction)
-        return by[2] - jnp.where(trial.slopes[2] == 0, 0.0, trial.slopes[2] / trial.slopes[0]) * by[0]
+        def reading(here: Problem, path: Path):
+            return jnp.append(path.nodes.heading, path.tip.heading), tendon_displacement(here, path)
+
+        (heading, _), ((by_moment, by_fraction, _), slides), path = self.slopes(reading, trial, fraction)
+        place = _Place(fraction, trial, heading, heading, (trial.slopes[0] > 0) & jnp.all(by_moment > 0))
+        place = place._replace(turning=by_fraction + place.slope * by_moment)
+        by_pull = jnp.where(trial.slopes[2] == 0, 0.0, -trial.slopes[2] / trial.slopes[0])
+        return place, slides[2] + by_pull * slides[0], path
 
 
 def moment_left_at_tip(problem: Problem, path: Path) -> Number:
@@ -162,7 +161,7 @@ def start_from(moment: Number, guess: Nodal) -> Trial:
     return Trial(moment, guess, none, jnp.stack([zero] * 3), zero > 0, zero > 0, zero == 0, zero)
 
 
-def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
+def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial, Path]:
     """Walk along the path of equilibria until all loads act.
 
     Euler steps, each of them corrected. A step is taken back and shortened where the correction does not
@@ -176,7 +175,7 @@ def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -
         zero: 0, which under shard_map varies as all numbers do.
 
     Returns:
-        Where it led, and the values there.
+        Where it led, and the values and the body there.
     """
     body = LoadedBody(problem, method)
     no, yes = zero > 0, zero == 0
@@ -185,32 +184,27 @@ def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -
         old, step = walk.place, walk.fraction - walk.place.fraction
         ahead = jax.tree.map(lambda x, v: x + step * (v[1] + old.slope * v[0]), old.at.nodal, old.at.tangents)
         trial = old.at._replace(moment=old.at.moment + step * old.slope, nodal=ahead)
-        return _decide(walk, body.look(body.correct(trial, walk.fraction), walk.fraction))
+        return _decide(walk, body.look(body.correct(trial, walk.fraction), walk.fraction)[0])
 
     still = zero + jnp.zeros(problem.panels.nodes.size + 1, zero.dtype)
     walk = _Walk(_Place(zero, start_from(zero, guess), still, still, yes), zero + 1.0, zero, zero, zero, no, no, yes)
     walk = jax.lax.while_loop(lambda walk: ~(walk.arrived | walk.ended), advance, walk)
-    place = walk.place
-    travel = body.travel(place.at, place.fraction)
-    return LoadPath(
-        place.at.moment, place.fraction, walk.num_steps - 1.0, walk.arrived, place.stable, travel, walk.resolved
-    ), place.at
+    trial, fraction = walk.place.at, walk.place.fraction
+    place, travel, path = body.look(trial, fraction)
+    steps = walk.num_steps - 1.0
+    found = LoadPath(trial.moment, fraction, steps, walk.arrived, place.stable, travel, walk.resolved)
+    return found, trial, path
 
 
-def hold_loads(problem: Problem, method: Method, found: LoadPath, guess: Trial) -> tuple[LoadPath, Trial]:
-    """The same place on other panels."""
+def hold_loads(problem: Problem, method: Method, found: LoadPath, guess: Trial) -> tuple[LoadPath, Trial, Path]:
+    """The same place on other panels; where it cannot be found there, what was known."""
     body = LoadedBody(problem, method)
     trial = body.correct(guess, found.fraction)
     settled, resolved = trial.settled, trial.sane
     trial = jax.tree.map(lambda new, old: jnp.where(settled, new, old), trial, guess)
-    place = body.look(trial, found.fraction)
-    return found._replace(
-        base_moment=trial.moment,
-        converged=settled,
-        stable=place.stable,
-        travel=body.travel(trial, found.fraction),
-        resolved=resolved,
-    ), trial
+    place, travel, path = body.look(trial, found.fraction)
+    found = LoadPath(trial.moment, found.fraction, found.num_steps, settled, place.stable, travel, resolved)
+    return found, trial, path
 
 
 def _decide(walk: _Walk, here: _Place) -> _Walk:
