@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from .batches import largest
 from .implicit import implicit, without_derivative
-from .load_path import LoadPath, Trial, follow_loads, hold_loads, moment_left_at_tip, start_from
+from .load_path import LoadedBody, LoadPath, Trial, follow_loads, hold_loads, moment_left_at_tip, start_from
 from .loads import Loads
 from .manipulator import Manipulator
 from .problem import (
@@ -23,6 +23,7 @@ from .problem import (
     all_points,
     at_base,
     curvature_of,
+    cut_into_panels,
     everywhere,
     lay_out,
     loaded_to,
@@ -64,6 +65,7 @@ class Balance(NamedTuple):
     problem: Problem
     path: Path
     load_path: LoadPath  # how the loads were put on
+    travel: PerTendon  # by which tendons slide in as all tensions rise in proportion, m; without loads: slid in
 
 
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
@@ -131,7 +133,10 @@ def balance(
     path = setup.method(problem, guess)
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
-    return Balance(problem, path, found if moment else found._replace(travel=tendon_displacement(problem, path)))
+    if settled.trial is None:
+        return Balance(problem, path, found, tendon_displacement(problem, path))
+    body, whole = LoadedBody(without_derivative(problem), setup.method), jnp.ones_like(found.fraction)
+    return Balance(problem, path, found, body.travel(settled.trial, whole))
 
 
 class _Round(NamedTuple):
@@ -147,13 +152,15 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     numbers = jax.tree.leaves(eqx.filter((setup, base_tension), eqx.is_inexact_array))
     zero = 0.0 * jnp.sum(jnp.stack([jnp.sum(x) for x in numbers]))
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
-    fraction, travel = (zero + 1.0 if setup.loads is None else zero), zero + jnp.zeros_like(base_tension)
-    load_path = LoadPath(zero, fraction, zero, zero == 0, zero == 0, travel, zero == 0)
-    trial = None
-    if setup.loads is not None:
-        problem = _lay_out(setup, base_tension, splits)
-        trial = start_from(zero, everywhere(problem.panels, at_base(problem)))
-    return Settled(load_path, splits, trial)
+    fraction = zero + 1.0 if setup.loads is None else zero
+    load_path = LoadPath(zero, fraction, zero, zero == 0, zero == 0, zero == 0)
+    ones = jnp.ones_like(base_tension)
+    guess = everywhere(_cut(setup, splits), Nodal(ones, zero))
+    return Settled(load_path, splits, None if setup.loads is None else start_from(guess, zero))
+
+
+def _cut(setup: Setup, splits: Splits) -> Panels:
+    return cut_into_panels(setup.manipulator, setup.nodes, splits.arc_length)
 
 
 def _lay_out(setup: Setup, base_tension: PerTendon, splits: Splits | None) -> Problem:
@@ -175,11 +182,11 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
         else:
             guess = old.trial._replace(nodal=redistribute(state.panels, problem.panels, old.trial.nodal))
             found, trial, path = hold_loads(problem, setup.method, old.load_path, guess)
-        return judge(problem, Settled(found, locate(problem, path), trial), old.splits, state.num_rounds + 1.0)
+        return judge(problem.panels, Settled(found, locate(problem, path), trial), old.splits, state.num_rounds + 1.0)
 
-    def judge(problem: Problem, new: Settled, old: Splits, num_rounds: Number) -> _Round:
-        moved = largest(new.splits.arc_length - old.arc_length) / problem.panels.edges[-1]
-        return _Round(new, problem.panels, moved, num_rounds)
+    def judge(cut: Panels, new: Settled, old: Splits, num_rounds: Number) -> _Round:
+        moved = largest(new.splits.arc_length - old.arc_length) / cut.edges[-1]
+        return _Round(new, cut, moved, num_rounds)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
@@ -193,7 +200,7 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
         found, trial, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
         trial = _with_empty_panels(trial, problem, path, start.splits.owner.shape[0])
     new = Settled(found, locate(problem, path), trial)
-    first = judge(_lay_out(setup, base_tension, start.splits), new, start.splits, zero + 1.0)
+    first = judge(_cut(setup, start.splits), new, start.splits, zero + 1.0)
     return jax.lax.while_loop(goes_on, once, first).settled
 
 
@@ -213,8 +220,14 @@ def _with_empty_panels(trial: Trial, problem: Problem, path: Path, count: int) -
     def more_tangents(x: Array) -> Array:
         return jnp.concatenate([x, jnp.broadcast_to(x[:, -1:], (3, count, *x.shape[2:]))], axis=1)
 
+    def more_points(x: Array) -> Array:
+        return jnp.concatenate([x, jnp.broadcast_to(x[..., -1:], (*x.shape[:-1], count * order))], axis=-1)
+
     return trial._replace(
-        nodal=jax.tree.map(more, trial.nodal, at_tip), tangents=jax.tree.map(more_tangents, trial.tangents)
+        nodal=jax.tree.map(more, trial.nodal, at_tip),
+        tangents=jax.tree.map(more_tangents, trial.tangents),
+        heading=more_points(trial.heading),
+        turning=more_points(trial.turning),
     )
 
 

@@ -34,21 +34,34 @@ class LoadPath(NamedTuple):
     num_steps: Number  # steps of the loads
     converged: Bool[Array, ""]
     stable: Bool[Array, ""]  # the smallest eigenvalue of the tangent is positive
-    travel: PerTendon  # by which tendons slide in as all tensions rise in proportion, m
     resolved: Bool[Array, ""]  # false where it was not the path that ended but the method that failed on it
 
 
 class Trial(NamedTuple):
-    """What is made an equilibrium under some fraction of the loads, sweep by sweep."""
+    """What is made an equilibrium under some fraction of the loads, sweep by sweep.
+
+    Slopes are by moment, fraction and pull, along a leading axis 3.
+    """
 
     moment: Number  # M_ext(0) over its scale
     nodal: Nodal
-    tangents: Nodal  # of the values at the nodes by moment, fraction and pull, leading axis 3
-    slopes: Float[Array, "3"]  # of the moment missing at the tip
+    tangents: Nodal  # its slopes
+    slopes: Float[Array, "3"]  # of what is missing of the moment at the tip
+    heading: Float[Array, " points"]
+    turning: Float[Array, "3 points"]  # its slopes
     settled: Bool[Array, ""]
     lost: Bool[Array, ""]
     sane: Bool[Array, ""]  # at the first sweep
     num_sweeps: Number
+
+    @property
+    def stable(self) -> Bool[Array, ""]:
+        """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
+        return (self.slopes[0] > 0) & jnp.all(self.turning[0] > 0)
+
+    def along(self, parameter: int) -> Number:
+        """Slope of the moment that keeps the tip's, by fraction (1) or pull (2)."""
+        return jnp.where(self.slopes[parameter] == 0, 0.0, -self.slopes[parameter] / self.slopes[0])
 
 
 class _Place(NamedTuple):
@@ -56,14 +69,7 @@ class _Place(NamedTuple):
 
     fraction: Number
     at: Trial
-    heading: Float[Array, " points"]
-    turning: Float[Array, " points"]  # slope of the heading, by the fraction
-    stable: Bool[Array, ""]
-
-    @property
-    def slope(self) -> Number:
-        """Slope of the moment, by the fraction."""
-        return jnp.where(self.at.slopes[1] == 0, 0.0, -self.at.slopes[1] / self.at.slopes[0])
+    turning: Float[Array, " points"]  # slope of the heading along the path
 
 
 class _Walk(NamedTuple):
@@ -110,41 +116,40 @@ class LoadedBody(NamedTuple):
         """
         close = 4 * float(jnp.finfo(trial.moment.dtype).eps) ** 0.5
 
+        def reading(here: Problem, path: Path):
+            return nodal(here, path), moment_left_at_tip(here, path), jnp.append(path.nodes.heading, path.tip.heading)
+
         def sweep(trial: Trial) -> Trial:
-            (values, residual), (tangents, slopes), path = self.slopes(
-                lambda here, path: (nodal(here, path), moment_left_at_tip(here, path)), trial, fraction
-            )
+            (values, residual, heading), (tangents, slopes, turning), path = self.slopes(reading, trial, fraction)
             exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where its slope vanishes
             correction = jnp.where(exact | (path.residual > ROUGH), 0.0, -residual / slopes[0])
-            better = jax.tree.map(lambda x, v: x + correction * v[0], values, tangents)
             sane = jnp.isfinite(correction) & ~path.locked & all_finite(values)
             steady = largest(slopes - trial.slopes) <= close * largest(slopes)
             settled = path.converged & steady & (jnp.abs(correction) <= close * (1 + jnp.abs(trial.moment)))
             return Trial(
-                trial.moment + correction,
-                better,
-                tangents,
-                slopes,
-                settled & sane,
-                ~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
-                jnp.where(trial.num_sweeps == 0, sane, trial.sane),
-                trial.num_sweeps + 1.0,
+                moment=trial.moment + correction,
+                nodal=jax.tree.map(lambda x, v: x + correction * v[0], values, tangents),
+                tangents=tangents,
+                slopes=slopes,
+                heading=heading + correction * turning[0],
+                turning=turning,
+                settled=settled & sane,
+                lost=~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
+                sane=jnp.where(trial.num_sweeps == 0, sane, trial.sane),
+                num_sweeps=trial.num_sweeps + 1.0,
             )
 
         again = trial._replace(settled=trial.settled & False, lost=trial.lost & False, num_sweeps=0.0 * trial.moment)
         return jax.lax.while_loop(lambda trial: ~(trial.settled | trial.lost), sweep, again)
 
-    def look(self, trial: Trial, fraction: Number) -> tuple[_Place, PerTendon, Path]:
-        """The place of an equilibrium on the path, how tendons slide in there as all tensions rise, and the body."""
+    def travel(self, trial: Trial, fraction: Number) -> PerTendon:
+        """By how much tendons slide in as all tensions rise in proportion, m."""
+        slides = self.slopes(tendon_displacement, trial, fraction)[1]
+        return slides[2] + trial.along(2) * slides[0]
 
-        def reading(here: Problem, path: Path):
-            return jnp.append(path.nodes.heading, path.tip.heading), tendon_displacement(here, path)
-
-        (heading, _), ((by_moment, by_fraction, _), slides), path = self.slopes(reading, trial, fraction)
-        place = _Place(fraction, trial, heading, heading, (trial.slopes[0] > 0) & jnp.all(by_moment > 0))
-        place = place._replace(turning=by_fraction + place.slope * by_moment)
-        by_pull = jnp.where(trial.slopes[2] == 0, 0.0, -trial.slopes[2] / trial.slopes[0])
-        return place, slides[2] + by_pull * slides[0], path
+    def path(self, trial: Trial, fraction: Number) -> Path:
+        """The body."""
+        return self.method.improve(self.at(trial.moment, fraction), trial.nodal)
 
 
 def moment_left_at_tip(problem: Problem, path: Path) -> Number:
@@ -153,12 +158,13 @@ def moment_left_at_tip(problem: Problem, path: Path) -> Number:
     return (path.tip.moment - problem.loads.tip_moment) / problem.moment_scale
 
 
-def start_from(moment: Number, guess: Nodal) -> Trial:
-    """Nothing but a guess."""
-    zero = 0.0 * moment
+def start_from(guess: Nodal, zero: Number) -> Trial:
+    """Nothing but a guess; 0 under shard_map varies as all numbers do."""
     guess = jax.tree.map(lambda x: x + zero, guess)
-    none = jax.tree.map(lambda x: jnp.stack([0.0 * x] * 3), guess)
-    return Trial(moment, guess, none, jnp.stack([zero] * 3), zero > 0, zero > 0, zero == 0, zero)
+    tangents, slopes = (jax.tree.map(lambda x: jnp.stack([0.0 * x] * 3), x) for x in (guess, zero))
+    heading = zero + jnp.zeros(guess.ratio.shape[0] * guess.ratio.shape[1] + 1, zero.dtype)
+    no, yes = zero > 0, zero == 0
+    return Trial(zero, guess, tangents, slopes, heading, jnp.stack([heading] * 3), no, no, yes, zero)
 
 
 def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial, Path]:
@@ -182,18 +188,19 @@ def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -
 
     def advance(walk: _Walk) -> _Walk:
         old, step = walk.place, walk.fraction - walk.place.fraction
-        ahead = jax.tree.map(lambda x, v: x + step * (v[1] + old.slope * v[0]), old.at.nodal, old.at.tangents)
-        trial = old.at._replace(moment=old.at.moment + step * old.slope, nodal=ahead)
-        return _decide(walk, body.look(body.correct(trial, walk.fraction), walk.fraction)[0])
+        slope = old.at.along(1)
+        ahead = jax.tree.map(lambda x, v: x + step * (v[1] + slope * v[0]), old.at.nodal, old.at.tangents)
+        trial = body.correct(old.at._replace(moment=old.at.moment + step * slope, nodal=ahead), walk.fraction)
+        turning = trial.turning[1] + trial.along(1) * trial.turning[0]
+        return _decide(walk, _Place(walk.fraction, trial, turning))
 
-    still = zero + jnp.zeros(problem.panels.nodes.size + 1, zero.dtype)
-    walk = _Walk(_Place(zero, start_from(zero, guess), still, still, yes), zero + 1.0, zero, zero, zero, no, no, yes)
+    start = start_from(guess, zero)
+    walk = _Walk(_Place(zero, start, start.heading), zero + 1.0, zero, zero, zero, no, no, yes)
     walk = jax.lax.while_loop(lambda walk: ~(walk.arrived | walk.ended), advance, walk)
     trial, fraction = walk.place.at, walk.place.fraction
-    place, travel, path = body.look(trial, fraction)
     steps = walk.num_steps - 1.0
-    found = LoadPath(trial.moment, fraction, steps, walk.arrived, place.stable, travel, walk.resolved)
-    return found, trial, path
+    found = LoadPath(trial.moment, fraction, steps, walk.arrived, trial.stable, walk.resolved)
+    return found, trial, body.path(trial, fraction)
 
 
 def hold_loads(problem: Problem, method: Method, found: LoadPath, guess: Trial) -> tuple[LoadPath, Trial, Path]:
@@ -202,25 +209,24 @@ def hold_loads(problem: Problem, method: Method, found: LoadPath, guess: Trial) 
     trial = body.correct(guess, found.fraction)
     settled, resolved = trial.settled, trial.sane
     trial = jax.tree.map(lambda new, old: jnp.where(settled, new, old), trial, guess)
-    place, travel, path = body.look(trial, found.fraction)
-    found = LoadPath(trial.moment, found.fraction, found.num_steps, settled, place.stable, travel, resolved)
-    return found, trial, path
+    new = LoadPath(trial.moment, found.fraction, found.num_steps, settled, trial.stable, resolved)
+    return new, trial, body.path(trial, found.fraction)
 
 
 def _decide(walk: _Walk, here: _Place) -> _Walk:
     """Go on, or take the step back."""
-    first, place = walk.num_steps == 0, walk.place
-    predicted = place.heading + (here.fraction - place.fraction) * place.turning
-    missed = jnp.where(first, 0.0, largest(here.heading - predicted))
-    turned = jnp.where(first, 0.0, largest(here.heading - place.heading))
-    settled = here.at.settled & all_finite(here.turning)
-    jumped = ~first & (here.stable != place.stable) & (walk.step > CRITICAL_STEP)
+    first, old, new = walk.num_steps == 0, walk.place.at, here.at
+    predicted = old.heading + (here.fraction - walk.place.fraction) * walk.place.turning
+    missed = jnp.where(first, 0.0, largest(new.heading - predicted))
+    turned = jnp.where(first, 0.0, largest(new.heading - old.heading))
+    settled = new.settled & all_finite(here.turning)
+    jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
     accepted = settled & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
 
     ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
     shorter = walk.step * jnp.where(settled & ~jumped, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = walk.step * jnp.clip(ideal, 0.3, 4.0)
-    place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), here, place)
+    place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), here, walk.place)
     gentle = 0.8 * LARGEST_TURN / jnp.maximum(largest(place.turning), 0.1 * LARGEST_TURN)
     remaining = 1.0 - place.fraction
     step = jnp.minimum(jnp.minimum(jnp.where(accepted, longer, shorter), gentle), remaining)
@@ -234,5 +240,5 @@ def _decide(walk: _Walk, here: _Place) -> _Walk:
         num_tries=tries,
         arrived=arrived,
         ended=~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES)),
-        resolved=here.at.sane,
+        resolved=new.sane,
     )

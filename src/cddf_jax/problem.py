@@ -123,12 +123,11 @@ def lay_out(
     splits: Float[Array, " splits"] | None = None,
 ) -> Problem:
     """Cut the body into panels, at `splits` as well, and evaluate its cross-sections."""
-    breaks = manipulator.breakpoints
-    cut = panels(jnp.asarray(manipulator.length), breaks if splits is None else jnp.append(breaks, splits), nodes)
+    cut = cut_into_panels(manipulator, nodes, splits)
     nudge = edge_nudge(cut)
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
-    turns = manipulator.kinematics == "exact" and manipulator.slanted and breaks.shape[0] > 0
+    turns = manipulator.kinematics == "exact" and manipulator.slanted and manipulator.breakpoints.shape[0] > 0
     starts = cut.edges[:-1]
     inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip turns nobody there
     return Problem(
@@ -144,6 +143,12 @@ def lay_out(
         outboard=_outboard(manipulator, cut, loads),
         base_moment=0.0 * cut.edges[-1],
     )
+
+
+def cut_into_panels(manipulator: Manipulator, nodes: int, splits: Float[Array, " splits"] | None = None) -> Panels:
+    """Panels that end where the body or a tendon is not smooth, and at `splits` as well."""
+    breaks = manipulator.breakpoints
+    return panels(jnp.asarray(manipulator.length), breaks if splits is None else jnp.append(breaks, splits), nodes)
 
 
 def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None) -> Outboard:
