@@ -33,7 +33,7 @@ from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
 MAX_ROUNDS = 6
-SETTLED = 3e-5  # of the length: the places found improve like its square, and M_ext(0) with it
+SETTLED = 1e-6  # of the length: a kink that lies so far off a panel's end costs 1e-12
 
 
 class Setup(eqx.Module):

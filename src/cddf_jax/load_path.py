@@ -23,7 +23,6 @@ LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: in a longer one stability must not change, lest a step lands on another branch
 MAX_TRIES = 200
 MAX_SWEEPS = 64  # in one of them
-ROUGH = 0.1  # relative change in a sweep, above which what is missing at the tip says little of M_ext(0)
 
 
 class LoadPath(NamedTuple):
@@ -122,10 +121,12 @@ class LoadedBody(NamedTuple):
         def sweep(trial: Trial) -> Trial:
             (values, residual, heading), (tangents, slopes, turning), path = self.slopes(reading, trial, fraction)
             exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where its slope vanishes
-            correction = jnp.where(exact | (path.residual > ROUGH), 0.0, -residual / slopes[0])
-            sane = jnp.isfinite(correction) & ~path.locked & all_finite(values)
+            newton = jnp.where(exact, 0.0, -residual / slopes[0])
+            rough = (path.residual > jnp.abs(residual)) & ~path.converged  # what is missing may be the sweep's fault
+            correction = jnp.where(rough, 0.0, newton)
+            sane = jnp.isfinite(newton) & ~path.locked & all_finite(values)
             steady = largest(slopes - trial.slopes) <= close * largest(slopes)
-            settled = path.converged & steady & (jnp.abs(correction) <= close * (1 + jnp.abs(trial.moment)))
+            settled = path.converged & steady & (jnp.abs(newton) <= close * (1 + jnp.abs(trial.moment)))
             return Trial(
                 moment=trial.moment + correction,
                 nodal=jax.tree.map(lambda x, v: x + correction * v[0], values, tangents),
