@@ -114,12 +114,10 @@ class FixedPoint(eqx.Module):
     def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
         tolerance = self._tolerance(problem)
 
-        def panel(start: _Reached, inputs: tuple[Panels, Any, Nodal | None]):
-            cut, (along, guess) = inputs[0], jax.tree.map(lambda x: x[None], inputs[1:])
-            part = _Part(cut, *along)
+        def resolved(start: _Reached, part: _Part, first: Nodal):
             answer = fixed_point(
                 lambda values: _sweep(problem, part, start, values)[0].nodes,
-                everywhere(cut, start.values) if guess is None else guess,
+                first,
                 tolerance=tolerance,
                 max_sweeps=self.max_sweeps,
                 acceptable=lambda values: jnp.all(values.ratio > 0) & all_finite(values),
@@ -127,12 +125,19 @@ class FixedPoint(eqx.Module):
             swept, end = _sweep(problem, part, start, answer.value)
             positive = jnp.all(end.values.ratio > 0)
             values = end.values._replace(ratio=jnp.where(positive, end.values.ratio, 1.0))
-            alone = jax.tree.map(lambda x: x[0], swept)
-            return end._replace(values=values), (alone, answer._replace(value=None), positive)
+            return end._replace(values=values), (swept, answer._replace(value=None), positive)
+
+        def panel(start: _Reached, inputs: tuple[Panels, Any]):
+            part = _Part(inputs[0], *jax.tree.map(lambda x: x[None], inputs[1]))
+            end, (swept, *outcome) = resolved(start, part, everywhere(part.cut, start.values))
+            return end, (jax.tree.map(lambda x: x[0], swept), *outcome)
 
         edges, whole = problem.panels.edges, _whole(problem)
-        single = Panels(jnp.stack([edges[:-1], edges[1:]], axis=1), problem.panels.order)
-        tip, (swept, answer, positive) = jax.lax.scan(panel, _base(problem), (single, whole[1:], guess))
+        if guess is None:  # panel by panel it takes fewer sweeps
+            single = Panels(jnp.stack([edges[:-1], edges[1:]], axis=1), problem.panels.order)
+            tip, (swept, answer, positive) = jax.lax.scan(panel, _base(problem), (single, whole[1:]))
+        else:
+            tip, (swept, answer, positive) = resolved(_base(problem), whole, guess)
         good = answer.converged & positive
         return _follow(
             problem,
