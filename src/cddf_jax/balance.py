@@ -131,6 +131,8 @@ def balance(
     start = jnp.concatenate([base_tension[which] if unknown else base_tension[:0], *moment, settled.splits.arc_length])
     problem, _ = put(implicit(residual, start))
     path = setup.method(problem, guess)
+    left = without_derivative(missing_moment(problem, path))
+    path = path._replace(residual=path.residual + jnp.sum(jnp.abs(left)))
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
     if settled.trial is None:

@@ -96,7 +96,7 @@ def _unseen_turning(problem: Problem) -> Number:
 
 
 class FixedPoint(eqx.Module):
-    """The default: in each panel sweep r = r_start + integral of direction mu theta' r; `lax.scan` over the panels.
+    """The default: in each panel sweep r = r_start + integral of direction mu theta' r.
 
     Under dead loads M_ext = M_start - integral of t x N is swept with it. A sweep solves the equilibrium
     of every cross-section with the tensions and the moment at hand (the semi-implicit map). Both enter
@@ -133,7 +133,9 @@ class FixedPoint(eqx.Module):
             return end, (jax.tree.map(lambda x: x[0], swept), *outcome)
 
         edges, whole = problem.panels.edges, _whole(problem)
-        if guess is None:  # panel by panel it takes fewer sweeps
+        # From scratch it takes fewer sweeps panel by panel. From a good guess the panels go together, outside a scan:
+        # within one, forward over reverse mode differentiates the sweeps as they ran, and they may be one or two.
+        if guess is None:
             single = Panels(jnp.stack([edges[:-1], edges[1:]], axis=1), problem.panels.order)
             tip, (swept, answer, positive) = jax.lax.scan(panel, _base(problem), (single, whole[1:]))
         else:
