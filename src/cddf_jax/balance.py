@@ -32,8 +32,8 @@ from .quadrature import Panels, redistribute
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
-MAX_ROUNDS = 6
-SETTLED = 1e-6  # of the length: a kink that lies so far off a panel's end costs 1e-12
+MAX_ROUNDS = 8
+SETTLED = 1e-7  # of the length: a kink that lies so far off a panel's end costs 1e-14
 
 
 class Setup(eqx.Module):
