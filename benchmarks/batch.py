@@ -154,8 +154,9 @@ def numba_shooting(robot: cddf.Manipulator, force: tuple[float, float], steps: i
     stiffness = np.asarray(robot.second_moment(jnp.linspace(0.0, length, 2 * steps + 1))) * 4 / np.pi
 
     def run(*samples):
+        tension, mu, modulus = map(np.asarray, samples)
         out = np.empty((COUNT, 4))
-        shooting(*map(np.asarray, samples), length, stiffness, offset, np.asarray(force), out)
+        shooting(tension, mu, modulus, length, stiffness, offset, np.asarray(force), out)
         return out
 
     return run

@@ -131,12 +131,11 @@ def balance(
     start = jnp.concatenate([base_tension[which] if unknown else base_tension[:0], *moment, settled.splits.arc_length])
     problem, _ = put(implicit(residual, start))
     path = setup.method(problem, guess)
-    left = without_derivative(missing_moment(problem, path))
-    path = path._replace(residual=path.residual + jnp.sum(jnp.abs(left)))
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
     if settled.trial is None:
         return Balance(problem, path, found, tendon_displacement(problem, path))
+    path = path._replace(residual=jnp.maximum(path.residual, settled.trial.change))
     body, whole = LoadedBody(without_derivative(problem), setup.method), jnp.ones_like(found.fraction)
     return Balance(problem, path, found, body.travel(settled.trial, whole))
 

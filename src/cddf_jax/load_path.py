@@ -52,6 +52,7 @@ class Trial(NamedTuple):
     lost: Bool[Array, ""]
     sane: Bool[Array, ""]  # at the first sweep
     num_sweeps: Number
+    change: Number  # in the last of them, relative
 
     @property
     def stable(self) -> Bool[Array, ""]:
@@ -138,6 +139,7 @@ class LoadedBody(NamedTuple):
                 lost=~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
                 sane=jnp.where(trial.num_sweeps == 0, sane, trial.sane),
                 num_sweeps=trial.num_sweeps + 1.0,
+                change=path.residual,
             )
 
         again = trial._replace(settled=trial.settled & False, lost=trial.lost & False, num_sweeps=0.0 * trial.moment)
@@ -165,7 +167,7 @@ def start_from(guess: Nodal, zero: Number) -> Trial:
     tangents, slopes = (jax.tree.map(lambda x: jnp.stack([0.0 * x] * 3), x) for x in (guess, zero))
     heading = zero + jnp.zeros(guess.ratio.shape[0] * guess.ratio.shape[1] + 1, zero.dtype)
     no, yes = zero > 0, zero == 0
-    return Trial(zero, guess, tangents, slopes, heading, jnp.stack([heading] * 3), no, no, yes, zero)
+    return Trial(zero, guess, tangents, slopes, heading, jnp.stack([heading] * 3), no, no, yes, zero, zero)
 
 
 def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial, Path]:

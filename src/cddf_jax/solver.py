@@ -114,7 +114,7 @@ class FixedPoint(eqx.Module):
     def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
         tolerance = self._tolerance(problem)
 
-        def resolved(start: _Reached, part: _Part, first: Nodal):
+        def resolved(start: _Reached, part: _Part, first: Nodal) -> tuple[_Reached, Any]:
             answer = fixed_point(
                 lambda values: _sweep(problem, part, start, values)[0].nodes,
                 first,
