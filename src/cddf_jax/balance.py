@@ -199,7 +199,8 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
         found, trial, path = _unloaded(setup, problem, start)
     else:
         found, trial, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
-        trial = _with_empty_panels(trial, problem, path, start.splits.owner.shape[0])
+        more = start.trial.nodal.ratio.shape[0] - problem.panels.nodes.shape[0]
+        trial = _with_empty_panels(trial, problem, path, more)
     new = Settled(found, locate(problem, path), trial)
     first = judge(_cut(setup, start.splits), new, start.splits, zero + 1.0)
     return jax.lax.while_loop(goes_on, once, first).settled
@@ -211,7 +212,7 @@ def _unloaded(setup: Setup, problem: Problem, old: Settled) -> tuple[LoadPath, N
 
 
 def _with_empty_panels(trial: Trial, problem: Problem, path: Path, count: int) -> Trial:
-    """With as many more panels at the tip as there may be sign changes."""
+    """With more panels at the tip, which sign changes may need."""
     order = problem.panels.order
     at_tip = Nodal(path.tip.ratio, path.tip.moment / problem.moment_scale)
 
