@@ -247,6 +247,7 @@ def test_a_single_range_of_a_dictionary_of_one_is_still_labelled():
 
 
 OWN_FRICTION = replace(paper_body(), tendons=(replace(paper_body().tendons[0], friction_coefficient=0.3),))
+ENDS_EARLY = replace(paper_body(), tendons=(replace(paper_body().tendons[0], end=0.1),))
 BAD = {
     "no manipulator": ({"base_tension": [1.0]}, {"manipulator": "robot.toml"}, "manipulator must be a Manipulator"),
     "no loads": ({"base_tension": [1.0]}, {"loads": (0.0, -5.0)}, "loads must be Loads"),
@@ -261,6 +262,12 @@ BAD = {
         "the observable 'x' makes no array",
     ),
     "direction": ({"direction": [1.0, 0.0]}, {"base_tension": 1.0}, "must hold 1 for sliding in and -1"),
+    "one direction": ({"base_tension": [1.0]}, {"direction": 0}, "direction is 1 for sliding in and -1"),
+    "an end beyond the tip": (
+        {"tendons.0.end": [0.1, 0.2]},
+        {"base_tension": 1.0, "manipulator": ENDS_EARLY},
+        "holds 0.2 m, which is not on the body",
+    ),
     "a slash": ({"a/b": {"base_tension": [1.0]}}, {}, "cannot be called 'a/b'"),
     "no stretch": ({"tendons.0.free_length": [0.1]}, {"base_tension": 1.0}, "the tendon does not stretch"),
     "overruled": (

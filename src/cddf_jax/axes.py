@@ -1,5 +1,6 @@
 """The axes of a sweep: what varies along each dimension of its answer."""
 
+import re
 from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, NamedTuple
@@ -104,6 +105,14 @@ def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...
     swept = {name for dimension in dimensions for name in dimension.numbers}
     for name in swept:
         case.number(name)
+    length = None if "length" in swept else float(np.asarray(case.manipulator.length))
+    for dimension in dimensions:
+        for name, values in dimension.numbers.items():
+            outside = values[(values <= 0) | (values > (length or np.inf))]
+            if re.fullmatch(r"tendons\.\d+\.end", name) and outside.size:
+                raise InputError(
+                    f"sweep: the axis {name!r} holds {outside[0]:g} m, which is not on the body; leave it out"
+                )
     for name, remedy in _idle(swept, case).items():
         raise InputError(f"sweep: {name!r} has no effect here; {remedy}")
     tension = case.base_tension

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     pass
 
 OVER = '"base_tension=5N:85N:17" or "kinematics=published,exact"'
+MOST = 100_000_000  # values along an axis
 SAMPLE = '"youngs_modulus=1.2MPa:1.6MPa"'
 SAMPLERS = {"latin_hypercube": latin_hypercube, "sobol": sobol}
 DIMENSIONS: dict[str, units.Dimension] = {
@@ -111,6 +112,8 @@ def _values(name: str, text: str, si: str) -> Any:
         raise InputError(
             f"{what}: write first, last and how many, 2 or more, as in {_example(name, dimension)}, got {text!r}"
         )
+    if int(count) > MOST:
+        raise InputError(f"{what}: {count} values are more than the {MOST:,} that one axis may have; give fewer")
     start, stop = (units.quantity(end.strip(), dimension, what) for end in (first, last))
     if start == stop:
         raise InputError(f"{what}: first and last are the same, got {text!r}; give two different ones")

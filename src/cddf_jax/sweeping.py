@@ -198,6 +198,8 @@ class Sweep:
             raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
         if self.chunk_size is not None and (not isinstance(self.chunk_size, int) or self.chunk_size < 1):
             raise InputError(f"sweep: chunk must be a whole number of 1 or more, got {self.chunk_size!r}")
+        if not np.all(np.abs(np.asarray(self.case.direction)) == 1):
+            raise InputError(f"sweep: direction is 1 for sliding in and -1 for sliding out, got {self.direction!r}")
         try:
             check_nodes(self.nodes)
         except ValueError as error:
