@@ -1,7 +1,7 @@
 """A sweep in a process of its own, for the tests of what processes do: `python sweep_child.py JSON`.
 
 The argument holds what differs: `out`, `devices`, `chunk`, `processes`, `rank`, `port`, `solves`, `outputs`, `limit`
-(bytes of address space beyond what a small sweep took). It prints the sum of the tip tensions.
+(bytes of data beyond what a small sweep took). It prints the sum of the tip tensions.
 """
 
 import json
@@ -29,10 +29,11 @@ def main(asked: dict[str, Any]) -> None:
         jax.distributed.initialize(where, asked["processes"], asked["rank"], heartbeat_timeout_seconds=10)
     options = {"outputs": asked.get("outputs", ["tip_tension", "tip_position"]), "chunk": asked.get("chunk")}
     if "limit" in asked:
-        cddf.sweep(paper_body(), axes(2000), memory=10e6, **options)
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        most = pages * resource.getpagesize() + asked["limit"]
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        # threads and compiled code come with the first sweep; what is limited is written memory, not mere address space
+        cddf.sweep(paper_body(), axes(20_000), out=asked["out"] + ".small", memory=asked["limit"] / 4, **options)
+        status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+        most = 1024 * int(status["VmData"].split()[0]) + asked["limit"]
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
         options["memory"] = asked["limit"] / 4
     found = cddf.sweep(paper_body(), axes(asked["solves"]), out=asked["out"], **options)
     print(repr(float(found.tip_tension.sum())), int(found.successful.sum()), flush=True)
