@@ -31,15 +31,15 @@ REFITS, TIMED_REFITS = 1000, 10
 COMPLIANCE = 2.942783188998e4  # G(L), 1/m^2
 
 
-def iterated(mu: float, modulus: float, pull: float) -> tuple[float, float]:
-    """Tip tension and angle by the paper's iteration, as a user would write it."""
+def iterated(mu: float, modulus: float, pull: float) -> tuple[np.ndarray, np.ndarray]:
+    """Tension and heading along the body by the paper's iteration, as a user would write it."""
     tension, angle = np.full_like(S, pull), np.zeros_like(S)
     for _ in range(50):
         angle = cumulative_trapezoid(tension * OFFSET / (modulus * SECOND_MOMENT), S, initial=0.0)
         last, tension = tension, pull * np.exp(-mu * angle)
         if np.max(np.abs(tension - last)) < 1e-9 * pull:
             break
-    return tension[-1], angle[-1]
+    return tension, angle
 
 
 def closed(mu: float, modulus: float, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -61,7 +61,8 @@ def residual_of(table: cddf.Measurements, tip: np.ndarray, angle: np.ndarray, mo
 
 
 def by_rows(mu: float, modulus: float, pulls: np.ndarray) -> np.ndarray:
-    return np.array([iterated(mu, modulus, pull) for pull in pulls]).T
+    rows = (iterated(mu, modulus, pull) for pull in pulls)
+    return np.array([(tension[-1], angle[-1]) for tension, angle in rows]).T
 
 
 def once(call: Callable[[], Any]) -> tuple[float, Any]:

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numba  # pyright: ignore[reportMissingImports]
 import numpy as np
+from fits import OFFSET, SECOND_MOMENT, S, iterated
 from methods import median_time
-from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
 
 import cddf_jax as cddf
@@ -29,15 +29,13 @@ from cddf_jax.levenberg_marquardt import minimise
 LEVELS = np.arange(5.0, 86.0, 5.0)
 NOISE = {"tip_tension": 0.3, "tip_x": 3e-4, "tip_y": 3e-4}
 TRUTH, START = np.array([0.42, 1.4e6]), np.array([0.3, 1.0e6])
-LENGTH, OFFSET, POINTS = 0.140, 0.010, 200
-S = np.linspace(0.0, LENGTH, POINTS)
-SECOND_MOMENT = np.pi / 4 * ((0.020 - 0.007 * S / LENGTH) ** 4 - 0.007**4)
+POINTS = len(S)
 
 
 def paper(mu: float, modulus: float) -> cddf.Manipulator:
     """The paper's body in the exact kinematics."""
     return cddf.conical(
-        length=LENGTH,
+        length=S[-1],
         outer_radius=(0.020, 0.013),
         inner_radius=0.007,
         tendon_offset=OFFSET,
@@ -46,20 +44,15 @@ def paper(mu: float, modulus: float) -> cddf.Manipulator:
     )
 
 
-def iterated(mu: float, modulus: float, pull: float) -> np.ndarray:
-    """Tip tension and position by the paper's iteration: the tension straight at first, then from the wrap angle."""
-    tension, angle = np.full_like(S, pull), np.zeros_like(S)
-    for _ in range(50):
-        angle = cumulative_trapezoid(tension * OFFSET / (modulus * SECOND_MOMENT), S, initial=0.0)
-        last, tension = tension, pull * np.exp(-mu * angle)
-        if np.max(np.abs(tension - last)) < 1e-9 * pull:
-            break
+def tip(mu: float, modulus: float, pull: float) -> np.ndarray:
+    """Tip tension and position by the paper's iteration."""
+    tension, angle = iterated(mu, modulus, pull)
     return np.array([tension[-1], np.trapezoid(np.cos(angle), S), np.trapezoid(np.sin(angle), S)])
 
 
 @numba.njit
 def iterated_by_numba(mu, modulus, pulls, out):
-    """The same in loops."""
+    """The iteration of `fits.iterated` in loops, and the position of the tip."""
     step = S[1] - S[0]
     tension, angle = np.empty(POINTS), np.empty(POINTS)
     for row in range(pulls.size):
@@ -84,7 +77,7 @@ def iterated_by_numba(mu, modulus, pulls, out):
 
 
 def by_numpy(mu: float, modulus: float) -> np.ndarray:
-    return np.array([iterated(mu, modulus, pull) for pull in LEVELS])
+    return np.array([tip(mu, modulus, pull) for pull in LEVELS])
 
 
 def by_numba(mu: float, modulus: float) -> np.ndarray:

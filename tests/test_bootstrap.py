@@ -192,9 +192,12 @@ def test_refits_that_fail_are_counted():
     assert np.all(np.isnan(found.confidence_interval["a"]))
 
 
-def test_progress_is_shown(known, capsys):
-    known.bootstrap(replicates=3, progress=True)
+def test_progress_is_shown(known, capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
     known.bootstrap(replicates=3)
+    assert capsys.readouterr().err == ""
+    known.bootstrap(replicates=3, progress=True)
+    assert "3/3" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

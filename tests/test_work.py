@@ -209,9 +209,14 @@ def test_a_full_disk_is_said_and_nothing_is_lost(plain, tmp_path, monkeypatch):
     same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
 
 
-def test_progress_goes_to_standard_error(tmp_path, capfd):
-    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", progress=True, **OPTIONS)
-    assert capfd.readouterr().out == ""
+def test_progress_goes_to_standard_error(tmp_path, capfd, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", chunk=50, progress=True, **OPTIONS)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert f"{SOLVES}/{SOLVES}" in err
+    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", progress=False, **OPTIONS)
+    assert capfd.readouterr().err == ""
 
 
 # --- refusals ---------------------------------------------------------------------------------------

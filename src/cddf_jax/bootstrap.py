@@ -111,7 +111,9 @@ def bootstrap(
             return _draw_noise(rng, size, problem, noise, best)
         return _draw_cases(rng, size, problem, noise, groups, clusters)
 
-    identity = {"kind": kind, "seed": seed, "data and model": _digest((problem, noise, best.z, clusters))}
+    def identity() -> dict[str, Any]:
+        return {"kind": kind, "seed": seed, "data and model": _digest((problem, noise, best.z, clusters))}
+
     found = _refit_all(best, names, draw, "replicate", replicates, identity, progress, out)
     return Bootstrap(kind, names, found.estimates[found.ended], best.parameters, int(np.sum(~found.ended)), seed)
 
@@ -156,7 +158,9 @@ def refits(
         own = zip(groups, problem.values, strict=True)
         return _Drawn(problem, noise, tuple(data[name][places] if name in data else np.asarray(v) for name, v in own))
 
-    identity = {"data and model": _digest((problem, noise, best.z, data))}
+    def identity() -> dict[str, Any]:
+        return {"data and model": _digest((problem, noise, best.z, data))}
+
     return _refit_all(best, names, draw, "bench", counts.pop(), identity, progress, out)
 
 
@@ -166,7 +170,7 @@ def _refit_all(
     draw: Callable[[Layout, Index], "_Drawn"],
     dimension: str,
     count: int,
-    identity: dict[str, Any],
+    identity: Callable[[], dict[str, Any]],
     progress: bool,
     out: Any,
 ) -> Refits:
@@ -189,7 +193,7 @@ def _refit_all(
         good = (found.solved | pressed) & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
         return {"estimate": np.where(good[:, None], found.parameters, np.nan), "ended": good}
 
-    work = Work(layout, identity | {dimension: count, "parameters": list(names)}, refit)
+    work = Work(layout, lambda: identity() | {dimension: count, "parameters": list(names)}, refit)
     found = carry_out(work, out, progress=progress).values()
     return Refits(names, found["estimate"], found["ended"])
 

@@ -50,17 +50,6 @@ def shown_scale(name: str) -> tuple[float, str]:
     return scale, f"{words} ({unit.strip()})" if unit else words
 
 
-def _panels(count: int, columns: int = 2) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels, side by side over both columns of a page; call it within `house_style`."""
-    columns = min(count, columns)
-    rows = -(-count // columns)
-    figure = draw.new_figure(draw.SINGLE_COLUMN if columns == 1 else draw.DOUBLE_COLUMN, PANEL_HEIGHT * rows + 0.3)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for unused in axes[count:]:
-        unused.remove()
-    return figure, axes[:count]
-
-
 def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
     """One for all panels, above them."""
     found = {label: line for panel in axes for line, label in zip(*panel.get_legend_handles_labels(), strict=True)}
@@ -177,7 +166,7 @@ def residuals_figure(fit: Fit) -> Figure:
     """Residuals over their noise against normal quantiles, one panel for each group of data."""
     groups = standardised_residuals(fit)
     with draw.house_style():
-        figure, axes = _panels(len(groups))
+        figure, axes = draw.panels(len(groups), 2, PANEL_HEIGHT)
         for panel, (name, residual) in zip(axes, groups.items(), strict=True):
             _draw_quantiles(panel, residual)
             panel.set_title(fill(name, 44))
@@ -208,7 +197,7 @@ def profiles_figure(fit: Fit, profiles: Mapping[str, Profile]) -> Figure:
     The interval lies where it stays below the dashed line; where that is never crossed the side is open.
     """
     with draw.house_style():
-        figure, axes = _panels(len(profiles))
+        figure, axes = draw.panels(len(profiles), 2, PANEL_HEIGHT)
         for panel, (name, profile) in zip(axes, profiles.items(), strict=True):
             scale, label = shown_scale(name)
             _draw_profile(panel, profile, scale, fit.value[name], fit.status[name])

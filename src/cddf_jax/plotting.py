@@ -81,6 +81,17 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def panels(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels of one height, in; call it within `house_style`."""
+    columns = min(count, columns)
+    rows = -(-count // columns)
+    figure = new_figure(SINGLE_COLUMN if columns == 1 else DOUBLE_COLUMN, height * rows + 0.3)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for unused in axes[count:]:
+        unused.remove()
+    return figure, axes[:count]
+
+
 def render(figure: Figure, name: str) -> dict[str, bytes]:
     """The figure as PDF and PNG (300 dpi) by file name; the same bytes for the same figure."""
     files = {}

@@ -257,17 +257,6 @@ def _names(codes: np.ndarray) -> str:
     return ", ".join(RESULT_NAMES[code].replace("_", " ") for code in np.unique(codes))
 
 
-def _panels(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels; call it within `house_style`."""
-    columns = min(count, columns)
-    rows = -(-count // columns)
-    figure = draw.new_figure(draw.SINGLE_COLUMN if columns == 1 else draw.DOUBLE_COLUMN, height * rows + 0.3)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for unused in axes[count:]:
-        unused.remove()
-    return figure, axes[:count]
-
-
 def _format(axes: Axes, quantity: _Quantity) -> None:
     axes.ticklabel_format(useOffset=False)
     if quantity.yes_or_no:
@@ -282,7 +271,7 @@ def _lines(view: _View, number: str) -> Figure:
     """A panel for each quantity, a line for each combination of options."""
     axis, codes, marks = view.axis(number), view.codes, _Marks()
     with draw.house_style():
-        figure, panels = _panels(len(view.quantities), 2, 2.1)
+        figure, panels = draw.panels(len(view.quantities), 2, 2.1)
         for panel, quantity in zip(panels, view.quantities, strict=True):
             for part, look in zip(view.parts(LINES), draw.CURVES, strict=False):
                 y, code = quantity.values[part.place], codes[part.place]
@@ -340,7 +329,7 @@ def _contours(view: _View, numbers: list[str]) -> Figure:
 def _grid(quantities: int, parts: int) -> tuple[Figure, list[list[Axes]]]:
     """Rows of panels: a column for each part, or where there is one part every panel as a row of its own."""
     if parts == 1:
-        figure, panels = _panels(quantities, 2, 2.2)
+        figure, panels = draw.panels(quantities, 2, 2.2)
         return figure, [[panel] for panel in panels]
     figure = draw.new_figure(draw.DOUBLE_COLUMN, (2.2 if parts < 4 else 1.7) * quantities + 0.4)
     return figure, figure.subplots(quantities, parts, squeeze=False, sharex=True, sharey=True).tolist()

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,25 +16,10 @@ from .sampling import latin_hypercube, sobol
 from .solve_command import read_actuation
 from .sweeping import Sweep
 
-if TYPE_CHECKING:
-    pass
-
 OVER = '"base_tension=5N:85N:17" or "kinematics=published,exact"'
 MOST = 100_000_000  # values along an axis
 SAMPLE = '"youngs_modulus=1.2MPa:1.6MPa"'
 SAMPLERS = {"latin_hypercube": latin_hypercube, "sobol": sobol}
-DIMENSIONS: dict[str, units.Dimension] = {
-    "1": "dimensionless",
-    "m": "length",
-    "N": "force",
-    "Pa": "pressure",
-    "kg/m^3": "density",
-    "rad": "angle",
-    "N m": "moment",
-    "m/s^2": "acceleration",
-    "1/m": "curvature",
-    "N/m": "stiffness",
-}
 BYTES = {"B": 1, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40}
 
 
@@ -62,7 +47,7 @@ def read_sweep(manipulator: Manipulator, over: Sequence[str], sample: Samples, *
     axes, ranges = _by_name("--over", over, OVER), _by_name("--sample", sample.ranges, SAMPLE)
     if not axes and not ranges:
         raise InputError(f"nothing varies; give --over {OVER} or --sample")
-    _check_samples(ranges, sample.size)
+    count = _num_samples(ranges, sample.size)
     if given.get("base_tension") is not None and "base_tension" in (*axes, *ranges):
         raise InputError("base_tension is given by --base-tension and varies too; leave one out")
     names = [name for name in (*axes, *ranges) if name not in OPTIONS]
@@ -73,7 +58,7 @@ def read_sweep(manipulator: Manipulator, over: Sequence[str], sample: Samples, *
     values: dict[str, Any] = {name: _values(name, text, si.get(name, "")) for name, text in axes.items()}
     if ranges:
         limits = {name: _limits(name, text, si[name]) for name, text in ranges.items()}
-        values["sample"] = SAMPLERS[sample.sampler](limits, sample.size, sample.seed)  # type: ignore[arg-type]
+        values["sample"] = SAMPLERS[sample.sampler](limits, count, sample.seed)
     return replace(draft, dimensions=dimensions_of(values))
 
 
@@ -89,7 +74,7 @@ def _by_name(option: str, texts: Sequence[str], example: str) -> dict[str, str]:
     return found
 
 
-def _check_samples(ranges: Mapping[str, str], count: int | None) -> None:
+def _num_samples(ranges: Mapping[str, str], count: int | None) -> int:
     if ranges and count is None:
         raise InputError("--sample needs the number of samples; give for example --samples 1000")
     if count is not None and not ranges:
@@ -97,13 +82,14 @@ def _check_samples(ranges: Mapping[str, str], count: int | None) -> None:
     for name in ranges:
         if name in OPTIONS:
             raise InputError(f"--sample {name}: only numbers have a range; write --over {name}=, with a list")
+    return count or 0
 
 
 def _values(name: str, text: str, si: str) -> Any:
     """The values along an axis: an even range of numbers, or a list."""
     if name in OPTIONS:
         return _options(name, text)
-    what, dimension = f"--over {name}", DIMENSIONS[si]
+    what, dimension = f"--over {name}", units.DIMENSION_OF[si]
     if ":" not in text:
         return [units.quantity(part.strip(), dimension, what) for part in text.split(",")]
     first, _, rest = text.partition(":")
@@ -132,7 +118,7 @@ def _options(name: str, text: str) -> list[Any]:
 
 
 def _limits(name: str, text: str, si: str) -> tuple[float, float]:
-    dimension = DIMENSIONS[si]
+    dimension = units.DIMENSION_OF[si]
     low, colon, high = (part.strip() for part in text.partition(":"))
     if not colon or ":" in high:
         unit = "" if si == "1" else f" {si}"

@@ -1,17 +1,13 @@
 """What `cddf sweep` says in the end."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from . import units
 from .equilibrium import RESULTS
 from .sweep_exports import component_label
-from .sweep_options import DIMENSIONS
-
-if TYPE_CHECKING:
-    pass
 
 
 def in_words(told: Mapping[str, Any]) -> str:
@@ -59,8 +55,8 @@ def _range(output: Mapping[str, Any]) -> str:
 def _number(value: Any, unit: str) -> str:
     if value.dtype.kind == "b":
         return str(bool(value)).lower()
-    if unit in DIMENSIONS and unit != "1":
-        return units.shown(value, DIMENSIONS[unit])
+    if unit in units.DIMENSION_OF and unit != "1":
+        return units.shown(value, units.DIMENSION_OF[unit])
     return f"{float(value):.5g} {'' if unit == '1' else unit}".strip()
 
 
@@ -94,7 +90,7 @@ def _axis_in_words(axis: Mapping[str, Any]) -> str:
     if axis["unit"] is None:
         ends = f"{axis['first']} to {axis['last']}" if axis["count"] > 1 else str(axis["first"])
     else:
-        dimension = DIMENSIONS[axis["unit"]]
+        dimension = units.DIMENSION_OF[axis["unit"]]
         plain = dimension == "dimensionless"
         first, last = (f"{end:.5g}" if plain else units.shown(end, dimension) for end in (axis["first"], axis["last"]))
         ends = f"{first} to {last}"

@@ -294,7 +294,7 @@ class Sweep:
 
     def run(self, out: Any = None, progress: bool = False) -> "xarray.Dataset":
         """Compute what is not there yet, and return everything."""
-        return carry_out(Work(self.layout, self.identity, self.chunk), out, self.allowed, progress).dataset()
+        return carry_out(Work(self.layout, lambda: self.identity, self.chunk), out, self.allowed, progress).dataset()
 
     def chunk(self, layout: Layout, index: Index) -> dict[str, np.ndarray]:
         """The outputs of one chunk, in the shape of its region."""

@@ -47,6 +47,9 @@ _UNITS: dict[Dimension, _Units] = {
     "force per length": _Units("N/m", "N/m"),
 }
 
+DIMENSION_OF: dict[str, Dimension] = {"1": "dimensionless"}  # by the SI unit
+DIMENSION_OF |= {known.si: dimension for dimension, known in _UNITS.items()}
+
 _EXACT = Context(prec=40, traps=[])  # a float64 has 17 digits, a unit's factor 28 at most
 _QUANTITY = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)(?:\s*([^\d\s.,+-].*)|\s+(1\s*/.*))?",

@@ -18,7 +18,7 @@ class Work(NamedTuple):
     """What can be done chunk by chunk, each for itself and always with the same outcome."""
 
     layout: Layout  # of the answer
-    identity: Mapping[str, Any]  # what makes this work and no other, JSON
+    identity: Callable[[], Mapping[str, Any]]  # what makes this work and no other, JSON; asked for by a store
     chunk: Callable[[Layout, Index], Mapping[str, np.ndarray]]  # the answer in the region of one chunk
 
 
@@ -65,12 +65,12 @@ def _store(work: Work, out: Any, allowed: float) -> Store:
     store, trouble = None, None
     try:
         if jax.process_index() == 0:
-            store = ZarrStore(out, layout, work.identity)
+            store = ZarrStore(out, layout, work.identity())
     except (InputError, OSError) as error:
         trouble = error
     if not _all_say("store", trouble is None):
         raise trouble or InputError(f"{out}: process 0 could not open the store, and says why")
-    store = store or ZarrStore(out, layout, work.identity, create=False)
+    store = store or ZarrStore(out, layout, work.identity(), create=False)
     _check_memory(COPIES * layout.bytes_each * store.layout.chunk_size, allowed, "give memory= or another out=")
     return store
 
