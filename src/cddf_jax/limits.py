@@ -1,0 +1,82 @@
+"""What a design must keep to."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .errors import InputError
+from .profiles import Scalar, as_number
+from .quantities import View, name_of, quantity_named
+
+
+def _optional(value: Any) -> Any:
+    return None if value is None else as_number(value)
+
+
+class Limit(eqx.Module):
+    """A quantity that may not leave a range, wherever along the body and for every tendon that it is about.
+
+    Args:
+        quantity: a name of `QUANTITIES`, or a function of manipulator and equilibrium.
+        least, most: the range, SI; None for no limit on that side.
+        equal: instead of them, what the quantity must be; of `tip_position` two numbers.
+        scale: of violations, SI; unless given the size of the limit, of a limit of zero the size at the start.
+    """
+
+    quantity: Any = eqx.field(static=True)
+    least: Scalar | None = eqx.field(default=None, converter=_optional)
+    most: Scalar | None = eqx.field(default=None, converter=_optional)
+    equal: Any = eqx.field(default=None, converter=_optional)
+    scale: Any = eqx.field(default=None, converter=_optional)
+
+    def __check_init__(self):
+        name = name_of(self.quantity)
+        quantity_named(self.quantity)
+        if (self.equal is None) == (self.least is None and self.most is None):
+            raise InputError(f"design: a limit of {name} needs least, most or both, or else equal")
+        if self.equal is not None and quantity_named(self.quantity).along:
+            raise InputError(
+                f"design: {name} varies along the body and cannot equal one value; take Near or Even of it"
+            )
+        low, high = self.least, self.most
+        if isinstance(low, np.ndarray) and isinstance(high, np.ndarray) and low > high:
+            raise InputError(
+                f"design: {name} cannot be at least {self.least:g} and at most {self.most:g}; exchange them"
+            )
+
+    @property
+    def bent(self) -> bool:
+        return quantity_named(self.quantity).bent
+
+    @property
+    def along(self) -> bool:
+        return quantity_named(self.quantity).along
+
+    def inequalities(self, view: View) -> Array:
+        """Scaled margins, (sides, ...), that may not be negative."""
+        value = quantity_named(self.quantity).of(view)
+        sides = [] if self.least is None else [value - self.least]
+        sides += [] if self.most is None else [self.most - value]
+        return jnp.stack(sides) / self.scale if sides else jnp.zeros((0, *jnp.shape(value)))
+
+    def equalities(self, view: View) -> Array:
+        """Scaled differences that must be zero."""
+        if self.equal is None:
+            return jnp.zeros(0)
+        return jnp.ravel((quantity_named(self.quantity).of(view) - self.equal) / self.scale)
+
+    def size(self, view: View) -> Any:
+        """What counts as large unless the user says so."""
+        stated = [np.max(np.abs(np.asarray(x))) for x in (self.least, self.most, self.equal) if x is not None]
+        return max(stated) or float(np.max(np.abs(np.asarray(quantity_named(self.quantity).of(view))))) or 1.0
+
+    def __str__(self) -> str:
+        """As in "wall_thickness >= 0.002"."""
+        name = name_of(self.quantity)
+        if self.equal is not None:
+            return f"{name} = {np.array2string(np.asarray(self.equal), precision=6)}"
+        low = "" if self.least is None else f"{float(self.least):.6g} <= "
+        return f"{low}{name}" + ("" if self.most is None else f" <= {float(self.most):.6g}")
