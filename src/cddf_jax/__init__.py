@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .objectives import Even, Least, Most, Near
     from .observations import Noise
     from .parameter_space import Uniform
+    from .pareto import ParetoFront, pareto_front
     from .profile_likelihood import Profile
     from .profiles import Constant, Linear, Piecewise, Spline
     from .pulley import pulling_tension
@@ -67,6 +68,7 @@ _HOME = {
     "objectives": "Even, Least, Most, Near",
     "observations": "Noise",
     "parameter_space": "Uniform",
+    "pareto": "ParetoFront, pareto_front",
     "profile_likelihood": "Profile",
     "profiles": "Constant, Linear, Piecewise, Spline",
     "pulley": "pulling_tension",
@@ -113,6 +115,7 @@ __all__ = [
     "Most",
     "Near",
     "Noise",
+    "ParetoFront",
     "Piecewise",
     "Plan",
     "Profile",
@@ -136,6 +139,7 @@ __all__ = [
     "latin_hypercube",
     "least_squares_fit",
     "model_free_friction",
+    "pareto_front",
     "plan",
     "pulling_tension",
     "read_manipulator",

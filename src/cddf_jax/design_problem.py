@@ -28,10 +28,19 @@ class Term(eqx.Module):
     reference: Scalar  # its size at the start, over which it counts
 
 
+class Cap(eqx.Module):
+    """A level that an objective may not exceed."""
+
+    objective: Objective
+    most: Scalar  # SI, as the objective's own values
+    reference: Scalar
+
+
 class Evaluation(NamedTuple):
     """What is found at one point, by term and by limit; the leading axis is that of the load cases, or 1."""
 
     aims: tuple[Array, ...]  # (cases, ...) SI
+    capped: tuple[Array, ...]  # the same of the objectives that have a cap
     margins: tuple[Array, ...]  # (cases, sides, ...), scaled; negative where a limit is broken
     zeros: tuple[Array, ...]  # (cases, ...), scaled
     codes: Int[Array, " cases"]  # results of the solves
@@ -56,6 +65,7 @@ class Problem(eqx.Module):
     space: Space
     cases: tuple[LoadCase, ...]
     terms: tuple[Term, ...]
+    caps: tuple[Cap, ...]
     limits: tuple[Limit, ...]
     stations: Float[Array | np.ndarray, " points"]  # arc lengths over the length, at which limits are looked at
     worst: bool = eqx.field(static=True)  # whether the worst case counts, and not the weighted mean
@@ -90,7 +100,7 @@ class Problem(eqx.Module):
         body = self.body(z)
         alone = View(body, self._places(body))
         idle = _look(self, alone, bent=False)
-        if not any(part.bent for part in (*(term.objective for term in self.terms), *self.limits)):
+        if not any(part.bent for part in (*(each.objective for each in (*self.terms, *self.caps)), *self.limits)):
             return _joined([idle], self, jnp.zeros((0,), int))
 
         def of_case(case: LoadCase) -> Any:
@@ -127,8 +137,14 @@ class Problem(eqx.Module):
                 total += term.weight / term.reference * self.mean(aim)
         flat = [jnp.ravel(margin) for margin in found.margins]
         none = jnp.zeros((0,), total.dtype)
+        flat += [self.room(cap, aim) for cap, aim in zip(self.caps, found.capped, strict=True)]
         inequality = jnp.concatenate([none, *flat, *below])
         return Values(total, inequality, jnp.concatenate([none, *map(jnp.ravel, found.zeros)])), found
+
+    def room(self, cap: Cap, aim: Array) -> Vector:
+        """What is left below a cap, scaled."""
+        peak = cap.objective.peak or self.worst
+        return (cap.most - jnp.ravel(aim if peak else self.mean(aim))) / cap.reference
 
     def mean(self, aim: Float[Array, " cases"]) -> Float[Array, ""]:
         """Over the cases by their weights."""
@@ -139,14 +155,20 @@ class _Look(NamedTuple):
     """What one view shows: None for what it does not concern."""
 
     aims: list[Any]
+    capped: list[Any]
     margins: list[Any]
     zeros: list[Any]
 
 
 def _look(problem: Problem, view: View, bent: bool) -> _Look:
     concerned = [limit if limit.bent == bent else None for limit in problem.limits]
+
+    def seen(objective: Objective) -> Any:
+        return objective.values(view) if objective.bent == bent else None
+
     return _Look(
-        [term.objective.values(view) if term.objective.bent == bent else None for term in problem.terms],
+        [seen(term.objective) for term in problem.terms],
+        [seen(cap.objective) for cap in problem.caps],
         [None if limit is None else limit.inequalities(view) for limit in concerned],
         [None if limit is None else limit.equalities(view) for limit in concerned],
     )
@@ -158,6 +180,7 @@ def _joined(looks: list[_Look], problem: Problem, codes: Array) -> Evaluation:
 
     return Evaluation(
         each([look.aims for look in looks]),
+        each([look.capped for look in looks]),
         each([look.margins for look in looks]),
         each([look.zeros for look in looks]),
         codes,

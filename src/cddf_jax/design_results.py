@@ -1,13 +1,17 @@
 """What a design came to: the body, what it reaches, what holds it back, and the proof that it is the best nearby."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
-from .constrained import ACTIVE, TOLERANCE, Local, Optimality
+from .constrained import ACTIVE, TOLERANCE, Local
 from .design_problem import Problem, split
 from .design_program import Program, fixed_numbers
+from .design_search import Outcome
+from .design_setup import Asked
 from .equilibrium import RESULTS, Equilibrium
 from .load_cases import LoadCase
 from .manipulator import Manipulator
@@ -70,7 +74,6 @@ class Design:
     blocking: tuple[str, ...]  # limits that are in one another's way, where no body keeps to all of them
     optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
     violation: float  # largest, scaled
-    sensitivity: dict[str, float]  # of the best objective by numbers that are not free, per SI unit
     history: tuple[tuple[float, float], ...]  # objective and violation of every iterate
     evaluations: int
     starts: tuple[float, ...]  # the objective that the search from each start came to, inf where not feasible
@@ -80,11 +83,61 @@ class Design:
     equilibria: tuple[Equilibrium, ...]
     equilibria_at_start: tuple[Equilibrium, ...]
     remarks: tuple[str, ...]
+    outcome: Outcome = field(repr=False)
+
+    @cached_property
+    def sensitivity(self) -> dict[str, float]:
+        """Derivatives of the best objective by numbers that are not free, per SI unit, limits and load cases included.
+
+        By the envelope theorem: those of the Lagrangian at the multipliers. Of several objectives that of their
+        weighted sum. Empty where the design is not feasible. Worked out when it is first asked for.
+        """
+        return _sensitivities(self.outcome) if self.feasible else {}
 
     @property
     def value(self) -> dict[str, float]:
         """The free numbers by name."""
         return {name: number.value for name, number in self.free.items()}
+
+
+def answered(
+    asked: Asked,
+    outcome: Outcome,
+    start: Manipulator,
+    choices: tuple[tuple[dict[str, float], float], ...] = (),
+    chosen: dict[str, float] | None = None,
+) -> Design:
+    """What a search came to, with everything that is told of it."""
+    problem, local = outcome.program.problem, outcome.local
+    z_start, z = problem.space.scaled(problem.space.start), local.point.x[: len(problem.space.names)]
+    at_start = Program(problem).evaluation(np.append(z_start, np.zeros(len(problem.peaks))))
+    objectives, unit = achieved(problem, at_start, outcome.evaluation), unit_of_objective(problem)
+    equilibria = tuple(problem.view(z, case).equilibrium for case in problem.cases)
+    result = words(local, outcome.violation)
+    return Design(
+        manipulator=jax.tree.map(np.asarray, problem.body(z)),
+        start=start,
+        success=result == "successful",
+        feasible=outcome.feasible,
+        result=result,
+        objective=objectives[0].end if len(objectives) == 1 else local.point.objective,
+        objectives=objectives,
+        free=free_numbers(problem, local, unit),
+        limits=limit_reports(problem, local, asked.implied, unit),
+        blocking=outcome.blocking,
+        optimality=local.optimality.residual,
+        violation=outcome.violation,
+        history=tuple(outcome.history),
+        evaluations=outcome.evaluations,
+        starts=outcome.starts,
+        choices=choices,
+        chosen=chosen or {},
+        cases=problem.cases,
+        equilibria=equilibria,
+        equilibria_at_start=tuple(problem.view(z_start, case).equilibrium for case in problem.cases),
+        remarks=tuple(remarks_on(equilibria, [case.name for case in problem.cases])),
+        outcome=outcome,
+    )
 
 
 def unit_of_objective(problem: Problem) -> float:
@@ -173,11 +226,11 @@ def _case_name(problem: Problem, i: int) -> str:
     return problem.cases[i].name or (f"case {i + 1}" if len(problem.cases) > 1 else "")
 
 
-def sensitivities(problem: Problem, local: Local, unit: float) -> dict[str, float]:
-    """Of the best objective, by the envelope theorem: the derivative of the Lagrangian at the multipliers."""
-    held: Optimality = local.optimality
+def _sensitivities(outcome: Outcome) -> dict[str, float]:
+    problem, held = outcome.program.problem, outcome.local.optimality
     weights = (1.0, -held.inequality, -held.equality)
-    response = Program(problem).response(local.point.x, weights, fixed_numbers(problem))
+    response = outcome.program.response(outcome.local.point.x, weights, fixed_numbers(problem))
+    unit = unit_of_objective(problem)
     return {name: unit * value for name, value in response.items()}
 
 

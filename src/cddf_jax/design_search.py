@@ -97,7 +97,7 @@ class Search:
         terms = self.problem.terms
         return np.append(z, [np.max(found.aims[i]) / float(terms[i].reference) for i in self.problem.peaks])
 
-    def from_start(self, z: np.ndarray) -> Outcome:
+    def from_start(self, z: Any) -> Outcome:
         """The search from one start, again where limits turn out to be broken between the stations."""
         program, history = self.program, []
         local, blocking = self._search(program, self.with_heights(z), history)
