@@ -13,13 +13,15 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, fields_at, paper_body
+from bodies import PAPER, fields_at, paper_body, paper_plain
 from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq, minimize
 
 import cddf_jax as cddf
 from cddf_jax.determination import IDENTIFIED, NOT_IDENTIFIED, PRIOR_ONLY
 from cddf_jax.errors import InputError
+from cddf_jax.quantities import QUANTITIES, View
 
 L, d, MU, E = (PAPER[name] for name in ("length", "tendon_offset", "friction_coefficient", "youngs_modulus"))
 r = PAPER["inner_radius"]
@@ -27,7 +29,7 @@ T = 50.0
 FEASIBLE = 1e-6  # scaled, what a design promises
 CLOSED = 1e-7  # of a design against a closed form: a solver right to 1e-8, and limits kept to about that
 KNOTS = np.linspace(0.0, L, 5)
-DENSE = np.linspace(0.0, L, 4001)
+DENSE = np.linspace(0.0, L, 2001)
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
@@ -44,14 +46,16 @@ def limit_of(design, name, side="most"):
 
 
 @lru_cache
-def uniform(kinematics):
+def uniform(kinematics, thinnest=0.0105, starts=1):
     return cddf.design(
         free_form(kinematics),
         cddf.Even("curvature"),
         free=("outer_radius",),
-        bounds={"outer_radius": (0.0105, 0.03)},
+        bounds={"outer_radius": (thinnest, 0.03)},
         constraints=[cddf.Limit("tip_angle", equal=1.0)],
         base_tension=T,
+        starts=starts,
+        seed=1,
     )
 
 
@@ -72,13 +76,16 @@ def test_uniform_curvature_has_the_analytic_radius(kinematics):
     assert found.success
     assert np.asarray(found.manipulator.outer_radius(DENSE)) == pytest.approx(radius, rel=1e-6)
     assert found.equilibria[0].tip_angle == pytest.approx(1.0, abs=FEASIBLE)
-    curvature = np.asarray(fields_at(found.equilibria[0], jnp.asarray(DENSE)).curvature)
-    assert curvature == pytest.approx(np.full(DENSE.size, kappa), rel=1e-6)
-    # told as the relative standard deviation, of the start 20 percent or more
-    before = np.asarray(fields_at(found.equilibria_at_start[0], jnp.asarray((NODES + 1) / 2 * L)).curvature)
+    curvature = np.asarray(found.equilibria[0].curvature)
+    assert curvature == pytest.approx(np.full(curvature.size, kappa), rel=1e-6)
+    # told as the relative standard deviation, at the start that of the paper's cone, by its closed form
+    plain, places = paper_plain(kinematics), (NODES + 1) / 2 * L
+    J = np.array([plain.second_moment(s) for s in places])
+    of_tendon = np.array([plain.closed_form(T, s) for s in places]) * d / (E * J)
+    before = of_tendon / (1 + d * of_tendon) if kinematics == "published" else of_tendon
     mean = before @ WEIGHTS / 2
-    assert found.objectives[0].start == pytest.approx(np.sqrt((before - mean) ** 2 @ WEIGHTS / 2) / mean, rel=1e-4)
-    assert found.objective < 1e-6 < 0.2 < found.objectives[0].start
+    assert found.objectives[0].start == pytest.approx(np.sqrt((before - mean) ** 2 @ WEIGHTS / 2) / mean, rel=1e-6)
+    assert found.objective < 1e-6
 
 
 def test_nothing_holds_a_perfect_design_back():
@@ -86,11 +93,24 @@ def test_nothing_holds_a_perfect_design_back():
     found = uniform("exact")
     assert {number.status for number in found.free.values()} == {"inside"}
     assert limit_of(found, "tip_angle", "equal").multiplier == pytest.approx(0.0, abs=1e-4)
-    assert found.history[0][0] == pytest.approx(1.0, abs=0.5)  # over its size at the start
+    assert found.history[-1][0] < 1e-9  # a variance over that of the start
     assert found.violation <= FEASIBLE
     assert found.optimality <= FEASIBLE
     assert found.remarks == ()
     assert found.blocking == ()
+
+
+def test_many_starts_of_which_some_are_no_bodies():
+    """Between 4 and 30 mm at every knot many are thinner than their bore: these have no answer and do not spoil it."""
+    found, alone = uniform("exact", 0.004, starts=16), uniform("exact")
+    program = found.outcome.program
+    thin = program.problem.space.scaled(np.array([0.02, 0.02, 0.0045, 0.02, 0.02]))
+    assert not program(thin).usable
+    assert found.success
+    assert len(found.starts) == 5  # the body itself, and from the best four of the others
+    assert min(found.starts) < 1e-9
+    assert found.evaluations > alone.evaluations
+    assert np.array(list(found.value.values())) == pytest.approx(np.array(list(alone.value.values())), rel=1e-5)
 
 
 # --- the loss at a given tip angle ---------------------------------------------------------------
@@ -98,25 +118,21 @@ def test_nothing_holds_a_perfect_design_back():
 
 @lru_cache
 def flat():
-    """The least loss at 0.8 rad among free-form bodies, of which some of the starts are thinner than their bore."""
+    """The least loss at 0.8 rad among free-form bodies."""
     return cddf.design(
         free_form(),
         cddf.Least("tension_loss"),
         free=("outer_radius",),
-        bounds={"outer_radius": (0.004, 0.030)},
+        bounds={"outer_radius": (0.0105, 0.030)},
         base_tension=cddf.TipAngle(0.8),
-        starts=16,
-        seed=1,
     )
 
 
 def test_the_loss_at_a_given_angle_does_not_depend_on_the_taper():
-    """design.md section 4: 1 - exp(-mu theta), whatever the body. So every start ends with it, nothing to gain."""
+    """design.md section 4: 1 - exp(-mu theta), whatever the body, so that there is nothing to gain."""
     found, loss = flat(), -np.expm1(-MU * 0.8)
     assert found.success
     assert found.objectives[0].start == pytest.approx(loss, rel=1e-8)
-    assert len(found.starts) == 5  # the body itself, and from the best four of the others
-    assert found.starts == pytest.approx([1.0] * 5, rel=1e-7)  # over the loss at the start
     assert found.objective == pytest.approx(loss, rel=1e-7)
 
 
@@ -129,19 +145,19 @@ def test_the_objective_is_flat():
         z = program.problem.space.scaled(values)
         point = program(z)
         assert point.usable
-        assert point.objective == pytest.approx(1.0, rel=1e-8)
-        assert np.max(np.abs(point.gradient)) < 1e-7
+        assert point.objective == pytest.approx(1.0, rel=1e-7)
+        assert np.max(np.abs(point.gradient)) < 1e-5  # 16 nodes on a wavy spline; that of the tension is about 1
         tensions.append(float(program.problem.view(z, found.cases[0]).equilibrium.base_tension[0]))
     assert max(tensions) > 1.5 * min(tensions)
 
 
-def test_a_lane_without_an_answer_does_not_spoil_the_search():
-    """Among the starts of the flat design are bodies whose wall has a negative thickness, which have no equilibrium."""
-    program = flat().outcome.program
-    space = program.problem.space
-    thin = space.scaled(np.array([0.02, 0.02, 0.0045, 0.02, 0.02]))
-    assert not program(thin).usable
-    assert np.all(np.isfinite(flat().starts))
+def test_sensitivities_of_a_design_that_is_pulled_to_an_angle():
+    """The loss 1 - exp(-mu theta) by friction and by the angle; neither stiffness nor length count."""
+    cost, kept = flat().sensitivity, np.exp(-MU * 0.8)
+    assert cost["friction_coefficient"] == pytest.approx(0.8 * kept, rel=1e-6)
+    assert cost["case 1: base_tension.value"] == pytest.approx(MU * kept, rel=1e-6)
+    assert cost["youngs_modulus"] * E == pytest.approx(0.0, abs=1e-6)
+    assert cost["length"] * L == pytest.approx(0.0, abs=1e-6)
 
 
 # --- least peak strain ---------------------------------------------------------------------------
@@ -160,7 +176,7 @@ def even_strain(E, angle=1.0):
     def miss(e):
         return -3 / MU * np.log1p(-MU * e * L / (3 * base(e))) - angle
 
-    e = brentq(miss, 1e-4, 0.5, xtol=1e-15)
+    e = brentq(miss, 1e-4, 0.4, xtol=1e-15)
     return e, base(e), base(e) - MU * e * L / 3
 
 
@@ -188,13 +204,12 @@ def test_the_least_peak_strain_is_even_strain_of_a_cone():
 
 
 def test_the_best_of_a_few_choices():
-    """Each stiffness of the material is designed for; the softest thick body is strained most, by the closed form."""
+    """Three materials: the closed form tells how much each is strained at least, the stiffest the least."""
     moduli = (1.0e6, 1.4e6, 2.0e6)
     found = least_strain(choices={"youngs_modulus": moduli})
     strains = [even_strain(modulus)[0] for modulus in moduli]
     assert [chosen["youngs_modulus"] for chosen, _ in found.choices] == list(moduli)
-    values = np.array([value for _, value in found.choices])  # over their starts, which differ: the order is that of
-    assert np.all(np.isfinite(values))
+    assert np.all(np.isfinite([value for _, value in found.choices]))
     best = int(np.argmin(strains))
     assert found.chosen == {"youngs_modulus": moduli[best]}
     assert found.objective == pytest.approx(strains[best], rel=CLOSED)
@@ -323,7 +338,7 @@ def brute_force(slope):
     for _ in range(30):
         axes = [np.linspace(c - h, c + h, n) for c, h, n in zip(centre, half, (21, 21, 5), strict=True)]
         base, tip, room = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
-        tip, room = np.maximum(tip, 0.0101), np.maximum(room, 1e-3)
+        tip, room = np.maximum(tip, 0.010), np.maximum(room, 1e-3)
         bodies = TwoTendons(np.maximum(base, tip), tip, tip - room)
         tension = bodies.tension
         tension = np.where(bodies.keeps(tension, slope), tension, np.inf)
@@ -339,7 +354,7 @@ def stiff():
 
 @pytest.mark.parametrize("slope", [0.06, 0.2])
 def test_the_least_tension_against_a_brute_force_sweep(slope):
-    """Where the slope holds the taper back, and where tension alone decides it."""
+    """Where the slope holds the taper back, and where the thinnest tip does."""
     found, (tension, (base, tip, offset)) = pulled_two(slope=slope), brute_force(slope)
     assert found.success
     assert limit_of(found, "slope").active == (slope == 0.06)
@@ -347,17 +362,21 @@ def test_the_least_tension_against_a_brute_force_sweep(slope):
     first = found.value["base_tension.0"]
     assert first * (1 - 1e-7) <= tension <= first * (1 + 1e-4)
     assert found.objective == pytest.approx(first + SECOND, rel=1e-12)
-    # the tension is flat where slope does not hold: places to the root of that
+    # places only to where the tension is the same to 1e-4
     expected = {"outer_radius.base": base, "outer_radius.tip": tip, "tendons.*.offset": offset}
     assert {name: found.value[name] for name in expected} == pytest.approx(expected, rel=5e-3)
 
 
 def test_everything_that_is_limited_is_kept_everywhere(stiff):
-    """Each limit looked at again along the whole body, from the equilibrium alone and plain formulas."""
-    body, equilibrium = stiff.manipulator, stiff.equilibria[0]
-    fields = fields_at(equilibrium, jnp.asarray(DENSE))
+    """Each limit looked at again along the whole body, from the free numbers alone and the closed form."""
+    body, pulled = stiff.manipulator, stiff.value["base_tension.0"]
     outer = np.asarray(body.outer_radius(DENSE))
-    offsets, curvature = np.asarray(body.offset(DENSE)), np.asarray(fields.curvature)
+    offsets = np.asarray(body.offset(DENSE))
+    again = TwoTendons(*(np.array(stiff.value[name]) for name in list(stiff.value)[:3]))
+    moment = np.array([again.moment(s, pulled) for s in DENSE])
+    curvature = moment / (E * np.pi / 4 * (outer**4 - r**4))
+    # the one sliding in loses tension, the other one gains it up to the tip
+    tension = max(pulled, SECOND * np.exp(MU * ANGLE))
     slope = np.diff(outer) / np.diff(DENSE)
     room = {  # over the size of each limit
         "clearance": min(np.min(outer - offsets), np.min(offsets - r)) / 1e-3 - 1,
@@ -366,7 +385,7 @@ def test_everything_that_is_limited_is_kept_everywhere(stiff):
         "slope": 1 - np.max(np.abs(slope)) / 0.06,
         "strain": 1 - np.max(outer * np.abs(curvature)) / 0.2,
         "crossing": 1 - np.max(offsets * np.abs(curvature)) / 0.2,
-        "tension": 1 - np.max(np.asarray(fields.tension)) / 120.0,
+        "tension": 1 - tension / 120.0,
         "mass": 1 - DENSITY * quad(lambda s: float(np.pi * (np.interp(s, DENSE, outer) ** 2 - r**2)), 0, L)[0] / 0.2,
     }
     assert stiff.violation <= FEASIBLE
@@ -470,8 +489,8 @@ def test_a_limit_broken_between_the_stations_only_is_kept_everywhere():
     With a straight outer wall R = max r + 4 mm, and the volume pi int (R^2 - r^2) ds by SciPy between the knots.
     """
     middle = 16.5 / 32 * L  # midway between stations, which are 1/32 of the length apart
-    knots = np.sort(np.r_[0.0, 0.03, middle + 1e-3 * np.array([-2.4, -0.8, 0.8, 2.4]), 0.11, L])
-    inner = cddf.Spline(knots, np.array([6.0, 6.0, 6.0, 7.0, 7.0, 6.0, 6.0, 6.0]) * 1e-3)
+    knots = np.sort(np.r_[0.0, 0.03, 0.05, middle + 1e-3 * np.array([-9.0, -3.2, -0.8, 0.8, 3.2, 9.0]), 0.095, 0.12, L])
+    inner = cddf.Spline(knots, np.where(np.abs(knots - middle) < 1e-3, 7e-3, 6e-3))
     body = replace(paper_body("exact", outer_radius=0.02), inner_radius=inner)
     found = cddf.design(
         body,
@@ -487,7 +506,8 @@ def test_a_limit_broken_between_the_stations_only_is_kept_everywhere():
     assert found.success
     radius = np.max(fine) + 4e-3
     assert found.value["outer_radius"] == pytest.approx(radius, abs=FEASIBLE * 4e-3)
-    bore = sum(quad(lambda s: float(inner(s)) ** 2, *ends, epsabs=1e-16)[0] for ends in pairwise(knots))
+    again = CubicSpline(knots, np.asarray(inner.values), bc_type="not-a-knot")
+    bore = sum(quad(lambda s: again(s) ** 2, *ends, epsabs=1e-16)[0] for ends in pairwise(knots))
     assert found.objective == pytest.approx(np.pi * (radius**2 * L - bore), rel=1e-6)
     # its price: how the volume grows with the wall, 2 pi R L
     report = limit_of(found, "wall_thickness", "least")
@@ -500,7 +520,7 @@ def test_a_limit_broken_between_the_stations_only_is_kept_everywhere():
 
 
 def test_a_shape_and_a_tip_that_a_body_has_are_found_again():
-    """From positions, tip pose and curvature of another body: its radii, and its length, with which tapers stretch."""
+    """From positions and tip pose of another body: its radii, and its length, with which tapers stretch."""
     truth = paper_body("exact", length=0.150, outer_radius=(0.018, 0.014))
     shape = cddf.solve(truth, T)
     places = np.linspace(0.02, 0.12, 6)
@@ -511,7 +531,6 @@ def test_a_shape_and_a_tip_that_a_body_has_are_found_again():
             (1.0, cddf.Near("position", np.asarray(at.position), at=places)),
             (0.5, cddf.Near("tip_position", np.asarray(shape.tip_position))),
             (0.5, cddf.Near("tip_angle", float(shape.tip_angle))),
-            (0.5, cddf.Near("curvature", np.asarray(at.curvature), at=places)),
         ],
         free=("outer_radius", "length"),
         bounds={"length": (0.10, 0.20)},
@@ -533,48 +552,63 @@ def test_a_shape_and_a_tip_that_a_body_has_are_found_again():
 # --- stiffness -----------------------------------------------------------------------------------
 
 
-def test_the_stiffest_tip_of_a_given_volume():
-    """Without friction the bent shape is phi = T d h(s) / E; a force w at the tip bends by its lever squared / (E J).
+def firmness(body: cddf.Manipulator, equilibrium: cddf.Equilibrium) -> Any:
+    """Of the straight body's tip: newtons across it per meter."""
+    return 1.0 / sag(body, equilibrium)
 
-    C = int ((u(L) - u(s)) x w)^2 / (E J) ds across the tip, w = (-sin phi, cos phi), made small by SciPy.
-    """
+
+def test_the_most_of_something_within_a_volume():
+    """The firmest cone of 70 ml: along the cones of that volume one number is left, swept here in 4000 steps."""
     most = 7e-5
     found = cddf.design(
-        paper_body("exact", friction_coefficient=0.0),
-        cddf.Most("tip_stiffness"),
+        paper_body("exact"),
+        cddf.Most(firmness),
         free=("outer_radius",),
-        bounds={"outer_radius": (0.0105, 0.04)},
-        constraints=[cddf.Limit("volume", most=most)],
+        bounds={"outer_radius": (0.008, 0.04)},
+        constraints=[cddf.Limit("volume", most=most), cddf.Limit("clearance", least=-2e-3)],
         base_tension=20.0,
     )
-
-    def stiffness(base, tip):
-        s = np.linspace(0.0, L, 2001)
-        radius = base + (tip - base) * s / L
-        stiff = E * np.pi / 4 * (radius**4 - r**4)
-
-        def along(values):
-            """Simpson's rule on every second interval, the trapezoid's between: errors of step^3 or less."""
-            step = s[1] - s[0]
-            middle = (values[1:] + values[:-1]) / 2 * step
-            slope = np.gradient(values, s, edge_order=2)
-            return np.r_[0.0, np.cumsum(middle - step**2 / 12 * np.diff(slope))]
-
-        heading = along(20.0 * d / stiff)
-        x, y = along(np.cos(heading)), along(np.sin(heading))
-        across = -np.sin(heading[-1]), np.cos(heading[-1])
-        lever = (x[-1] - x) * across[1] - (y[-1] - y) * across[0]
-        return 1 / along(lever**2 / stiff)[-1]
-
-    def base_of(tip):
-        """The volume is pi L ((R_0^2 + R_0 R_1 + R_1^2) / 3 - r^2)."""
-        return (-tip + np.sqrt(tip**2 - 4 * (tip**2 - 3 * (most / (np.pi * L) + r**2)))) / 2
-
-    tips = 0.0105 + np.linspace(0, 1, 50) ** 2 * 0.005
-    best = max(stiffness(base_of(tip), tip) for tip in tips)
+    tip = np.linspace(0.008, 0.014, 4001)
+    # pi L ((R_0^2 + R_0 R_1 + R_1^2) / 3 - r^2) is the volume
+    base = (-tip + np.sqrt(tip**2 - 4 * (tip**2 - 3 * (most / (np.pi * L) + r**2)))) / 2
+    s = L * (NODES + 1) / 2
+    radius = base[:, None] + (tip - base)[:, None] * s / L
+    firm = E / (((L - s) ** 2 * 4 / np.pi / (radius**4 - r**4)) @ WEIGHTS * L / 2)
+    best = int(np.argmax(firm))
+    assert 0 < best < 4000
     assert found.success
-    assert found.objective == pytest.approx(best, rel=1e-5)
-    assert limit_of(found, "volume").active
+    assert found.objective == pytest.approx(firm[best], rel=1e-6)  # flat there: the square of a step of 2e-4
+    assert found.value["outer_radius.tip"] == pytest.approx(tip[best], abs=2e-6)
+    assert found.objectives[0].name == "most firmness"
+    # what more volume would be worth, by the sweep's own formula along the best tip
+    report = limit_of(found, "volume")
+    assert report.active
+    assert report.multiplier > 0
+
+
+def test_the_stiffness_of_a_bent_tip():
+    """Without friction phi = T d h(s) / E, h = int ds / J, and a force along w bends by (u(L) - u(s)) x w / (E J)."""
+    pull = 20.0
+    body, case = paper_body("exact", friction_coefficient=0.0), cddf.LoadCase(pull)
+    view = View(body, jnp.asarray(DENSE), case, case.solve(body))
+    plain = paper_plain("exact", friction=[0.0])
+    stiff = E * np.pi / 4 * (plain.outer_radius(DENSE) ** 4 - r**4)
+
+    def along(values):
+        """The integral from the base on, through a spline of 4000 pieces."""
+        return CubicSpline(DENSE, values).antiderivative()(DENSE)
+
+    heading = along(pull * d / stiff)
+    x, y = along(np.cos(heading)), along(np.sin(heading))
+    ways = {
+        "tip_stiffness": (-np.sin(heading[-1]), np.cos(heading[-1])),
+        "tip_stiffness_x": (1.0, 0.0),
+        "tip_stiffness_y": (0.0, 1.0),
+    }
+    for name, way in ways.items():
+        lever = (x[-1] - x) * way[1] - (y[-1] - y) * way[0]
+        expected = 1 / along(lever**2 / stiff)[-1]
+        assert float(QUANTITIES[name].of(view)) == pytest.approx(expected, rel=CLOSED), name
 
 
 # --- several load cases --------------------------------------------------------------------------

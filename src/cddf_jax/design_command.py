@@ -125,7 +125,7 @@ def _worth(found: Design, limit: LimitReport) -> str:
 
 def _per(found: Design, slope: float, dimension: Dimension) -> str:
     """A derivative of the objective, per unit that an engineer writes."""
-    if len(found.objectives) != 1 or "near" in found.objectives[0].name or "even" in found.objectives[0].name:
+    if len(found.objectives) != 1 or not _follows(found):
         own, unit = slope, ""
     else:
         own, unit = _scaled(slope, found.objectives[0].dimension)
@@ -142,9 +142,9 @@ def _scaled(value: float, dimension: Dimension) -> tuple[float, str]:
 
 
 def _sensitivity(found: Design) -> Iterator[str]:
-    relative = _relative(found)
-    if not relative:
+    if not _follows(found):
         return
+    relative = _relative(found)
     yield "| how the best objective follows | change by 1 % changes it by |"
     yield "| --- | ---: |"
     for name, percent in sorted(relative.items(), key=lambda item: -abs(item[1]))[:LARGEST]:
@@ -152,12 +152,16 @@ def _sensitivity(found: Design) -> Iterator[str]:
     yield ""
 
 
+def _follows(found: Design) -> bool:
+    """Whether the best objective has a size that can follow; a distance from what is wanted is zero at best."""
+    kinds = {each.name.split()[0] for each in found.objectives}
+    return found.feasible and not (len(found.objectives) == 1 and kinds & {"near", "even"})
+
+
 def _relative(found: Design) -> dict[str, float]:
     """Logarithmic derivatives of the objective, where both it and the number have a size."""
     values = fixed_numbers(found.outcome.program.problem)
     size = abs(found.objective)
-    if len(found.objectives) == 1 and found.objectives[0].name.split()[0] in ("near", "even"):
-        return {}
     return {
         _plain_name(name, found): slope * values[name] / size
         for name, slope in found.sensitivity.items()
@@ -208,7 +212,7 @@ def as_dict(found: Design) -> dict[str, Any]:
         "blocking": list(found.blocking),
         "optimality": found.optimality,
         "violation": found.violation,
-        "sensitivity": found.sensitivity,
+        "sensitivity": found.sensitivity if _follows(found) else {},
         "chosen": found.chosen,
         "choices": [{"numbers": values, "objective": objective} for values, objective in found.choices],
         "iterations": len(found.history),

@@ -38,8 +38,8 @@ def _draw_bodies(axes: Axes, design: Design) -> None:
     radius = 1e3 * max(np.max(np.asarray(body.outer_radius(stations(body)))) for body in (before, after))
     bent = _bent(after, design.equilibria[0])
     top = max(float(np.max(bent.outline[:, 1])), radius)
-    for level, body, label in ((top + 5.4 * radius, before, "before: diameters outside/inside (mm)"), (top + 2.2 * radius, after, "after")):
-        _draw_straight(axes, body, level, label)
+    _draw_straight(axes, before, top + 5.4 * radius, "before (numbers: outer/inner diameter, mm)")
+    _draw_straight(axes, after, top + 2.2 * radius, "after")
     draw.draw_clamp(axes, 1.3 * radius, 0.4 * radius)
     draw.draw_body(axes, bent)
     old = _bent(before, design.equilibria_at_start[0])

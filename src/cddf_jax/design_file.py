@@ -44,7 +44,8 @@ from typing import Any
 
 import numpy as np
 
-from .case import unit_of_name
+from .case import Case, unit_of_name
+from .design_space import numbers_under
 from .errors import InputError
 from .limits import Limit
 from .load_cases import LoadCase, uncertain_cases
@@ -108,8 +109,8 @@ def _task(table: Mapping[str, Any], folder: Path) -> DesignTask:
         if table["kinematics"] not in KINEMATICS:
             raise InputError(f"kinematics must be one of {KINEMATICS}, got {table['kinematics']!r}")
         body = replace(body, kinematics=table["kinematics"])
-    body, bounds, choices = _free(body, _entries(table, "free"))
     cases = tuple(_case(f"case {i}", each, body) for i, each in enumerate(_list(table, "case"), 1))
+    body, bounds, choices = _free(body, cases[0], _entries(table, "free"))
     if "uncertain" in table:
         cases = _uncertain(cases, body, _entries(table, "uncertain"), folder)
     options: dict[str, Any] = {key: table[key] for key in ("worst", "offsets_outside_wall") if key in table}
@@ -134,7 +135,9 @@ def _task(table: Mapping[str, Any], folder: Path) -> DesignTask:
 # --- free numbers --------------------------------------------------------------------------------
 
 
-def _free(body: Manipulator, table: Mapping[str, Any]) -> tuple[Manipulator, dict[str, Any], dict[str, Any]]:
+def _free(
+    body: Manipulator, used: LoadCase, table: Mapping[str, Any]
+) -> tuple[Manipulator, dict[str, Any], dict[str, Any]]:
     """The body with its free profiles in the form that is wanted, bounds and choices."""
     bounds, choices = {}, {}
     for name, entry in table.items():
@@ -142,6 +145,7 @@ def _free(body: Manipulator, table: Mapping[str, Any]) -> tuple[Manipulator, dic
         if not isinstance(entry, dict):
             raise InputError(f'{where}: write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
         check_keys(f"{where}: ", entry, (), ("bounds", "choices", "knots", "taper"))
+        numbers_under(Case(body, used.base_tension, used.loads, used.direction), name)
         dimension = DIMENSION_OF[unit_of_name(name)]
         if "knots" in entry or "taper" in entry:
             body = _formed(body, name, entry, where)

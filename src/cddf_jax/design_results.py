@@ -12,7 +12,7 @@ from .design_problem import Problem, split
 from .design_program import Program, fixed_numbers
 from .design_search import Outcome
 from .design_setup import Asked
-from .equilibrium import RESULTS, Equilibrium
+from .equilibrium import RESULTS, Equilibrium, result_of
 from .load_cases import LoadCase
 from .manipulator import Manipulator
 from .quantities import name_of, quantity_named
@@ -80,8 +80,6 @@ class Design:
     choices: tuple[tuple[dict[str, float], float], ...]  # by combination of choices, inf where not feasible
     chosen: dict[str, float]
     cases: tuple[LoadCase, ...]
-    equilibria: tuple[Equilibrium, ...]
-    equilibria_at_start: tuple[Equilibrium, ...]
     remarks: tuple[str, ...]
     outcome: Outcome = field(repr=False)
 
@@ -93,6 +91,20 @@ class Design:
         weighted sum. Empty where the design is not feasible. Worked out when it is first asked for.
         """
         return _sensitivities(self.outcome) if self.feasible else {}
+
+    @cached_property
+    def equilibria(self) -> tuple[Equilibrium, ...]:
+        """Of the body in each load case."""
+        problem = self.outcome.program.problem
+        z = self.outcome.local.point.x[: len(problem.space.names)]
+        return tuple(problem.view(z, case).equilibrium for case in problem.cases)
+
+    @cached_property
+    def equilibria_at_start(self) -> tuple[Equilibrium, ...]:
+        """Of the start in each load case."""
+        problem = self.outcome.program.problem
+        z = problem.space.scaled(problem.space.start)
+        return tuple(problem.view(z, case).equilibrium for case in problem.cases)
 
     @property
     def value(self) -> dict[str, float]:
@@ -112,7 +124,6 @@ def answered(
     z_start, z = problem.space.scaled(problem.space.start), local.point.x[: len(problem.space.names)]
     at_start = Program(problem).evaluation(np.append(z_start, np.zeros(len(problem.peaks))))
     objectives, unit = achieved(problem, at_start, outcome.evaluation), unit_of_objective(problem)
-    equilibria = tuple(problem.view(z, case).equilibrium for case in problem.cases)
     result = words(local, outcome.violation)
     return Design(
         manipulator=jax.tree.map(np.asarray, problem.body(z)),
@@ -133,9 +144,7 @@ def answered(
         choices=choices,
         chosen=chosen or {},
         cases=problem.cases,
-        equilibria=equilibria,
-        equilibria_at_start=tuple(problem.view(z_start, case).equilibrium for case in problem.cases),
-        remarks=tuple(remarks_on(equilibria, [case.name for case in problem.cases])),
+        remarks=tuple(remarks_on(outcome.evaluation.codes, [case.name for case in problem.cases])),
         outcome=outcome,
     )
 
@@ -243,10 +252,7 @@ def words(local: Local, violation: float) -> str:
     return "successful"
 
 
-def remarks_on(equilibria: tuple[Equilibrium, ...], names: list[str]) -> list[str]:
+def remarks_on(codes: Any, names: list[str]) -> list[str]:
     """What the solves say that a designer must know."""
-    return [
-        f"{name or 'the load case'}: {RESULTS[found.result]}"
-        for name, found in zip(names, equilibria, strict=True)
-        if found.result != RESULTS.successful
-    ]
+    said = [(name, result_of(code)) for name, code in zip(names, np.asarray(codes), strict=False)]
+    return [f"{name or 'the load case'}: {RESULTS[result]}" for name, result in said if result != RESULTS.successful]

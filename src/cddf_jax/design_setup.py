@@ -9,18 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from .case import Case
-from .design_problem import Cap, Problem, Term
-from .design_program import USABLE
+from .design_problem import Cap, Evaluation, Problem, Term
+from .design_program import USABLE, Program
 from .design_search import WANDERING
 from .design_space import space_of
-from .equilibrium import RESULTS
+from .equilibrium import RESULTS, result_of
 from .errors import InputError
 from .limits import Limit
 from .load_cases import LoadCase
 from .loads import Loads
 from .manipulator import Manipulator
 from .objectives import Least, Objective
-from .quantities import View, name_of
+from .quantities import name_of
 
 STATIONS = 33  # at which limits along the body are looked at, evenly
 CROSSING = 0.99  # kappa d at most, short of 1 where fibres cross
@@ -71,29 +71,28 @@ def ask(
     space = space_of(start_case, free, bounds or {})
     _check_weight(manipulator, [name_of(part.quantity) for part in (*constraints, *(aim for _, aim in objectives))])
     _check_overlap(space, used)
-    stations = _stations(manipulator)
-    bare = Problem(manipulator, space, used, (), (), (), jnp.asarray(stations), worst, nodes)
-    alone = View(manipulator, stations * float(np.asarray(manipulator.length)))
-    views = [bare.view(space.scaled(space.start), case) for case in used]
-    for case, view in zip(used, views, strict=True):
-        _demand_start(view, case)
-    terms = tuple(
-        Term(aim, jnp.asarray(weight), jnp.asarray(_size(aim, views if aim.bent else [alone])))
-        for weight, aim in objectives
-    )
-    caps = tuple(Cap(term.objective, FAR * term.reference, term.reference) for term in terms) if capped else ()
     limits = [*constraints, *_implied(manipulator, constraints, offsets_outside_wall)]
-    sized = [
-        limit if limit.scale is not None else replace(limit, scale=limit.size(views[0] if limit.bent else alone))
-        for limit in limits
-    ]
-    problem = replace(bare, terms=terms, caps=caps, limits=tuple(jax.tree.map(jnp.asarray, sized)))
+    one = jnp.ones(())
+    terms = tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives)
+    caps = tuple(Cap(aim, one, one) for _, aim in objectives) if capped else ()
+    unsized = tuple(jax.tree.map(jnp.asarray, replace(limit, scale=one)) for limit in limits)
+    stations = jnp.asarray(_stations(manipulator))
+    problem = _sized(Problem(manipulator, space, used, terms, caps, unsized, stations, worst, nodes), limits)
     return Asked(problem, tuple(i >= len(constraints) for i in range(len(limits))))
 
 
-def _size(aim: Objective, views: Sequence[View]) -> float:
-    """Of an objective at the start."""
-    return max(float(np.max(np.abs(np.asarray(aim.values(view))))) for view in views) or 1.0
+def _sized(problem: Problem, limits: Sequence[Limit]) -> Problem:
+    """The problem with objectives and limits over their sizes at the start, which must have an equilibrium."""
+    space = problem.space
+    found = Program(problem).evaluation(np.append(space.scaled(space.start), np.zeros(len(problem.peaks))))
+    _demand_start(problem, found)
+    sizes = [jnp.asarray(float(np.max(np.abs(aim))) or 1.0, float) for aim in found.aims]
+    terms = [replace(term, reference=size) for term, size in zip(problem.terms, sizes, strict=True)]
+    caps = [replace(cap, most=FAR * size, reference=size) for cap, size in zip(problem.caps, sizes, strict=False)]
+    margins = [float(np.max(np.abs(margin), initial=0.0)) for margin in found.margins]
+    scales = [jnp.asarray(limit.size(margin), float) for limit, margin in zip(limits, margins, strict=True)]
+    scaled = [replace(limit, scale=scale) for limit, scale in zip(problem.limits, scales, strict=True)]
+    return replace(problem, terms=tuple(terms), caps=tuple(caps), limits=tuple(scaled))
 
 
 def weighted(objective: Any) -> list[tuple[float, Objective]]:
@@ -161,7 +160,8 @@ def _check_overlap(space: Any, cases: tuple[LoadCase, ...]) -> None:
                 raise InputError(f"design: {name!r} is free, and load case {case.name or '1'} sets it; leave one out")
 
 
-def _demand_start(view: View, case: LoadCase) -> None:
-    if int(view.equilibrium.result._value) not in USABLE:
-        said = RESULTS[view.equilibrium.result]
-        raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")
+def _demand_start(problem: Problem, found: Evaluation) -> None:
+    for case, code in zip(problem.cases, np.asarray(found.codes), strict=False):
+        if code not in USABLE:
+            said = RESULTS[result_of(code)]
+            raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")

@@ -70,7 +70,7 @@ def space_of(case: Case, free: Sequence[str], bounds: Mapping[str, tuple[Any, An
     for group in free:
         if group in groups:
             raise InputError(f"design: {group!r} is free twice; name it once")
-        for tied in _expanded(case, group):
+        for tied in numbers_under(case, group):
             value = float(np.asarray(case.number(tied[0])))
             lower, upper = _bounds_of(group, value, bounds)
             names.append(tied)
@@ -112,8 +112,12 @@ def _check_once(names: Sequence[tuple[str, ...]]) -> None:
             raise InputError(f"design: {name!r} is no number that can be free; take it out of free")
 
 
-def _expanded(case: Case, group: str) -> list[tuple[str, ...]]:
-    """The numbers under a name, each with those that share its value."""
+def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:
+    """The numbers that a free name means, each with those that share its value.
+
+    Raises:
+        InputError: names what is not there.
+    """
     if "*" not in group:
         return [(name,) for name in _within(case, group)]
     if not group.startswith("tendons.*."):

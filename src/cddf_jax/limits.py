@@ -68,10 +68,12 @@ class Limit(eqx.Module):
             return jnp.zeros(0)
         return jnp.ravel((quantity_named(self.quantity).of(view) - self.equal) / self.scale)
 
-    def size(self, view: View) -> Any:
-        """What counts as large unless the user says so."""
+    def size(self, at_start: float) -> float:
+        """What counts as large: as given, else the size of the limit, of a limit of zero that at the start."""
+        if self.scale is not None:
+            return float(self.scale)
         stated = [np.max(np.abs(np.asarray(x))) for x in (self.least, self.most, self.equal) if x is not None]
-        return max(stated) or float(np.max(np.abs(np.asarray(quantity_named(self.quantity).of(view))))) or 1.0
+        return float(max(stated)) or at_start or 1.0
 
     def __str__(self) -> str:
         """As in "wall_thickness >= 0.002"."""

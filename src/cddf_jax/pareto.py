@@ -120,10 +120,10 @@ def _at(problem: Problem, small: int, level: float) -> Problem:
     """The problem with one objective to be made small and the other below a level; infinite for none."""
     weights = [SECOND, SECOND]
     weights[small] = 1.0
-    terms = tuple(replace(term, weight=jnp.asarray(w)) for term, w in zip(problem.terms, weights, strict=True))
+    terms = tuple(replace(term, weight=jnp.asarray(w, float)) for term, w in zip(problem.terms, weights, strict=True))
     caps = list(problem.caps)
     other = caps[1 - small]
-    caps[1 - small] = replace(other, most=jnp.minimum(jnp.asarray(level), FAR * other.reference))
+    caps[1 - small] = replace(other, most=jnp.minimum(jnp.asarray(level, float), FAR * other.reference))
     return replace(problem, terms=terms, caps=tuple(caps))
 
 

@@ -1,6 +1,7 @@
 """What a design is asked about: quantities of a body and of its equilibria, by name."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,9 +14,10 @@ from numpy.polynomial import legendre
 from .equilibrium import Equilibrium, Fields
 from .errors import InputError
 from .load_cases import LoadCase
+from .loads import Loads
 from .manipulator import Manipulator
 from .profiles import Profile
-from .stiffness import tip_compliance
+from .statics import solve
 from .units import Dimension
 
 INTEGRATION_POINTS = 48  # of a volume
@@ -148,12 +150,18 @@ def _crossing(view: View) -> Array:
 def _stiffness(direction: Callable[[Equilibrium], Any]) -> Callable[[View], Any]:
     def stiffness(view: View) -> Array:
         assert view.case is not None
-        found = view.equilibrium
-        compliance = tip_compliance(
-            view.body, found.base_tension, view.case.loads, direction=view.case.direction, nodes=view.nodes
-        )[:2, :2]
+        case, found = view.case, view.equilibrium
+        loads = Loads() if case.loads is None else case.loads
+
+        def tip(force: Array) -> Array:  # at constant base tensions, as in `tip_compliance`
+            pushed = replace(loads, tip_force=force)
+            there = solve(
+                view.body, found.base_tension, pushed, direction=case.direction, nodes=view.nodes, throw=False
+            )
+            return there.tip_position
+
         way = direction(found)
-        return 1.0 / (way @ compliance @ way)
+        return 1.0 / (way @ jax.jacfwd(tip)(jnp.asarray(loads.tip_force)) @ way)
 
     return stiffness
 
