@@ -18,8 +18,10 @@ lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-studies: .venv/ready  ## every study of fitting/, into out/fitting/
+studies: .venv/ready  ## every study of fitting/, into out/fitting/ and out/design/
 	for study in fitting/*.py; do $(BIN)/python $$study || exit 1; done
+	for task in fitting/design_*.toml; do \
+		$(BIN)/cddf design $$task --out out/design/$$(basename $$task .toml) || exit 1; done
 
 benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/methods.py

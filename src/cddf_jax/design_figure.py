@@ -116,11 +116,22 @@ def pareto_figure(front: ParetoFront) -> Figure:
         axes.plot(x[good], y[good], "o", color=draw.BLUE, label="designs")
         if np.any(~good & np.isfinite(x)):
             axes.plot(x[~good], y[~good], "o", color=draw.VERMILION, markerfacecolor="white", label="not stationary")
-        axes.plot(front.start[0] * scale[0][0], front.start[1] * scale[1][0], "s", color=draw.GREY, label="start")
+        _draw_start(axes, [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)], (x, y))
         for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
             set_label(f"{_words(name)}{f' ({unit})' if unit else ''}")
-        axes.legend(loc="best")
+        axes.legend(loc="lower left")
     return figure
+
+
+def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.ndarray]) -> None:
+    """The start as a square; where it would squash the front, in words at its side of the figure."""
+    spans = [(np.nanmin(values), np.nanmax(values)) for values in points]
+    within = [2 * low - high <= value <= 2 * high - low for value, (low, high) in zip(start, spans, strict=True)]
+    if all(within):
+        axes.plot(*start, "s", color=draw.GREY, label="start")
+        return
+    text = f"start: {start[0]:.3g}, {start[1]:.3g} (off the figure)"
+    axes.annotate(text, (0.98, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7, color=draw.GREY)
 
 
 def _words(name: str) -> str:

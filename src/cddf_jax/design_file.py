@@ -165,16 +165,18 @@ def _formed(body: Manipulator, name: str, entry: Mapping[str, Any], where: str) 
     length = float(body.length)
     if ("knots" in entry) == ("taper" in entry) or entry.get("taper", True) is not True:
         raise InputError(f"{where}: write knots = 9 for a spline or taper = true for a straight taper")
-    places = np.linspace(0.0, length, 2)
     if "knots" in entry:
         knots = _whole(f"{where}: knots", entry["knots"])
         if knots < 4:
             raise InputError(f"{where}: knots must be 4 or more, got {knots}; or write taper = true")
-        places = np.linspace(0.0, length, knots)
 
-    def formed(profile: Any) -> Any:
-        values = np.asarray(profile(places))
-        return Spline(places, values) if "knots" in entry else Linear(values[0], values[1], length)
+        def formed(profile: Any) -> Any:
+            return Spline.through(profile, np.linspace(0.0, length, knots))
+    else:
+
+        def formed(profile: Any) -> Any:
+            base, tip = np.asarray(profile(np.array([0.0, length])))
+            return Linear(base, tip, length)
 
     if name in ("outer_radius", "inner_radius"):
         return replace(body, **{name: formed(getattr(body, name))})

@@ -136,7 +136,8 @@ def _number(case: Case, name: str) -> float | None:
         number = case.number(name)
     except ValueError:
         return None
-    return float(np.asarray(number)) if number is not None and np.ndim(number) == 0 else None
+    single = isinstance(number, float | np.ndarray | jax.Array) and np.ndim(number) == 0
+    return float(np.asarray(number)) if single else None
 
 
 def with_fixed(problem: Problem, numbers: Mapping[str, Any]) -> Problem:
