@@ -616,7 +616,7 @@ def test_the_stiffness_of_a_bent_tip():
 
 
 def test_an_objective_that_is_no_number_is_never_a_success():
-    """ln of a negative length at the start: refused there, or told to have failed."""
+    """The logarithm of a negative length: refused at the start, or told to have failed."""
     try:
         found = cddf.design(
             paper_body("exact"), lambda body, found: jnp.log(0.01 - body.length), ("outer_radius",), base_tension=T
