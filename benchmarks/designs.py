@@ -1,10 +1,10 @@
 """A taper for uniform curvature: `python benchmarks/designs.py`, about a minute.
 
-The paper's body in the exact kinematics at 50 N, nine radii of a spline free, the tip angle held at 1 rad. The same task
-for `cddf.design` and for what a user would otherwise write: SciPy's SLSQP with finite differences over a loop of RK4
-(32 steps) compiled by numba, and over SciPy's `solve_ivp`. Errors are those of the radius, relative and largest along
-the body, from the analytic J(s) = T d exp(-mu kappa s) / (E kappa). Warm calls, medians of one run; the first call of
-ours compiles.
+The paper's body in the exact kinematics at 50 N, nine radii of a spline free, the tip angle held at 1 rad. The same
+task for `cddf.design` and for what a user would otherwise write: SciPy's SLSQP with finite differences over a loop of
+RK4 (32 steps) compiled by numba, and over SciPy's `solve_ivp`. Errors are those of the radius, relative and largest
+along the body, from the analytic J(s) = T d exp(-mu kappa s) / (E kappa). Warm calls, medians of one run; the first
+call of ours compiles.
 """
 
 import time
@@ -31,7 +31,7 @@ FINE = np.linspace(0.0, LENGTH, 2 * STEPS + 1)
 
 @numba.njit
 def curvature_by_rk4(second_moment):
-    """kappa at every step, and the tip angle, from J at steps and half steps."""
+    """Kappa at every step, and the tip angle, from J at steps and half steps."""
     h = LENGTH / STEPS
     kappa = np.empty(STEPS + 1)
     tension, angle = PULL, 0.0

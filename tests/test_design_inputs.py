@@ -47,7 +47,7 @@ def refused_design(message, body=None, **changes):
         ({"free": ("outer_radius", "outer_radius")}, "'outer_radius' is free twice; name it once"),
         ({"free": ("outer_radius", "outer_radius.tip")}, "'outer_radius.tip' is free under two names; leave one out"),
         ({"free": ("outer_*",)}, "'outer_*': a * stands for all tendons, as in 'tendons.*.offset'"),
-        ({"free": ("tendons.0.end",)}, "'tendons.0.end' has no number of its own here; give the start body one"),
+        ({"free": ("tendons.0.end",)}, "'tendons.0.end' has no number of its own here; give the start one"),
         ({"free": ("density",)}, "'density' starts at 0; give it bounds"),
         ({"free": ("direction",)}, "'direction' is no number that can be free; take it out of free"),
     ],
@@ -135,9 +135,9 @@ def test_everything_along_a_body_is_stretched_with_it():
         ([], "give an objective"),
         ([TENSION, MASS], "several objectives are a list of pairs (weight, objective)"),
         ([(1.0, TENSION, 2.0)], "several objectives are a list of pairs (weight, objective)"),
-        ([(0.0, TENSION)], "the weight of least base_tension must be above 0, got 0.0"),
-        ([(-1.0, TENSION)], "the weight of least base_tension must be above 0, got -1.0"),
-        ([(np.nan, TENSION)], "the weight of least base_tension must be above 0, got nan"),
+        ([(0.0, TENSION)], "the weight of least base_tension must be above 0, got 0"),
+        ([(-1.0, TENSION)], "the weight of least base_tension must be above 0, got -1"),
+        ([(np.nan, TENSION)], "a weight must be a number, got nan"),
         (MASS, 'the body has no mass, since its density is 0; give it one, or take "volume"'),
         (lambda body, found: found.position, "has shape"),
     ],
@@ -207,8 +207,6 @@ def test_limits_of_a_design():
             {"base_tension": None, "cases": [cddf.LoadCase(50.0, numbers={"young_modulus": 1e6})]},
             "did you mean 'youngs_modulus'?",
         ),
-        ({"base_tension": None, "cases": [cddf.LoadCase(50.0, weight=-1.0), cddf.LoadCase(60.0)]}, "weight"),
-        ({"base_tension": None, "cases": [cddf.LoadCase(50.0, weight=0.0)]}, "weight"),
         ({"choices": {"outer_radius": [0.02]}}, "outer_radius is not one number"),
         ({"choices": {"youngs_moduli": [1e6]}}, "did you mean 'youngs_modulus'?"),
         ({"choices": {"youngs_modulus": 1e6}}, "the choices of 'youngs_modulus' must be a list of numbers"),
@@ -221,6 +219,40 @@ def test_limits_of_a_design():
 )
 def test_how_a_body_cannot_be_used(changes, message):
     refused_design(message, **changes)
+
+
+@pytest.mark.parametrize("weight", [-1.0, 0.0, np.nan])
+def test_a_case_that_counts_nothing(weight):
+    with pytest.raises(cddf.InputError, match="the weight must be above 0"):
+        cddf.LoadCase(50.0, weight=weight)
+
+
+@pytest.mark.parametrize(
+    ("aim", "message"),
+    [
+        (cddf.Least("tip_position"), "tip_position has shape"),
+        (cddf.Near("tip_position", (1.0, 2.0, 3.0)), "tip_position has shape"),
+        (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "no finite value for the start"),  # the second is off the body
+        ([("much", cddf.Least("volume"))], "a weight must be a number"),
+    ],
+)
+def test_an_aim_in_another_shape_or_place(aim, message):
+    refused_design(message, objective=aim)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"starts": 0}, "starts must be a whole number of 1 or more"),
+        ({"starts": 2.5}, "starts must be a whole number of 1 or more"),
+        ({"max_iterations": 0}, "max_iterations must be a whole number of 1 or more"),
+        ({"free": (3,)}, "free must list one name or more"),
+        ({"choices": {"youngs_modulus": ["soft"]}}, "a choice of 'youngs_modulus' must be a number"),
+        ({"constraints": [cddf.Limit("tip_position", equal=(1.0, 2.0, 3.0))]}, "tip_position has shape"),
+    ],
+)
+def test_numbers_and_names_of_another_kind(options, message):
+    refused_design(message, **options)
 
 
 def test_a_start_without_equilibrium():

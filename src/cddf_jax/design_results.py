@@ -140,7 +140,7 @@ def answered(
         violation=outcome.violation,
         history=tuple(outcome.history),
         evaluations=outcome.evaluations,
-        starts=outcome.starts,
+        starts=tuple(told(problem, value) for value in outcome.starts),
         choices=choices,
         chosen=chosen or {},
         cases=problem.cases,
@@ -156,6 +156,14 @@ def unit_of_objective(problem: Problem) -> float:
     term = problem.terms[0]
     sense = -1.0 if term.objective.told(1.0) < 0 else 1.0
     return sense * float(term.reference) / float(term.weight)
+
+
+def told(problem: Problem, value: float) -> float:
+    """The optimiser's objective as the user reads it: of one objective its value, of several their weighted sum."""
+    if len(problem.terms) != 1:
+        return value
+    (term,) = problem.terms
+    return term.objective.told(value * float(term.reference) / float(term.weight))
 
 
 def free_numbers(problem: Problem, local: Local, unit: float) -> dict[str, FreeNumber]:
@@ -245,9 +253,11 @@ def _sensitivities(outcome: Outcome) -> dict[str, float]:
 
 def words(local: Local, violation: float) -> str:
     """The result in words."""
-    if violation > TOLERANCE:
+    if not local.point.usable:
+        return "no equilibrium was found that could be gone by"
+    if not violation <= TOLERANCE:
         return "infeasible"
-    if local.optimality.residual > TOLERANCE:
+    if not local.optimality.residual <= TOLERANCE:
         return f"not stationary: the first-order optimality is {local.optimality.residual:.2g} and not {TOLERANCE:g}"
     return "successful"
 

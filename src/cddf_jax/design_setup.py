@@ -15,7 +15,7 @@ from .design_search import WANDERING
 from .design_space import space_of
 from .equilibrium import RESULTS, result_of
 from .errors import InputError
-from .limits import Limit
+from .limits import Limit, number_of
 from .load_cases import LoadCase
 from .loads import Loads
 from .manipulator import Manipulator
@@ -35,6 +35,12 @@ class Asked(NamedTuple):
 
     problem: Problem
     implied: tuple[bool, ...]
+
+    def over_the_sizes_of(self, other: "Asked") -> "Asked":
+        """The same with every objective over its size at the start of another problem."""
+        pairs = zip(self.problem.terms, other.problem.terms, strict=True)
+        terms = tuple(replace(own, reference=term.reference) for own, term in pairs)
+        return self._replace(problem=replace(self.problem, terms=terms))
 
 
 def ask(
@@ -64,7 +70,8 @@ def ask(
     Raises:
         InputError: for what is unknown or contradictory, and for a start without equilibrium.
     """
-    if not all(isinstance(limit, Limit) for limit in constraints):
+    constraints = [constraints] if isinstance(constraints, Limit) else constraints
+    if not isinstance(constraints, list | tuple) or not all(isinstance(limit, Limit) for limit in constraints):
         raise InputError('design: constraints must be a list of limits, as in [Limit("wall_thickness", least=2e-3)]')
     used = _cases(cases, base_tension, loads, direction)
     start_case = Case(manipulator, used[0].base_tension, used[0].loads, used[0].direction)
@@ -85,7 +92,7 @@ def _sized(problem: Problem, limits: Sequence[Limit]) -> Problem:
     """The problem with objectives and limits over their sizes at the start, which must have an equilibrium."""
     space = problem.space
     found = Program(problem).evaluation(np.append(space.scaled(space.start), np.zeros(len(problem.peaks))))
-    _demand_start(problem, found)
+    _demand_start(problem, found, limits)
     sizes = [jnp.asarray(float(np.max(np.abs(aim))) or 1.0, float) for aim in found.aims]
     terms = [replace(term, reference=size) for term, size in zip(problem.terms, sizes, strict=True)]
     caps = [replace(cap, most=FAR * size, reference=size) for cap, size in zip(problem.caps, sizes, strict=False)]
@@ -106,14 +113,14 @@ def weighted(objective: Any) -> list[tuple[float, Objective]]:
     for pair in pairs:
         if not isinstance(pair, tuple | list) or len(pair) != 2:
             raise InputError(f"design: several objectives are a list of pairs (weight, objective), got {pair!r}")
-        weight, aim = pair
+        weight, aim = number_of(pair[0], "design: a weight"), pair[1]
         if not isinstance(aim, Objective):
             if not callable(aim) or isinstance(aim, type):
                 raise InputError(f'design: the objective must be one such as Least("mass") or a function, got {aim!r}')
             aim = Least(aim)
-        if not (np.isfinite(float(weight)) and float(weight) > 0):
-            raise InputError(f"design: the weight of {aim} must be above 0, got {weight!r}")
-        found.append((float(weight), aim))
+        if not weight > 0:
+            raise InputError(f"design: the weight of {aim} must be above 0, got {weight:g}")
+        found.append((weight, aim))
     if not found:
         raise InputError("design: give an objective")
     return found
@@ -160,8 +167,14 @@ def _check_overlap(space: Any, cases: tuple[LoadCase, ...]) -> None:
                 raise InputError(f"design: {name!r} is free, and load case {case.name or '1'} sets it; leave one out")
 
 
-def _demand_start(problem: Problem, found: Evaluation) -> None:
+def _demand_start(problem: Problem, found: Evaluation, limits: Sequence[Limit]) -> None:
     for case, code in zip(problem.cases, np.asarray(found.codes), strict=False):
         if code not in USABLE:
             said = RESULTS[result_of(code)]
             raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")
+    named = [(str(term.objective), aim) for term, aim in zip(problem.terms, found.aims, strict=True)]
+    named += [(str(limit), margin) for limit, margin in zip(limits, found.margins, strict=True)]
+    named += [(str(limit), zero) for limit, zero in zip(limits, found.zeros, strict=True)]
+    for name, values in named:
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"design: {name!r} has no finite value for the start; look at its places and its formula")

@@ -61,7 +61,7 @@ def space_of(case: Case, free: Sequence[str], bounds: Mapping[str, tuple[Any, An
     Raises:
         InputError: names what is unknown, without effect, or out of its bounds.
     """
-    if isinstance(free, str) or not free:
+    if isinstance(free, str) or not free or not all(isinstance(name, str) for name in free):
         raise InputError('design: free must list one name or more, as in free=("outer_radius",)')
     for name in bounds:
         if name not in free:
@@ -131,14 +131,15 @@ def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:
 def _within(case: Case, name: str) -> list[str]:
     node: Any = case.manipulator
     for step in name.split("."):
-        node = node[int(step)] if isinstance(node, tuple) and step.isdigit() else getattr(node, step, None)
+        inside = isinstance(node, tuple) and step.isdigit() and int(step) < len(node)
+        node = node[int(step)] if inside else getattr(node, step, None)
     if isinstance(node, Linear | Spline | Piecewise):
         return [f"{name}.{inner}" for inner in _values_of(node)]
     if isinstance(node, np.ndarray | jax.Array) and np.ndim(node) == 1:
         return [f"{name}.{i}" for i in range(len(node))]
     number = case.number(name)
-    if number is None or np.ndim(number) != 0:
-        raise InputError(f"design: {name!r} has no number of its own here; give the start body one")
+    if not isinstance(number, float | np.ndarray | jax.Array) or np.ndim(number) != 0:
+        raise InputError(f"design: {name!r} has no number of its own here; give the start one, or name a part of it")
     return [name]
 
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from .case import Case
-from .design_results import Design, answered
+from .design_results import Design, answered, told
 from .design_search import Search, Watch
 from .design_setup import ask, weighted
 from .errors import InputError
-from .limits import Limit
+from .limits import Limit, number_of
 from .load_cases import LoadCase
 from .loads import Loads
 from .manipulator import Manipulator
@@ -69,11 +69,15 @@ def design(
     Raises:
         InputError: for what is unknown or contradictory, by name; also where the start itself has no equilibrium.
     """
+    for name, count in (("starts", starts), ("max_iterations", max_iterations)):
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise InputError(f"design: {name} must be a whole number of 1 or more, got {count!r}")
     aims = weighted(objective)
     found = []
     with progress_shown(progress) as watch:
         for chosen in _combinations(manipulator, choices or {}, free):
-            body = Case(manipulator, None, None, None).with_numbers(chosen).manipulator
+            numbers = {name: np.asarray(number) for name, number in chosen.items()}
+            body = Case(manipulator, None, None, None).with_numbers(numbers).manipulator
             asked = ask(
                 body,
                 aims,
@@ -88,10 +92,12 @@ def design(
                 offsets_outside_wall=offsets_outside_wall,
                 nodes=nodes,
             )
+            if found:  # one scale for all, so that they can be compared
+                asked = asked.over_the_sizes_of(found[0][1])
             search = Search(asked.problem, max_iterations, watch)
             found.append((chosen, asked, search.from_starts(starts, seed)))
     chosen, asked, outcome = min(found, key=lambda each: each[2].rank)
-    tried = tuple((each, outcome.value) for each, _, outcome in found) if choices else ()
+    tried = tuple((each, told(asked.problem, outcome.value)) for each, _, outcome in found) if choices else ()
     return answered(asked, outcome, manipulator, tried, chosen)
 
 
@@ -101,12 +107,10 @@ def _combinations(body: Manipulator, choices: Mapping[str, Sequence[float]], fre
         case.number(name)
         if name in free:
             raise InputError(f"design: {name!r} is free and has choices; leave one out")
-        if np.ndim(values) != 1 or len(values) == 0:
+        if not isinstance(values, list | tuple | np.ndarray) or len(values) == 0:
             raise InputError(f"design: the choices of {name!r} must be a list of numbers, got {values!r}")
-    return [
-        dict(zip(choices, map(float, numbers), strict=True))
-        for numbers in product(*(choices[name] for name in choices))
-    ]
+    lists = [[number_of(value, f"design: a choice of {name!r}") for value in choices[name]] for name in choices]
+    return [dict(zip(choices, numbers, strict=True)) for numbers in product(*lists)]
 
 
 @contextmanager

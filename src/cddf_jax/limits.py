@@ -3,17 +3,38 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .errors import InputError
 from .profiles import Scalar, as_number
-from .quantities import View, name_of, quantity_named
+from .quantities import View, check_fits, name_of, quantity_named
+
+
+def number_of(value: Any, what: str) -> float:
+    """A finite number.
+
+    Raises:
+        InputError: for anything else; begins with `what`.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not np.isfinite(number):
+        raise InputError(f"{what} must be a number, got {value!r}")
+    return number
 
 
 def _optional(value: Any) -> Any:
-    return None if value is None else as_number(value)
+    if value is None or isinstance(value, jax.Array):
+        return value
+    try:
+        return as_number(value)
+    except (TypeError, ValueError):
+        raise InputError(f"design: a limit must be a number, got {value!r}") from None
 
 
 class Limit(eqx.Module):
@@ -41,6 +62,14 @@ class Limit(eqx.Module):
             raise InputError(
                 f"design: {name} varies along the body and cannot equal one value; take Near or Even of it"
             )
+        for side in ("least", "most", "equal", "scale"):
+            number = getattr(self, side)
+            if isinstance(number, np.ndarray) and (
+                not np.all(np.isfinite(number)) or (number.ndim and side != "equal")
+            ):
+                raise InputError(f"design: a limit of {name} must be a finite number, got {side}={number.tolist()}")
+        if isinstance(self.scale, np.ndarray) and not self.scale > 0:
+            raise InputError(f"design: the scale of a limit of {name} must be above 0, got {self.scale:g}")
         low, high = self.least, self.most
         if isinstance(low, np.ndarray) and isinstance(high, np.ndarray) and low > high:
             raise InputError(
@@ -66,7 +95,9 @@ class Limit(eqx.Module):
         """Scaled differences that must be zero."""
         if self.equal is None:
             return jnp.zeros(0)
-        return jnp.ravel((quantity_named(self.quantity).of(view) - self.equal) / self.scale)
+        value = quantity_named(self.quantity).of(view)
+        check_fits(name_of(self.quantity), self.equal, value)
+        return jnp.ravel((value - self.equal) / self.scale)
 
     def size(self, at_start: float) -> float:
         """What counts as large: as given, else the size of the limit, of a limit of zero that at the start."""
@@ -76,7 +107,7 @@ class Limit(eqx.Module):
         return float(max(stated)) or at_start or 1.0
 
     def __str__(self) -> str:
-        """As in "wall_thickness >= 0.002"."""
+        """As in "0.002 <= wall_thickness", SI."""
         name = name_of(self.quantity)
         if self.equal is not None:
             return f"{name} = {np.array2string(np.asarray(self.equal), precision=6)}"

@@ -45,6 +45,10 @@ class LoadCase(eqx.Module):
     weight: Scalar = eqx.field(default=1.0, converter=as_number)
     name: str = eqx.field(default="", static=True)
 
+    def __check_init__(self):
+        if isinstance(self.weight, np.ndarray) and not (np.isfinite(self.weight) and self.weight > 0):
+            raise InputError(f"LoadCase: the weight must be above 0, got {self.weight:g}")
+
     def body(self, manipulator: Manipulator) -> Manipulator:
         """The body with the numbers of this case.
 
@@ -60,14 +64,15 @@ class LoadCase(eqx.Module):
 
 
 def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) -> tuple[LoadCase, ...]:
-    """The case with what a fit leaves uncertain: bodies drawn from the normal distribution about its estimate.
+    """The case with what a fit leaves uncertain: bodies drawn from the log-normal distribution about its estimate.
 
-    Sobol points through the normal quantile; means and covariance of the draws are those of the fit to a few percent.
+    Sobol points through the normal quantile of the logarithms, which keeps a modulus positive; means and covariance of
+    the draws are those of the fit to a few percent.
 
     Args:
         case: how the body is used.
-        fit: its free parameters must be numbers of the body, each identified.
-        num: how many bodies, a power of two for the best balance.
+        fit: its parameters that are numbers of the body must each be identified.
+        num: how many bodies, a power of 2.
         seed: of the points.
 
     Raises:
@@ -80,10 +85,12 @@ def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) ->
             f"uncertain_cases: the fit does not tell {', '.join(open_ones) or 'any number of the body'}; "
             "measure more, or give a prior, before designing for it"
         )
-    places = [fit.names.index(name) for name in own]
-    spread = np.linalg.cholesky(fit.covariance[np.ix_(places, places)])
+    if isinstance(num, bool) or not isinstance(num, int) or num < 1 or num & (num - 1):
+        raise InputError(f"uncertain_cases: num must be a power of 2 such as 16, got {num!r}")
+    places, centre = [fit.names.index(name) for name in own], np.array([fit.value[name] for name in own])
+    logarithmic = np.log1p(fit.covariance[np.ix_(places, places)] / np.outer(centre, centre))
     points = norm.ppf(qmc.Sobol(len(own), rng=seed).random(num))
-    values = np.array([fit.value[name] for name in own]) + points @ spread.T
+    values = centre * np.exp(points @ np.linalg.cholesky(logarithmic).T - np.diag(logarithmic) / 2)
     label = case.name or "case"
     return tuple(
         LoadCase(

@@ -10,7 +10,7 @@ from numpy.polynomial import legendre
 
 from .errors import InputError
 from .profiles import as_number
-from .quantities import View, name_of, quantity_named
+from .quantities import View, check_fits, name_of, quantity_named
 from .units import Dimension
 
 GRID, WEIGHTS = legendre.leggauss(32)  # for means along the body
@@ -126,10 +126,15 @@ class Near(Objective):
         value = jnp.asarray(self.value)
         if self.at is not None:
             found = quantity_named(self.quantity).of(view.moved(jnp.asarray(self.at)))
-            return jnp.mean((found - _points_last(value, found)) ** 2)
+            value = _points_last(value, found)
+            check_fits(name_of(self.quantity), value, found)
+            return jnp.mean((found - value) ** 2)
         if quantity_named(self.quantity).along:
+            check_fits(name_of(self.quantity), value, jnp.zeros(()))
             return jnp.mean((_on_grid(self.quantity, view) - value) ** 2 @ (WEIGHTS / 2))
-        return jnp.mean((quantity_named(self.quantity).of(view) - value) ** 2)
+        found = quantity_named(self.quantity).of(view)
+        check_fits(name_of(self.quantity), value, found)
+        return jnp.mean((found - value) ** 2)
 
     def told(self, value: float) -> float:
         return float(np.sqrt(max(value, 0.0)))
@@ -144,7 +149,8 @@ def _on_grid(quantity: Any, view: View) -> Float[Array, "*k points"]:
 
 
 def _reduced(quantity: Any, values: Array, peak: bool) -> Array:
-    if not peak and jnp.ndim(values) > 1:
+    one_each = quantity_named(quantity).per_tendon
+    if not peak and jnp.ndim(values) != (1 if one_each else 0):
         raise InputError(
             f"design: {name_of(quantity)} has shape {jnp.shape(values)}; a number is wanted for Least or Most"
         )

@@ -83,6 +83,7 @@ class Quantity(NamedTuple):
     meaning: str
     bent: bool = True  # whether an equilibrium is needed for it
     along: bool = False  # whether its last axis runs along the body
+    per_tendon: bool = False  # whether it is one number for each tendon
 
 
 def quantity_named(name: Any) -> Quantity:
@@ -102,6 +103,16 @@ def quantity_named(name: Any) -> Quantity:
 def name_of(quantity: Any) -> str:
     """What a quantity is called in tables."""
     return quantity if isinstance(quantity, str) else getattr(quantity, "__name__", type(quantity).__name__)
+
+
+def check_fits(name: str, wanted: Any, value: Any) -> None:
+    """Refuse what is wanted of a quantity in another shape.
+
+    Raises:
+        InputError: names the quantity and the shapes.
+    """
+    if jnp.shape(wanted) not in ((), jnp.shape(value)):
+        raise InputError(f"design: {name} has shape {jnp.shape(value)}, and {jnp.shape(wanted)} was asked of it")
 
 
 # --- of the body alone ---------------------------------------------------------------------------
@@ -190,10 +201,12 @@ QUANTITIES: dict[str, Quantity] = {
     "strain": Quantity(_strain, "dimensionless", "strain R |kappa| of the outer fibre", along=True),
     "crossing": Quantity(_crossing, "dimensionless", "kappa d on the inside of a bend", along=True),
     "tension": Quantity(lambda v: v.along.tension, "force", "tension along the tendons", along=True),
-    "base_tension": Quantity(lambda v: v.equilibrium.base_tension, "force", "base tension"),
-    "tip_tension": Quantity(lambda v: v.equilibrium.tip_tension, "force", "tip tension"),
-    "tension_loss": Quantity(lambda v: v.equilibrium.tension_loss, "dimensionless", "loss of tension"),
-    "tendon_displacement": Quantity(lambda v: v.equilibrium.tendon_displacement, "length", "tendon displacement"),
+    "base_tension": Quantity(lambda v: v.equilibrium.base_tension, "force", "base tension", per_tendon=True),
+    "tip_tension": Quantity(lambda v: v.equilibrium.tip_tension, "force", "tip tension", per_tendon=True),
+    "tension_loss": Quantity(lambda v: v.equilibrium.tension_loss, "dimensionless", "loss of tension", per_tendon=True),
+    "tendon_displacement": Quantity(
+        lambda v: v.equilibrium.tendon_displacement, "length", "tendon displacement", per_tendon=True
+    ),
     "tip_angle": Quantity(lambda v: v.equilibrium.tip_angle, "angle", "tip angle"),
     "tip_position": Quantity(lambda v: v.equilibrium.tip_position, "length", "tip position (X, Y)"),
     "tip_x": Quantity(lambda v: v.equilibrium.tip_position[0], "length", "tip position X"),
