@@ -33,7 +33,9 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/seventeen_levels.py
 	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/sweeps.py
+	$(BIN)/python benchmarks/designs.py
 	$(BIN)/python benchmarks/cold_start.py
+	$(BIN)/python benchmarks/table.py
 
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("cddf_jax needs Python 3.11 or newer")'
