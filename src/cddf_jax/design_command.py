@@ -84,13 +84,20 @@ def _head(found: Design) -> Iterator[str]:
         yield f"- chosen: {name} = {_number(name, value)}"
     for values, objective in found.choices:
         told = ", ".join(f"{name} = {_number(name, value)}" for name, value in values.items())
-        yield f"- with {told}: {'not feasible' if np.isinf(objective) else f'{objective:.5g} of its size at the start'}"
+        yield f"- with {told}: {_objective(found, objective)}"
     for remark in found.remarks:
         yield f"- {remark}"
     at_bounds = [f"{name} {free.status}" for name, free in found.free.items() if free.status != "inside"]
     if at_bounds:
         yield f"- {', '.join(at_bounds)}: the best body lies there or beyond"
     yield ""
+
+
+def _objective(found: Design, value: float) -> str:
+    """The objective in words: of one its value, of several their weighted sum."""
+    if not np.isfinite(value):
+        return "not feasible"
+    return _text(value, found.objectives[0].dimension) if len(found.objectives) == 1 else f"{value:.5g}"
 
 
 def _numbers(found: Design) -> Iterator[str]:
@@ -184,7 +191,7 @@ def _foot(found: Design) -> Iterator[str]:
         f"{TOLERANCE:g} is asked for), {len(found.history)} iterations, {found.evaluations} evaluations."
     )
     if len(found.starts) > 1:
-        yield f"Searches from {len(found.starts)} starts came to {', '.join(f'{x:.6g}' for x in found.starts)}."
+        yield f"Searches from {len(found.starts)} starts came to {', '.join(_objective(found, x) for x in found.starts)}."
 
 
 def _value(value: Any, dimension: Dimension) -> str:

@@ -160,7 +160,7 @@ def unit_of_objective(problem: Problem) -> float:
 
 def told(problem: Problem, value: float) -> float:
     """The optimiser's objective as the user reads it: of one objective its value, of several their weighted sum."""
-    if len(problem.terms) != 1:
+    if len(problem.terms) != 1 or not np.isfinite(value):
         return value
     (term,) = problem.terms
     return term.objective.told(value * float(term.reference) / float(term.weight))
