@@ -191,7 +191,8 @@ def _foot(found: Design) -> Iterator[str]:
         f"{TOLERANCE:g} is asked for), {len(found.history)} iterations, {found.evaluations} evaluations."
     )
     if len(found.starts) > 1:
-        yield f"Searches from {len(found.starts)} starts came to {', '.join(_objective(found, x) for x in found.starts)}."
+        ends = ", ".join(_objective(found, value) for value in found.starts)
+        yield f"Searches from {len(found.starts)} starts came to {ends}."
 
 
 def _value(value: Any, dimension: Dimension) -> str:

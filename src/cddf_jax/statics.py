@@ -267,12 +267,12 @@ def _first_of(*cases: tuple[Any, RESULTS]) -> RESULTS:
 def _precision(*trees: Any) -> jnp.dtype:
     """The precision of the numbers of a pytree."""
     kinds = {x.dtype for x in jax.tree.leaves(trees) if isinstance(x, jax.Array | np.ndarray | np.generic)}
-    return _common_precision(frozenset(kinds), jax.config.jax_enable_x64)
+    return _common_precision(frozenset(kinds), jax.dtypes.canonicalize_dtype(np.float64))
 
 
 @cache
-def _common_precision(kinds: frozenset, x64: bool) -> jnp.dtype:
-    """Of types of numbers; JAX takes long to tell, and `x64` changes what it says."""
+def _common_precision(kinds: frozenset, widest: Any) -> jnp.dtype:
+    """Of types of numbers; JAX takes long to tell, and its widest type changes what it says."""
     floating = {jax.dtypes.canonicalize_dtype(kind) for kind in kinds if jnp.issubdtype(kind, jnp.inexact)}
     return jnp.result_type(jnp.float32, *floating)
 
