@@ -714,3 +714,45 @@ def test_the_worst_of_uncertain_cases():
     assert found.success
     assert found.value["outer_radius"] == pytest.approx(best, rel=1e-6)
     assert found.objective == pytest.approx(np.max(angles_of(best, cases)) - WANTED, rel=1e-6)
+
+
+# --- limits that jump along the body, and that bind at one place ----------------------------------
+
+
+def stepped(**changes):
+    """The paper's body with a step in its outer radius."""
+    radius = cddf.Piecewise([0.07], [20e-3, 15e-3])
+    rest = {"inner_radius": 7e-3, "tendons": (cddf.Tendon(10e-3),), "youngs_modulus": E, "friction_coefficient": MU}
+    return cddf.Manipulator(**({"length": L, "outer_radius": radius} | rest | changes))
+
+
+def test_a_tendon_that_ends_early_is_in_nobodys_way_beyond():
+    """10 mm and 0.75 mm of clearance up to the anchor, the thinnest wall that is allowed behind it."""
+    taper = cddf.Linear(20e-3, 13e-3, L)
+    body = stepped(outer_radius=taper, tendons=(cddf.Tendon(10e-3, end=0.1),))
+    bounds, limits = {"outer_radius": (8e-3, 25e-3)}, [cddf.Limit("clearance", least=0.75e-3)]
+    found = cddf.design(body, cddf.Least("volume"), ("outer_radius",), bounds, limits, base_tension=20.0, nodes=8)
+    assert found.success, found.result
+    s = np.linspace(0, 0.1, 2001)
+    assert np.min(found.manipulator.outer_radius(s) - 10e-3 - 0.75e-3) > -1e-9
+    assert float(found.manipulator.outer_radius(0.1)) == pytest.approx(10.75e-3, rel=1e-6)  # it is lightest there
+
+
+def test_prices_where_two_limits_bind_at_one_place():
+    """A wall of 3 mm and a tendon at 10 mm both stop the radius at 10 mm: giving way of one alone is worth nothing."""
+
+    def least(wall):
+        limits = [cddf.Limit("wall_thickness", least=wall)]
+        options = {"base_tension": cddf.TipAngle(1.0), "nodes": 8}
+        bounds = {"outer_radius": (8e-3, 25e-3)}
+        return cddf.design(stepped(), cddf.Least("base_tension"), ("outer_radius",), bounds, limits, **options)
+
+    found, step = least(3e-3), 1e-6
+    wall = found.limits[0]
+    assert wall.name == "wall_thickness"
+    assert found.objective - least(3e-3 - step).objective == pytest.approx(0.0, abs=1e-9)
+    assert wall.multiplier == pytest.approx(0.0, abs=1e-6)
+    cost = (least(3e-3 + step).objective - found.objective) / step
+    assert wall.tightening == pytest.approx(cost, rel=1e-3)  # of the step
+    assert np.isnan(found.sensitivity["inner_radius"])  # a kink
+    assert found.sensitivity["youngs_modulus"] == pytest.approx(found.objective / E, rel=1e-6)

@@ -49,7 +49,7 @@ def refused_design(message, body=None, **changes):
         ({"free": ("outer_*",)}, "'outer_*': a * stands for all tendons, as in 'tendons.*.offset'"),
         ({"free": ("tendons.0.end",)}, "'tendons.0.end' has no number of its own here; give the start one"),
         ({"free": ("density",)}, "'density' starts at 0; give it bounds"),
-        ({"free": ("direction",)}, "'direction' is no number that can be free; take it out of free"),
+        ({"free": ("direction",)}, "a direction cannot be free; it is 1 or -1"),
     ],
 )
 def test_what_cannot_be_free(changes, message):
@@ -201,7 +201,7 @@ def test_limits_of_a_design():
                 "free": ("youngs_modulus",),
                 "cases": [cddf.LoadCase(50.0, numbers={"youngs_modulus": 1e6}, name="soft")],
             },
-            "'youngs_modulus' is free, and load case soft sets it; leave one out",
+            "'youngs_modulus' is free, and soft sets it; leave one out",
         ),
         (
             {"base_tension": None, "cases": [cddf.LoadCase(50.0, numbers={"young_modulus": 1e6})]},
@@ -232,7 +232,8 @@ def test_a_case_that_counts_nothing(weight):
     [
         (cddf.Least("tip_position"), "tip_position has shape"),
         (cddf.Near("tip_position", (1.0, 2.0, 3.0)), "tip_position has shape"),
-        (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "no finite value for the start"),  # the second is off the body
+        (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "compared at 0.5 m, off a body of 0.14 m"),
+        (cddf.Near("position", [[0.0, 0.0], [0.1, 0.0]]), "say where"),
         ([("much", cddf.Least("volume"))], "a weight must be a number"),
     ],
 )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from scipy.optimize import NonlinearConstraint, lsq_linear, minimize
+from scipy.optimize import NonlinearConstraint, linprog, lsq_linear, minimize
 from scipy.sparse.linalg import LinearOperator
 
 TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
@@ -54,6 +54,39 @@ class Optimality:
     equality: np.ndarray
     lower: np.ndarray  # of the bounds
     upper: np.ndarray
+    columns: np.ndarray  # (unknowns, all that is used up): the slopes of inequalities, bounds and equalities, in turn
+    least: np.ndarray  # what each of their multipliers may be at least: 0, or -inf of an equality
+    active: np.ndarray  # the places of the inequalities among them
+    at_lower: np.ndarray  # and of the bounds
+    at_upper: np.ndarray
+
+    def range_of(self, inequality: np.ndarray, equality: np.ndarray) -> tuple[float, float]:
+        """The least and the largest of a weighted sum of multipliers that meet the conditions equally well.
+
+        They differ where limits bind at one place: by the theory of the optimal value under a perturbation, giving way
+        is then worth the least and tightening costs the largest.
+
+        Args:
+            inequality, equality: weights of their multipliers.
+        """
+        count = self.columns.shape[1]
+        if count == 0:
+            return 0.0, 0.0
+        cost = np.zeros(count)
+        cost[: self.active.size] = inequality[self.active]
+        cost[count - self.equality.size :] = equality
+        own = np.concatenate([self.inequality[self.active], self.bound_multipliers, self.equality])
+        bounds = [(None if np.isinf(low) else low, None) for low in self.least]
+        ends = []
+        for sign in (1.0, -1.0):
+            found = linprog(sign * cost, A_eq=self.columns, b_eq=self.columns @ own, bounds=bounds, method="highs")
+            ends.append(sign * found.fun if found.status == 0 else sign * -np.inf)
+        return ends[0], ends[1]
+
+    @property
+    def bound_multipliers(self) -> np.ndarray:
+        """Of the bounds that are reached, lower ones first."""
+        return np.concatenate([self.lower[self.at_lower], self.upper[self.at_upper]])
 
 
 class Local(NamedTuple):
@@ -217,9 +250,8 @@ def optimality(point: Point, lower: np.ndarray, upper: np.ndarray) -> Optimality
     rows = [point.inequality_slopes[active], unit[at_lower], -unit[at_upper], point.equality_slopes]
     columns = np.concatenate(rows).T
     count = columns.shape[1] - point.equality.size
-    multipliers = np.zeros(0)
+    multipliers, least = np.zeros(0), np.concatenate([np.zeros(count), np.full(point.equality.size, -np.inf)])
     if columns.size:
-        least = np.concatenate([np.zeros(count), np.full(point.equality.size, -np.inf)])
         multipliers = lsq_linear(columns, point.gradient, (least, np.inf), method="bvls", tol=1e-14).x
     left = point.gradient - columns @ multipliers
     parts = np.split(multipliers, np.cumsum([active.size, at_lower.size, at_upper.size]))
@@ -235,6 +267,11 @@ def optimality(point: Point, lower: np.ndarray, upper: np.ndarray) -> Optimality
         equality=parts[3],
         lower=spread(parts[1], at_lower, point.x.size),
         upper=spread(parts[2], at_upper, point.x.size),
+        columns=columns,
+        least=least,
+        active=active,
+        at_lower=at_lower,
+        at_upper=at_upper,
     )
 
 

@@ -21,7 +21,7 @@ from .manipulator import Manipulator
 from .manipulator_file import manipulator_text
 from .pareto import ParetoFront, pareto_front
 from .plotting import render
-from .units import DIMENSION_OF, Dimension, shown
+from .units import DIMENSION_OF, Dimension, preferred, shown
 
 PROFILE_POINTS = 201
 LARGEST = 12  # sensitivities that are told
@@ -34,7 +34,8 @@ def carry_out(task: DesignTask, out: Path | None, progress: bool) -> tuple[dict[
         The answer for JSON, the report, and whether all is well.
     """
     arguments = task.arguments() | {"choices": task.choices, "starts": task.starts, "seed": task.seed}
-    found = design(task.manipulator, task.objective, **arguments, progress=progress)
+    with task.named():
+        found = design(task.manipulator, task.objective, **arguments, progress=progress)
     answer, text = as_dict(found), in_words(found)
     if out is not None:
         files: dict[str, Any] = {"design.md": text + "\n", "design.json": as_json(answer)}
@@ -54,7 +55,8 @@ def trade_off(task: DesignTask, num: int, out: Path | None, progress: bool) -> t
             "--pareto: choices, starts and weights have no place in a trade-off; take them out of the task"
         )
     aims = [aim for _, aim in task.objective]
-    front = pareto_front(task.manipulator, aims, **task.arguments(), num=num, progress=progress)
+    with task.named():
+        front = pareto_front(task.manipulator, aims, **task.arguments(), num=num, progress=progress)
     answer, text = front_as_dict(front), front_in_words(front)
     if out is not None:
         files: dict[str, Any] = {"pareto.md": text + "\n", "pareto.json": as_json(answer)}
@@ -88,7 +90,7 @@ def _head(found: Design) -> Iterator[str]:
     for remark in found.remarks:
         yield f"- {remark}"
     at_bounds = [f"{name} {free.status}" for name, free in found.free.items() if free.status != "inside"]
-    if at_bounds:
+    if at_bounds and found.feasible:
         yield f"- {', '.join(at_bounds)}: the best body lies there or beyond"
     yield ""
 
@@ -125,9 +127,14 @@ def _limit_text(limit: LimitReport) -> str:
 
 
 def _worth(found: Design, limit: LimitReport) -> str:
-    if not limit.active or not found.feasible or np.isnan(limit.multiplier):
-        return "" if found.feasible else "broken" if limit.margin < -TOLERANCE else ""
-    return _per(found, limit.multiplier, limit.dimension)
+    if not found.feasible:
+        return "broken" if limit.margin < -TOLERANCE else ""
+    if not limit.active or np.isnan(limit.multiplier) or not _follows(found):
+        return ""
+    worth = _per(found, limit.multiplier, limit.dimension)
+    if abs(limit.tightening - limit.multiplier) <= 1e-4 * abs(limit.tightening):
+        return worth
+    return f"{worth}; tightening costs {_per(found, limit.tightening, limit.dimension)} (limits bind at one place)"
 
 
 def _per(found: Design, slope: float, dimension: Dimension) -> str:
@@ -135,27 +142,24 @@ def _per(found: Design, slope: float, dimension: Dimension) -> str:
     if len(found.objectives) != 1 or not _follows(found):
         own, unit = slope, ""
     else:
-        own, unit = _scaled(slope, found.objectives[0].dimension)
-    step, per = _scaled(1.0, dimension)
+        size, unit = preferred(found.objectives[0].dimension)
+        own = slope * size
+    step, per = preferred(dimension)
     return f"{own / step:.4g}{' ' + unit if unit else ''}{f' per {per}' if per else ''}"
-
-
-def _scaled(value: float, dimension: Dimension) -> tuple[float, str]:
-    """A number in the preferred unit, and that unit."""
-    if dimension == "dimensionless":
-        return value, ""
-    number, _, unit = shown(1.0, dimension).partition(" ")
-    return value * float(number), unit
 
 
 def _sensitivity(found: Design) -> Iterator[str]:
     if not _follows(found):
         return
     relative = _relative(found)
-    yield "| how the best objective follows | change by 1 % changes it by |"
+    several = "" if len(found.objectives) == 1 else " (of several: their weighted sum)"
+    yield f"| how the best objective follows{several} | change by 1 % changes it by |"
     yield "| --- | ---: |"
     for name, percent in sorted(relative.items(), key=lambda item: -abs(item[1]))[:LARGEST]:
         yield f"| {name} | {percent:+.3g} % |"
+    kinks = [_plain_name(name, found) for name, slope in found.sensitivity.items() if np.isnan(slope)]
+    if kinks:
+        yield f"| {', '.join(kinks)} | a kink: limits bind at one place |"
     yield ""
 
 
@@ -182,10 +186,17 @@ def _plain_name(name: str, found: Design) -> str:
     if kind.startswith("limit "):
         limit = found.outcome.program.problem.limits[int(kind.removeprefix("limit ")) - 1]
         return f"limit of {limit.quantity}, {side}"
-    return side if kind == "case 1" and len(found.cases) == 1 else name
+    if not kind.startswith("case "):
+        return name
+    case = found.cases[int(kind.removeprefix("case ")) - 1]
+    target = "what base_tension is to reach" if side.endswith(".value") else side
+    return target if len(found.cases) == 1 else f"{case.name or kind}: {target}"
 
 
 def _foot(found: Design) -> Iterator[str]:
+    weights = "; weights " + ", ".join(f"{each.weight:g}" for each in found.objectives)
+    if len(found.objectives) > 1:
+        yield f"Each objective counts relative to its size at the start{weights}: together {found.objective:.5g}."
     yield (
         f"Largest violation {found.violation:.1g} and first-order optimality {found.optimality:.1g} (scaled; "
         f"{TOLERANCE:g} is asked for), {len(found.history)} iterations, {found.evaluations} evaluations."
@@ -252,6 +263,7 @@ def profile_csv(manipulator: Manipulator) -> str:
 def front_in_words(front: ParetoFront) -> str:
     """The front as Markdown."""
     lines = [f"# Trade-off: {front.names[0]} against {front.names[1]}", ""]
+    lines += [f"- {remark}" for remark in front.remarks] + ([""] if front.remarks else [])
     names = list(front.designs[0].free)
     lines.append(f"| {front.names[0]} | {front.names[1]} | {' | '.join(names)} | |")
     lines.append("| ---: | ---: |" + " ---: |" * len(names) + " --- |")
@@ -270,6 +282,7 @@ def front_as_dict(front: ParetoFront) -> dict[str, Any]:
         "values": front.values,
         "exchange_rate": front.exchange_rate,
         "success": front.success,
+        "remarks": list(front.remarks),
         "result": "successful" if front.success else "some points of the front were not found",
         "designs": [{"result": found.result, "value": found.value} for found in front.designs],
     }

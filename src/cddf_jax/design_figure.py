@@ -12,7 +12,7 @@ from .equilibrium import Equilibrium
 from .manipulator import Manipulator
 from .pareto import ParetoFront
 from .solve_figure import stations
-from .units import Dimension, shown
+from .units import preferred
 
 START: dict[str, Any] = {"color": draw.GREY, "linestyle": (0, (4, 2))}
 END: dict[str, Any] = {"color": draw.BLUE, "linestyle": "-"}
@@ -106,7 +106,7 @@ def _draw_along(curvature: Axes, strain: Axes, design: Design) -> None:
 
 def pareto_figure(front: ParetoFront) -> Figure:
     """The two objectives against each other: every design a point, the start apart."""
-    scale = [_unit(dimension) for dimension in front.dimensions]
+    scale = [preferred(dimension) for dimension in front.dimensions]
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 2.6)
         axes = figure.subplots()
@@ -137,10 +137,3 @@ def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.nda
 def _words(name: str) -> str:
     kind, _, quantity = name.partition(" ")
     return quantity.replace("_", " ").capitalize() if kind in ("least", "most") else name.replace("_", " ").capitalize()
-
-
-def _unit(dimension: Dimension) -> tuple[float, str]:
-    if dimension == "dimensionless":
-        return 1.0, ""
-    number, _, unit = shown(1.0, dimension).partition(" ")
-    return float(number), unit

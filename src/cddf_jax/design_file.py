@@ -36,7 +36,8 @@ least = "2 mm"                       # and, or, most = ...; or else equal = ...
 """
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -55,6 +56,7 @@ from .objectives import Even, Least, Most, Near, Objective
 from .profiles import Linear, Spline
 from .quantities import QUANTITIES
 from .solve_command import read_actuation, read_loads
+from .statics import check_nodes
 from .units import DIMENSION_OF, Dimension, quantity
 
 _OPTIONAL = ("kinematics", "worst", "starts", "seed", "nodes", "offsets_outside_wall", "uncertain", "limit")
@@ -65,6 +67,7 @@ _AIMS: dict[str, type[Objective]] = {"least": Least, "most": Most, "even": Even,
 class DesignTask:
     """The arguments of `design`, as a file gives them."""
 
+    path: Path
     manipulator: Manipulator
     objective: list[tuple[float, Objective]]
     free: tuple[str, ...]
@@ -77,6 +80,14 @@ class DesignTask:
     seed: int = 0
     nodes: int = 16
     offsets_outside_wall: bool = False
+
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """Errors within begin with the name of the file."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
 
     def arguments(self) -> dict[str, Any]:
         """Those that `design` and `pareto_front` share, behind manipulator and objectives."""
@@ -97,12 +108,13 @@ def read_task(path: Path) -> DesignTask:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f'{path}: is no TOML ({error}); quantities are quoted, as in least = "2 mm"') from None
     try:
-        return _task(table, path.parent)
-    except InputError as error:
+        return _task(table, path)
+    except ValueError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _task(table: Mapping[str, Any], folder: Path) -> DesignTask:
+def _task(table: Mapping[str, Any], path: Path) -> DesignTask:
+    folder = path.parent
     check_keys("", table, ("robot", "free", "case", "objective"), _OPTIONAL)
     body = read_manipulator(folder / _text(table, "robot"))
     if "kinematics" in table:
@@ -113,6 +125,7 @@ def _task(table: Mapping[str, Any], folder: Path) -> DesignTask:
     body, bounds, choices = _free(body, cases[0], _entries(table, "free"))
     if "uncertain" in table:
         cases = _uncertain(cases, body, _entries(table, "uncertain"), folder)
+    limits = _list(table, "limit") if "limit" in table else []
     options: dict[str, Any] = {key: table[key] for key in ("worst", "offsets_outside_wall") if key in table}
     for key, value in options.items():
         if not isinstance(value, bool):
@@ -120,12 +133,15 @@ def _task(table: Mapping[str, Any], folder: Path) -> DesignTask:
     for key in ("starts", "seed", "nodes"):
         if key in table:
             options[key] = _whole(key, table[key])
+    if "nodes" in table:
+        check_nodes(table["nodes"])
     return DesignTask(
+        path=path,
         manipulator=body,
         objective=[_objective(f"objective {i}", each) for i, each in enumerate(_list(table, "objective"), 1)],
         free=tuple(name for name in table["free"] if name not in choices),
         bounds=bounds,
-        constraints=[_limit(f"limit {i}", each) for i, each in enumerate(table.get("limit", []), 1)],
+        constraints=[_limit(f"limit {i}", each) for i, each in enumerate(limits, 1)],
         choices=choices,
         cases=cases,
         **options,
@@ -200,21 +216,39 @@ def _case(where: str, table: Mapping[str, Any], body: Manipulator) -> LoadCase:
     try:
         actuation = read_actuation([str(text) for text in texts], body)
         force, moment, gravity = (table.get(key) for key in ("tip_force", "tip_moment", "gravity"))
+        for key, value in (("tip_force", force), ("tip_moment", moment), ("gravity", gravity)):
+            if value is not None and not isinstance(value, str):
+                raise InputError(f'{key} must be text such as "0 N, -5 N", got {value!r}')
         loads = read_loads(force, moment, gravity, bool(body.density))
     except InputError as error:
-        raise InputError(f"{where}: {str(error).replace('--', '').replace('-', '_', 1)}") from None
+        text = str(error)
+        for option in ("base-tension", "tip-force", "tip-moment", "gravity"):
+            text = text.replace(f"--{option}", option.replace("-", "_"))
+        raise InputError(f"{where}: {text}") from None
     direction = table.get("direction", 1)
-    if any(value not in (1, -1) for value in np.ravel(direction).tolist()):
+    each = direction if isinstance(direction, list) else [direction]
+    if any(isinstance(value, bool) or value not in (1, -1) for value in each):
         raise InputError(f"{where}: direction must be 1 for sliding in or -1 for sliding out, got {direction!r}")
-    numbers = {
-        name: quantity(value, DIMENSION_OF[unit_of_name(name)], f"{where}: {name}")
-        for name, value in table.get("numbers", {}).items()
-    }
+    if isinstance(direction, list) and len(direction) != body.num_tendons:
+        raise InputError(
+            f"{where}: direction has {len(direction)} values for {body.num_tendons} tendons; give one each"
+        )
+    numbers = _case_numbers(where, table.get("numbers", {}), body)
     weight = quantity(table.get("weight", 1.0), "dimensionless", f"{where}: weight")
     if not weight > 0:
         raise InputError(f"{where}: weight must be above 0, got {weight:g}")
     name = str(table.get("name", where))
     return LoadCase(actuation, loads, np.asarray(direction, float), numbers, weight, name)
+
+
+def _case_numbers(where: str, table: Any, body: Manipulator) -> dict[str, float]:
+    if not isinstance(table, dict):
+        raise InputError(f'{where}: numbers must be a table, as in numbers = {{ youngs_modulus = "1.5 MPa" }}')
+    for name in table:
+        Case(body, None, None, None).number(name)
+    return {
+        name: quantity(value, DIMENSION_OF[unit_of_name(name)], f"{where}: {name}") for name, value in table.items()
+    }
 
 
 def _uncertain(
@@ -264,7 +298,7 @@ def _limit(where: str, table: Mapping[str, Any]) -> Limit:
 
 
 def _quantity_dimension(where: str, name: Any) -> Dimension:
-    if name not in QUANTITIES:
+    if not isinstance(name, str) or name not in QUANTITIES:
         close = get_close_matches(str(name), QUANTITIES, 1)
         remedy = f"did you mean {close[0]}?" if close else f"there are {', '.join(QUANTITIES)}"
         raise InputError(f"{where}: {name!r} is no quantity of a body; {remedy}")
@@ -277,7 +311,10 @@ def _quantity_dimension(where: str, name: Any) -> Dimension:
 def _nested(value: Any, dimension: Dimension, where: str) -> Any:
     """A quantity, or lists of them."""
     if isinstance(value, list):
-        return np.array([_nested(item, dimension, where) for item in value])
+        items = [_nested(item, dimension, where) for item in value]
+        if len({np.shape(item) for item in items}) > 1:
+            raise InputError(f"{where}: its rows are of different length, got {value!r}")
+        return np.array(items)
     return quantity(value, dimension, where)
 
 

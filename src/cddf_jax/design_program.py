@@ -55,13 +55,13 @@ class Program:
         """What the values are made of."""
         return jax.tree.map(np.asarray, _tell(self.problem, jnp.asarray(x))[2])
 
-    def response(self, x: np.ndarray, weights: Weights, numbers: Mapping[str, Any]) -> dict[str, float]:
-        """Derivatives of the weighted sum by numbers that are not free, in turn; see `with_fixed`."""
+    def response(self, x: np.ndarray, numbers: Mapping[str, Any]) -> dict[str, Values]:
+        """Derivatives of all values by numbers that are not free, in turn; see `with_fixed`."""
         base = {name: jnp.asarray(value, jnp.float64) for name, value in numbers.items()}
         answer = {}
         for name in base:
             towards = {other: jnp.ones(()) if other == name else jnp.zeros(()) for other in base}
-            answer[name] = float(_response(self.problem, _array(x), _array(weights), base, towards))
+            answer[name] = jax.tree.map(np.asarray, _response(self.problem, _array(x), base, towards))
         return answer
 
     def at_stations(self, stations: np.ndarray) -> "Program":
@@ -95,8 +95,8 @@ def _curvature(problem: Problem, x: Any, weights: Any, along: Any) -> Any:
 
 
 @eqx.filter_jit
-def _response(problem: Problem, x: Any, weights: Any, numbers: Any, towards: Any) -> Any:
-    return jax.jvp(lambda there: _weighted(with_fixed(problem, there), x, weights), (numbers,), (towards,))[1]
+def _response(problem: Problem, x: Any, numbers: Any, towards: Any) -> Values:
+    return jax.jvp(lambda there: with_fixed(problem, there).values(x)[0], (numbers,), (towards,))[1]
 
 
 # --- numbers that are not free -------------------------------------------------------------------

@@ -18,6 +18,8 @@ from .manipulator import Manipulator
 from .quantities import name_of, quantity_named
 from .units import Dimension
 
+KINK = 1e-5  # relative: multipliers that differ by less are the same
+
 
 class Achieved(NamedTuple):
     """One objective; its value over the load cases is their weighted mean, of a peak the largest."""
@@ -49,9 +51,8 @@ class LimitReport(NamedTuple):
     reached: Any  # the value there
     margin: float  # scaled; negative where the limit is broken
     active: bool
-    multiplier: (
-        float  # how much better the objective would be per unit by which the limit gave way, summed along the body
-    )
+    multiplier: float  # how much better the objective gets per unit by which the limit gives way; NaN if infeasible
+    tightening: float  # how much worse per unit by which it is tightened: the same, but where limits bind at one place
     arc_length: float  # m, where it is tightest; NaN for what does not vary along the body
     case: str  # in which; "" for the body itself
     implied: bool  # whether the user left it to us
@@ -88,7 +89,8 @@ class Design:
         """Derivatives of the best objective by numbers that are not free, per SI unit, limits and load cases included.
 
         By the envelope theorem: those of the Lagrangian at the multipliers. Of several objectives that of their
-        weighted sum. Empty where the design is not feasible. Worked out when it is first asked for.
+        weighted sum. NaN where limits bind at one place, so that more and less have different slopes. Empty where the
+        design is not feasible. Worked out when it is first asked for.
         """
         return _sensitivities(self.outcome) if self.feasible else {}
 
@@ -172,14 +174,13 @@ def free_numbers(problem: Problem, local: Local, unit: float) -> dict[str, FreeN
     n = len(space.names)
     numbers = space.numbers(local.point.x[:n])
     at_lower, at_upper = local.optimality.lower, local.optimality.upper
-    for i, names in enumerate(space.names):
-        label = names[0] if len(names) == 1 else names[0].replace("tendons.0.", "tendons.*.")
+    for i in range(n):
         low = abs(numbers[i] - space.lower[i]) <= ACTIVE * space.size[i]
         high = abs(numbers[i] - space.upper[i]) <= ACTIVE * space.size[i]
         status = "at lower bound" if low else "at upper bound" if high else "inside"
         cost = (at_lower[i] + at_upper[i]) * abs(unit) / float(space.size[i])
         ends = float(space.lower[i]), float(space.upper[i])
-        found[label] = FreeNumber(float(space.start[i]), float(numbers[i]), *ends, status, float(cost))
+        found[space.label(i)] = FreeNumber(float(space.start[i]), float(numbers[i]), *ends, status, float(cost))
     return found
 
 
@@ -204,27 +205,54 @@ def limit_reports(problem: Problem, local: Local, implied: tuple[bool, ...], uni
     found = Program(problem).evaluation(local.point.x)
     body = problem.body(local.point.x[: len(problem.space.names)])
     places = np.asarray(problem.stations) * float(np.asarray(body.length))
-    held, reports = local.optimality, []
-    rows = split(held.inequality, found.margins)
-    zeros = split(held.equality, found.zeros)
+    rows = split(np.arange(local.point.inequality.size), found.margins)
+    zeros = split(np.arange(local.point.equality.size), found.zeros)
+    reports = []
     for i, limit in enumerate(problem.limits):
-        price = abs(unit) / float(limit.scale)
+        scale = float(limit.scale)
         for k, side in enumerate(side for side in ("least", "most") if getattr(limit, side) is not None):
             margin = np.asarray(found.margins[i])[:, k]
             at = np.unravel_index(np.argmin(margin), margin.shape)
             bound, room = float(getattr(limit, side)), float(margin[at])
-            report = _report(problem, limit, side, implied[i], int(at[0]))
-            report |= {"limit": bound, "reached": bound + (room if side == "least" else -room) * float(limit.scale)}
-            report |= {"margin": room, "active": room <= ACTIVE, "multiplier": price * float(np.sum(rows[i][:, k]))}
-            report["arc_length"] = float(places[at[-1]]) if limit.along else np.nan
-            reports.append(LimitReport(**report))
+            worth, cost = _prices(local, rows[i][:, k], "inequality", abs(unit) / scale)
+            reports.append(
+                LimitReport(
+                    **_report(problem, limit, side, implied[i], int(at[0])),
+                    limit=bound,
+                    reached=bound + (room if side == "least" else -room) * scale,
+                    margin=room,
+                    active=room <= ACTIVE,
+                    multiplier=worth,
+                    tightening=cost,
+                    arc_length=float(places[at[-1]]) if limit.along else np.nan,
+                )
+            )
         for k, miss in enumerate(np.asarray(found.zeros[i]) if limit.equal is not None else ()):
-            report = _report(problem, limit, "equal", implied[i], k)
-            report |= {"limit": _plain(limit.equal), "reached": _plain(limit.equal + miss * limit.scale)}
-            one = float(zeros[i][k][0]) * price if miss.size == 1 else np.nan
-            report |= {"margin": -float(np.max(np.abs(miss))), "active": True, "multiplier": one, "arc_length": np.nan}
-            reports.append(LimitReport(**report))
+            worth, cost = _prices(local, zeros[i][k][:1], "equality", abs(unit) / scale)
+            reports.append(
+                LimitReport(
+                    **_report(problem, limit, "equal", implied[i], k),
+                    limit=_plain(limit.equal),
+                    reached=_plain(limit.equal + miss * scale),
+                    margin=-float(np.max(np.abs(miss))),
+                    active=True,
+                    multiplier=worth if miss.size == 1 else np.nan,
+                    tightening=cost if miss.size == 1 else np.nan,
+                    arc_length=np.nan,
+                )
+            )
     return tuple(reports)
+
+
+def _prices(local: Local, places: np.ndarray, kind: str, price: float) -> tuple[float, float]:
+    """What giving way of some limits together is worth, and what tightening them costs."""
+    if not local.feasible:
+        return np.nan, np.nan
+    weights = {name: np.zeros(getattr(local.point, name).size) for name in ("inequality", "equality")}
+    weights[kind][np.ravel(places)] = price
+    if kind == "inequality" and not np.any(local.point.inequality[np.ravel(places)] <= ACTIVE):
+        return 0.0, 0.0
+    return local.optimality.range_of(**weights)
 
 
 def _report(problem: Problem, limit: Any, side: str, implied: bool, case: int) -> dict[str, Any]:
@@ -244,11 +272,15 @@ def _case_name(problem: Problem, i: int) -> str:
 
 
 def _sensitivities(outcome: Outcome) -> dict[str, float]:
+    """NaN where several sets of multipliers meet the conditions, and the objective has a kink there."""
     problem, held = outcome.program.problem, outcome.local.optimality
-    weights = (1.0, -held.inequality, -held.equality)
-    response = outcome.program.response(outcome.local.point.x, weights, fixed_numbers(problem))
-    unit = unit_of_objective(problem)
-    return {name: unit * value for name, value in response.items()}
+    unit, answer = unit_of_objective(problem), {}
+    response = outcome.program.response(outcome.local.point.x, fixed_numbers(problem))
+    for name, slope in response.items():
+        low, high = held.range_of(np.asarray(slope.inequality), np.asarray(slope.equality))
+        unique = high - low <= KINK * max(1.0, abs(low), abs(high))
+        answer[name] = unit * (float(slope.objective) - low) if unique else np.nan
+    return answer
 
 
 def words(local: Local, violation: float) -> str:

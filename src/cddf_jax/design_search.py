@@ -1,6 +1,6 @@
 """Searches for the best body: from one start or many, and again where limits are broken between the stations."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from .constrained import TOLERANCE, Local, Point, least_violation, minimise
+from .constrained import TOLERANCE, Local, Point, least_violation, minimise, optimality
 from .design_problem import Evaluation, Problem, split
 from .design_program import Program
 from .lanes import Lanes
@@ -18,6 +18,7 @@ WANDERING = 16  # stations at the end, put where limits are broken between the o
 LOOKS = 6  # how often that is done
 FINE = 768  # places at which it is looked for
 SEARCHES = 4  # from the best of many starts
+NEAR = 1e-2  # a margin that may be used up between the points of the grid
 NOT_ZERO = 1e-6  # a multiplier
 BROKEN = 10.0  # what a violation counts beside the objective when starts are compared
 
@@ -129,7 +130,7 @@ class Search:
         inner = least.point.x[:-1]
         if least.point.objective > TOLERANCE:
             point = program(inner)
-            return local._replace(point=point), self._blocking(program, least)
+            return local._replace(point=point, optimality=optimality(point, *bounds)), self._blocking(program, least)
         return minimise(program, inner, *bounds, **options), ()
 
     def _peak_aims(self, program: Program, x: np.ndarray) -> list[np.ndarray]:
@@ -146,7 +147,7 @@ class Search:
         names = [str(limit) for limit, parts in limits if any(np.any(part > NOT_ZERO) for part in parts)]
         space, n = self.problem.space, len(self.problem.space.names)
         for side, ends in (("lower", held.lower), ("upper", held.upper)):
-            names += [f"{side} bound of {space.names[i][0]}" for i in np.flatnonzero(ends[:n] > NOT_ZERO)]
+            names += [f"{side} bound of {space.label(int(i))}" for i in np.flatnonzero(ends[:n] > NOT_ZERO)]
         return tuple(dict.fromkeys(names))
 
 
@@ -171,44 +172,46 @@ class _Merit(eqx.Module):
 
 
 def broken_between(program: Program, local: Local) -> tuple[float, np.ndarray]:
-    """The largest violation anywhere along the body, and the places (over the length) where limits are broken."""
-    problem, point = program.problem, local.point
-    count, fine = len(problem.stations), np.linspace(0.0, 1.0, FINE)
-    blocks = [fine[start : start + count] for start in range(0, FINE, count)]
+    """The largest violation anywhere along the body, and the places (over the length) where limits are broken.
+
+    On a fine grid, and where the parabola through three neighbours on it says that a limit is lower still.
+    """
+    fine = np.linspace(0.0, 1.0, FINE)
+    on_grid = _margins(program, local, fine)
+    between = _lowest(fine, on_grid)[: len(program.problem.stations)]
+    looked, margins = fine, on_grid
+    if between.size:
+        looked = np.concatenate([fine, between])
+        margins = np.concatenate([on_grid, _margins(program, local, between)], axis=1)
+    worst = np.min(margins, axis=0, initial=np.inf)
+    order = np.argsort(worst)[:WANDERING]
+    violation = max(local.point.violation, -float(np.min(worst, initial=0.0)))
+    return violation, looked[order[worst[order] < -TOLERANCE / 4]]
+
+
+def _margins(program: Program, local: Local, places: np.ndarray) -> np.ndarray:
+    """(rows, places) of every limit along the body, and of every peak below its height."""
+    problem, point, count = program.problem, local.point, len(program.problem.stations)
+    heights = dict(zip(problem.peaks, point.x[len(problem.space.names) :], strict=True))
+    blocks = [places[start : start + count] for start in range(0, len(places), count)]
     padded = [np.pad(block, (0, count - len(block)), mode="edge") for block in blocks]
     found = [program.at_stations(block).evaluation(point.x) for block in padded]
-    heights = dict(zip(problem.peaks, point.x[len(problem.space.names) :], strict=True))
-    rows = [
-        _rows([np.asarray(each.margins[i]) for each in found]) for i, limit in enumerate(problem.limits) if limit.along
-    ]
+    parts = [[each.margins[i] for each in found] for i, limit in enumerate(problem.limits) if limit.along]
     for i, term in enumerate(problem.terms):
         if term.objective.peak:
-            rows.append(_rows([heights[i] - each.aims[i] / float(term.reference) for each in found]))
-    worst, places = 0.0, []
-    for row in np.concatenate([np.zeros((0, FINE)), *rows]):
-        for where, least in _lowest(fine, row):
-            worst = max(worst, -least)
-            places.append((least, where))
-    places = sorted(place for place in places if place[0] < -TOLERANCE / 4)[:WANDERING]
-    return max(worst, point.violation), np.array([where for _, where in places])
+            parts.append([heights[i] - each.aims[i] / float(term.reference) for each in found])
+    rows = [np.concatenate(part, axis=-1)[..., : len(places)].reshape(-1, len(places)) for part in parts if part]
+    return np.concatenate([np.zeros((0, len(places))), *rows])
 
 
-def _rows(blocks: Sequence[Any]) -> np.ndarray:
-    joined = np.concatenate(blocks, axis=-1)[..., :FINE]
-    return joined.reshape(-1, FINE)
-
-
-def _lowest(x: np.ndarray, values: np.ndarray) -> list[tuple[float, float]]:
-    """Local minima that are near zero or below, each that of the parabola through three neighbours."""
-    inner = np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:]) & (values[1:-1] < 1e-2)) + 1
-    found = [(float(x[i]), float(values[i])) for i in (0, len(x) - 1) if values[i] < 0]
-    for i in inner:
-        before, here, after = values[i - 1 : i + 2]
-        bend = before - 2 * here + after
-        shift = 0.5 * (before - after) / bend if bend > 0 else 0.0
-        shift = float(np.clip(shift, -0.5, 0.5))
-        found.append((float(x[i] + shift * (x[1] - x[0])), float(here - 0.25 * (before - after) * shift)))
-    return found
+def _lowest(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Places between the points of a grid where rows have a local minimum near zero or below, the lowest first."""
+    before, here, after = rows[:, :-2], rows[:, 1:-1], rows[:, 2:]
+    bend = before - 2 * here + after
+    row, i = np.nonzero((here <= before) & (here <= after) & (here < NEAR) & (bend > 0))
+    shift = np.clip(0.5 * (before - after)[row, i] / bend[row, i], -0.5, 0.5)
+    order = np.argsort(here[row, i])
+    return np.unique((x[i + 1] + shift * (x[1] - x[0]))[order][: len(x)])
 
 
 def _moved(program: Program, places: np.ndarray) -> Program:

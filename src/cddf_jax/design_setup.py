@@ -78,6 +78,7 @@ def ask(
     space = space_of(start_case, free, bounds or {})
     _check_weight(manipulator, [name_of(part.quantity) for part in (*constraints, *(aim for _, aim in objectives))])
     _check_overlap(space, used)
+    _check_places(manipulator, [aim for _, aim in objectives])
     limits = [*constraints, *_implied(manipulator, constraints, offsets_outside_wall)]
     one = jnp.ones(())
     terms = tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives)
@@ -159,12 +160,21 @@ def _check_weight(body: Manipulator, names: Sequence[str]) -> None:
         raise InputError('design: the body has no mass, since its density is 0; give it one, or take "volume"')
 
 
+def _check_places(body: Manipulator, aims: Sequence[Objective]) -> None:
+    """Places along the body that are compared lie on it."""
+    length = float(np.asarray(body.length))
+    for aim in aims:
+        at = getattr(aim, "at", None)
+        if at is not None and (np.min(at) < 0 or np.max(at) > length * (1 + 1e-9)):
+            raise InputError(f"design: {aim} is compared at {np.max(at):g} m, off a body of {length:g} m; change at")
+
+
 def _check_overlap(space: Any, cases: tuple[LoadCase, ...]) -> None:
     free = {name for names in space.names for name in names}
     for case in cases:
         for name in case.numbers:
             if name in free:
-                raise InputError(f"design: {name!r} is free, and load case {case.name or '1'} sets it; leave one out")
+                raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")
 
 
 def _demand_start(problem: Problem, found: Evaluation, limits: Sequence[Limit]) -> None:

@@ -33,6 +33,11 @@ class Space(eqx.Module):
     upper: Vector
     size: Vector
 
+    def label(self, i: int) -> str:
+        """What a free number is called in tables."""
+        names = self.names[i]
+        return names[0] if len(names) == 1 else names[0].replace("tendons.0.", "tendons.*.")
+
     def numbers(self, z: Vector) -> Vector:
         return self.lower + self.size * z
 
@@ -61,6 +66,8 @@ def space_of(case: Case, free: Sequence[str], bounds: Mapping[str, tuple[Any, An
     Raises:
         InputError: names what is unknown, without effect, or out of its bounds.
     """
+    if any(str(name).split(".")[0] == "direction" for name in free):
+        raise InputError("design: a direction cannot be free; it is 1 or -1")
     if isinstance(free, str) or not free or not all(isinstance(name, str) for name in free):
         raise InputError('design: free must list one name or more, as in free=("outer_radius",)')
     for name in bounds:
@@ -108,8 +115,6 @@ def _check_once(names: Sequence[tuple[str, ...]]) -> None:
     for name in flat:
         if flat.count(name) > 1:
             raise InputError(f"design: {name!r} is free under two names; leave one out")
-        if name.split(".")[0] == "direction":
-            raise InputError(f"design: {name!r} is no number that can be free; take it out of free")
 
 
 def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:

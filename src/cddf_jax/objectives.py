@@ -130,7 +130,10 @@ class Near(Objective):
             check_fits(name_of(self.quantity), value, found)
             return jnp.mean((found - value) ** 2)
         if quantity_named(self.quantity).along:
-            check_fits(name_of(self.quantity), value, jnp.zeros(()))
+            if value.ndim:
+                raise InputError(
+                    f"design: {name_of(self.quantity)} varies along the body; say where by Near(..., at=...)"
+                )
             return jnp.mean((_on_grid(self.quantity, view) - value) ** 2 @ (WEIGHTS / 2))
         found = quantity_named(self.quantity).of(view)
         check_fits(name_of(self.quantity), value, found)

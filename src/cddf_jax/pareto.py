@@ -21,6 +21,9 @@ from .units import Dimension
 SECOND = 1e-4  # what the other objective counts beside the one that is made small, so that none is given away
 
 
+SAME = 1e-3  # relative: ends that differ by less in both objectives are one body
+
+
 @dataclass(frozen=True)
 class ParetoFront:
     """Designs from the best in the first objective to the best in the second, SI units."""
@@ -31,6 +34,7 @@ class ParetoFront:
     start: tuple[float, float]  # of the body that one began with
     exchange_rate: np.ndarray  # (points,) how much of the first objective a unit of the second costs; NaN at the ends
     designs: tuple[Design, ...]
+    remarks: tuple[str, ...]
 
     @property
     def success(self) -> bool:
@@ -76,8 +80,9 @@ def pareto_front(
     with progress_shown(progress) as watch:
         points = _Points(asked.problem, max_iterations, watch)
         for _ in range(num - 2):
-            points.add()
-    return _front(asked, points.outcomes, manipulator)
+            if not points.add():
+                break
+    return _front(asked, points.outcomes, manipulator, num)
 
 
 class _Points:
@@ -95,14 +100,14 @@ class _Points:
         search = Search(_at(self.problem, small, level), self.max_iterations, self.watch)
         return min((search.from_start(z) for z in starts), key=lambda outcome: outcome.rank)
 
-    def add(self) -> None:
-        """A body in the middle of the widest gap."""
+    def add(self) -> bool:
+        """A body in the middle of the widest gap; false where there is no gap left."""
         raw = np.array([[_raw(outcome, k) for k in (0, 1)] for outcome in self.outcomes])
         found = [i for i, outcome in enumerate(self.outcomes) if outcome.feasible]
         size = np.maximum(np.abs(raw[0] - raw[-1]), 1e-12 * np.abs(raw[0]) + 1e-300)
         gaps = [pair for pair in pairwise(found) if self._between(pair) not in self.given_up]
-        if not gaps:
-            return
+        if not gaps or np.all(np.abs(raw[0] - raw[-1]) <= SAME * np.abs(raw[0])):
+            return False
         before, after = max(gaps, key=lambda pair: float(np.linalg.norm((raw[pair[1]] - raw[pair[0]]) / size)))
         wide = int(np.argmax(np.abs(raw[after] - raw[before]) / size))
         ends = [self.outcomes[before], self.outcomes[after]]
@@ -111,6 +116,7 @@ class _Points:
         if not outcome.feasible:
             self.given_up.add(self._between((before, after)))
         self.outcomes.insert(before + 1, outcome)
+        return True
 
     def _between(self, pair: tuple[int, int]) -> tuple[int, int]:
         return id(self.outcomes[pair[0]]), id(self.outcomes[pair[1]])
@@ -151,7 +157,7 @@ def _rate(outcome: Outcome) -> float:
     return float("nan")
 
 
-def _front(asked: Asked, outcomes: list[Outcome], start: Manipulator) -> ParetoFront:
+def _front(asked: Asked, outcomes: list[Outcome], start: Manipulator, num: int) -> ParetoFront:
     aims = [term.objective for term in asked.problem.terms]
     designs = tuple(answered(asked, outcome, start) for outcome in outcomes)
     told = [[each.end if design.feasible else np.nan for each in design.objectives] for design in designs]
@@ -164,4 +170,12 @@ def _front(asked: Asked, outcomes: list[Outcome], start: Manipulator) -> ParetoF
         start=(began[0].start, began[1].start),
         exchange_rate=np.asarray(rates),
         designs=designs,
+        remarks=_remarks(outcomes, num),
     )
+
+
+def _remarks(outcomes: list[Outcome], num: int) -> tuple[str, ...]:
+    missing = sum(not outcome.feasible for outcome in outcomes)
+    if len(outcomes) < num and not missing:
+        return ("one body is best in both objectives: they are not in each other's way",)
+    return (f"{missing} of {len(outcomes)} points were not found",) if missing else ()

@@ -150,6 +150,14 @@ def shown(value: Any, dimension: Dimension) -> str:
     return f"{float(value) * float(_root(si)[0]) / float(_root(preferred)[0]):.5g} {preferred}"
 
 
+def preferred(dimension: Dimension) -> tuple[float, str]:
+    """How many of the unit that an engineer writes one SI unit is, and that unit; 1 and "" for a plain number."""
+    if dimension == "dimensionless":
+        return 1.0, ""
+    si, unit = _UNITS[dimension]
+    return float(_root(si)[0] / _root(unit)[0]), unit
+
+
 def _rounded(number: Decimal, factor: Decimal) -> float:
     return float(_EXACT.multiply(number, factor))
 
