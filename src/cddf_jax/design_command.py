@@ -115,7 +115,8 @@ def _limits(found: Design) -> Iterator[str]:
     yield "| limit | reached | where | what giving way is worth |"
     yield "| --- | ---: | --- | --- |"
     for limit in found.limits:
-        place = "" if np.isnan(limit.arc_length) else f"s = {shown(limit.arc_length, 'length')}"
+        place = "all along" if limit.all_along else f"s = {shown(limit.arc_length, 'length')}"
+        place = "" if np.isnan(limit.arc_length) else place
         where = ", ".join(part for part in (limit.case, place) if part)
         yield f"| {_limit_text(limit)} | {_value(limit.reached, limit.dimension)} | {where} | {_worth(found, limit)} |"
     yield ""

@@ -54,6 +54,7 @@ class LimitReport(NamedTuple):
     multiplier: float  # how much better the objective gets per unit by which the limit gives way; NaN if infeasible
     tightening: float  # how much worse per unit by which it is tightened: the same, but where limits bind at one place
     arc_length: float  # m, where it is tightest; NaN for what does not vary along the body
+    all_along: bool  # whether it is used up along more than half of the body
     case: str  # in which; "" for the body itself
     implied: bool  # whether the user left it to us
     dimension: Dimension
@@ -225,6 +226,7 @@ def limit_reports(problem: Problem, local: Local, implied: tuple[bool, ...], uni
                     multiplier=worth,
                     tightening=cost,
                     arc_length=float(places[at[-1]]) if limit.along else np.nan,
+                    all_along=limit.along and bool(np.mean(_lowest_of_all(margin) <= ACTIVE) > 0.5),
                 )
             )
         for k, miss in enumerate(np.asarray(found.zeros[i]) if limit.equal is not None else ()):
@@ -239,9 +241,15 @@ def limit_reports(problem: Problem, local: Local, implied: tuple[bool, ...], uni
                     multiplier=worth if miss.size == 1 else np.nan,
                     tightening=cost if miss.size == 1 else np.nan,
                     arc_length=np.nan,
+                    all_along=False,
                 )
             )
     return tuple(reports)
+
+
+def _lowest_of_all(margin: np.ndarray) -> np.ndarray:
+    """The tightest of cases and tendons at every place."""
+    return np.min(margin.reshape(-1, margin.shape[-1]), axis=0)
 
 
 def _prices(local: Local, places: np.ndarray, kind: str, price: float) -> tuple[float, float]:
