@@ -131,6 +131,26 @@ class Panels(eqx.Module):
         return jax.tree.map(lambda a, b: jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i]]), 1), start, values)
 
 
+def redistribute(old: Panels, new: Panels, values: Any) -> Any:
+    """Values at the nodes of some panels, roughly at the nodes of others: linear between neighbours.
+
+    Args:
+        old, new: panels of the same body.
+        values: trees of arrays with leading axes (P, p).
+    """
+    places, wanted = old.nodes.ravel(), new.nodes.ravel()
+    after = jnp.clip(jnp.searchsorted(places, wanted), 1, places.size - 1)
+    gap = places[after] - places[after - 1]
+    part = jnp.clip((wanted - places[after - 1]) / jnp.where(gap > 0, gap, 1.0), 0.0, 1.0)
+
+    def between(x: Array) -> Array:
+        flat = x.reshape(places.size, -1)
+        found = flat[after - 1] + part[:, None] * (flat[after] - flat[after - 1])
+        return found.reshape(*new.nodes.shape, *x.shape[2:])
+
+    return jax.tree.map(between, values)
+
+
 def panels(length: Float[Array, ""], breakpoints: Float[Array, " n"], nodes: int) -> Panels:
     """Panels between the breakpoints, with at least `nodes` Gauss nodes in each smooth piece.
 

@@ -5,7 +5,8 @@ what changes sign is the curvature; in the exact kinematics a slanted tendon has
 A tendon goes slack where drag has used up its base tension.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +27,28 @@ from .problem import (
     moment_rate_of,
     rates_of,
 )
+from .reductions import largest, largest_size
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 REFINEMENTS = 10
+
+
+def only_if(needed: Bool[Array, ""], compute: Callable[[Number], Any], otherwise: Any) -> Any:
+    """What `compute` makes where it is needed; a batch computes nothing where no lane needs it.
+
+    `lax.cond` would compute for the whole batch whatever happens. There are no derivatives in reverse mode.
+
+    Args:
+        needed: whether this lane needs it.
+        compute: gets a zero, to be added to what it works on: the rest XLA moves out of the loop that this is.
+        otherwise: what comes back where it is not needed.
+    """
+    turns = jnp.where(needed, 1.0, 0.0)
+
+    def once(carry):
+        return carry[0] - 1.0, compute(0.0 * carry[0])
+
+    return jax.lax.while_loop(lambda carry: carry[0] > 0, once, (turns, otherwise))[1]
 
 
 class Splits(NamedTuple):
@@ -73,11 +93,16 @@ def turning_at(problem: Problem, section: CrossSection, state: State) -> Float[A
 
 def locate(problem: Problem, path: Path) -> Splits:
     """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
-    none = unsplit(problem.manipulator, problem.loads)
-    cut = problem.panels
     turning = jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
-    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
+    bend = _largest_bend(problem, turning)
+    positive, negative = (largest(jnp.where(x > NEGLIGIBLE * bend, x, 0.0)) > 0 for x in (turning, -turning))
+    none = jax.tree.map(lambda x: x + (0.0 * bend).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
+    return only_if(positive & negative, lambda zero: _first_changes(problem, path, turning + zero, none), none)
 
+
+def _first_changes(problem: Problem, path: Path, turning: Float[Array, "points owners"], none: Splits) -> Splits:
+    cut = problem.panels
+    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1]) + 0.0 * turning[0, 0]
     sign = jnp.where(jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.sign(turning), 0.0)
     index = jnp.arange(arc_length.shape[0])[:, None]
     last = jax.lax.cummax(jnp.where(sign != 0, index, -1))
@@ -95,7 +120,7 @@ def locate(problem: Problem, path: Path) -> Splits:
 def _largest_bend(problem: Problem, turning: Array) -> Number:
     """What one tendon alone or the largest turning would make of the curvature, 1/m."""
     alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
-    return jnp.maximum(jnp.max(alone), jnp.max(jnp.abs(turning)))
+    return largest_size((alone, turning))
 
 
 def _refine(
@@ -123,7 +148,8 @@ def _refine(
         jax.vmap(turning)(jnp.concatenate([jnp.stack([left, right]), joints - nudge, joints + nudge])),
         [2, 2 + joints.shape[0]],
     )
-    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left, ends[0], right, ends[1]))[2]
+    zero = 0.0 * ends[0]  # shard_map wants the bracket to vary as the turning does
+    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left + zero, ends[0], right + zero, ends[1]))[2]
     within = (joints >= left) & (joints <= right)
     return place, jnp.any(within & (before * after < 0))
 

@@ -193,7 +193,7 @@ def _solve(
     physical = finite & _is_physical(asked[0], asked[1], asked[2], problem) & _is_on_the_body(targets, problem)
     solved = physical & balance.load_path.converged
     at_tip = unspent(problem.base_tension, path.tip.pull) / path.tip.ratio
-    slides = jnp.where(_pulls(problem, at_tip), setup.direction * balance.load_path.travel, 0.0)
+    slides = jnp.where(_pulls(problem, at_tip), setup.direction * balance.travel, 0.0)
     contradicted = solved & (slides < -1e-6 * problem.panels.edges[-1])
     truncation = truncation_error(problem, path)
     crossing = largest(inside_of_bend(problem, path)) >= 1.0
