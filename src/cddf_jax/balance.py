@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .implicit import implicit, without_derivative
-from .load_path import LoadedBody, LoadPath, Trial, follow_loads, hold_loads, moment_left_at_tip, start_from
+from .load_path import LoadedBody, LoadPath, Trial, follow_loads, moment_left_at_tip, start_from
 from .loads import Loads
 from .manipulator import Manipulator
 from .problem import (
@@ -27,13 +27,14 @@ from .problem import (
     lay_out,
     loaded_to,
 )
-from .quadrature import Panels, redistribute
+from .quadrature import Panels, follow_edges, redistribute
 from .reductions import largest_size
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
-MAX_ROUNDS = 8
-SETTLED = 1e-7  # of the length: a kink that lies so far off a panel's end costs 1e-14
+MAX_ROUNDS = 6
+MAX_MOVES = 12  # of panels that follow the sign changes from sweep to sweep
+SETTLED = 1e-6  # of the length: a kink that lies so far off a panel's end costs 1e-12
 
 
 class Setup(eqx.Module):
@@ -142,8 +143,8 @@ def balance(
 
 class _Round(NamedTuple):
     settled: Settled
-    panels: Panels  # on which that was found
-    moved: Number
+    ends: Splits  # of the panels on which that was found
+    moved: Number  # how far off the sign changes lie
     num_rounds: Number
 
 
@@ -155,9 +156,10 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
     fraction = zero + 1.0 if setup.loads is None else zero
     load_path = LoadPath(zero, fraction, zero, zero == 0, zero == 0, zero == 0)
-    ones = jnp.ones_like(base_tension)
-    guess = everywhere(_cut(setup, splits), Nodal(ones, zero))
-    return Settled(load_path, splits, None if setup.loads is None else start_from(guess, zero))
+    if setup.loads is None:
+        return Settled(load_path, splits, None)
+    guess = everywhere(_cut(setup, splits), Nodal(jnp.ones_like(base_tension), zero))
+    return Settled(load_path, splits, start_from(guess, zero, 1))
 
 
 def _cut(setup: Setup, splits: Splits) -> Panels:
@@ -170,66 +172,84 @@ def _lay_out(setup: Setup, base_tension: PerTendon, splits: Splits | None) -> Pr
 
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
-    """Base moment and sign changes in turn, until the sign changes stay where they are. No derivatives."""
+    """Base moment and sign changes, until the sign changes stay where they are. No derivatives."""
     start = unsettled(setup, base_tension)
-    if setup.loads is None and num_splits(setup.manipulator, None) == 0:
+    if setup.loads is not None:
+        return _put_loads_on(setup, base_tension, start)
+    if num_splits(setup.manipulator, None) == 0:
         return start
 
     def once(state: _Round) -> _Round:
-        old = state.settled
-        problem = _lay_out(setup, base_tension, old.splits)
-        if old.trial is None:
-            found, trial, path = _unloaded(setup, problem, old)
-        else:
-            guess = old.trial._replace(nodal=redistribute(state.panels, problem.panels, old.trial.nodal))
-            found, trial, path = hold_loads(problem, setup.method, old.load_path, guess)
-        return judge(problem.panels, Settled(found, locate(problem, path), trial), old.splits, state.num_rounds + 1.0)
-
-    def judge(cut: Panels, new: Settled, old: Splits, num_rounds: Number) -> _Round:
-        moved = largest_size(new.splits.arc_length - old.arc_length) / cut.edges[-1]
-        return _Round(new, cut, moved, num_rounds)
+        splits = state.settled.splits
+        problem = _lay_out(setup, base_tension, splits)
+        path = setup.method(problem)
+        found = state.settled.load_path._replace(converged=path.converged)
+        return _judge(Settled(found, locate(problem, path), None), splits, state.num_rounds + 1.0, problem.panels)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
         return (state.moved > SETTLED) & (state.num_rounds < MAX_ROUNDS) & converged
 
     zero = start.load_path.num_steps
+    return jax.lax.while_loop(goes_on, once, _Round(start, start.splits, zero + jnp.inf, zero)).settled
+
+
+def _judge(new: Settled, ends: Splits, num_rounds: Number, cut: Panels) -> _Round:
+    moved = largest_size(new.splits.arc_length - ends.arc_length) / cut.edges[-1]
+    return _Round(new, ends, moved, num_rounds)
+
+
+def _put_loads_on(setup: Setup, base_tension: PerTendon, start: Settled) -> Settled:
+    """Along the path of the loads, then with panels that follow the sign changes from sweep to sweep.
+
+    On the way the panels end where the body is not smooth, and no more. That is all where nothing changes sign.
+    """
+    zero = start.load_path.num_steps
     problem = _lay_out(setup, base_tension, None)
-    if start.trial is None:
-        found, trial, path = _unloaded(setup, problem, start)
-    else:
-        found, trial, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
-        more = start.trial.nodal.ratio.shape[0] - problem.panels.nodes.shape[0]
-        trial = _with_empty_panels(trial, problem, path, more)
-    new = Settled(found, locate(problem, path), trial)
-    first = judge(_cut(setup, start.splits), new, start.splits, zero + 1.0)
-    return jax.lax.while_loop(goes_on, once, first).settled
+    found, near, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
+    splits = locate(problem, path)
+
+    def once(state: _Round) -> _Round:
+        found, splits, old = state.settled
+        stay = (state.moved <= SETTLED) | (state.num_rounds >= MAX_MOVES)
+        ends = jax.tree.map(lambda a, b: jnp.where(stay, a, b), state.ends, splits)
+        problem = _lay_out(setup, base_tension, ends)
+        guess = old._replace(nodal=follow_edges(_cut(setup, state.ends), problem.panels, old.nodal))
+        new, path = LoadedBody(problem, setup.method).sweep(guess, found.fraction)
+        kept = jax.tree.map(lambda a, b: jnp.where(new.lost, a, b), old, new)._replace(lost=new.lost)
+        found = found._replace(base_moment=kept.moment, stable=kept.stable)
+        return _judge(Settled(found, locate(problem, path), kept), ends, state.num_rounds + 1.0, problem.panels)
+
+    def goes_on(state: _Round) -> Bool[Array, ""]:
+        trial = state.settled.trial
+        done = trial.settled & ((state.moved <= SETTLED) | (state.num_rounds > MAX_MOVES))
+        return found.converged & ~done & ~trial.lost
+
+    first = Settled(found, splits, _on_other_panels(near, problem, path, _cut(setup, splits)))
+    moved = jnp.where(largest_size(splits.owner + 1.0) > 0, zero + jnp.inf, zero)
+    state = jax.lax.while_loop(goes_on, once, _Round(first, splits, moved, zero))
+    found, splits, trial = state.settled
+    converged, resolved = found.converged & trial.settled, found.resolved & trial.sane
+    return Settled(found._replace(converged=converged, resolved=resolved), splits, trial)
 
 
-def _unloaded(setup: Setup, problem: Problem, old: Settled) -> tuple[LoadPath, None, Path]:
-    path = setup.method(problem)
-    return old.load_path._replace(converged=path.converged), None, path
+def _on_other_panels(trial: Trial, problem: Problem, path: Path, cut: Panels) -> Trial:
+    """With roughly the same values at the nodes of other panels, and slopes by the moment only."""
 
+    def moved(values, at_tip):
+        return redistribute(problem.panels, cut, values, at_tip)
 
-def _with_empty_panels(trial: Trial, problem: Problem, path: Path, count: int) -> Trial:
-    """With more panels at the tip, which sign changes may need."""
-    order = problem.panels.order
+    tangents = jax.tree.map(lambda x: x[0], trial.tangents)
     at_tip = Nodal(path.tip.ratio, path.tip.moment / problem.moment_scale)
-
-    def more(x: Array, tip: Array) -> Array:
-        return jnp.concatenate([x, jnp.broadcast_to(tip, (count, order, *tip.shape))])
-
-    def more_tangents(x: Array) -> Array:
-        return jnp.concatenate([x, jnp.broadcast_to(x[:, -1:], (3, count, *x.shape[2:]))], axis=1)
-
-    def more_points(x: Array) -> Array:
-        return jnp.concatenate([x, jnp.broadcast_to(x[..., -1:], (*x.shape[:-1], count * order))], axis=-1)
-
-    return trial._replace(
-        nodal=jax.tree.map(more, trial.nodal, at_tip),
-        tangents=jax.tree.map(more_tangents, trial.tangents),
-        heading=more_points(trial.heading),
-        turning=more_points(trial.turning),
+    values = moved(trial.nodal, at_tip)
+    slopes = moved(tangents, jax.tree.map(lambda x: x[-1, -1], tangents))
+    blank = start_from(values, 0.0 * trial.moment, 1)
+    return blank._replace(
+        moment=trial.moment,
+        tangents=jax.tree.map(lambda x: x[None], slopes),
+        slopes=trial.slopes[:1],
+        settled=trial.settled,
+        change=trial.change,
     )
 
 

@@ -5,16 +5,17 @@ M_ext(L) = m is one equation. Where it has several solutions, the one that is me
 of equilibria along which the tensions act first and then all loads grow together from 0 to 1.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .fixed_point import fixed_point
 from .problem import Method, Nodal, Number, Path, PerTendon, Problem, loaded_to, nodal
-from .reductions import all_finite, largest_size
+from .reductions import all_finite, largest_size, relative_size
+from .sign_changes import changes_sign
 from .tendon_travel import tendon_displacement
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
@@ -23,6 +24,8 @@ LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: in a longer one stability must not change, lest a step lands on another branch
 MAX_TRIES = 200
 MAX_SWEEPS = 64  # in one of them
+ROUGH = 1e-5  # relative: what is passed on the way need not be known better
+TRAVEL = 1e-9  # relative: of how far tendons slide only the sign is asked
 
 
 class LoadPath(NamedTuple):
@@ -39,15 +42,16 @@ class LoadPath(NamedTuple):
 class Trial(NamedTuple):
     """What is made an equilibrium under some fraction of the loads, sweep by sweep.
 
-    Slopes are by moment, fraction and pull, along a leading axis 3.
+    Slopes stand along a leading axis K: by the moment, and where they are wanted by the fraction.
     """
 
     moment: Number  # M_ext(0) over its scale
     nodal: Nodal
     tangents: Nodal  # its slopes
-    slopes: Float[Array, "3"]  # of what is missing of the moment at the tip
+    slopes: Float[Array, " K"]  # of what is missing of the moment at the tip
     heading: Float[Array, " points"]
-    turning: Float[Array, "3 points"]  # its slopes
+    turning: Float[Array, "K points"]  # its slopes
+    near: Bool[Array, ""]  # near enough to go on from
     settled: Bool[Array, ""]
     lost: Bool[Array, ""]
     sane: Bool[Array, ""]  # at the first sweep
@@ -59,9 +63,10 @@ class Trial(NamedTuple):
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
         return (self.slopes[0] > 0) & jnp.all(self.turning[0] > 0)
 
-    def along(self, parameter: int) -> Number:
-        """Slope of the moment that keeps the tip's, by fraction (1) or pull (2)."""
-        return jnp.where(self.slopes[parameter] == 0, 0.0, -self.slopes[parameter] / self.slopes[0])
+    @property
+    def slope(self) -> Number:
+        """That of the moment by the fraction, along the path."""
+        return jnp.where(self.slopes[1] == 0, 0.0, -self.slopes[1] / self.slopes[0])
 
 
 class _Place(NamedTuple):
@@ -84,75 +89,90 @@ class _Walk(NamedTuple):
 
 
 class LoadedBody(NamedTuple):
-    """A body between no loads and all of them, with any moment at its base, its tensions pulled in proportion."""
+    """A body between no loads and all of them, with any moment at its base."""
 
     problem: Problem
     method: Method
 
-    def at(self, moment: Number, fraction: Number, pull: Number | float = 1.0) -> Problem:
+    def at(self, moment: Number, fraction: Number) -> Problem:
         """The problem there."""
-        there = loaded_to(self.problem, fraction, moment * self.problem.moment_scale)
-        return eqx.tree_at(lambda problem: problem.base_tension, there, pull * self.problem.base_tension)
-
-    def slopes(self, reading: Callable[[Problem, Path], Any], trial: Trial, fraction: Number) -> Any:
-        """One sweep with its tangents: what is read of it, the slopes of that by moment, fraction and pull, and all."""
-
-        def flow(guess: Nodal, *at: Number):
-            here = self.at(*at)
-            path = self.method.improve(here, guess)
-            return reading(here, path), path
-
-        def push(*tangents):
-            at = trial.nodal, trial.moment, fraction, jnp.ones_like(trial.moment)
-            return jax.jvp(flow, at, tangents, has_aux=True)
-
-        basis = jnp.eye(3, dtype=trial.moment.dtype) + 0.0 * trial.moment  # shard_map wants tangents like their values
-        return jax.vmap(push, out_axes=(None, 0, None))(trial.tangents, *basis)
-
-    def correct(self, trial: Trial, fraction: Number) -> Trial:
-        """Sweeps that carry their tangents along, until nothing changes.
-
-        After every sweep Newton's method puts M_ext(0) right, and along its tangent everything else.
-        """
-        close = 4 * float(jnp.finfo(trial.moment.dtype).eps) ** 0.5
-
-        def reading(here: Problem, path: Path):
-            return nodal(here, path), moment_left_at_tip(here, path), jnp.append(path.nodes.heading, path.tip.heading)
-
-        def sweep(trial: Trial) -> Trial:
-            (values, residual, heading), (tangents, slopes, turning), path = self.slopes(reading, trial, fraction)
-            exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where its slope vanishes
-            newton = jnp.where(exact, 0.0, -residual / slopes[0])
-            rough = (path.residual > jnp.abs(residual)) & ~path.converged  # what is missing may be the sweep's fault
-            correction = jnp.where(rough, 0.0, newton)
-            sane = jnp.isfinite(newton) & ~path.locked & all_finite(values)
-            steady = largest_size(slopes - trial.slopes) <= close * largest_size(slopes)
-            settled = path.converged & steady & (jnp.abs(newton) <= close * (1 + jnp.abs(trial.moment)))
-            return Trial(
-                moment=trial.moment + correction,
-                nodal=jax.tree.map(lambda x, v: x + correction * v[0], values, tangents),
-                tangents=tangents,
-                slopes=slopes,
-                heading=heading + correction * turning[0],
-                turning=turning,
-                settled=settled & sane,
-                lost=~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
-                sane=jnp.where(trial.num_sweeps == 0, sane, trial.sane),
-                num_sweeps=trial.num_sweeps + 1.0,
-                change=path.residual,
-            )
-
-        again = trial._replace(settled=trial.settled & False, lost=trial.lost & False, num_sweeps=0.0 * trial.moment)
-        return jax.lax.while_loop(lambda trial: ~(trial.settled | trial.lost), sweep, again)
-
-    def travel(self, trial: Trial, fraction: Number) -> PerTendon:
-        """By how much tendons slide in as all tensions rise in proportion, m."""
-        slides = self.slopes(tendon_displacement, trial, fraction)[1]
-        return slides[2] + trial.along(2) * slides[0]
+        return loaded_to(self.problem, fraction, moment * self.problem.moment_scale)
 
     def path(self, trial: Trial, fraction: Number) -> Path:
         """The body."""
         return self.method.improve(self.at(trial.moment, fraction), trial.nodal)
+
+    def sweep(self, trial: Trial, fraction: Number) -> tuple[Trial, Path]:
+        """One sweep with its tangents; then Newton's method puts M_ext(0) right, and along its tangent the rest."""
+        close = 4 * float(jnp.finfo(trial.moment.dtype).eps) ** 0.5
+
+        def flow(guess: Nodal, *at: Number):
+            here = self.at(*at)
+            path = self.method.improve(here, guess)
+            heading = jnp.append(path.nodes.heading, path.tip.heading)
+            return (nodal(here, path), moment_left_at_tip(here, path), heading), path
+
+        def push(*tangents):
+            return jax.jvp(flow, (trial.nodal, trial.moment, fraction), tangents, has_aux=True)
+
+        basis = jnp.eye(trial.slopes.shape[0], 2, dtype=trial.moment.dtype).T
+        basis = basis + 0.0 * trial.moment  # shard_map wants tangents like their values
+        (values, residual, heading), (tangents, slopes, turning), path = jax.vmap(push, out_axes=(None, 0, None))(
+            trial.tangents, *basis
+        )
+        exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where its slope vanishes
+        newton = jnp.where(exact, 0.0, -residual / slopes[0])
+        rough = (path.residual > jnp.abs(residual)) & ~path.converged  # what is missing may be the sweep's fault
+        correction = jnp.where(rough, 0.0, newton)
+        sane = jnp.isfinite(newton) & ~path.locked & all_finite(values)
+        off, wavers = jnp.abs(newton) / (1 + jnp.abs(trial.moment)), relative_size(slopes - trial.slopes, slopes)
+        settled = sane & path.converged & (jnp.maximum(off, wavers) <= close)
+        passing = (fraction < 1) | changes_sign(self.problem, path)  # it will be settled elsewhere, or on other panels
+        return Trial(
+            moment=trial.moment + correction,
+            nodal=jax.tree.map(lambda x, v: x + correction * v[0], values, tangents),
+            tangents=tangents,
+            slopes=slopes,
+            heading=heading + correction * turning[0],
+            turning=turning,
+            near=settled | (sane & passing & (jnp.maximum(off, path.residual) <= ROUGH) & (wavers <= 1e-3)),
+            settled=settled,
+            lost=~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
+            sane=jnp.where(trial.num_sweeps == 0, sane, trial.sane),
+            num_sweeps=trial.num_sweeps + 1.0,
+            change=path.residual,
+        ), path
+
+    def correct(self, trial: Trial, fraction: Number) -> Trial:
+        """Sweeps until the trial is near enough to an equilibrium, or lost."""
+        return jax.lax.while_loop(
+            lambda trial: ~(trial.near | trial.lost), lambda trial: self.sweep(trial, fraction)[0], again(trial)
+        )
+
+    def travel(self, trial: Trial, fraction: Number) -> PerTendon:
+        """By how much tendons slide in as all tensions rise in proportion, m."""
+
+        def flow(guess: Nodal, moment: Number, pull: Number):
+            here = self.at(moment, fraction)
+            here = eqx.tree_at(lambda problem: problem.base_tension, here, pull * self.problem.base_tension)
+            path = self.method.improve(here, guess)
+            return nodal(here, path), moment_left_at_tip(here, path), tendon_displacement(here, path)
+
+        one, by_moment = jnp.ones_like(trial.moment), jax.tree.map(lambda x: x[0], trial.tangents)
+        push = jax.linearize(flow, trial.nodal, trial.moment, one)[1]
+        still = jax.tree.map(lambda x: 0.0 * x, trial.nodal)
+        pulled = fixed_point(
+            lambda values: push(values, 0.0 * one, one)[0], still, tolerance=TRAVEL, max_sweeps=MAX_SWEEPS
+        ).value
+        _, more, slides = push(pulled, 0.0 * one, one)
+        _, by_turn, slides_by_turn = push(by_moment, one, 0.0 * one)
+        return slides - jnp.where(more == 0, 0.0, more / by_turn) * slides_by_turn
+
+
+def again(trial: Trial) -> Trial:
+    """The same to start with."""
+    no = trial.lost & False
+    return trial._replace(near=no, settled=no, lost=no, num_sweeps=0.0 * trial.moment)
 
 
 def moment_left_at_tip(problem: Problem, path: Path) -> Number:
@@ -161,13 +181,13 @@ def moment_left_at_tip(problem: Problem, path: Path) -> Number:
     return (path.tip.moment - problem.loads.tip_moment) / problem.moment_scale
 
 
-def start_from(guess: Nodal, zero: Number) -> Trial:
-    """Nothing but a guess; 0 under shard_map varies as all numbers do."""
+def start_from(guess: Nodal, zero: Number, count: int) -> Trial:
+    """Nothing but a guess, with room for `count` slopes; 0 under shard_map varies as all numbers do."""
     guess = jax.tree.map(lambda x: x + zero, guess)
-    tangents, slopes = (jax.tree.map(lambda x: jnp.stack([0.0 * x] * 3), x) for x in (guess, zero))
+    tangents, slopes = (jax.tree.map(lambda x: jnp.stack([0.0 * x] * count), x) for x in (guess, zero))
     heading = zero + jnp.zeros(guess.ratio.shape[0] * guess.ratio.shape[1] + 1, zero.dtype)
     no, yes = zero > 0, zero == 0
-    return Trial(zero, guess, tangents, slopes, heading, jnp.stack([heading] * 3), no, no, yes, zero, zero)
+    return Trial(zero, guess, tangents, slopes, heading, jnp.stack([heading] * count), no, no, no, yes, zero, zero)
 
 
 def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial, Path]:
@@ -184,20 +204,20 @@ def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -
         zero: 0, which under shard_map varies as all numbers do.
 
     Returns:
-        Where it led, and the values and the body there.
+        Where it led, and the values and the body there; only near it where the turning changes sign, which
+        these panels do not resolve.
     """
     body = LoadedBody(problem, method)
     no, yes = zero > 0, zero == 0
 
     def advance(walk: _Walk) -> _Walk:
-        old, step = walk.place, walk.fraction - walk.place.fraction
-        slope = old.at.along(1)
-        ahead = jax.tree.map(lambda x, v: x + step * (v[1] + slope * v[0]), old.at.nodal, old.at.tangents)
-        trial = body.correct(old.at._replace(moment=old.at.moment + step * slope, nodal=ahead), walk.fraction)
-        turning = trial.turning[1] + trial.along(1) * trial.turning[0]
+        old, step = walk.place.at, walk.fraction - walk.place.fraction
+        ahead = jax.tree.map(lambda x, v: x + step * (v[1] + old.slope * v[0]), old.nodal, old.tangents)
+        trial = body.correct(old._replace(moment=old.moment + step * old.slope, nodal=ahead), walk.fraction)
+        turning = trial.turning[1] + trial.slope * trial.turning[0]
         return _decide(walk, _Place(walk.fraction, trial, turning))
 
-    start = start_from(guess, zero)
+    start = start_from(guess, zero, 2)
     walk = _Walk(_Place(zero, start, start.heading), zero + 1.0, zero, zero, zero, no, no, yes)
     walk = jax.lax.while_loop(lambda walk: ~(walk.arrived | walk.ended), advance, walk)
     trial, fraction = walk.place.at, walk.place.fraction
@@ -206,23 +226,13 @@ def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -
     return found, trial, body.path(trial, fraction)
 
 
-def hold_loads(problem: Problem, method: Method, found: LoadPath, guess: Trial) -> tuple[LoadPath, Trial, Path]:
-    """The same place on other panels; where it cannot be found there, what was known."""
-    body = LoadedBody(problem, method)
-    trial = body.correct(guess, found.fraction)
-    settled, resolved = trial.settled, trial.sane
-    trial = jax.tree.map(lambda new, old: jnp.where(settled, new, old), trial, guess)
-    new = LoadPath(trial.moment, found.fraction, found.num_steps, settled, trial.stable, resolved)
-    return new, trial, body.path(trial, found.fraction)
-
-
 def _decide(walk: _Walk, here: _Place) -> _Walk:
     """Go on, or take the step back."""
     first, old, new = walk.num_steps == 0, walk.place.at, here.at
     predicted = old.heading + (here.fraction - walk.place.fraction) * walk.place.turning
     missed = jnp.where(first, 0.0, largest_size(new.heading - predicted))
     turned = jnp.where(first, 0.0, largest_size(new.heading - old.heading))
-    settled = new.settled & all_finite(here.turning)
+    settled = new.near & all_finite(here.turning)
     jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
     accepted = settled & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
 

@@ -30,7 +30,7 @@ from .problem import (
 from .reductions import largest, largest_size
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
-REFINEMENTS = 10
+REFINEMENTS = 5  # the panels end ever closer to the place, and so does the interval in which it lies
 
 
 def only_if(needed: Bool[Array, ""], compute: Callable[[Number], Any], otherwise: Any) -> Any:
@@ -93,27 +93,45 @@ def turning_at(problem: Problem, section: CrossSection, state: State) -> Float[A
 
 def locate(problem: Problem, path: Path) -> Splits:
     """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
-    turning = jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
+    turning = _turning_along(problem, path)
     bend = _largest_bend(problem, turning)
-    positive, negative = (largest(jnp.where(x > NEGLIGIBLE * bend, x, 0.0)) > 0 for x in (turning, -turning))
     none = jax.tree.map(lambda x: x + (0.0 * bend).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
-    return only_if(positive & negative, lambda zero: _first_changes(problem, path, turning + zero, none), none)
+    changes = _has_both_signs(problem, turning)
+    return only_if(changes, lambda zero: _first_changes(problem, path, turning + zero, none), none)
+
+
+def changes_sign(problem: Problem, path: Path) -> Bool[Array, ""]:
+    """Whether there is any sign change that `locate` would look for."""
+    return _has_both_signs(problem, _turning_along(problem, path))
+
+
+def _turning_along(problem: Problem, path: Path) -> Float[Array, "points owners"]:
+    return jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
+
+
+def _has_both_signs(problem: Problem, turning: Float[Array, "points owners"]) -> Bool[Array, ""]:
+    least = NEGLIGIBLE * _largest_bend(problem, turning)
+    return (largest(turning) > least) & (largest(-turning) > least)
 
 
 def _first_changes(problem: Problem, path: Path, turning: Float[Array, "points owners"], none: Splits) -> Splits:
     cut = problem.panels
     arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1]) + 0.0 * turning[0, 0]
-    sign = jnp.where(jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.sign(turning), 0.0)
-    index = jnp.arange(arc_length.shape[0])[:, None]
-    last = jax.lax.cummax(jnp.where(sign != 0, index, -1))
+    signed, index = jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.arange(arc_length.shape[0])
+    last = jax.lax.cummax(jnp.where(signed, 2 * index[:, None] + (turning > 0), -1))  # point and sign
     before = jnp.concatenate([-jnp.ones_like(last[:1]), last[:-1]])
-    flips = (before >= 0) & (sign * jnp.take_along_axis(sign, jnp.maximum(before, 0), axis=0) < 0)
+    flips = (signed & (before >= 0) & ((before % 2 == 1) != (turning > 0))).ravel()
 
-    order = jnp.argsort(jnp.where(flips, index, index.shape[0]).ravel())[: none.owner.shape[0]]
-    point, owner = order // flips.shape[1], order % flips.shape[1]
-    left, right = arc_length[jnp.maximum(before[point, owner], 0)], arc_length[point]
+    order, places = [], jnp.arange(flips.size)
+    for _ in range(none.owner.shape[0]):  # that many of the first; sorting takes longer
+        rest = flips if not order else flips & (places > order[-1])
+        order.append(-largest(jnp.where(rest, -places, -flips.size)))
+    found = jnp.stack(order) < flips.size
+    at = jnp.minimum(jnp.stack(order), flips.size - 1)
+    owner = at % turning.shape[1]
+    left, right = arc_length[jnp.maximum(before.ravel()[at] // 2, 0)], arc_length[at // turning.shape[1]]
     place, jumps = jax.vmap(lambda *bracket: _refine(problem, path, *bracket))(left, right, owner)
-    found = flips.ravel()[order] & ~jumps
+    found = found & ~jumps
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner, -1))
 
 
@@ -132,7 +150,7 @@ def _refine(
     """
 
     def turning(arc_length):
-        state = problem.panels.interpolate(path.starts, path.nodes, arc_length)
+        state = problem.panels.read(path.starts, path.nodes, arc_length)
         return turning_at(problem, guarded_section(problem.manipulator, arc_length), state)[owner]
 
     def narrow(_, bracket):
