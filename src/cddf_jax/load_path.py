@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .fixed_point import fixed_point
 from .problem import Method, Nodal, Number, Path, PerTendon, Problem, loaded_to, nodal
 from .reductions import all_finite, largest_size, relative_size
 from .sign_changes import changes_sign
@@ -25,7 +24,7 @@ CRITICAL_STEP = 1e-4  # of the loads: in a longer one stability must not change,
 MAX_TRIES = 200
 MAX_SWEEPS = 64  # in one of them
 ROUGH = 1e-5  # relative: what is passed on the way need not be known better
-TRAVEL = 1e-9  # relative: of how far tendons slide only the sign is asked
+TRAVEL = 1e-7  # relative: of how far tendons slide only the sign is asked
 
 
 class LoadPath(NamedTuple):
@@ -63,24 +62,25 @@ class Trial(NamedTuple):
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
         return (self.slopes[0] > 0) & jnp.all(self.turning[0] > 0)
 
-    @property
-    def slope(self) -> Number:
-        """That of the moment by the fraction, along the path."""
-        return jnp.where(self.slopes[1] == 0, 0.0, -self.slopes[1] / self.slopes[0])
-
 
 class _Place(NamedTuple):
-    """An equilibrium on the path."""
+    """An equilibrium on the path; slopes are those along it, by the fraction."""
 
     fraction: Number
-    at: Trial
-    turning: Float[Array, " points"]  # slope of the heading along the path
+    moment: Number
+    moment_slope: Number
+    nodal: Nodal
+    nodal_slope: Nodal
+    heading: Float[Array, " points"]
+    turning: Float[Array, " points"]  # slope of the heading
+    stable: Bool[Array, ""]
 
 
 class _Walk(NamedTuple):
     place: _Place
+    trial: Trial  # of the next place
     step: Number
-    fraction: Number  # that is to be tried
+    fraction: Number  # that is being tried
     num_steps: Number
     num_tries: Number
     arrived: Bool[Array, ""]
@@ -124,7 +124,7 @@ class LoadedBody(NamedTuple):
         newton = jnp.where(exact, 0.0, -residual / slopes[0])
         rough = (path.residual > jnp.abs(residual)) & ~path.converged  # what is missing may be the sweep's fault
         correction = jnp.where(rough, 0.0, newton)
-        sane = jnp.isfinite(newton) & ~path.locked & all_finite(values)
+        sane = jnp.isfinite(newton) & jnp.isfinite(path.residual) & ~path.locked
         off, wavers = jnp.abs(newton) / (1 + jnp.abs(trial.moment)), relative_size(slopes - trial.slopes, slopes)
         settled = sane & path.converged & (jnp.maximum(off, wavers) <= close)
         passing = (fraction < 1) | changes_sign(self.problem, path)  # it will be settled elsewhere, or on other panels
@@ -143,12 +143,6 @@ class LoadedBody(NamedTuple):
             change=path.residual,
         ), path
 
-    def correct(self, trial: Trial, fraction: Number) -> Trial:
-        """Sweeps until the trial is near enough to an equilibrium, or lost."""
-        return jax.lax.while_loop(
-            lambda trial: ~(trial.near | trial.lost), lambda trial: self.sweep(trial, fraction)[0], again(trial)
-        )
-
     def travel(self, trial: Trial, fraction: Number) -> PerTendon:
         """By how much tendons slide in as all tensions rise in proportion, m."""
 
@@ -158,21 +152,18 @@ class LoadedBody(NamedTuple):
             path = self.method.improve(here, guess)
             return nodal(here, path), moment_left_at_tip(here, path), tendon_displacement(here, path)
 
-        one, by_moment = jnp.ones_like(trial.moment), jax.tree.map(lambda x: x[0], trial.tangents)
-        push = jax.linearize(flow, trial.nodal, trial.moment, one)[1]
-        still = jax.tree.map(lambda x: 0.0 * x, trial.nodal)
-        pulled = fixed_point(
-            lambda values: push(values, 0.0 * one, one)[0], still, tolerance=TRAVEL, max_sweeps=MAX_SWEEPS
-        ).value
-        _, more, slides = push(pulled, 0.0 * one, one)
-        _, by_turn, slides_by_turn = push(by_moment, one, 0.0 * one)
-        return slides - jnp.where(more == 0, 0.0, more / by_turn) * slides_by_turn
+        def sweep(state):
+            (old, *_), _, count = state
+            new = push(old, zero, one)
+            return new, relative_size(jax.tree.map(jnp.subtract, new[0], old), new[0]), count + 1.0
 
-
-def again(trial: Trial) -> Trial:
-    """The same to start with."""
-    no = trial.lost & False
-    return trial._replace(near=no, settled=no, lost=no, num_sweeps=0.0 * trial.moment)
+        zero, one = 0.0 * trial.moment, jnp.ones_like(trial.moment)
+        at_rest, push = jax.linearize(flow, trial.nodal, trial.moment, one)
+        start = jax.tree.map(lambda x: 0.0 * x, at_rest), zero + 1.0, zero
+        ends = jax.lax.while_loop(lambda state: (state[1] > TRAVEL) & (state[2] < MAX_SWEEPS), sweep, start)
+        _, missing, slides = ends[0]
+        _, missing_by_moment, slides_by_moment = push(jax.tree.map(lambda x: x[0], trial.tangents), one, zero)
+        return slides - jnp.where(missing == 0, 0.0, missing / missing_by_moment) * slides_by_moment
 
 
 def moment_left_at_tip(problem: Problem, path: Path) -> Number:
@@ -211,47 +202,75 @@ def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -
     no, yes = zero > 0, zero == 0
 
     def advance(walk: _Walk) -> _Walk:
-        old, step = walk.place.at, walk.fraction - walk.place.fraction
-        ahead = jax.tree.map(lambda x, v: x + step * (v[1] + old.slope * v[0]), old.nodal, old.tangents)
-        trial = body.correct(old._replace(moment=old.moment + step * old.slope, nodal=ahead), walk.fraction)
-        turning = trial.turning[1] + trial.slope * trial.turning[0]
-        return _decide(walk, _Place(walk.fraction, trial, turning))
+        walk = walk._replace(trial=body.sweep(walk.trial, walk.fraction)[0])
+        # it turns once where a trial is over; `lax.cond` would decide for every lane of a batch after every sweep
+        return jax.lax.while_loop(lambda walk: (walk.trial.near | walk.trial.lost) & ~over(walk), _decide, walk)
+
+    def over(walk: _Walk) -> Bool[Array, ""]:
+        return walk.arrived | walk.ended
 
     start = start_from(guess, zero, 2)
-    walk = _Walk(_Place(zero, start, start.heading), zero + 1.0, zero, zero, zero, no, no, yes)
-    walk = jax.lax.while_loop(lambda walk: ~(walk.arrived | walk.ended), advance, walk)
-    trial, fraction = walk.place.at, walk.place.fraction
-    steps = walk.num_steps - 1.0
-    found = LoadPath(trial.moment, fraction, steps, walk.arrived, trial.stable, walk.resolved)
-    return found, trial, body.path(trial, fraction)
+    slope = jax.tree.map(lambda x: x[1], start.tangents)
+    place = _Place(zero, zero, zero, start.nodal, slope, start.heading, start.heading, yes)
+    walk = _Walk(place, start, zero + 1.0, zero, zero, zero, no, no, yes)
+    walk = jax.lax.while_loop(lambda walk: ~over(walk), advance, walk)
+    place, steps = walk.place, walk.num_steps - 1.0
+    found = LoadPath(place.moment, place.fraction, steps, walk.arrived, place.stable, walk.resolved)
+    return found, walk.trial, body.path(walk.trial, place.fraction)
 
 
-def _decide(walk: _Walk, here: _Place) -> _Walk:
+def _arrive(trial: Trial, fraction: Number) -> _Place:
+    """Where a trial led that is near enough to an equilibrium."""
+    slope = jnp.where(trial.slopes[1] == 0, 0.0, -trial.slopes[1] / trial.slopes[0])
+
+    def along(slopes):
+        return slopes[1] + slope * slopes[0]
+
+    values = trial.nodal, jax.tree.map(along, trial.tangents), trial.heading, along(trial.turning)
+    return _Place(fraction, trial.moment, slope, *values, trial.stable)
+
+
+def _decide(walk: _Walk) -> _Walk:
     """Go on, or take the step back."""
-    first, old, new = walk.num_steps == 0, walk.place.at, here.at
-    predicted = old.heading + (here.fraction - walk.place.fraction) * walk.place.turning
-    missed = jnp.where(first, 0.0, largest_size(new.heading - predicted))
-    turned = jnp.where(first, 0.0, largest_size(new.heading - old.heading))
-    settled = new.near & all_finite(here.turning)
+    first, old, trial = walk.num_steps == 0, walk.place, walk.trial
+    new = _arrive(trial, walk.fraction)
+    missed = largest_size(new.heading - old.heading - (new.fraction - old.fraction) * old.turning)
+    missed, turned = (jnp.where(first, 0.0, x) for x in (missed, largest_size(new.heading - old.heading)))
+    near = trial.near & all_finite(new.turning)
     jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
-    accepted = settled & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
+    accepted = near & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
 
     ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
-    shorter = walk.step * jnp.where(settled & ~jumped, jnp.clip(ideal, 0.1, 0.5), 0.25)
+    shorter = walk.step * jnp.where(near & ~jumped, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = walk.step * jnp.clip(ideal, 0.3, 4.0)
-    place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), here, walk.place)
+    place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), new, old)
     gentle = 0.8 * LARGEST_TURN / jnp.maximum(largest_size(place.turning), 0.1 * LARGEST_TURN)
     remaining = 1.0 - place.fraction
     step = jnp.minimum(jnp.minimum(jnp.where(accepted, longer, shorter), gentle), remaining)
     tries = walk.num_tries + 1.0
     arrived = accepted & (place.fraction >= 1.0)
+    ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
     return _Walk(
         place,
+        _ahead(place, jnp.where(ended, 0.0, step), trial)._replace(settled=trial.settled & arrived),
         step,
         fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
         num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
         num_tries=tries,
         arrived=arrived,
-        ended=~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES)),
-        resolved=new.sane,
+        ended=ended,
+        resolved=trial.sane,
+    )
+
+
+def _ahead(place: _Place, step: Number, trial: Trial) -> Trial:
+    """What to try next, along the path; the slopes by moment and fraction are still about the same."""
+    no = trial.lost & False
+    return trial._replace(
+        moment=place.moment + step * place.moment_slope,
+        nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
+        tangents=jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.tangents),
+        near=no,
+        lost=no,
+        num_sweeps=0.0 * place.moment,
     )

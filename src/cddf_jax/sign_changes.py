@@ -27,7 +27,7 @@ from .problem import (
     moment_rate_of,
     rates_of,
 )
-from .reductions import largest, largest_size
+from .reductions import largest
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 REFINEMENTS = 5  # the panels end ever closer to the place, and so does the interval in which it lies
@@ -93,31 +93,35 @@ def turning_at(problem: Problem, section: CrossSection, state: State) -> Float[A
 
 def locate(problem: Problem, path: Path) -> Splits:
     """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
-    turning = _turning_along(problem, path)
-    bend = _largest_bend(problem, turning)
-    none = jax.tree.map(lambda x: x + (0.0 * bend).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
-    changes = _has_both_signs(problem, turning)
-    return only_if(changes, lambda zero: _first_changes(problem, path, turning + zero, none), none)
+    turning = jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
+    both, least = _has_both_signs(problem, turning)
+    none = jax.tree.map(lambda x: x + (0.0 * least).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
+    return only_if(both, lambda zero: _first_changes(problem, path, turning + zero, least, none), none)
 
 
 def changes_sign(problem: Problem, path: Path) -> Bool[Array, ""]:
-    """Whether there is any sign change that `locate` would look for."""
-    return _has_both_signs(problem, _turning_along(problem, path))
+    """Whether there is a sign change between nodes."""
+    turning = jax.vmap(jax.vmap(lambda *at: turning_at(problem, *at)))(problem.nodes, path.nodes)
+    return _has_both_signs(problem, turning)[0]
 
 
-def _turning_along(problem: Problem, path: Path) -> Float[Array, "points owners"]:
-    return jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
+def _has_both_signs(problem: Problem, turning: Float[Array, "*points owners"]) -> tuple[Bool[Array, ""], Number]:
+    """Whether there is turning of both signs, and how small it may be to have one.
+
+    That is measured by what one tendon alone or the largest turning would make of the curvature, 1/m.
+    """
+    alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
+    ahead, back = largest(turning), largest(-turning)
+    least = NEGLIGIBLE * jnp.maximum(largest(alone), jnp.maximum(ahead, back))
+    return (ahead > least) & (back > least), least
 
 
-def _has_both_signs(problem: Problem, turning: Float[Array, "points owners"]) -> Bool[Array, ""]:
-    least = NEGLIGIBLE * _largest_bend(problem, turning)
-    return (largest(turning) > least) & (largest(-turning) > least)
-
-
-def _first_changes(problem: Problem, path: Path, turning: Float[Array, "points owners"], none: Splits) -> Splits:
+def _first_changes(
+    problem: Problem, path: Path, turning: Float[Array, "points owners"], least: Number, none: Splits
+) -> Splits:
     cut = problem.panels
     arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1]) + 0.0 * turning[0, 0]
-    signed, index = jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.arange(arc_length.shape[0])
+    signed, index = jnp.abs(turning) > least, jnp.arange(arc_length.shape[0])
     last = jax.lax.cummax(jnp.where(signed, 2 * index[:, None] + (turning > 0), -1))  # point and sign
     before = jnp.concatenate([-jnp.ones_like(last[:1]), last[:-1]])
     flips = (signed & (before >= 0) & ((before % 2 == 1) != (turning > 0))).ravel()
@@ -133,12 +137,6 @@ def _first_changes(problem: Problem, path: Path, turning: Float[Array, "points o
     place, jumps = jax.vmap(lambda *bracket: _refine(problem, path, *bracket))(left, right, owner)
     found = found & ~jumps
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner, -1))
-
-
-def _largest_bend(problem: Problem, turning: Array) -> Number:
-    """What one tendon alone or the largest turning would make of the curvature, 1/m."""
-    alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
-    return largest_size((alone, turning))
 
 
 def _refine(

@@ -114,7 +114,7 @@ class FixedPoint(eqx.Module):
 
         def resolved(start: _Reached, part: _Part, first: Nodal) -> tuple[_Reached, Any]:
             answer = fixed_point(
-                lambda values: _sweep(problem, part, start, values)[0].nodes,
+                lambda values: _sweep(problem, part, start, values)[0].nodes.values,
                 first,
                 tolerance=tolerance,
                 max_sweeps=self.max_sweeps,
@@ -151,8 +151,9 @@ class FixedPoint(eqx.Module):
 
     def improve(self, problem: Problem, guess: Nodal) -> Path:
         swept, tip = _sweep(problem, _whole(problem), _base(problem), guess)
-        change = relative_size(minus(swept.nodes, guess), swept.nodes)
-        positive = jnp.all(tip.values.ratio > 0) & jnp.all(swept.nodes.ratio > 0)
+        better = swept.nodes.values
+        change = relative_size(minus(better, guess), better)
+        positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
         return _follow(
             problem,
             swept,
@@ -187,10 +188,9 @@ class _Reached(NamedTuple):
 class _Swept(NamedTuple):
     """What one sweep makes of some panels."""
 
-    starts: Nodal
-    nodes: Nodal
+    starts: _Reached
+    nodes: _Reached
     turns: Float[Array, "P tendons"]
-    curvature: Float[Array, "P p"]
     turning: Float[Array, "P p tendons"]
 
 
@@ -229,10 +229,14 @@ def _sweep(problem: Problem, part: _Part, start: _Reached, guess: Nodal) -> tupl
     bending, bending_at_nodes = _onward(cut, start.values.moment, moment_rate * (1.0 / problem.moment_scale))
     gains, within = cut.integrate(_ratio_rates(problem, section, turning, guess.ratio))
     starts, tip, turns = _across_joints(problem, part, Nodal(start.values.ratio + gains, bending), spent)
-    nodes = Nodal((starts - gains[:-1])[:, None] + within, bending_at_nodes)
-    begun, end = (Nodal(ratio, bending[at] if loaded else None) for ratio, at in ((starts, slice(-1)), (tip, -1)))
-    reached = _Reached(end, heading[-1], None if spent is None else spent[-1])
-    return _Swept(begun, nodes, turns, kappa, turning), reached
+    nodes = _Reached(Nodal((starts - gains[:-1])[:, None] + within, bending_at_nodes), heading_at_nodes, spent_at_nodes)
+
+    def edges(ratio: Array, at: Any) -> _Reached:
+        known = _Reached(Nodal(None, bending), heading, spent)
+        known = jax.tree.map(lambda x: x[at], known)
+        return known._replace(values=known.values._replace(ratio=ratio))
+
+    return _Swept(edges(starts, slice(-1)), nodes, turns, turning), edges(tip, -1)
 
 
 def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array]:
@@ -258,23 +262,20 @@ def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | N
 
 
 def _follow(problem: Problem, swept: _Swept, tip: _Reached, **outcome) -> Path:
-    """Integrate what goes with (r, M_ext) at starts, nodes and tip into wrap angle, heading, position."""
+    """Integrate what goes with a sweep at starts, nodes and tip into wrap angle and position."""
     cut, outboard = problem.panels, problem.outboard
-    (heading_edges, heading), (position_edges, position) = integrate_shape(cut, swept.curvature)
-    wrap_edges, wrap = cut.integrate(jnp.abs(swept.turning))
+    axis = [cut.integrate(component) for component in cos_sin(swept.nodes.heading)]
+    position, position_at_nodes = (jnp.stack(components, axis=-1) for components in zip(*axis, strict=True))
+    wrap, wrap_at_nodes = cut.integrate(jnp.abs(swept.turning))
     turned = jnp.cumsum(swept.turns, axis=0)
-    spending = spent_rate(problem, problem.nodes, swept.nodes.ratio)
-    spent, spent_at_nodes = _onward(cut, _base(problem).spent, spending)
-    starts, nodes = Pull(swept.starts.ratio), Pull(swept.nodes.ratio, spent_at_nodes)
-    at_tip = Pull(tip.values.ratio)
-    if spent is not None:
-        starts, at_tip = starts._replace(spent=spent[:-1]), at_tip._replace(spent=spent[-1])
-    moments = (_moment(problem, values) for values in (swept.starts, swept.nodes, tip.values))
+
+    def state(reached: _Reached, wrap: Array, position: Array, force: Array) -> State:
+        values, heading, spent = reached
+        return State(Pull(values.ratio, spent), wrap, heading, position, _moment(problem, values), force)
+
     return Path(
-        State(
-            starts, wrap_edges[:-1] + turned, heading_edges[:-1], position_edges[:-1], next(moments), outboard.starts
-        ),
-        State(nodes, wrap + turned[:, None], heading, position, next(moments), outboard.nodes),
-        State(at_tip, wrap_edges[-1] + turned[-1], heading_edges[-1], position_edges[-1], next(moments), outboard.tip),
+        state(swept.starts, wrap[:-1] + turned, position[:-1], outboard.starts),
+        state(swept.nodes, wrap_at_nodes + turned[:, None], position_at_nodes, outboard.nodes),
+        state(tip, wrap[-1] + turned[-1], position[-1], outboard.tip),
         **outcome,
     )
