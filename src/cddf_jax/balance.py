@@ -33,7 +33,8 @@ from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
 MAX_ROUNDS = 6
-MAX_MOVES = 12  # of panels that follow the sign changes from sweep to sweep
+MAX_MOVES = 12  # of panels that follow the sign changes from sweep to sweep, then from one settled body to the next
+ROUGHLY = 1e-2  # relative change in a sweep that is not too large for panels to follow it
 SETTLED = 1e-6  # of the length: a kink that lies so far off a panel's end costs 1e-12
 
 
@@ -143,9 +144,16 @@ def balance(
 
 class _Round(NamedTuple):
     settled: Settled
-    ends: Splits  # of the panels on which that was found
-    moved: Number  # how far off the sign changes lie
+    moved: Number
     num_rounds: Number
+
+
+class _Sweeping(NamedTuple):
+    trial: Trial
+    splits: Splits
+    ends: Splits  # of the panels on which all that was found
+    moved: Number  # how far they lie off each other
+    num_moves: Number
 
 
 def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
@@ -175,62 +183,66 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     """Base moment and sign changes, until the sign changes stay where they are. No derivatives."""
     start = unsettled(setup, base_tension)
     if setup.loads is not None:
-        return _put_loads_on(setup, base_tension, start)
+        return _put_loads_on(setup, base_tension, start.load_path.fraction)
     if num_splits(setup.manipulator, None) == 0:
         return start
 
     def once(state: _Round) -> _Round:
-        splits = state.settled.splits
+        found, splits, _ = state.settled
         problem = _lay_out(setup, base_tension, splits)
         path = setup.method(problem)
-        found = state.settled.load_path._replace(converged=path.converged)
-        return _judge(Settled(found, locate(problem, path), None), splits, state.num_rounds + 1.0, problem.panels)
+        new = Settled(found._replace(converged=path.converged), locate(problem, path), None)
+        return _Round(new, _distance(new.splits, splits, problem.panels), state.num_rounds + 1.0)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
         return (state.moved > SETTLED) & (state.num_rounds < MAX_ROUNDS) & converged
 
     zero = start.load_path.num_steps
-    return jax.lax.while_loop(goes_on, once, _Round(start, start.splits, zero + jnp.inf, zero)).settled
+    return jax.lax.while_loop(goes_on, once, _Round(start, zero + jnp.inf, zero)).settled
 
 
-def _judge(new: Settled, ends: Splits, num_rounds: Number, cut: Panels) -> _Round:
-    moved = largest_size(new.splits.arc_length - ends.arc_length) / cut.edges[-1]
-    return _Round(new, ends, moved, num_rounds)
+def _distance(new: Splits, old: Splits, cut: Panels) -> Number:
+    return largest_size(new.arc_length - old.arc_length) / cut.edges[-1]
 
 
-def _put_loads_on(setup: Setup, base_tension: PerTendon, start: Settled) -> Settled:
+def _put_loads_on(setup: Setup, base_tension: PerTendon, zero: Number) -> Settled:
     """Along the path of the loads, then with panels that follow the sign changes from sweep to sweep.
 
     On the way the panels end where the body is not smooth, and no more. That is all where nothing changes sign.
     """
-    zero = start.load_path.num_steps
     problem = _lay_out(setup, base_tension, None)
     found, near, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
-    splits = locate(problem, path)
 
-    def once(state: _Round) -> _Round:
-        found, splits, old = state.settled
-        stay = (state.moved <= SETTLED) | (state.num_rounds >= MAX_MOVES)
-        ends = jax.tree.map(lambda a, b: jnp.where(stay, a, b), state.ends, splits)
+    def once(state: _Sweeping) -> _Sweeping:
+        free = state.num_moves < MAX_MOVES
+        move = (state.moved > SETTLED) & (state.trial.settled | (free & (state.trial.change <= ROUGHLY)))
+        ends = jax.tree.map(lambda a, b: jnp.where(move, a, b), state.splits, state.ends)
+        num_moves = state.num_moves + jnp.where(move, 1.0, 0.0)
         problem = _lay_out(setup, base_tension, ends)
-        guess = old._replace(nodal=follow_edges(_cut(setup, state.ends), problem.panels, old.nodal))
-        new, path = LoadedBody(problem, setup.method).sweep(guess, found.fraction)
-        kept = jax.tree.map(lambda a, b: jnp.where(new.lost, a, b), old, new)._replace(lost=new.lost)
-        found = found._replace(base_moment=kept.moment, stable=kept.stable)
-        return _judge(Settled(found, locate(problem, path), kept), ends, state.num_rounds + 1.0, problem.panels)
+        guess = follow_edges(_cut(setup, state.ends), problem.panels, state.trial.nodal)
+        start = state.trial._replace(nodal=guess, num_sweeps=jnp.where(move, 0.0, state.trial.num_sweeps))
+        trial, path = LoadedBody(problem, setup.method).sweep(start, found.fraction)
+        splits = locate(problem, path)
+        new = _Sweeping(trial, splits, ends, _distance(splits, ends, problem.panels), num_moves)
+        kept = jax.tree.map(lambda a, b: jnp.where(trial.lost, a, b), state, new)
+        return kept._replace(trial=kept.trial._replace(lost=trial.lost))
 
-    def goes_on(state: _Round) -> Bool[Array, ""]:
-        trial = state.settled.trial
-        done = trial.settled & ((state.moved <= SETTLED) | (state.num_rounds > MAX_MOVES))
-        return found.converged & ~done & ~trial.lost
+    def goes_on(state: _Sweeping) -> Bool[Array, ""]:
+        in_place = (state.moved <= SETTLED) | (state.num_moves >= MAX_MOVES + MAX_ROUNDS)
+        return found.converged & ~state.trial.lost & ~(state.trial.settled & in_place)
 
-    first = Settled(found, splits, _on_other_panels(near, problem, path, _cut(setup, splits)))
+    splits = locate(problem, path)
     moved = jnp.where(largest_size(splits.owner + 1.0) > 0, zero + jnp.inf, zero)
-    state = jax.lax.while_loop(goes_on, once, _Round(first, splits, moved, zero))
-    found, splits, trial = state.settled
-    converged, resolved = found.converged & trial.settled, found.resolved & trial.sane
-    return Settled(found._replace(converged=converged, resolved=resolved), splits, trial)
+    start = _Sweeping(_on_other_panels(near, problem, path, _cut(setup, splits)), splits, splits, moved, zero)
+    trial, splits, *_ = jax.lax.while_loop(goes_on, once, start)
+    found = found._replace(
+        base_moment=trial.moment,
+        converged=found.converged & trial.settled,
+        stable=jnp.where(trial.num_sweeps > 0, trial.stable, found.stable),
+        resolved=found.resolved & trial.sane,
+    )
+    return Settled(found, splits, trial)
 
 
 def _on_other_panels(trial: Trial, problem: Problem, path: Path, cut: Panels) -> Trial:

@@ -104,7 +104,8 @@ class LoadedBody(NamedTuple):
 
     def sweep(self, trial: Trial, fraction: Number) -> tuple[Trial, Path]:
         """One sweep with its tangents; then Newton's method puts M_ext(0) right, and along its tangent the rest."""
-        close = 4 * float(jnp.finfo(trial.moment.dtype).eps) ** 0.5
+        round_off = 4 * float(jnp.finfo(trial.moment.dtype).eps)
+        close = 2 * round_off**0.5
 
         def flow(guess: Nodal, *at: Number):
             here = self.at(*at)
@@ -120,12 +121,14 @@ class LoadedBody(NamedTuple):
         (values, residual, heading), (tangents, slopes, turning), path = jax.vmap(push, out_axes=(None, 0, None))(
             trial.tangents, *basis
         )
-        exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where its slope vanishes
+        exact = jnp.abs(residual) <= round_off  # also where its slope vanishes
         newton = jnp.where(exact, 0.0, -residual / slopes[0])
         rough = (path.residual > jnp.abs(residual)) & ~path.converged  # what is missing may be the sweep's fault
         correction = jnp.where(rough, 0.0, newton)
         sane = jnp.isfinite(newton) & jnp.isfinite(path.residual) & ~path.locked
-        off, wavers = jnp.abs(newton) / (1 + jnp.abs(trial.moment)), relative_size(slopes - trial.slopes, slopes)
+        size, wavers = 1 + jnp.abs(trial.moment), relative_size(slopes - trial.slopes, slopes)
+        off = jnp.abs(newton) * jnp.maximum(1 / size, largest_size(turning[0]))  # by which it turns the body, rad
+        off = jnp.where(jnp.abs(newton) <= round_off * size, 0.0, off)  # a nearer moment cannot be written down
         settled = sane & path.converged & (jnp.maximum(off, wavers) <= close)
         passing = (fraction < 1) | changes_sign(self.problem, path)  # it will be settled elsewhere, or on other panels
         return Trial(
@@ -152,18 +155,20 @@ class LoadedBody(NamedTuple):
             path = self.method.improve(here, guess)
             return nodal(here, path), moment_left_at_tip(here, path), tendon_displacement(here, path)
 
-        def sweep(state):
-            (old, *_), _, count = state
-            new = push(old, zero, one)
-            return new, relative_size(jax.tree.map(jnp.subtract, new[0], old), new[0]), count + 1.0
+        def sweep(state):  # at constant M_ext(0)
+            old, _, _, count = state
+            new, missing, _ = push(old, zero, one)
+            return new, missing, relative_size(jax.tree.map(jnp.subtract, new, old), new), count + 1.0
 
         zero, one = 0.0 * trial.moment, jnp.ones_like(trial.moment)
-        at_rest, push = jax.linearize(flow, trial.nodal, trial.moment, one)
-        start = jax.tree.map(lambda x: 0.0 * x, at_rest), zero + 1.0, zero
-        ends = jax.lax.while_loop(lambda state: (state[1] > TRAVEL) & (state[2] < MAX_SWEEPS), sweep, start)
-        _, missing, slides = ends[0]
-        _, missing_by_moment, slides_by_moment = push(jax.tree.map(lambda x: x[0], trial.tangents), one, zero)
-        return slides - jnp.where(missing == 0, 0.0, missing / missing_by_moment) * slides_by_moment
+        push = jax.linearize(flow, trial.nodal, trial.moment, one)[1]
+        start = jax.tree.map(lambda x: 0.0 * x, trial.nodal), zero, zero + 1.0, zero
+        pulled, missing, *_ = jax.lax.while_loop(
+            lambda state: (state[2] > TRAVEL) & (state[3] < MAX_SWEEPS), sweep, start
+        )
+        slope = jnp.where(missing == 0, 0.0, -missing / trial.slopes[0])  # with it M_ext(L) stays m
+        tangents = jax.tree.map(lambda x, v: x + slope * v[0], pulled, trial.tangents)
+        return push(tangents, slope, one)[2]
 
 
 def moment_left_at_tip(problem: Problem, path: Path) -> Number:

@@ -154,14 +154,15 @@ class FixedPoint(eqx.Module):
         better = swept.nodes.values
         change = relative_size(minus(better, guess), better)
         positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
+        still = change <= self._tolerance(problem)
         return _follow(
             problem,
             swept,
             tip,
             num_iterations=jnp.ones_like(change),
             residual=change,
-            converged=positive & (change <= self._tolerance(problem)),
-            locked=~positive,
+            converged=still & positive,
+            locked=still & ~positive,  # from a poor guess r may pass below zero and come back
         )
 
     def _tolerance(self, problem: Problem) -> float:
@@ -232,9 +233,8 @@ def _sweep(problem: Problem, part: _Part, start: _Reached, guess: Nodal) -> tupl
     nodes = _Reached(Nodal((starts - gains[:-1])[:, None] + within, bending_at_nodes), heading_at_nodes, spent_at_nodes)
 
     def edges(ratio: Array, at: Any) -> _Reached:
-        known = _Reached(Nodal(None, bending), heading, spent)
-        known = jax.tree.map(lambda x: x[at], known)
-        return known._replace(values=known.values._replace(ratio=ratio))
+        moment, phi, c = jax.tree.map(lambda x: x[at], (bending, heading, spent))
+        return _Reached(Nodal(ratio, moment), phi, c)
 
     return _Swept(edges(starts, slice(-1)), nodes, turns, turning), edges(tip, -1)
 
