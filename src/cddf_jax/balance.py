@@ -33,7 +33,7 @@ from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
 MAX_ROUNDS = 6
-MAX_MOVES = 12  # of panels that follow the sign changes from sweep to sweep, then from one settled body to the next
+MAX_MOVES = 12  # of panels that follow the sign changes from sweep to sweep; then MAX_ROUNDS more of settled bodies
 ROUGHLY = 1e-2  # relative change in a sweep that is not too large for panels to follow it
 SETTLED = 1e-6  # of the length: a kink that lies so far off a panel's end costs 1e-12
 
@@ -81,7 +81,7 @@ def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
 
 
 def missing_moment(problem: Problem, path: Path) -> Float[Array, " equations"]:
-    """What is missing of the moment at the tip, see `moment_at_tip`; empty without loads."""
+    """What is missing of the moment at the tip; empty without loads."""
     return path.tip.moment[None][:0] if problem.loads is None else moment_left_at_tip(problem, path)[None]
 
 
@@ -210,6 +210,7 @@ def _put_loads_on(setup: Setup, base_tension: PerTendon, zero: Number) -> Settle
     """Along the path of the loads, then with panels that follow the sign changes from sweep to sweep.
 
     On the way the panels end where the body is not smooth, and no more. That is all where nothing changes sign.
+    Panels follow at once where the sweeps are calm; those that come and go, only from one settled body to the next.
     """
     problem = _lay_out(setup, base_tension, None)
     found, near, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
