@@ -18,8 +18,10 @@ lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-studies: .venv/ready  ## every study of fitting/, into out/fitting/
+studies: .venv/ready  ## every study of fitting/, into out/fitting/ and out/design/
 	for study in fitting/*.py; do $(BIN)/python $$study || exit 1; done
+	for task in fitting/design_*.toml; do \
+		$(BIN)/cddf design $$task --out out/design/$$(basename $$task .toml) || exit 1; done
 
 benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/methods.py
@@ -31,7 +33,9 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/seventeen_levels.py
 	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/sweeps.py
+	$(BIN)/python benchmarks/designs.py
 	$(BIN)/python benchmarks/cold_start.py
+	$(BIN)/python benchmarks/table.py
 
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("cddf_jax needs Python 3.11 or newer")'

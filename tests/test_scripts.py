@@ -57,6 +57,22 @@ def test_readme_example_of_sweeps(tmp_path, monkeypatch):
     assert (tmp_path / "sweep.zarr").is_dir()
 
 
+def test_readme_example_of_a_design():
+    """The lightest wall all along, the tendon as far out in it as it may be; 90 degrees at the tension that is told."""
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    text = next(block for block in blocks if "cddf.design(" in block)
+    robot = cddf.read_manipulator(ROOT / "data" / "smooth_sil_940.toml")
+    names: dict = {"cddf": cddf, "robot": robot}
+    exec(compile(text, "README.md", "exec"), names)
+    found = names["found"]
+    assert found.success
+    assert found.value == pytest.approx(
+        {"outer_radius.base": 9e-3, "outer_radius.tip": 9e-3, "tendons.0.offset": 8.25e-3}, rel=1e-6
+    )
+    assert float(cddf.solve(found.manipulator, found.objective).tip_angle) == pytest.approx(np.pi / 2, rel=1e-8)
+    assert found.objective == pytest.approx(10.139, abs=1e-3)  # of the same body by `cddf solve -t "tip_angle=90 deg"`
+
+
 def test_readme_example_is_short():
     lines = [line for line in readme_example().splitlines() if line.strip()]
     assert len(lines) <= 12

@@ -160,7 +160,7 @@ def test_killed_at_random_times_it_goes_on_where_it_was(plain, tmp_path):
     assert len(whole_chunks(path)) == SOLVES
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "last"])
+@pytest.mark.parametrize("damage", ["missing", "empty", "scrambled", "short", "last"])
 def test_a_chunk_that_is_not_whole_is_computed_again(plain, tmp_path, damage):
     path = tmp_path / "s.zarr"
     cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
@@ -168,6 +168,10 @@ def test_a_chunk_that_is_not_whole_is_computed_again(plain, tmp_path, damage):
         shutil.rmtree(path / "tip_position" / "c" / "3")
     elif damage == "empty":  # what a power cut leaves of a file
         (path / "tip_tension" / "c" / "3" / "0" / "0").write_bytes(b"")
+    elif damage in ("scrambled", "short"):
+        chunk = path / "tip_tension" / "c" / "3" / "0" / "0"
+        whole = chunk.read_bytes()
+        chunk.write_bytes(b"\0" * len(whole) if damage == "scrambled" else whole[: len(whole) // 2])
     else:
         (path / "result" / "c" / "3" / "0").unlink()
     same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)

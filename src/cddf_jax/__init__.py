@@ -9,13 +9,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .bootstrap import Bootstrap
     from .closed_form import closed_form_tension
+    from .design_results import Design
+    from .designing import design
     from .determination import Determination
     from .energy import EnergyBalance, energy_balance
     from .equilibrium import RESULTS, Equilibrium, Fields, SolveError
     from .errors import InputError
     from .identification import Fit, fit
     from .least_squares import LeastSquaresFit, least_squares_fit
+    from .limits import Limit
     from .literal_iteration import IterationHistory, LiteralIteration, iteration_history
+    from .load_cases import LoadCase, uncertain_cases
     from .loads import Loads
     from .manipulator import Manipulator, Tendon, conical
     from .manipulator_file import read_manipulator, write_manipulator
@@ -24,8 +28,10 @@ if TYPE_CHECKING:
     from .model_comparison import Comparison, compare, cross_validation
     from .model_free import ModelFreeFriction, model_free_friction
     from .next_measurement import Candidate, Plan, plan, standard_candidates
+    from .objectives import Even, Least, Most, Near
     from .observations import Noise
     from .parameter_space import Uniform
+    from .pareto import ParetoFront, pareto_front
     from .profile_likelihood import Profile
     from .profiles import Constant, Linear, Piecewise, Spline
     from .pulley import pulling_tension
@@ -40,13 +46,17 @@ if TYPE_CHECKING:
 _HOME = {
     "bootstrap": "Bootstrap",
     "closed_form": "closed_form_tension",
+    "design_results": "Design",
+    "designing": "design",
     "determination": "Determination",
     "energy": "EnergyBalance, energy_balance",
     "equilibrium": "RESULTS, Equilibrium, Fields, SolveError",
     "errors": "InputError",
     "identification": "Fit, fit",
     "least_squares": "LeastSquaresFit, least_squares_fit",
+    "limits": "Limit",
     "literal_iteration": "IterationHistory, LiteralIteration, iteration_history",
+    "load_cases": "LoadCase, uncertain_cases",
     "loads": "Loads",
     "manipulator": "Manipulator, Tendon, conical",
     "manipulator_file": "read_manipulator, write_manipulator",
@@ -55,8 +65,10 @@ _HOME = {
     "model_comparison": "Comparison, compare, cross_validation",
     "model_free": "ModelFreeFriction, model_free_friction",
     "next_measurement": "Candidate, Plan, plan, standard_candidates",
+    "objectives": "Even, Least, Most, Near",
     "observations": "Noise",
     "parameter_space": "Uniform",
+    "pareto": "ParetoFront, pareto_front",
     "profile_likelihood": "Profile",
     "profiles": "Constant, Linear, Piecewise, Spline",
     "pulley": "pulling_tension",
@@ -78,24 +90,32 @@ __all__ = [
     "Comparison",
     "Constant",
     "CurvatureAt",
+    "Design",
     "Determination",
     "Displacement",
     "EnergyBalance",
     "Equilibrium",
+    "Even",
     "Fields",
     "Fit",
     "FixedPoint",
     "InputError",
     "IterationHistory",
+    "Least",
     "LeastSquaresFit",
+    "Limit",
     "Linear",
     "LiteralIteration",
+    "LoadCase",
     "Loads",
     "Manipulator",
     "Marching",
     "Measurements",
     "ModelFreeFriction",
+    "Most",
+    "Near",
     "Noise",
+    "ParetoFront",
     "Piecewise",
     "Plan",
     "Profile",
@@ -112,12 +132,14 @@ __all__ = [
     "compare",
     "conical",
     "cross_validation",
+    "design",
     "energy_balance",
     "fit",
     "iteration_history",
     "latin_hypercube",
     "least_squares_fit",
     "model_free_friction",
+    "pareto_front",
     "plan",
     "pulling_tension",
     "read_manipulator",
@@ -128,6 +150,7 @@ __all__ = [
     "sweep",
     "tip_compliance",
     "tip_jacobian",
+    "uncertain_cases",
     "write_fit",
     "write_manipulator",
 ]

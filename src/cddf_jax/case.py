@@ -76,7 +76,12 @@ class Case(eqx.Module):
         target = _Path(self, name).parent
         if parts[0] == "base_tension" and type(target).__name__ in _TARGET_UNITS:
             return "m" if parts[-1] == "arc_length" else _TARGET_UNITS[type(target).__name__]
-        return next((UNITS[part] for part in parts if part in UNITS), "1")
+        return unit_of_name(name)
+
+
+def unit_of_name(name: str) -> str:
+    """The SI unit of a number or a profile by its name alone, "1" for none."""
+    return next((UNITS[part] for part in name.split(".") if part in UNITS), "1")
 
 
 class _Path:

@@ -1,4 +1,4 @@
-"""The command line: `cddf solve | sweep | fit | reproduce | plan`. Nothing heavy is imported before a command runs."""
+"""The command line: `cddf solve | sweep | fit | design | plan | reproduce`; each imports what is heavy when it runs."""
 
 import sys
 from collections.abc import Callable
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .manipulator import Manipulator
 
 app = typer.Typer(
-    help="Friction in tendon-driven continuum manipulators: predict it, and read it off measurements.",
+    help="Friction in tendon-driven continuum manipulators: predict it, read it off measurements, design for it.",
     add_completion=False,
     pretty_exceptions_enable=False,
 )
@@ -365,6 +365,49 @@ def fit(
     _say(as_json, as_dict(report), command.report_in_words(report))
     if not found.success:
         _stop(f"the fit failed: {found.result}", 1)
+
+
+# --- design --------------------------------------------------------------------------------------
+
+
+@app.command()
+def design(
+    task: Annotated[
+        Path, typer.Argument(help="TOML file: robot, free numbers, load cases, objectives, limits.", show_default=False)
+    ],
+    pareto: Annotated[
+        int | None, typer.Option(help="Two objectives against each other: so many designs.", min=3, show_default=False)
+    ] = None,
+    as_json: AsJson = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the new manipulator, its profile for CAD, figures and report.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """The body that does best what is wanted, within what can be made.
+
+    The task file is explained in the README; fitting/ has three.
+    """
+    from . import application
+
+    application.configure_jax()
+    from .design_file import read_task
+
+    read = read_task(task)
+    watched = sys.stderr.isatty()
+    if pareto is not None:
+        from .design_command import trade_off
+
+        answer, text, success = trade_off(read, pareto, out, watched)
+    else:
+        from .design_command import carry_out
+
+        answer, text, success = carry_out(read, out, watched)
+    _say(as_json, answer, text)
+    if not success:
+        _stop(f"the design is not done: {answer['result']}", 1)
 
 
 # --- reproduce -----------------------------------------------------------------------------------

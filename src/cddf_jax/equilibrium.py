@@ -71,6 +71,11 @@ NOTEWORTHY = (
 )
 
 
+def result_of(code: Any) -> Any:
+    """The member of `RESULTS` with a code, a whole number."""
+    return getattr(RESULTS, tuple(RESULTS._name_to_item)[int(code)])  # equinox has no public way to its names
+
+
 class SolveError(RuntimeError):
     """A solve failed; the message is that of its result."""
 

@@ -106,31 +106,40 @@ def write_manipulator(
             that cannot be written.
         TypeError: for something else than a manipulator and a path, in this order.
     """
-    import tomli_w
-
     if not isinstance(manipulator, Manipulator) or not isinstance(path, str | os.PathLike):
         raise TypeError(
             "write_manipulator needs a Manipulator and a path, in this order, "
             f"got {type(manipulator).__name__} and {type(path).__name__}"
         )
-    manipulator.validate(offsets_outside_wall=offsets_outside_wall)
-    table = _table(manipulator)
-    if offsets_outside_wall:
-        table["offsets_outside_wall"] = True
-    path = Path(path)
+    text, path = manipulator_text(manipulator, offsets_outside_wall=offsets_outside_wall), Path(path)
     try:
-        write_all(path.parent, {path.name: tomli_w.dumps(table)})
+        write_all(path.parent, {path.name: text})
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror}); check the folder and its permissions"
         ) from None
 
 
+def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = False) -> str:
+    """What `write_manipulator` writes.
+
+    Raises:
+        InputError: for a manipulator that `validate` refuses, or a profile of another kind.
+    """
+    import tomli_w
+
+    manipulator.validate(offsets_outside_wall=offsets_outside_wall)
+    table = _table(manipulator)
+    if offsets_outside_wall:
+        table["offsets_outside_wall"] = True
+    return tomli_w.dumps(table)
+
+
 # --- reading -------------------------------------------------------------------------------------
 
 
 def _manipulator(table: _Table) -> Manipulator:
-    _check_keys("", table, _REQUIRED, _OPTIONAL)
+    check_keys("", table, _REQUIRED, _OPTIONAL)
     numbers = {key: quantity(table[key], kind, key) for key, kind in _NUMBERS.items() if key in table}
     tendons, length = table["tendons"], numbers["length"]
     if not isinstance(tendons, list) or not tendons or not all(isinstance(tendon, dict) for tendon in tendons):
@@ -147,7 +156,7 @@ def _manipulator(table: _Table) -> Manipulator:
 
 
 def _tendon(table: _Table, length: float, where: str) -> Tendon:
-    _check_keys(f"{where}: ", table, ("offset",), ("side", *_TENDON_NUMBERS))
+    check_keys(f"{where}: ", table, ("offset",), ("side", *_TENDON_NUMBERS))
     side = table.get("side", 1)
     if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
         raise InputError(f"{where}: side must be 1 or -1, got {side!r}")
@@ -194,7 +203,12 @@ def _built(where: str, make: Callable[..., Profile], *arguments: Any) -> Profile
         raise InputError(f"{where}: {error}") from None
 
 
-def _check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
+def check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
+    """Refuse keys that are not known, and demand those that are required.
+
+    Raises:
+        InputError: begins with `where`, names the key and what is near.
+    """
     known = (*required, *optional)
     for key in table:
         if key not in known:

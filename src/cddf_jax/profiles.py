@@ -121,6 +121,12 @@ class Spline(eqx.Module):
                 f"got shapes {shapes[0]} and {shapes[1]}; for fewer points use Linear or Piecewise.linear"
             )
 
+    @classmethod
+    def through(cls, profile: Profile, arc_length: Any) -> "Spline":
+        """The spline that meets another profile at some arc lengths, m: the start of a free-form design."""
+        knots = as_number(arc_length)
+        return cls(knots, as_number(np.asarray(profile(knots))))
+
     @property
     def breakpoints(self) -> Float[Array, " inner"]:
         """The knots where the third derivative jumps: all but the two at either end."""

@@ -87,7 +87,7 @@ def _fit(figure: Figure, shape: Axes) -> None:
 
 
 def _along(manipulator: Manipulator, equilibrium: Equilibrium) -> _Drawn:
-    s = _stations(manipulator)
+    s = stations(manipulator)
     along = _fields_at(equilibrium, s)
     outer, inner = (1e3 * np.asarray(radius(s)) for radius in (manipulator.outer_radius, manipulator.inner_radius))
     position, heading = 1e3 * np.asarray(along.position), np.asarray(along.heading)
@@ -103,7 +103,7 @@ def _along(manipulator: Manipulator, equilibrium: Equilibrium) -> _Drawn:
     return _Drawn(1e3 * s, body, straight, tendons, np.where(there, np.asarray(along.tension), np.nan))
 
 
-def _stations(manipulator: Manipulator) -> np.ndarray:
+def stations(manipulator: Manipulator) -> np.ndarray:
     """Arc lengths: a grid, the joints of the body and the ends of tendons, and a point just behind each."""
     length = float(manipulator.length)
     joints = np.asarray(manipulator.breakpoints, float)

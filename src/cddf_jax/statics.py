@@ -1,5 +1,6 @@
 """`solve`: static equilibrium of one manipulator under one load."""
 
+from functools import cache
 from typing import Any
 
 import equinox as eqx
@@ -137,11 +138,11 @@ def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> t
     Raises:
         ValueError: when there is neither one for all nor one per tendon.
     """
-    count = manipulator.num_tendons
+    count, precision = manipulator.num_tendons, _precision(manipulator)
 
     def checked(name, value):
         traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
-        value = jnp.asarray(value) if traced else np.asarray(value, dtype=_precision(manipulator))
+        value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision)
         value = value.astype(value.dtype)  # a weakly typed number would be compiled for anew
         if value.shape not in ((), (count,)):
             raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got shape {value.shape}")
@@ -266,8 +267,14 @@ def _first_of(*cases: tuple[Any, RESULTS]) -> RESULTS:
 def _precision(*trees: Any) -> jnp.dtype:
     """The precision of the numbers of a pytree."""
     kinds = {x.dtype for x in jax.tree.leaves(trees) if isinstance(x, jax.Array | np.ndarray | np.generic)}
-    kinds = {jax.dtypes.canonicalize_dtype(kind) for kind in kinds if jnp.issubdtype(kind, jnp.inexact)}
-    return jnp.result_type(jnp.float32, *kinds)
+    return _common_precision(frozenset(kinds), jax.dtypes.canonicalize_dtype(np.float64))
+
+
+@cache
+def _common_precision(kinds: frozenset, widest: Any) -> jnp.dtype:
+    """Of types of numbers; JAX takes long to tell, and its widest type changes what it says."""
+    floating = {jax.dtypes.canonicalize_dtype(kind) for kind in kinds if jnp.issubdtype(kind, jnp.inexact)}
+    return jnp.result_type(jnp.float32, *floating)
 
 
 def one_precision(

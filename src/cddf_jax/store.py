@@ -85,7 +85,7 @@ class ZarrStore:
         self.layout = replace(layout, chunks=tuple(chunks))
 
     def has(self, index: Index) -> bool:
-        """Whether every file of a chunk is there, and none of them empty as a lost disk cache leaves it."""
+        """Whether a chunk is whole: every file there, none empty or scrambled, as a lost disk cache may leave it."""
         for name, variable in self.layout.variables.items():
             place = (*index, *(0,) * (len(variable.shape) - len(index)))
             try:
@@ -93,6 +93,11 @@ class ZarrStore:
                     return False
             except FileNotFoundError:
                 return False
+        try:
+            for name in self.layout.variables:
+                self._group[name][self.layout.region(index)]
+        except (RuntimeError, ValueError, OSError):  # of the decompressor, or of a block of another size
+            return False
         return True
 
     def write(self, index: Index, blocks: Mapping[str, np.ndarray]) -> None:

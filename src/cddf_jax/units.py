@@ -25,6 +25,8 @@ Dimension = Literal[
     "curvature",
     "stiffness",
     "force per length",
+    "mass",
+    "volume",
     "dimensionless",
 ]
 
@@ -45,6 +47,8 @@ _UNITS: dict[Dimension, _Units] = {
     "curvature": _Units("1/m", "1/m"),
     "stiffness": _Units("N/m", "N/m"),
     "force per length": _Units("N/m", "N/m"),
+    "mass": _Units("kg", "g"),
+    "volume": _Units("m^3", "cm^3"),
 }
 
 DIMENSION_OF: dict[str, Dimension] = {"1": "dimensionless"}  # by the SI unit

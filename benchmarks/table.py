@@ -1,0 +1,46 @@
+"""All that the benchmarks measured, on one page: `python benchmarks/table.py`, the last step of `make benchmark`.
+
+It measures nothing: it puts what the other scripts left in out/benchmark together, and says what is missing.
+"""
+
+import json
+import os
+import platform
+from importlib.metadata import version
+from pathlib import Path
+
+from cddf_jax.artifacts import as_json, write_all
+
+FOLDER = Path("out/benchmark")
+PARTS = {
+    "batch": "One solve, batches, gradients, loads",
+    "sweeps": "Sweeps: size, devices, processes, precision, memory",
+    "fits": "Fit, bootstrap and profile",
+    "seventeen_levels": "Fit of 17 levels with tip positions",
+    "designs": "A design",
+    "cold_start": "Cold start",
+    "methods": "Accuracy of the methods",
+    "loads": "Accuracy under loads",
+    "interval_coverage": "Coverage of intervals",
+    "standard_errors": "Standard errors",
+}
+
+
+def main() -> None:
+    """Print and save."""
+    packages = {name: version(name) for name in ("jax", "numpy", "scipy", "numba", "lmfit")}
+    about = {"cores": os.cpu_count(), "processor": platform.machine(), "python": platform.python_version(), **packages}
+    told = ", ".join(f"{name} {value}" for name, value in about.items())
+    pages, results = [f"# Benchmarks\n\n{told}. Medians of one run each; every script tells what it compares.\n"], {}
+    for name, title in PARTS.items():
+        page = FOLDER / f"{name}.md"
+        found = page.exists()
+        pages.append(f"## {title}\n\n{page.read_text() if found else f'Not measured: run benchmarks/{name}.py.'}")
+        results[name] = json.loads((FOLDER / f"{name}.json").read_text()) if found else None
+    text = "\n".join(pages)
+    print(text)
+    write_all(FOLDER, {"benchmark.md": text, "benchmark.json": as_json({"about": about, "results": results})})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""Figures of a design: the body before and after, to scale; and the trade-off between two objectives."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from . import plotting as draw
+from .design_results import Design
+from .equilibrium import Equilibrium
+from .manipulator import Manipulator
+from .pareto import ParetoFront
+from .solve_figure import stations
+from .units import Dimension, shown
+
+START: dict[str, Any] = {"color": draw.GREY, "linestyle": (0, (4, 2))}
+END: dict[str, Any] = {"color": draw.BLUE, "linestyle": "-"}
+
+
+def design_figure(design: Design) -> Figure:
+    """Left the straight bodies before and after and the designed one bent; right curvature and strain along them.
+
+    The first load case is drawn. Walls and tendons are to scale, one scale for all three bodies.
+    """
+    with draw.house_style():
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4)
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.45, 1))
+        shape = figure.add_subplot(grid[:, 0])
+        _draw_bodies(shape, design)
+        curvature, strain = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+        _draw_along(curvature, strain, design)
+    return figure
+
+
+def _draw_bodies(axes: Axes, design: Design) -> None:
+    before, after = design.start, design.manipulator
+    radius = 1e3 * max(np.max(np.asarray(body.outer_radius(stations(body)))) for body in (before, after))
+    bent = _bent(after, design.equilibria[0])
+    top = max(float(np.max(bent.outline[:, 1])), radius)
+    _draw_straight(axes, before, top + 5.4 * radius, "before (numbers: outer/inner diameter, mm)")
+    _draw_straight(axes, after, top + 2.2 * radius, "after")
+    draw.draw_clamp(axes, 1.3 * radius, 0.4 * radius)
+    draw.draw_body(axes, bent)
+    old = _bent(before, design.equilibria_at_start[0])
+    axes.plot(*old.outline.T, color=draw.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
+    axes.plot(*bent.outline.T, color=draw.BLUE, linewidth=0.7)
+    for tendon in after.tendons:
+        axes.plot(*_tendon(after, tendon, bent).T, color=draw.BLACK, linewidth=0.6)
+    axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.update_datalim([(0.0, top + 7.4 * radius)])  # room for what is written above
+    axes.autoscale_view()
+    axes.set_yticks([tick for tick in axes.get_yticks() if tick <= top + 1e-9])
+
+
+def _draw_straight(axes: Axes, body: Manipulator, level: float, label: str) -> None:
+    """A body at rest, its axis at the height `level`, with its radii at both ends."""
+    s = stations(body)
+    midline = np.stack([1e3 * s, np.full_like(s, level)], axis=-1)
+    outer, inner = (1e3 * np.asarray(radius(s)) for radius in (body.outer_radius, body.inner_radius))
+    drawn = draw.Body(midline, 0.0 * s, outer, inner)
+    draw.draw_body(axes, drawn)
+    for tendon in body.tendons:
+        axes.plot(*_tendon(body, tendon, drawn).T, color=draw.BLACK, linewidth=0.6)
+    for end, align, gap in ((0, "right", -2.0), (-1, "left", 2.0)):
+        text = f"{2 * outer[end]:.3g}/{2 * inner[end]:.3g}"
+        axes.annotate(text, midline[end] + [gap, 0.0], ha=align, va="center", fontsize=7)
+    axes.annotate(
+        label, (midline[len(s) // 2, 0], level + 1.05 * np.max(outer)), ha="center", va="bottom", fontsize=7.5
+    )
+
+
+def _bent(body: Manipulator, equilibrium: Equilibrium) -> draw.Body:
+    s = stations(body)
+    along = equilibrium.at(s)
+    outer, inner = (1e3 * np.asarray(radius(s)) for radius in (body.outer_radius, body.inner_radius))
+    return draw.Body(1e3 * np.asarray(along.position), np.asarray(along.heading), outer, inner)
+
+
+def _tendon(body: Manipulator, tendon, drawn: draw.Body) -> np.ndarray:
+    s = stations(body)
+    end = float(body.length if tendon.end is None else tendon.end)
+    return drawn.at_distance(np.where(s <= end, tendon.side * 1e3 * np.asarray(tendon.offset(s)), np.nan))
+
+
+def _draw_along(curvature: Axes, strain: Axes, design: Design) -> None:
+    pairs = (
+        (design.start, design.equilibria_at_start[0], START, "before"),
+        (design.manipulator, design.equilibria[0], END, "after"),
+    )
+    for body, equilibrium, look, label in pairs:
+        s = stations(body)
+        kappa = np.asarray(equilibrium.at(s).curvature)
+        curvature.plot(1e3 * s, kappa, **look, label=label)
+        strain.plot(1e3 * s, 100 * np.asarray(body.outer_radius(s)) * np.abs(kappa), **look, label=label)
+    curvature.set(ylabel=r"Curvature $\kappa$ (1/m)")
+    curvature.tick_params(labelbottom=False)
+    strain.set(xlabel="Arc length $s$ (mm)", ylabel=r"Strain $R|\kappa|$ (%)")
+    for axes in (curvature, strain):
+        axes.set_xlim(0.0, None)
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, 0.0), max(high, 0.0) * 1.05 if high > 0 else 0.0)
+    curvature.legend(loc="best")
+
+
+def pareto_figure(front: ParetoFront) -> Figure:
+    """The two objectives against each other: every design a point, the start apart."""
+    scale = [_unit(dimension) for dimension in front.dimensions]
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 2.6)
+        axes = figure.subplots()
+        x, y = (front.values[:, k] * scale[k][0] for k in (0, 1))
+        good = np.array([design.success for design in front.designs])
+        axes.plot(x[np.isfinite(x)], y[np.isfinite(y)], color=draw.BLUE, linewidth=0.8)
+        axes.plot(x[good], y[good], "o", color=draw.BLUE, label="designs")
+        if np.any(~good & np.isfinite(x)):
+            axes.plot(x[~good], y[~good], "o", color=draw.VERMILION, markerfacecolor="white", label="not stationary")
+        _draw_start(axes, [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)], (x, y))
+        for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
+            set_label(f"{_words(name)}{f' ({unit})' if unit else ''}")
+        axes.legend(loc="lower left")
+    return figure
+
+
+def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.ndarray]) -> None:
+    """The start as a square; where it would squash the front, in words at its side of the figure."""
+    spans = [(np.nanmin(values), np.nanmax(values)) for values in points]
+    within = [2 * low - high <= value <= 2 * high - low for value, (low, high) in zip(start, spans, strict=True)]
+    if all(within):
+        axes.plot(*start, "s", color=draw.GREY, label="start")
+        return
+    text = f"start: {start[0]:.3g}, {start[1]:.3g} (off the figure)"
+    axes.annotate(text, (0.98, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7, color=draw.GREY)
+
+
+def _words(name: str) -> str:
+    kind, _, quantity = name.partition(" ")
+    return quantity.replace("_", " ").capitalize() if kind in ("least", "most") else name.replace("_", " ").capitalize()
+
+
+def _unit(dimension: Dimension) -> tuple[float, str]:
+    if dimension == "dimensionless":
+        return 1.0, ""
+    number, _, unit = shown(1.0, dimension).partition(" ")
+    return float(number), unit
