@@ -28,7 +28,7 @@ from .problem import (
     loaded_to,
 )
 from .quadrature import Panels, follow_edges, redistribute
-from .reductions import largest_size
+from .reductions import largest, largest_size
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
@@ -68,6 +68,7 @@ class Balance(NamedTuple):
     path: Path
     load_path: LoadPath  # how the loads were put on
     travel: PerTendon  # by which tendons slide in as all tensions rise in proportion, m; without loads: slid in
+    leverage: Number  # by which errors made along the body grow; 1 without loads
 
 
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
@@ -136,10 +137,12 @@ def balance(
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
     if settled.trial is None:
-        return Balance(problem, path, found, tendon_displacement(problem, path))
-    path = path._replace(residual=jnp.maximum(path.residual, settled.trial.change))
+        return Balance(problem, path, found, tendon_displacement(problem, path), jnp.ones_like(path.residual))
+    left_open = path.residual, settled.trial.change, jnp.abs(moment_left_at_tip(problem, path))
+    path = path._replace(residual=largest(jnp.stack(left_open)))
     body, whole = LoadedBody(without_derivative(problem), setup.method), jnp.ones_like(found.fraction)
-    return Balance(problem, path, found, body.travel(settled.trial, whole))
+    leverage = jnp.where(found.converged, settled.trial.leverage, 1.0)
+    return Balance(problem, path, found, body.travel(settled.trial, whole), leverage)
 
 
 class _Round(NamedTuple):
@@ -256,11 +259,14 @@ def _on_other_panels(trial: Trial, problem: Problem, path: Path, cut: Panels) ->
     at_tip = Nodal(path.tip.ratio, path.tip.moment / problem.moment_scale)
     values = moved(trial.nodal, at_tip)
     slopes = moved(tangents, jax.tree.map(lambda x: x[-1, -1], tangents))
+    at_nodes, at_tip = trial.turning[0, :-1].reshape(problem.panels.nodes.shape), trial.turning[0, -1]
+    turning = jnp.append(moved(at_nodes, at_tip), at_tip)
     blank = start_from(values, 0.0 * trial.moment, 1)
     return blank._replace(
         moment=trial.moment,
         tangents=jax.tree.map(lambda x: x[None], slopes),
         slopes=trial.slopes[:1],
+        turning=turning[None],
         settled=trial.settled,
         change=trial.change,
     )

@@ -62,6 +62,17 @@ class Trial(NamedTuple):
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
         return (self.slopes[0] > 0) & jnp.all(self.turning[0] > 0)
 
+    @property
+    def leverage(self) -> Number:
+        """By how much errors made along the body grow once it is in equilibrium with them.
+
+        What they leave at the tip the moment at the base puts right, and turns the body. Where bending grows
+        exponentially along it, one in the middle grows by the square root of what one at the base would grow by.
+        """
+        turns, least = largest_size(self.turning[0]), jnp.finfo(self.slopes.dtype).eps
+        put_right = turns / jnp.maximum(jnp.abs(self.slopes[0]), least)
+        return jnp.maximum(put_right, jnp.sqrt(jnp.maximum(turns, 1.0)))
+
 
 class _Place(NamedTuple):
     """An equilibrium on the path; slopes are those along it, by the fraction."""
