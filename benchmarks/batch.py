@@ -5,6 +5,10 @@ from solve to solve. Asked for are tip tension, tip position and tip angle. Besi
 two devices of the CPU, runs what a numba user would write: the four equations of this very case by RK4, one tendon and
 no more, in parallel on both cores, with 8 and 32 steps. All in one run, interleaved, medians. Errors are those of tip
 tension (relative, against the closed form) and of the tip position (m, against 48 nodes).
+
+Then the same under a tip force, beside shooting: RK4 with 32 steps from the base, the secant method on M_ext(0) until
+the moment at the tip is 1e-8 N m. The force acts in one step, nobody looks for kinks or asks which equilibrium that is
+and whether it is stable. (0, -1) N turns the curvature over in a tenth of the samples, (0, -10) N in all of them.
 """
 
 import time
@@ -25,6 +29,7 @@ from cddf_jax.bench import with_parameters
 
 COUNT, CHUNK, ROUNDS = 102_400, 512, 9
 DEVICES = 2
+FORCES = (0.0, 2.0), (0.0, -1.0), (0.0, -10.0)
 
 
 def paper() -> cddf.Manipulator:
@@ -36,12 +41,13 @@ def paper() -> cddf.Manipulator:
     )
 
 
-def tip(robot: cddf.Manipulator, nodes: int) -> Callable[..., jax.Array]:
+def tip(robot: cddf.Manipulator, nodes: int, force: tuple[float, float] | None = None) -> Callable[..., jax.Array]:
     """T_tip, u(L) and phi(L) as a function of T_base, mu and E."""
+    loads = None if force is None else cddf.Loads(tip_force=force)
 
     def at(tension, mu, modulus):
         body = with_parameters(robot, {"friction_coefficient": mu, "youngs_modulus": modulus})
-        found = cddf.solve(body, tension, nodes=nodes, throw=False)
+        found = cddf.solve(body, tension, loads, nodes=nodes, throw=False)
         return jnp.concatenate([found.tip_tension, found.tip_position, found.tip_angle[None]])
 
     return at
@@ -101,6 +107,61 @@ def numba_loop(robot: cddf.Manipulator, steps: int) -> Callable[..., np.ndarray]
     return run
 
 
+@numba.njit
+def shoot(moment, tension, mu, bend, offset, force, stiffness, h, out):
+    """T' = -mu |kappa| T with kappa = (d T + M) / (E J), phi' = kappa, u' = t, M' = -t x F; M at the tip."""
+    half = 0.5 * h
+    T, phi, x, y, M = tension, 0.0, 0.0, 0.0, moment
+    for k in range(stiffness.size // 2):
+        c1, s1, a1 = np.cos(phi), np.sin(phi), (offset * T + M) * bend / stiffness[2 * k]
+        t1, m1 = -mu * abs(a1) * T, s1 * force[0] - c1 * force[1]
+        p, T2, M2 = phi + half * a1, T + half * t1, M + half * m1
+        c2, s2, a2 = np.cos(p), np.sin(p), (offset * T2 + M2) * bend / stiffness[2 * k + 1]
+        t2, m2 = -mu * abs(a2) * T2, s2 * force[0] - c2 * force[1]
+        p, T3, M3 = phi + half * a2, T + half * t2, M + half * m2
+        c3, s3, a3 = np.cos(p), np.sin(p), (offset * T3 + M3) * bend / stiffness[2 * k + 1]
+        t3, m3 = -mu * abs(a3) * T3, s3 * force[0] - c3 * force[1]
+        p, T4, M4 = phi + h * a3, T + h * t3, M + h * m3
+        c4, s4, a4 = np.cos(p), np.sin(p), (offset * T4 + M4) * bend / stiffness[2 * k + 2]
+        t4, m4 = -mu * abs(a4) * T4, s4 * force[0] - c4 * force[1]
+        x += h / 6 * (c1 + 2 * c2 + 2 * c3 + c4)
+        y += h / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
+        phi += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        T += h / 6 * (t1 + 2 * t2 + 2 * t3 + t4)
+        M += h / 6 * (m1 + 2 * m2 + 2 * m3 + m4)
+    out[0], out[1], out[2], out[3] = T, x, y, phi
+    return M
+
+
+@numba.njit(parallel=True)
+def shooting(tension, friction, modulus, length, stiffness, offset, force, out):
+    """The secant method from M_ext(0) = 0 and that of the straight body."""
+    h = length / (stiffness.size // 2)
+    for i in numba.prange(tension.size):
+        bend = 1.0 / (modulus[i] * np.pi / 4)
+        before, moment = 0.0, force[1] * length
+        error = shoot(before, tension[i], friction[i], bend, offset, force, stiffness, h, out[i])
+        for _ in range(50):
+            new = shoot(moment, tension[i], friction[i], bend, offset, force, stiffness, h, out[i])
+            if abs(new) < 1e-8 or new == error:
+                break
+            before, moment, error = moment, moment - new * (moment - before) / (new - error), new
+
+
+def numba_shooting(robot: cddf.Manipulator, force: tuple[float, float], steps: int) -> Callable[..., np.ndarray]:
+    """Shooting over given samples."""
+    length, offset = float(robot.length), float(robot.tendons[0].offset(0.0))
+    stiffness = np.asarray(robot.second_moment(jnp.linspace(0.0, length, 2 * steps + 1))) * 4 / np.pi
+
+    def run(*samples):
+        tension, mu, modulus = map(np.asarray, samples)
+        out = np.empty((COUNT, 4))
+        shooting(tension, mu, modulus, length, stiffness, offset, np.asarray(force), out)
+        return out
+
+    return run
+
+
 def interleaved(calls: dict[str, Callable[[], Any]]) -> dict[str, float]:
     """Median seconds of each, all of them in turn, after a first call."""
     for call in calls.values():
@@ -112,6 +173,30 @@ def interleaved(calls: dict[str, Callable[[], Any]]) -> dict[str, float]:
             jax.block_until_ready(call())
             times[name].append(time.perf_counter() - begin)
     return {name: float(np.median(spent)) for name, spent in times.items()}
+
+
+def rows_of(functions: dict[str, Callable[..., Any]], samples: tuple, numba32: str, exact: np.ndarray) -> dict:
+    """Times of all, and the errors of those that return the tip, against a tip that is exact."""
+    times = interleaved({name: lambda f=f: f(*samples) for name, f in functions.items()})
+    rows = {name: {"us": 1e6 * t / COUNT, "numba32 over it": times[numba32] / t} for name, t in times.items()}
+    for name, function in functions.items():
+        if "mu" not in name:
+            found = np.asarray(function(*samples))
+            rows[name]["tension error"] = float(np.max(np.abs(found[:, 0] / exact[:, 0] - 1)))
+            rows[name]["position error"] = float(np.max(np.abs(found[:, 1:3] - exact[:, 1:3])))
+    return rows
+
+
+def loaded_rows(robot: cddf.Manipulator, samples: tuple) -> dict:
+    """Under the tip forces."""
+    rows = {}
+    for force in FORCES:
+        ours, theirs = (
+            f"{who}, tip force {force} N" for who in ("`solve`, 16 nodes", "numba, RK4, 32 steps, shooting")
+        )
+        functions = {ours: batched(tip(robot, 16, force)), theirs: numba_shooting(robot, force, 32)}
+        rows |= rows_of(functions, samples, theirs, np.asarray(batched(tip(robot, 48, force))(*samples)))
+    return rows
 
 
 def main() -> None:
@@ -130,22 +215,13 @@ def main() -> None:
         jax.grad(lambda *x: by_numbers[16](*x)[0], (1, 2))
     )
     functions |= {f"numba, RK4, {steps} steps": numba_loop(robot, steps) for steps in (8, 32)}
-    times = interleaved({name: lambda f=f: f(*samples) for name, f in functions.items()})
-
     compliance = (1.0 / float(cddf.closed_form_tension(robot, 1.0, robot.length)) - 1.0) * float(
         robot.youngs_modulus / robot.friction_coefficient
     )
     tension, mu, modulus = map(np.asarray, samples)
-    exact = tension / (1 + mu / modulus * compliance * tension)
-    fine = np.asarray(batched(tip(robot, 48))(*samples))
-    reference = times["numba, RK4, 32 steps"]
-    rows = {}
-    for name, function in functions.items():
-        rows[name] = {"us": 1e6 * times[name] / COUNT, "numba32 over it": reference / times[name]}
-        if "mu" not in name:
-            found = np.asarray(function(*samples))
-            rows[name]["tension error"] = float(np.max(np.abs(found[:, 0] / exact - 1)))
-            rows[name]["position error"] = float(np.max(np.abs(found[:, 1:3] - fine[:, 1:3])))
+    exact = np.array(batched(tip(robot, 48))(*samples))
+    exact[:, 0] = tension / (1 + mu / modulus * compliance * tension)
+    rows = rows_of(functions, samples, "numba, RK4, 32 steps", exact) | loaded_rows(robot, samples)
     lines = ["| what | us a solve | numba, 32 steps, over it | error of T_tip | error of u(L), m |"]
     lines += ["| --- | ---: | ---: | ---: | ---: |"]
     for name, row in rows.items():

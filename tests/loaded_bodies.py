@@ -81,11 +81,13 @@ def loaded_reference(
     density: float = 0.0,
     direction: Any = +1,
     rtol: float = 1e-11,
+    aim: float = 1e-12,
 ) -> LoadedReference:
     """Equilibrium at constant base tensions, design.md section 2, by shooting on M_ext(0).
 
     The tensions come first (M_ext(0) = 0 without loads), then the loads grow from 0 to 1. The steps
     are short enough for the tip to turn by less than half a radian, so that the branch is followed.
+    At the end no more than `aim` of the moment at the tip is missing, per E J / L at the base.
 
     Raises:
         NotFoundError: where the branch ends (a fold) before the loads are all there.
@@ -109,7 +111,7 @@ def loaded_reference(
             continue
         done.append((target, moment, flight.tip_angle))
         slope, step = new_slope, 1.5 * step
-    return _root(shot, 1.0, done[-1][1], slope, rtol, 1e-12, True)[1].reference
+    return _root(shot, 1.0, done[-1][1], slope, rtol, aim, True)[1].reference
 
 
 class _Flight(NamedTuple):

@@ -190,3 +190,20 @@ def test_a_change_of_sign_of_the_curvature_is_not_passed_over():
     assert np.any(np.diff(np.sign(solution.curvature)) != 0)
     assert error < 2 * solution.error_estimate + FLOOR
     assert error < 1e-3
+
+
+def test_the_estimate_knows_how_errors_grow_under_large_loads():
+    """A force of 22 (base) to 147 (tip) E J / L^2 pulls the tip, and errors in the bending grow along the body."""
+    body = cddf.conical(
+        length=0.2,
+        outer_radius=(0.016, 0.010),
+        inner_radius=0.002,
+        tendon_offset=(0.010, 0.005),
+        youngs_modulus=1e6,
+        friction_coefficient=0.3,
+        density=1100.0,
+    )
+    loads = cddf.Loads((28.3, 5.8), 0.02, (-7.2, 4.4))
+    coarse, fine = cddf.solve(body, 19.1, loads), cddf.solve(body, 19.1, loads, nodes=40)
+    error = abs(coarse.tip_angle - fine.tip_angle)
+    assert 1e-12 < error < 2 * coarse.error_estimate < 1e-8

@@ -9,14 +9,32 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .implicit import implicit, without_derivative
-from .load_path import LoadPath, follow_loads
+from .load_path import LoadedBody, LoadPath, Trial, follow_loads, moment_left_at_tip, start_from
 from .loads import Loads
 from .manipulator import Manipulator
-from .problem import Method, Number, Path, PerTendon, Problem, all_points, curvature_of, lay_out, loaded_to
+from .problem import (
+    Method,
+    Nodal,
+    Number,
+    Path,
+    PerTendon,
+    Problem,
+    all_points,
+    at_base,
+    curvature_of,
+    cut_into_panels,
+    everywhere,
+    lay_out,
+    loaded_to,
+)
+from .quadrature import Panels, follow_edges, redistribute
+from .reductions import largest, largest_size
 from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
 MAX_ROUNDS = 6
+MAX_MOVES = 12  # of panels that follow the sign changes from sweep to sweep; then MAX_ROUNDS more of settled bodies
+ROUGHLY = 1e-2  # relative change in a sweep that is not too large for panels to follow it
 SETTLED = 1e-6  # of the length: a kink that lies so far off a panel's end costs 1e-12
 
 
@@ -35,6 +53,12 @@ class Settled(NamedTuple):
 
     load_path: LoadPath
     splits: Splits
+    trial: Trial | None  # the values at the nodes; None without loads
+
+    @property
+    def guess(self) -> Nodal | None:
+        """Where a pass may start."""
+        return None if self.trial is None else self.trial.nodal
 
 
 class Balance(NamedTuple):
@@ -43,13 +67,13 @@ class Balance(NamedTuple):
     problem: Problem
     path: Path
     load_path: LoadPath  # how the loads were put on
+    travel: PerTendon  # by which tendons slide in as all tensions rise in proportion, m; without loads: slid in
+    leverage: Number  # by which errors made along the body grow; 1 without loads
 
 
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
     """The problem that one pass solves; where the path of the loads ended early, under the loads of its end."""
-    at = setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads
-    splits = settled.splits.arc_length
-    problem = lay_out(*at, splits if splits.size else None)
+    problem = _lay_out(setup, base_tension, settled.splits)
     if setup.loads is None:
         return problem
     found = settled.load_path
@@ -58,10 +82,8 @@ def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
 
 
 def missing_moment(problem: Problem, path: Path) -> Float[Array, " equations"]:
-    """M_ext(L) - m over the moment scale; empty without loads."""
-    if problem.loads is None:
-        return path.tip.moment[None][:0]
-    return ((path.tip.moment - problem.loads.tip_moment) / problem.moment_scale)[None]
+    """What is missing of the moment at the tip; empty without loads."""
+    return path.tip.moment[None][:0] if problem.loads is None else moment_left_at_tip(problem, path)[None]
 
 
 def equilibrate(setup: Setup, base_tension: PerTendon) -> Balance:
@@ -91,29 +113,36 @@ def balance(
         equations: what vanishes at these tensions, one for each.
     """
     which = jnp.asarray(unknown, int)
+    guess = settled.guess
     count = len(unknown), len(unknown) + (setup.loads is not None)
 
     def put(unknowns):
-        load_path, splits = settled
+        load_path, splits, trial = settled
         if setup.loads is not None:
             load_path = load_path._replace(base_moment=unknowns[count[0]])
         splits = splits._replace(arc_length=unknowns[count[1] :])
         tension = base_tension.at[which].set(unknowns[: count[0]]) if unknown else base_tension
-        return place(setup, tension, Settled(load_path, splits)), splits
+        return place(setup, tension, Settled(load_path, splits, trial)), splits
 
     def residual(unknowns):
         problem, splits = put(unknowns)
-        path = setup.method(problem)
+        path = setup.method(problem, guess)
         turning = turning_at_splits(problem, path, splits)
         return jnp.concatenate([equations(problem, path), missing_moment(problem, path), turning])
 
     moment = [settled.load_path.base_moment[None]] if setup.loads is not None else []
     start = jnp.concatenate([base_tension[which] if unknown else base_tension[:0], *moment, settled.splits.arc_length])
     problem, _ = put(implicit(residual, start))
-    path = setup.method(problem)
+    path = setup.method(problem, guess)
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
-    return Balance(problem, path, found if moment else found._replace(travel=tendon_displacement(problem, path)))
+    if settled.trial is None:
+        return Balance(problem, path, found, tendon_displacement(problem, path), jnp.ones_like(path.residual))
+    left_open = path.residual, settled.trial.change, jnp.abs(moment_left_at_tip(problem, path))
+    path = path._replace(residual=largest(jnp.stack(left_open)))
+    body, whole = LoadedBody(without_derivative(problem), setup.method), jnp.ones_like(found.fraction)
+    leverage = jnp.where(found.converged, settled.trial.leverage, 1.0)
+    return Balance(problem, path, found, body.travel(settled.trial, whole), leverage)
 
 
 class _Round(NamedTuple):
@@ -122,37 +151,51 @@ class _Round(NamedTuple):
     num_rounds: Number
 
 
+class _Sweeping(NamedTuple):
+    trial: Trial
+    splits: Splits
+    ends: Splits  # of the panels on which all that was found
+    moved: Number  # how far they lie off each other
+    num_moves: Number
+
+
 def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     """Where `settle` starts: no loads, no sign changes."""
     # it derives from all numbers, so that as the carry of a loop shard_map sees on which devices it varies
     numbers = jax.tree.leaves(eqx.filter((setup, base_tension), eqx.is_inexact_array))
     zero = 0.0 * jnp.sum(jnp.stack([jnp.sum(x) for x in numbers]))
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
-    fraction, travel = (zero + 1.0 if setup.loads is None else zero), zero + jnp.zeros_like(base_tension)
-    return Settled(LoadPath(zero, fraction, zero, zero == 0, zero == 0, travel, zero == 0), splits)
+    fraction = zero + 1.0 if setup.loads is None else zero
+    load_path = LoadPath(zero, fraction, zero, zero == 0, zero == 0, zero == 0)
+    if setup.loads is None:
+        return Settled(load_path, splits, None)
+    guess = everywhere(_cut(setup, splits), Nodal(jnp.ones_like(base_tension), zero))
+    return Settled(load_path, splits, start_from(guess, zero, 1))
+
+
+def _cut(setup: Setup, splits: Splits) -> Panels:
+    return cut_into_panels(setup.manipulator, setup.nodes, splits.arc_length)
+
+
+def _lay_out(setup: Setup, base_tension: PerTendon, splits: Splits | None) -> Problem:
+    at = setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads
+    return lay_out(*at, splits.arc_length if splits is not None and splits.arc_length.size else None)
 
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
-    """Base moment and sign changes in turn, until the sign changes stay where they are. No derivatives."""
-    length = jnp.asarray(setup.manipulator.length)
+    """Base moment and sign changes, until the sign changes stay where they are. No derivatives."""
     start = unsettled(setup, base_tension)
-    if setup.loads is None and num_splits(setup.manipulator, None) == 0:
+    if setup.loads is not None:
+        return _put_loads_on(setup, base_tension, start.load_path.fraction)
+    if num_splits(setup.manipulator, None) == 0:
         return start
 
     def once(state: _Round) -> _Round:
-        found, splits = state.settled
-        problem = lay_out(setup.manipulator, base_tension, setup.direction, setup.nodes, setup.loads, splits.arc_length)
-        if problem.loads is None:
-            path = setup.method(problem)
-            found = found._replace(converged=path.converged)
-        else:
-            steps = found.num_steps
-            found, path = follow_loads(problem, problem.loads, setup.method, found.fraction, found.base_moment)
-            found = found._replace(num_steps=jnp.maximum(found.num_steps, steps))
-            problem = loaded_to(problem, found.fraction, found.base_moment * problem.moment_scale)
-        new = locate(problem, path)
-        moved = jnp.max(jnp.abs(new.arc_length - splits.arc_length)) / length
-        return _Round(Settled(found, new), moved, state.num_rounds + 1.0)
+        found, splits, _ = state.settled
+        problem = _lay_out(setup, base_tension, splits)
+        path = setup.method(problem)
+        new = Settled(found._replace(converged=path.converged), locate(problem, path), None)
+        return _Round(new, _distance(new.splits, splits, problem.panels), state.num_rounds + 1.0)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
@@ -160,6 +203,73 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
 
     zero = start.load_path.num_steps
     return jax.lax.while_loop(goes_on, once, _Round(start, zero + jnp.inf, zero)).settled
+
+
+def _distance(new: Splits, old: Splits, cut: Panels) -> Number:
+    return largest_size(new.arc_length - old.arc_length) / cut.edges[-1]
+
+
+def _put_loads_on(setup: Setup, base_tension: PerTendon, zero: Number) -> Settled:
+    """Along the path of the loads, then with panels that follow the sign changes from sweep to sweep.
+
+    On the way the panels end where the body is not smooth, and no more. That is all where nothing changes sign.
+    Panels follow at once where the sweeps are calm; those that come and go, only from one settled body to the next.
+    """
+    problem = _lay_out(setup, base_tension, None)
+    found, near, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
+
+    def once(state: _Sweeping) -> _Sweeping:
+        free = state.num_moves < MAX_MOVES
+        move = (state.moved > SETTLED) & (state.trial.settled | (free & (state.trial.change <= ROUGHLY)))
+        ends = jax.tree.map(lambda a, b: jnp.where(move, a, b), state.splits, state.ends)
+        num_moves = state.num_moves + jnp.where(move, 1.0, 0.0)
+        problem = _lay_out(setup, base_tension, ends)
+        guess = follow_edges(_cut(setup, state.ends), problem.panels, state.trial.nodal)
+        start = state.trial._replace(nodal=guess, num_sweeps=jnp.where(move, 0.0, state.trial.num_sweeps))
+        trial, path = LoadedBody(problem, setup.method).sweep(start, found.fraction)
+        splits = locate(problem, path)
+        new = _Sweeping(trial, splits, ends, _distance(splits, ends, problem.panels), num_moves)
+        kept = jax.tree.map(lambda a, b: jnp.where(trial.lost, a, b), state, new)
+        return kept._replace(trial=kept.trial._replace(lost=trial.lost))
+
+    def goes_on(state: _Sweeping) -> Bool[Array, ""]:
+        in_place = (state.moved <= SETTLED) | (state.num_moves >= MAX_MOVES + MAX_ROUNDS)
+        return found.converged & ~state.trial.lost & ~(state.trial.settled & in_place)
+
+    splits = locate(problem, path)
+    moved = jnp.where(largest_size(splits.owner + 1.0) > 0, zero + jnp.inf, zero)
+    start = _Sweeping(_on_other_panels(near, problem, path, _cut(setup, splits)), splits, splits, moved, zero)
+    trial, splits, *_ = jax.lax.while_loop(goes_on, once, start)
+    found = found._replace(
+        base_moment=trial.moment,
+        converged=found.converged & trial.settled,
+        stable=jnp.where(trial.num_sweeps > 0, trial.stable, found.stable),
+        resolved=found.resolved & trial.sane,
+    )
+    return Settled(found, splits, trial)
+
+
+def _on_other_panels(trial: Trial, problem: Problem, path: Path, cut: Panels) -> Trial:
+    """With roughly the same values at the nodes of other panels, and slopes by the moment only."""
+
+    def moved(values, at_tip):
+        return redistribute(problem.panels, cut, values, at_tip)
+
+    tangents = jax.tree.map(lambda x: x[0], trial.tangents)
+    at_tip = Nodal(path.tip.ratio, path.tip.moment / problem.moment_scale)
+    values = moved(trial.nodal, at_tip)
+    slopes = moved(tangents, jax.tree.map(lambda x: x[-1, -1], tangents))
+    at_nodes, at_tip = trial.turning[0, :-1].reshape(problem.panels.nodes.shape), trial.turning[0, -1]
+    turning = jnp.append(moved(at_nodes, at_tip), at_tip)
+    blank = start_from(values, 0.0 * trial.moment, 1)
+    return blank._replace(
+        moment=trial.moment,
+        tangents=jax.tree.map(lambda x: x[None], slopes),
+        slopes=trial.slopes[:1],
+        turning=turning[None],
+        settled=trial.settled,
+        change=trial.change,
+    )
 
 
 def inside_of_bend(problem: Problem, path: Path) -> Float[Array, " points"]:

@@ -117,7 +117,7 @@ class Equilibrium(eqx.Module):
     # True where a tendon travels against its direction: since the straight body, or under loads as all tensions rise
     direction_contradicted: Bool[Array, " tendons"]
     error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
-    num_iterations: Int[Array, ""]
+    num_iterations: Int[Array, ""]  # sweeps of the last pass, which under loads starts from what is known
     result: RESULTS
     _dense: "Dense"
 

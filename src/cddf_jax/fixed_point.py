@@ -1,15 +1,15 @@
 """A fixed point with implicit derivatives that is at home in jit, vmap, scan and shard_map."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .reductions import largest
+from .reductions import all_finite, relative_size
 
-Values = Float[Array, "*values"]
+Values = Any  # an array or a tree of arrays
 Scalar = Float[Array, ""]
 
 
@@ -20,9 +20,9 @@ class FixedPointResult(NamedTuple):
     converged: Bool[Array, ""]
 
 
-def relative_size(change: Values, value: Values) -> Scalar:
-    """The largest change over the largest value."""
-    return largest(jnp.abs(change)) / jnp.maximum(largest(jnp.abs(value)), jnp.finfo(value.dtype).tiny)
+def minus(a: Values, b: Values) -> Values:
+    """The difference of two trees."""
+    return jax.tree.map(jnp.subtract, a, b)
 
 
 def round_off(dtype: jnp.dtype) -> float:
@@ -37,7 +37,7 @@ def fixed_point(
     tolerance: float,
     max_sweeps: int,
     size: Callable[[Values, Values], Scalar] = relative_size,
-    acceptable: Callable[[Values], Bool[Array, ""]] = lambda value: jnp.all(jnp.isfinite(value)),
+    acceptable: Callable[[Values], Bool[Array, ""]] = all_finite,
 ) -> FixedPointResult:
     """Solve y = sweep(y) by repetition; differentiate it implicitly.
 
@@ -57,20 +57,25 @@ def fixed_point(
     """
 
     def solve(residual, first):
-        value, change, count = _repeat(lambda y: y - residual(y), first, size, tolerance, max_sweeps)
+        value, change, count = _repeat(lambda y: minus(y, residual(y)), first, size, tolerance, max_sweeps)
         good = (change <= tolerance) & acceptable(value)
-        return jnp.where(good, value, first), (count, change, good.astype(count.dtype))
+        value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, first)
+        return value, (count, change, good.astype(count.dtype))
 
     def solve_linear(operator, b):
-        settled = round_off(b.dtype)
-        value, change, _ = _repeat(lambda v: b + v - operator(v), b, relative_size, settled, max_sweeps)
-        return jnp.where(change <= 1e3 * settled, value, jnp.nan)
+        settled = round_off(jax.tree.leaves(b)[0].dtype)
+
+        def sweep(v):
+            return jax.tree.map(lambda b, v, w: b + v - w, b, v, operator(v))
+
+        value, change, _ = _repeat(sweep, b, relative_size, settled, max_sweeps)
+        return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
 
     def solve_tangent(operator, b):
         return jax.lax.custom_linear_solve(operator, b, solve=solve_linear, transpose_solve=solve_linear)
 
     value, (count, change, good) = jax.lax.custom_root(
-        lambda y: y - sweep(y), start, solve, solve_tangent, has_aux=True
+        lambda y: minus(y, sweep(y)), start, solve, solve_tangent, has_aux=True
     )
     return FixedPointResult(value, count, change, good > 0.5)
 
@@ -86,6 +91,6 @@ def _repeat(step, first, size, tolerance, max_sweeps):
     def body(carry):
         value, _, count = carry
         new = step(value)
-        return new, size(new - value, new), count + 1.0
+        return new, size(minus(new, value), new), count + 1.0
 
     return jax.lax.while_loop(unsettled, body, (first, zero + jnp.inf, zero))

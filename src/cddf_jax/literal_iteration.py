@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from . import mechanics
 from .fixed_point import fixed_point
 from .manipulator import Manipulator
-from .problem import Path, Problem, Pull, State, curvature_along, lay_out
+from .problem import Nodal, Path, Problem, Pull, State, curvature_along, lay_out
 from .quadrature import Panels
 from .solver import integrate_shape
 from .statics import check_nodes, one_precision, per_tendon
@@ -32,7 +32,7 @@ class LiteralIteration(eqx.Module):
     tip_tolerance: float = eqx.field(default=1e-4, static=True)
     max_updates: int = eqx.field(default=100, static=True)
 
-    def __call__(self, problem: Problem) -> Path:
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
         if problem.loads is not None:
             raise ValueError("LiteralIteration is the paper's and knows no loads; use FixedPoint")
         _refuse_drag(problem.manipulator)
@@ -64,6 +64,8 @@ class LiteralIteration(eqx.Module):
             converged=answer.converged,
             locked=jnp.zeros_like(answer.converged),
         )
+
+    improve = __call__
 
 
 def _refuse_drag(manipulator: Manipulator) -> None:

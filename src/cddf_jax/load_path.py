@@ -12,16 +12,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .loads import Loads
-from .problem import Method, Number, Path, PerTendon, Problem, loaded_to
+from .problem import Method, Nodal, Number, Path, PerTendon, Problem, loaded_to, nodal
+from .reductions import all_finite, largest_size, relative_size
+from .sign_changes import changes_sign
 from .tendon_travel import tendon_displacement
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
 LARGEST_MISS = 0.2  # rad, by which it may miss its prediction
 LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: in a longer one stability must not change, lest a step lands on another branch
-MAX_EVALUATIONS = 400
-NEWTON_STEPS = 8
+MAX_TRIES = 200
+MAX_SWEEPS = 64  # in one of them
+ROUGH = 1e-5  # relative: what is passed on the way need not be known better
+TRAVEL = 1e-7  # relative: of how far tendons slide only the sign is asked
 
 
 class LoadPath(NamedTuple):
@@ -32,135 +35,258 @@ class LoadPath(NamedTuple):
     num_steps: Number  # steps of the loads
     converged: Bool[Array, ""]
     stable: Bool[Array, ""]  # the smallest eigenvalue of the tangent is positive
-    travel: PerTendon  # by which tendons slide in as all tensions rise in proportion, m
     resolved: Bool[Array, ""]  # false where it was not the path that ended but the method that failed on it
 
 
+class Trial(NamedTuple):
+    """What is made an equilibrium under some fraction of the loads, sweep by sweep.
+
+    Slopes stand along a leading axis K: by the moment, and where they are wanted by the fraction.
+    """
+
+    moment: Number  # M_ext(0) over its scale
+    nodal: Nodal
+    tangents: Nodal  # its slopes
+    slopes: Float[Array, " K"]  # of what is missing of the moment at the tip
+    heading: Float[Array, " points"]
+    turning: Float[Array, "K points"]  # its slopes
+    near: Bool[Array, ""]  # near enough to go on from
+    settled: Bool[Array, ""]
+    lost: Bool[Array, ""]
+    sane: Bool[Array, ""]  # at the first sweep
+    num_sweeps: Number
+    change: Number  # in the last of them, relative
+
+    @property
+    def stable(self) -> Bool[Array, ""]:
+        """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
+        return (self.slopes[0] > 0) & jnp.all(self.turning[0] > 0)
+
+    @property
+    def leverage(self) -> Number:
+        """By how much errors made along the body grow once it is in equilibrium with them.
+
+        What they leave at the tip the moment at the base puts right, and turns the body. Where bending grows
+        exponentially along it, one in the middle grows by the square root of what one at the base would grow by.
+        """
+        turns, least = largest_size(self.turning[0]), jnp.finfo(self.slopes.dtype).eps
+        put_right = turns / jnp.maximum(jnp.abs(self.slopes[0]), least)
+        return jnp.maximum(put_right, jnp.sqrt(jnp.maximum(turns, 1.0)))
+
+
 class _Place(NamedTuple):
-    """An equilibrium on the path."""
+    """An equilibrium on the path; slopes are those along it, by the fraction."""
 
     fraction: Number
     moment: Number
-    slope: Number  # of the moment, by the fraction
+    moment_slope: Number
+    nodal: Nodal
+    nodal_slope: Nodal
     heading: Float[Array, " points"]
-    turning: Float[Array, " points"]  # slope of the heading, by the fraction
+    turning: Float[Array, " points"]  # slope of the heading
     stable: Bool[Array, ""]
-    travel: PerTendon
 
 
 class _Walk(NamedTuple):
     place: _Place
-    path: Path  # of the last evaluation
+    trial: Trial  # of the next place
     step: Number
     fraction: Number  # that is being tried
-    moment: Number  # Newton's iterate there
-    num_newton: Number
     num_steps: Number
-    num_evaluations: Number
+    num_tries: Number
     arrived: Bool[Array, ""]
     ended: Bool[Array, ""]
     resolved: Bool[Array, ""]
 
 
-def follow_loads(
-    problem: Problem, loads: Loads, method: Method, start_fraction: Number, start_moment: Number
-) -> tuple[LoadPath, Path]:
+class LoadedBody(NamedTuple):
+    """A body between no loads and all of them, with any moment at its base."""
+
+    problem: Problem
+    method: Method
+
+    def at(self, moment: Number, fraction: Number) -> Problem:
+        """The problem there."""
+        return loaded_to(self.problem, fraction, moment * self.problem.moment_scale)
+
+    def path(self, trial: Trial, fraction: Number) -> Path:
+        """The body."""
+        return self.method.improve(self.at(trial.moment, fraction), trial.nodal)
+
+    def sweep(self, trial: Trial, fraction: Number) -> tuple[Trial, Path]:
+        """One sweep with its tangents; then Newton's method puts M_ext(0) right, and along its tangent the rest."""
+        round_off = 4 * float(jnp.finfo(trial.moment.dtype).eps)
+        close = 2 * round_off**0.5
+
+        def flow(guess: Nodal, *at: Number):
+            here = self.at(*at)
+            path = self.method.improve(here, guess)
+            heading = jnp.append(path.nodes.heading, path.tip.heading)
+            return (nodal(here, path), moment_left_at_tip(here, path), heading), path
+
+        def push(*tangents):
+            return jax.jvp(flow, (trial.nodal, trial.moment, fraction), tangents, has_aux=True)
+
+        basis = jnp.eye(trial.slopes.shape[0], 2, dtype=trial.moment.dtype).T
+        basis = basis + 0.0 * trial.moment  # shard_map wants tangents like their values
+        (values, residual, heading), (tangents, slopes, turning), path = jax.vmap(push, out_axes=(None, 0, None))(
+            trial.tangents, *basis
+        )
+        exact = jnp.abs(residual) <= round_off  # also where its slope vanishes
+        newton = jnp.where(exact, 0.0, -residual / slopes[0])
+        rough = (path.residual > jnp.abs(residual)) & ~path.converged  # what is missing may be the sweep's fault
+        correction = jnp.where(rough, 0.0, newton)
+        sane = jnp.isfinite(newton) & jnp.isfinite(path.residual) & ~path.locked
+        size, wavers = 1 + jnp.abs(trial.moment), relative_size(slopes - trial.slopes, slopes)
+        off = jnp.abs(newton) * jnp.maximum(1 / size, largest_size(turning[0]))  # by which it turns the body, rad
+        off = jnp.where(jnp.abs(newton) <= round_off * size, 0.0, off)  # a nearer moment cannot be written down
+        settled = sane & path.converged & (jnp.maximum(off, wavers) <= close)
+        passing = (fraction < 1) | changes_sign(self.problem, path)  # it will be settled elsewhere, or on other panels
+        return Trial(
+            moment=trial.moment + correction,
+            nodal=jax.tree.map(lambda x, v: x + correction * v[0], values, tangents),
+            tangents=tangents,
+            slopes=slopes,
+            heading=heading + correction * turning[0],
+            turning=turning,
+            near=settled | (sane & passing & (jnp.maximum(off, path.residual) <= ROUGH) & (wavers <= 1e-3)),
+            settled=settled,
+            lost=~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
+            sane=jnp.where(trial.num_sweeps == 0, sane, trial.sane),
+            num_sweeps=trial.num_sweeps + 1.0,
+            change=path.residual,
+        ), path
+
+    def travel(self, trial: Trial, fraction: Number) -> PerTendon:
+        """By how much tendons slide in as all tensions rise in proportion, m."""
+
+        def flow(guess: Nodal, moment: Number, pull: Number):
+            here = self.at(moment, fraction)
+            here = eqx.tree_at(lambda problem: problem.base_tension, here, pull * self.problem.base_tension)
+            path = self.method.improve(here, guess)
+            return nodal(here, path), moment_left_at_tip(here, path), tendon_displacement(here, path)
+
+        def sweep(state):  # at constant M_ext(0)
+            old, _, _, count = state
+            new, missing, _ = push(old, zero, one)
+            return new, missing, relative_size(jax.tree.map(jnp.subtract, new, old), new), count + 1.0
+
+        zero, one = 0.0 * trial.moment, jnp.ones_like(trial.moment)
+        push = jax.linearize(flow, trial.nodal, trial.moment, one)[1]
+        start = jax.tree.map(lambda x: 0.0 * x, trial.nodal), zero, zero + 1.0, zero
+        pulled, missing, *_ = jax.lax.while_loop(
+            lambda state: (state[2] > TRAVEL) & (state[3] < MAX_SWEEPS), sweep, start
+        )
+        slope = jnp.where(missing == 0, 0.0, -missing / trial.slopes[0])  # with it M_ext(L) stays m
+        tangents = jax.tree.map(lambda x, v: x + slope * v[0], pulled, trial.tangents)
+        return push(tangents, slope, one)[2]
+
+
+def moment_left_at_tip(problem: Problem, path: Path) -> Number:
+    """M_ext(L) - m over the moment scale."""
+    assert problem.loads is not None
+    return (path.tip.moment - problem.loads.tip_moment) / problem.moment_scale
+
+
+def start_from(guess: Nodal, zero: Number, count: int) -> Trial:
+    """Nothing but a guess, with room for `count` slopes; 0 under shard_map varies as all numbers do."""
+    guess = jax.tree.map(lambda x: x + zero, guess)
+    tangents, slopes = (jax.tree.map(lambda x: jnp.stack([0.0 * x] * count), x) for x in (guess, zero))
+    heading = zero + jnp.zeros(guess.ratio.shape[0] * guess.ratio.shape[1] + 1, zero.dtype)
+    no, yes = zero > 0, zero == 0
+    return Trial(zero, guess, tangents, slopes, heading, jnp.stack([heading] * count), no, no, no, yes, zero, zero)
+
+
+def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial, Path]:
     """Walk along the path of equilibria until all loads act.
 
-    Euler steps with Newton's method. A step is taken back and shortened where Newton's method does
-    not settle, or where the body turns or misses its prediction by more than a path would let it, or
-    where the stability changes within more than a small step.
+    Euler steps, each of them corrected. A step is taken back and shortened where the correction does not
+    settle, or where the body turns or misses its prediction by more than a path would let it, or where
+    the stability changes within more than a small step.
 
     Args:
-        problem: under its full loads, which are these.
+        problem: under its full loads.
         method: makes a path of the body out of a problem with a given base moment.
-        start_fraction, start_moment: a known equilibrium: 0 and 0, or 1 and one that is nearly right.
+        guess: the values at the nodes without loads.
+        zero: 0, which under shard_map varies as all numbers do.
 
     Returns:
-        Where it led, and the body there, up to the last correction, which is small.
+        Where it led, and the values and the body there; only near it where the turning changes sign, which
+        these panels do not resolve.
     """
-    tip_moment = loads.tip_moment
-    close = 4 * float(jnp.finfo(start_moment.dtype).eps) ** 0.5
-
-    def flow(moment, fraction, pull):
-        here = loaded_to(problem, fraction, moment * problem.moment_scale)
-        here = eqx.tree_at(lambda problem: problem.base_tension, here, pull * problem.base_tension)
-        path = method(here)
-        residual = (path.tip.moment - fraction * tip_moment) / problem.moment_scale
-        heading = jnp.append(path.nodes.heading, path.tip.heading)
-        return (residual, heading, tendon_displacement(here, path)), path
+    body = LoadedBody(problem, method)
+    no, yes = zero > 0, zero == 0
 
     def advance(walk: _Walk) -> _Walk:
-        def push(*tangents):
-            at = walk.moment, walk.fraction, jnp.ones_like(walk.moment)
-            return jax.jvp(flow, at, tangents, has_aux=True)
+        walk = walk._replace(trial=body.sweep(walk.trial, walk.fraction)[0])
+        # it turns once where a trial is over; `lax.cond` would decide for every lane of a batch after every sweep
+        return jax.lax.while_loop(lambda walk: (walk.trial.near | walk.trial.lost) & ~over(walk), _decide, walk)
 
-        basis = jnp.eye(3, dtype=start_moment.dtype) + 0.0 * walk.moment  # shard_map wants tangents like their values
-        (residual, heading, _), slopes, path = jax.vmap(push, out_axes=(None, 0, None))(*basis)
-        (by_moment, by_fraction, by_pull), (heading_by_moment, heading_by_fraction, _), travel = slopes
-        exact = jnp.abs(residual) <= 4 * jnp.finfo(residual.dtype).eps  # also where by_moment vanishes
-        correction = jnp.where(exact, 0.0, -residual / by_moment)
-        slope = jnp.where(by_fraction == 0, 0.0, -by_fraction / by_moment)
-        here = _Place(
-            walk.fraction,
-            walk.moment + correction,
-            slope,
-            heading + correction * heading_by_moment,
-            heading_by_fraction + slope * heading_by_moment,
-            (by_moment > 0) & jnp.all(heading_by_moment > 0),
-            travel[2] - jnp.where(by_pull == 0, 0.0, by_pull / by_moment) * travel[0],
-        )
-        return _decide(walk, here, path, jnp.abs(correction) <= close * (1 + jnp.abs(walk.moment)))
+    def over(walk: _Walk) -> Bool[Array, ""]:
+        return walk.arrived | walk.ended
 
-    zero = 0.0 * start_moment
-    still = zero + jnp.zeros(problem.panels.nodes.size + 1, zero.dtype)
-    no, yes = zero > 0, zero == 0
-    none = zero + jnp.zeros_like(problem.base_tension)
-    place = _Place(start_fraction + zero, start_moment + zero, zero, still, still, yes, none)
-    blank = jax.eval_shape(lambda: flow(zero, zero, zero)[1])
-    path = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype) + zero.astype(x.dtype), blank)
-    walk = _Walk(place, path, zero + 1.0, place.fraction, place.moment, zero, zero, zero, no, no, yes)
-    walk = jax.lax.while_loop(lambda walk: ~(walk.arrived | walk.ended), advance, walk)
-    place = walk.place
-    return LoadPath(
-        place.moment, place.fraction, walk.num_steps - 1.0, walk.arrived, place.stable, place.travel, walk.resolved
-    ), walk.path
+    start = start_from(guess, zero, 2)
+    slope = jax.tree.map(lambda x: x[1], start.tangents)
+    place = _Place(zero, zero, zero, start.nodal, slope, start.heading, start.heading, yes)
+    walk = _Walk(place, start, zero + 1.0, zero, zero, zero, no, no, yes)
+    walk = jax.lax.while_loop(lambda walk: ~over(walk), advance, walk)
+    place, steps = walk.place, walk.num_steps - 1.0
+    found = LoadPath(place.moment, place.fraction, steps, walk.arrived, place.stable, walk.resolved)
+    return found, walk.trial, body.path(walk.trial, place.fraction)
 
 
-def _decide(walk: _Walk, here: _Place, path: Path, settled: Bool[Array, ""]) -> _Walk:
-    """Correct once more, go on, or take the step back."""
-    first = walk.num_steps == 0
-    place = walk.place
-    predicted = place.heading + (here.fraction - place.fraction) * place.turning
-    missed = jnp.where(first, 0.0, jnp.max(jnp.abs(here.heading - predicted)))
-    turned = jnp.where(first, 0.0, jnp.max(jnp.abs(here.heading - place.heading)))
-    sane = path.converged & jnp.isfinite(here.moment) & jnp.all(jnp.isfinite(here.turning))
-    jumped = ~first & (here.stable != place.stable) & (walk.step > CRITICAL_STEP)
-    on_path = (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
-    accepted = sane & settled & on_path
-    rejected = ~sane | (settled & ~on_path) | (~settled & (walk.num_newton + 1 >= NEWTON_STEPS))
+def _arrive(trial: Trial, fraction: Number) -> _Place:
+    """Where a trial led that is near enough to an equilibrium."""
+    slope = jnp.where(trial.slopes[1] == 0, 0.0, -trial.slopes[1] / trial.slopes[0])
+
+    def along(slopes):
+        return slopes[1] + slope * slopes[0]
+
+    values = trial.nodal, jax.tree.map(along, trial.tangents), trial.heading, along(trial.turning)
+    return _Place(fraction, trial.moment, slope, *values, trial.stable)
+
+
+def _decide(walk: _Walk) -> _Walk:
+    """Go on, or take the step back."""
+    first, old, trial = walk.num_steps == 0, walk.place, walk.trial
+    new = _arrive(trial, walk.fraction)
+    missed = largest_size(new.heading - old.heading - (new.fraction - old.fraction) * old.turning)
+    missed, turned = (jnp.where(first, 0.0, x) for x in (missed, largest_size(new.heading - old.heading)))
+    near = trial.near & all_finite(new.turning)
+    jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
+    accepted = near & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
 
     ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
-    shorter = walk.step * jnp.where(sane & settled & ~jumped, jnp.clip(ideal, 0.1, 0.5), 0.25)
+    shorter = walk.step * jnp.where(near & ~jumped, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = walk.step * jnp.clip(ideal, 0.3, 4.0)
-    place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), here, place)
-    gentle = 0.8 * LARGEST_TURN / jnp.maximum(jnp.max(jnp.abs(place.turning)), 0.1 * LARGEST_TURN)
-    step = jnp.where(accepted, longer, shorter)
+    place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), new, old)
+    gentle = 0.8 * LARGEST_TURN / jnp.maximum(largest_size(place.turning), 0.1 * LARGEST_TURN)
     remaining = 1.0 - place.fraction
-    step = jnp.minimum(jnp.minimum(step, gentle), remaining)
-    moves = accepted | rejected
-    evaluations = walk.num_evaluations + 1.0
-    arrived = accepted & (here.fraction >= 1.0)
+    step = jnp.minimum(jnp.minimum(jnp.where(accepted, longer, shorter), gentle), remaining)
+    tries = walk.num_tries + 1.0
+    arrived = accepted & (place.fraction >= 1.0)
+    ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
     return _Walk(
         place,
-        path,
-        step=jnp.where(moves, step, walk.step),
-        fraction=jnp.where(moves, jnp.where(step >= remaining, 1.0, place.fraction + step), walk.fraction),
-        moment=jnp.where(moves, place.moment + step * place.slope, here.moment),
-        num_newton=jnp.where(moves, 0.0, walk.num_newton + 1.0),
+        _ahead(place, jnp.where(ended, 0.0, step), trial)._replace(settled=trial.settled & arrived),
+        step,
+        fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
         num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
-        num_evaluations=evaluations,
+        num_tries=tries,
         arrived=arrived,
-        ended=~arrived & ((rejected & ((step < LEAST_STEP) | first)) | (evaluations >= MAX_EVALUATIONS)),
-        resolved=jnp.where(walk.num_newton == 0, sane, walk.resolved),
+        ended=ended,
+        resolved=trial.sane,
+    )
+
+
+def _ahead(place: _Place, step: Number, trial: Trial) -> Trial:
+    """What to try next, along the path; the slopes by moment and fraction are still about the same."""
+    no = trial.lost & False
+    return trial._replace(
+        moment=place.moment + step * place.moment_slope,
+        nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
+        tangents=jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.tangents),
+        near=no,
+        lost=no,
+        num_sweeps=0.0 * place.moment,
     )

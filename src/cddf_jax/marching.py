@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from .problem import (
+    Nodal,
     Number,
     Path,
     Problem,
@@ -15,6 +16,7 @@ from .problem import (
     edge_nudge,
     guarded_section,
     moment_rate_of,
+    ones_at_base,
     rates_of,
     ratio_rate,
     spent_rate,
@@ -22,7 +24,7 @@ from .problem import (
     turn_at_joint,
     weight_rate,
 )
-from .solver import ACCURACY, ones_at_base
+from .solver import ACCURACY
 
 
 class Marching(eqx.Module):
@@ -37,7 +39,7 @@ class Marching(eqx.Module):
 
     steps: int = eqx.field(default=4, static=True)
 
-    def __call__(self, problem: Problem) -> Path:
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
         coarse, _ = _march(problem, self.steps)
         tip, (starts, along) = _march(problem, 2 * self.steps)
         length = problem.panels.edges[-1]
@@ -58,6 +60,8 @@ class Marching(eqx.Module):
             converged=positive & (residual <= ACCURACY),
             locked=~positive,
         )
+
+    improve = __call__
 
 
 def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:

@@ -94,11 +94,24 @@ class Path(NamedTuple):
     locked: Bool[Array, ""]  # the tension of a tendon sliding out grows without bound
 
 
+class Nodal(NamedTuple):
+    """What has to be known at the nodes for everything else to follow, and is improved sweep by sweep."""
+
+    ratio: Float[Array, "P p tendons"]  # r
+    moment: Float[Array, "P p"] | None  # M_ext over its scale; None without loads
+
+
 @runtime_checkable
 class Method(Protocol):
     """A way to resolve shape and tension from the base to the tip. Its settings are static."""
 
-    def __call__(self, problem: Problem) -> Path: ...
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
+        """The whole way, from a first guess if there is one."""
+        ...
+
+    def improve(self, problem: Problem, guess: Nodal) -> Path:
+        """One sweep from a guess, `converged` if that was right; a method without sweeps goes the whole way."""
+        ...
 
 
 def lay_out(
@@ -110,12 +123,11 @@ def lay_out(
     splits: Float[Array, " splits"] | None = None,
 ) -> Problem:
     """Cut the body into panels, at `splits` as well, and evaluate its cross-sections."""
-    breaks = manipulator.breakpoints
-    cut = panels(jnp.asarray(manipulator.length), breaks if splits is None else jnp.append(breaks, splits), nodes)
+    cut = cut_into_panels(manipulator, nodes, splits)
     nudge = edge_nudge(cut)
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
-    turns = manipulator.kinematics == "exact" and manipulator.slanted and breaks.shape[0] > 0
+    turns = manipulator.kinematics == "exact" and manipulator.slanted and manipulator.breakpoints.shape[0] > 0
     starts = cut.edges[:-1]
     inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip turns nobody there
     return Problem(
@@ -131,6 +143,12 @@ def lay_out(
         outboard=_outboard(manipulator, cut, loads),
         base_moment=0.0 * cut.edges[-1],
     )
+
+
+def cut_into_panels(manipulator: Manipulator, nodes: int, splits: Float[Array, " splits"] | None = None) -> Panels:
+    """Panels that end where the body or a tendon is not smooth, and at `splits` as well."""
+    breaks = manipulator.breakpoints
+    return panels(jnp.asarray(manipulator.length), breaks if splits is None else jnp.append(breaks, splits), nodes)
 
 
 def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None) -> Outboard:
@@ -249,6 +267,31 @@ def turn_at_joint(problem: Problem, joint: Joints | None, pull: Pull, moment: Nu
         return turn, ratio * jnp.exp(gain * turn)
 
     return jax.lax.fori_loop(0, 6, improve, (0.0 * arriving, ratio + 0.0 * arriving))
+
+
+def ones_at_base(problem: Problem) -> PerTendon:
+    """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
+    there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
+    total = jnp.sum(jnp.stack([jnp.sum(x) for x in jax.tree.leaves(there)]))
+    return jnp.where(total == total, jnp.ones_like(problem.base_tension), 1.0)
+
+
+def at_base(problem: Problem) -> Nodal:
+    """What holds at the base."""
+    ones = ones_at_base(problem)
+    moment = problem.base_moment / problem.moment_scale + 0.0 * ones[0]
+    return Nodal(ones, None if problem.loads is None else moment)
+
+
+def everywhere(cut: Panels, values: Nodal) -> Nodal:
+    """The same values at all nodes."""
+    shape = cut.nodes.shape
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (*shape, *x.shape)), values)
+
+
+def nodal(problem: Problem, path: Path) -> Nodal:
+    """What a path tells the next sweep."""
+    return Nodal(path.nodes.ratio, None if problem.loads is None else path.nodes.moment / problem.moment_scale)
 
 
 def line_up(base: Array, nodes: Array, tip: Array) -> Array:

@@ -5,7 +5,8 @@ what changes sign is the curvature; in the exact kinematics a slanted tendon has
 A tendon goes slack where drag has used up its base tension.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +27,28 @@ from .problem import (
     moment_rate_of,
     rates_of,
 )
+from .reductions import largest
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
-REFINEMENTS = 10
+REFINEMENTS = 5  # the panels end ever closer to the place, and so does the interval in which it lies
+
+
+def only_if(needed: Bool[Array, ""], compute: Callable[[Number], Any], otherwise: Any) -> Any:
+    """What `compute` makes where it is needed; a batch computes nothing where no lane needs it.
+
+    `lax.cond` would compute for the whole batch whatever happens. There are no derivatives in reverse mode.
+
+    Args:
+        needed: whether this lane needs it.
+        compute: gets a zero, to be added to what it works on: the rest XLA moves out of the loop that this is.
+        otherwise: what comes back where it is not needed.
+    """
+    turns = jnp.where(needed, 1.0, 0.0)
+
+    def once(carry):
+        return carry[0] - 1.0, compute(0.0 * carry[0])
+
+    return jax.lax.while_loop(lambda carry: carry[0] > 0, once, (turns, otherwise))[1]
 
 
 class Splits(NamedTuple):
@@ -73,29 +93,50 @@ def turning_at(problem: Problem, section: CrossSection, state: State) -> Float[A
 
 def locate(problem: Problem, path: Path) -> Splits:
     """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
-    none = unsplit(problem.manipulator, problem.loads)
-    cut = problem.panels
     turning = jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
-    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
-
-    sign = jnp.where(jnp.abs(turning) > NEGLIGIBLE * _largest_bend(problem, turning), jnp.sign(turning), 0.0)
-    index = jnp.arange(arc_length.shape[0])[:, None]
-    last = jax.lax.cummax(jnp.where(sign != 0, index, -1))
-    before = jnp.concatenate([-jnp.ones_like(last[:1]), last[:-1]])
-    flips = (before >= 0) & (sign * jnp.take_along_axis(sign, jnp.maximum(before, 0), axis=0) < 0)
-
-    order = jnp.argsort(jnp.where(flips, index, index.shape[0]).ravel())[: none.owner.shape[0]]
-    point, owner = order // flips.shape[1], order % flips.shape[1]
-    left, right = arc_length[jnp.maximum(before[point, owner], 0)], arc_length[point]
-    place, jumps = jax.vmap(lambda *bracket: _refine(problem, path, *bracket))(left, right, owner)
-    found = flips.ravel()[order] & ~jumps
-    return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner, -1))
+    both, least = _has_both_signs(problem, turning)
+    none = jax.tree.map(lambda x: x + (0.0 * least).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
+    return only_if(both, lambda zero: _first_changes(problem, path, turning + zero, least, none), none)
 
 
-def _largest_bend(problem: Problem, turning: Array) -> Number:
-    """What one tendon alone or the largest turning would make of the curvature, 1/m."""
+def changes_sign(problem: Problem, path: Path) -> Bool[Array, ""]:
+    """Whether there is a sign change between nodes."""
+    turning = jax.vmap(jax.vmap(lambda *at: turning_at(problem, *at)))(problem.nodes, path.nodes)
+    return _has_both_signs(problem, turning)[0]
+
+
+def _has_both_signs(problem: Problem, turning: Float[Array, "*points owners"]) -> tuple[Bool[Array, ""], Number]:
+    """Whether there is turning of both signs, and how small it may be to have one.
+
+    That is measured by what one tendon alone or the largest turning would make of the curvature, 1/m.
+    """
     alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
-    return jnp.maximum(jnp.max(alone), jnp.max(jnp.abs(turning)))
+    ahead, back = largest(turning), largest(-turning)
+    least = NEGLIGIBLE * jnp.maximum(largest(alone), jnp.maximum(ahead, back))
+    return (ahead > least) & (back > least), least
+
+
+def _first_changes(
+    problem: Problem, path: Path, turning: Float[Array, "points owners"], least: Number, none: Splits
+) -> Splits:
+    cut = problem.panels
+    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1]) + 0.0 * turning[0, 0]
+    signed, index = jnp.abs(turning) > least, jnp.arange(arc_length.shape[0])
+    last = jax.lax.cummax(jnp.where(signed, 2 * index[:, None] + (turning > 0), -1))  # point and sign
+    before = jnp.concatenate([-jnp.ones_like(last[:1]), last[:-1]])
+    flips = (signed & (before >= 0) & ((before % 2 == 1) != (turning > 0))).ravel()
+
+    order, places = [], jnp.arange(flips.size)
+    for _ in range(none.owner.shape[0]):  # that many of the first; sorting takes longer
+        rest = flips if not order else flips & (places > order[-1])
+        order.append(-largest(jnp.where(rest, -places, -flips.size)))
+    found = jnp.stack(order) < flips.size
+    at = jnp.minimum(jnp.stack(order), flips.size - 1)
+    owner = at % turning.shape[1]
+    left, right = arc_length[jnp.maximum(before.ravel()[at] // 2, 0)], arc_length[at // turning.shape[1]]
+    place, jumps = jax.vmap(lambda *bracket: _refine(problem, path, *bracket))(left, right, owner)
+    found = found & ~jumps
+    return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner, -1))
 
 
 def _refine(
@@ -107,7 +148,7 @@ def _refine(
     """
 
     def turning(arc_length):
-        state = problem.panels.interpolate(path.starts, path.nodes, arc_length)
+        state = problem.panels.read(path.starts, path.nodes, arc_length)
         return turning_at(problem, guarded_section(problem.manipulator, arc_length), state)[owner]
 
     def narrow(_, bracket):
@@ -123,7 +164,8 @@ def _refine(
         jax.vmap(turning)(jnp.concatenate([jnp.stack([left, right]), joints - nudge, joints + nudge])),
         [2, 2 + joints.shape[0]],
     )
-    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left, ends[0], right, ends[1]))[2]
+    zero = 0.0 * ends[0]  # shard_map wants the bracket to vary as the turning does
+    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left + zero, ends[0], right + zero, ends[1]))[2]
     within = (joints >= left) & (joints <= right)
     return place, jnp.any(within & (before * after < 0))
 

@@ -6,41 +6,43 @@ kinematics theta' r does not depend on r, and one sweep of the fixed point is ex
 base tension follows from r by one more integral, see `problem`.
 """
 
+from typing import Any, NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .fixed_point import fixed_point, round_off
+from .fixed_point import fixed_point, minus, round_off
+from .manipulator import CrossSection
 from .problem import (
     AT_NODES,
+    Joints,
+    Nodal,
     Number,
     Path,
     PerTendon,
     Problem,
     Pull,
     State,
+    at_base,
     curvature_along,
-    curvature_of,
+    everywhere,
     guarded_section,
     moment_rate_of,
     rates_along,
-    rates_of,
     ratio_rate,
     spent_rate,
     spent_scale,
     turn_at_joint,
 )
 from .quadrature import Panels
-from .reductions import largest
+from .reductions import all_finite, largest, relative_size
 from .trigonometry import cos_sin
 
 ACCURACY = 1e-5  # a larger error of truncation is not called successful, nor a larger residual of Marching
 SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
-_curvatures = jax.vmap(curvature_of, AT_NODES)  # over the nodes of a panel
-_rates = jax.vmap(rates_of, (*AT_NODES, 0))
-_ratio_rates = jax.vmap(ratio_rate, AT_NODES)
-_spent_rates = jax.vmap(spent_rate, AT_NODES[:3])
+_ratio_rates = jax.vmap(jax.vmap(ratio_rate, AT_NODES), AT_NODES)  # over panels and nodes
 
 
 def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -92,7 +94,7 @@ def _unseen_turning(problem: Problem) -> Number:
 
 
 class FixedPoint(eqx.Module):
-    """The default: in each panel sweep r = r_start + integral of direction mu theta' r; `lax.scan` over the panels.
+    """The default: in each panel sweep r = r_start + integral of direction mu theta' r.
 
     Under dead loads M_ext = M_start - integral of t x N is swept with it. A sweep solves the equilibrium
     of every cross-section with the tensions and the moment at hand (the semi-implicit map). Both enter
@@ -107,85 +109,173 @@ class FixedPoint(eqx.Module):
     tolerance: float | None = eqx.field(default=None, static=True)
     max_sweeps: int = eqx.field(default=64, static=True)
 
-    def __call__(self, problem: Problem) -> Path:
-        cut, count = problem.panels, problem.base_tension.shape[0]
-        loaded = problem.loads is not None
-        tolerance = max(1e-12, round_off(cut.edges.dtype)) if self.tolerance is None else self.tolerance
-        weights = cut.constant("weights")
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Path:
+        tolerance = self._tolerance(problem)
 
-        def unpack(values):  # r, and M_ext over its scale where there are loads
-            return values[..., :count], problem.moment_scale * jnp.sum(values[..., count:], axis=-1)
-
-        def rates(inputs, heading, spent, values):
-            section, force, width = inputs
-            ratio, moment = unpack(values)
-            rate = _spent_rates(problem, section, ratio)
-            pull = Pull(ratio, None if rate is None else spent + width * cut.accumulate(rate))
-            kappa = _curvatures(problem, section, pull, moment)
-            moment_rate = moment_rate_of(heading + width * cut.accumulate(kappa), force) if loaded else 0.0 * kappa
-            turning = _rates(problem, section, kappa, pull, moment_rate).turning
-            growth = _ratio_rates(problem, section, turning, ratio)
-            if loaded:
-                growth = jnp.concatenate([growth, moment_rate[:, None] / problem.moment_scale], axis=1)
-            return growth, kappa, turning
-
-        def panel(carry, inputs):
-            (values, heading, spent), (joint, *inputs) = carry, inputs
-            ratio, moment = unpack(values)
-            turn, ratio = turn_at_joint(problem, joint, Pull(ratio, spent), moment)
-            start = jnp.concatenate([ratio, values[count:]])
+        def resolved(start: _Reached, part: _Part, first: Nodal) -> tuple[_Reached, Any]:
             answer = fixed_point(
-                lambda y: start + inputs[-1] * cut.accumulate(rates(inputs, heading, spent, y)[0]),
-                jnp.broadcast_to(start, (cut.order, *start.shape)),
+                lambda values: _sweep(problem, part, start, values)[0].nodes.values,
+                first,
                 tolerance=tolerance,
                 max_sweeps=self.max_sweeps,
-                acceptable=lambda y: jnp.all(y[:, :count] > 0) & jnp.all(jnp.isfinite(y)),
+                acceptable=lambda values: jnp.all(values.ratio > 0) & all_finite(values),
             )
-            growth, kappa, turning = rates(inputs, heading, spent, answer.value)
-            end = start + inputs[-1] * (growth.T @ weights)
-            positive = jnp.all(end[:count] > 0)
-            end = jnp.where(positive, end, 1.0)
-            rate = _spent_rates(problem, inputs[0], unpack(answer.value)[0])
-            spent = None if rate is None else spent + inputs[-1] * (rate.T @ weights)
-            carry = end, heading + inputs[-1] * (kappa @ weights), spent
-            return carry, (start, answer, turn, positive, kappa, turning)
+            swept, end = _sweep(problem, part, start, answer.value)
+            positive = jnp.all(end.values.ratio > 0)
+            values = end.values._replace(ratio=jnp.where(positive, end.values.ratio, 1.0))
+            return end._replace(values=values), (swept, answer._replace(value=None), positive)
 
-        base = jnp.append(ones_at_base(problem), problem.base_moment / problem.moment_scale)
-        base = base if loaded else base[:count]
-        inputs = problem.joints, problem.nodes, problem.outboard.nodes, cut.width
-        start = base, 0.0 * base[0], None if problem.base.drag is None else 0.0 * base[:count]
-        (tip, *_), (starts, answer, turns, positive, *rate) = jax.lax.scan(panel, start, inputs)
-        settled = answer.change <= tolerance
+        def panel(start: _Reached, inputs: tuple[Panels, Any]):
+            part = _Part(inputs[0], *jax.tree.map(lambda x: x[None], inputs[1]))
+            end, (swept, *outcome) = resolved(start, part, everywhere(part.cut, start.values))
+            return end, (jax.tree.map(lambda x: x[0], swept), *outcome)
+
+        edges, whole = problem.panels.edges, _whole(problem)
+        # From scratch it takes fewer sweeps panel by panel. From a good guess the panels go together, outside a scan:
+        # within one, forward over reverse mode differentiates the sweeps as they ran, and they may be one or two.
+        if guess is None:
+            single = Panels(jnp.stack([edges[:-1], edges[1:]], axis=1), problem.panels.order)
+            tip, (swept, answer, positive) = jax.lax.scan(panel, _base(problem), (single, whole[1:]))
+        else:
+            tip, (swept, answer, positive) = resolved(_base(problem), whole, guess)
+        good = answer.converged & positive
         return _follow(
-            problem, unpack(starts), unpack(answer.value), unpack(tip), turns, *rate,
+            problem,
+            swept,
+            tip,
             num_iterations=jnp.max(answer.num_sweeps),
             residual=jnp.max(answer.change),
-            converged=jnp.all(answer.converged & positive),
-            locked=jnp.any(settled & ~(answer.converged & positive)),
-        )  # fmt: skip
+            converged=jnp.all(good),
+            locked=jnp.any((answer.change <= tolerance) & ~good),
+        )
+
+    def improve(self, problem: Problem, guess: Nodal) -> Path:
+        swept, tip = _sweep(problem, _whole(problem), _base(problem), guess)
+        better = swept.nodes.values
+        change = relative_size(minus(better, guess), better)
+        positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
+        still = change <= self._tolerance(problem)
+        return _follow(
+            problem,
+            swept,
+            tip,
+            num_iterations=jnp.ones_like(change),
+            residual=change,
+            converged=still & positive,
+            locked=still & ~positive,  # from a poor guess r may pass below zero and come back
+        )
+
+    def _tolerance(self, problem: Problem) -> float:
+        return max(1e-12, round_off(problem.panels.edges.dtype)) if self.tolerance is None else self.tolerance
 
 
-def ones_at_base(problem: Problem) -> PerTendon:
-    """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
-    there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
-    total = jnp.sum(jnp.stack([jnp.sum(x) for x in jax.tree.leaves(there)]))
-    return jnp.where(total == total, jnp.ones_like(problem.base_tension), 1.0)
+class _Part(NamedTuple):
+    """Some panels in a row, leading axis P."""
+
+    cut: Panels
+    joints: Joints | None
+    section: CrossSection
+    force: Float[Array, "P p 2"]
 
 
-def _follow(problem: Problem, starts, nodes, tip, turns: Array, kappa: Array, turning: Array, **outcome) -> Path:
-    """Integrate the turning that goes with (r, M_ext) at starts, nodes and tip into wrap angle, heading, position."""
-    outboard = problem.outboard
-    (heading_edges, heading), (position_edges, position) = integrate_shape(problem.panels, kappa)
-    wrap_edges, wrap = problem.panels.integrate(jnp.abs(turning))
-    turned = jnp.cumsum(turns, axis=0)
-    pulls = Pull(starts[0]), Pull(nodes[0]), Pull(tip[0])
-    spent_rates = spent_rate(problem, problem.nodes, nodes[0])
-    if spent_rates is not None:
-        edges, inner = problem.panels.integrate(spent_rates)
-        pulls = Pull(starts[0], edges[:-1]), Pull(nodes[0], inner), Pull(tip[0], edges[-1])
+class _Reached(NamedTuple):
+    """What is known at one place once everything inboard is."""
+
+    values: Nodal
+    heading: Number
+    spent: PerTendon | None
+
+
+class _Swept(NamedTuple):
+    """What one sweep makes of some panels."""
+
+    starts: _Reached
+    nodes: _Reached
+    turns: Float[Array, "P tendons"]
+    turning: Float[Array, "P p tendons"]
+
+
+def _whole(problem: Problem) -> _Part:
+    return _Part(problem.panels, problem.joints, problem.nodes, problem.outboard.nodes)
+
+
+def _base(problem: Problem) -> _Reached:
+    base = at_base(problem)
+    return _Reached(base, 0.0 * base.ratio[0], None if problem.base.drag is None else 0.0 * base.ratio)
+
+
+def _moment(problem: Problem, values: Nodal) -> Float[Array, "*points"]:
+    """M_ext, N m."""
+    return 0.0 * values.ratio[..., 0] if values.moment is None else problem.moment_scale * values.moment
+
+
+def _onward(cut: Panels, start: Array | None, rate: Array | None) -> tuple[Any, Any]:
+    """What grows at some rate from a start on, at the edges and at the nodes; None where nothing does."""
+    if start is None or rate is None:
+        return None, None
+    edges, nodes = cut.integrate(rate)
+    return start + edges, start + nodes
+
+
+def _sweep(problem: Problem, part: _Part, start: _Reached, guess: Nodal) -> tuple[_Swept, _Reached]:
+    """Curvature and turning that go with a guess, and r and M_ext that go with these, which are a better one."""
+    cut, section, loaded = part.cut, part.section, guess.moment is not None
+    moment = _moment(problem, guess)
+    spent, spent_at_nodes = _onward(cut, start.spent, spent_rate(problem, section, guess.ratio))
+    pull = Pull(guess.ratio, spent_at_nodes)
+    kappa = curvature_along(problem, section, pull, moment)
+    heading, heading_at_nodes = _onward(cut, start.heading, kappa)
+    moment_rate = moment_rate_of(heading_at_nodes, part.force) if loaded else 0.0 * kappa
+    turning = rates_along(problem, section, kappa, pull, moment_rate).turning
+    bending, bending_at_nodes = _onward(cut, start.values.moment, moment_rate * (1.0 / problem.moment_scale))
+    gains, within = cut.integrate(_ratio_rates(problem, section, turning, guess.ratio))
+    starts, tip, turns = _across_joints(problem, part, Nodal(start.values.ratio + gains, bending), spent)
+    nodes = _Reached(Nodal((starts - gains[:-1])[:, None] + within, bending_at_nodes), heading_at_nodes, spent_at_nodes)
+
+    def edges(ratio: Array, at: Any) -> _Reached:
+        moment, phi, c = jax.tree.map(lambda x: x[at], (bending, heading, spent))
+        return _Reached(Nodal(ratio, moment), phi, c)
+
+    return _Swept(edges(starts, slice(-1)), nodes, turns, turning), edges(tip, -1)
+
+
+def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array]:
+    """Where tendons turn by a finite angle from panel to panel: r beyond, r at the end, and these angles.
+
+    Args:
+        problem, part: what is swept.
+        edges: at the edges of the panels, as if no tendon did that.
+        spent: c there.
+    """
+    if part.joints is None:
+        return edges.ratio[:-1], edges.ratio[-1], 0.0 * edges.ratio[:-1]
+
+    def across(ratio: PerTendon, inputs):
+        joint, gain, spent, moment = inputs
+        turn, beyond = turn_at_joint(problem, joint, Pull(ratio, spent), moment)
+        return beyond + gain, (beyond, turn)
+
+    gains, moment = jnp.diff(edges.ratio, axis=0), _moment(problem, edges)
+    inputs = part.joints, gains, None if spent is None else spent[:-1], moment[:-1]
+    tip, (starts, turns) = jax.lax.scan(across, edges.ratio[0], inputs)
+    return starts, tip, turns
+
+
+def _follow(problem: Problem, swept: _Swept, tip: _Reached, **outcome) -> Path:
+    """Integrate what goes with a sweep at starts, nodes and tip into wrap angle and position."""
+    cut, outboard = problem.panels, problem.outboard
+    axis = [cut.integrate(component) for component in cos_sin(swept.nodes.heading)]
+    position, position_at_nodes = (jnp.stack(components, axis=-1) for components in zip(*axis, strict=True))
+    wrap, wrap_at_nodes = cut.integrate(jnp.abs(swept.turning))
+    turned = jnp.cumsum(swept.turns, axis=0)
+
+    def state(reached: _Reached, wrap: Array, position: Array, force: Array) -> State:
+        values, heading, spent = reached
+        return State(Pull(values.ratio, spent), wrap, heading, position, _moment(problem, values), force)
+
     return Path(
-        State(pulls[0], wrap_edges[:-1] + turned, heading_edges[:-1], position_edges[:-1], starts[1], outboard.starts),
-        State(pulls[1], wrap + turned[:, None], heading, position, nodes[1], outboard.nodes),
-        State(pulls[2], wrap_edges[-1] + turned[-1], heading_edges[-1], position_edges[-1], tip[1], outboard.tip),
+        state(swept.starts, wrap[:-1] + turned, position[:-1], outboard.starts),
+        state(swept.nodes, wrap_at_nodes + turned[:, None], position_at_nodes, outboard.nodes),
+        state(tip, wrap[-1] + turned[-1], position[-1], outboard.tip),
         **outcome,
     )

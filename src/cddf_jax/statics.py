@@ -194,9 +194,9 @@ def _solve(
     physical = finite & _is_physical(asked[0], asked[1], asked[2], problem) & _is_on_the_body(targets, problem)
     solved = physical & balance.load_path.converged
     at_tip = unspent(problem.base_tension, path.tip.pull) / path.tip.ratio
-    slides = jnp.where(_pulls(problem, at_tip), setup.direction * balance.load_path.travel, 0.0)
+    slides = jnp.where(_pulls(problem, at_tip), setup.direction * balance.travel, 0.0)
     contradicted = solved & (slides < -1e-6 * problem.panels.edges[-1])
-    truncation = truncation_error(problem, path)
+    truncation = balance.leverage * truncation_error(problem, path)
     crossing = largest(inside_of_bend(problem, path)) >= 1.0
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     dense = Dense(manipulator, problem.base_tension, direction, problem.panels, path.starts, path.nodes, solved)
@@ -215,7 +215,7 @@ def _solve(
         num_load_steps=balance.load_path.num_steps.astype(int),
         stable=solved & balance.load_path.stable,
         direction_contradicted=contradicted,
-        error_estimate=nan_unless(solved, truncation + path.residual + round_off),
+        error_estimate=nan_unless(solved, truncation + balance.leverage * (path.residual + round_off)),
         num_iterations=path.num_iterations.astype(int),
         result=_first_of(
             (~physical, RESULTS.unphysical),

@@ -100,7 +100,7 @@ def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> tu
         def flow(tension, moment):
             there = settled._replace(load_path=settled.load_path._replace(base_moment=moment))
             problem = place(setup, given.at[which].set(scale * tension), there)
-            path = setup.method(problem)
+            path = setup.method(problem, settled.guess)
             rows = jnp.concatenate([_misses(setup, problem, path, wanted), missing_moment(problem, path)])
             return rows, path.converged & (jnp.max(inside_of_bend(problem, path)) < 1.0)
 

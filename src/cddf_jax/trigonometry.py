@@ -30,10 +30,10 @@ def cos_sin(angle: Float[Array, "*points"]) -> tuple[Float[Array, "*points"], Fl
     quadrant = quarter - 4 * jnp.floor(quarter / 4)
     odd = (quadrant == 1) | (quadrant == 3)
     across, along = jnp.where(odd, sine, cosine), jnp.where(odd, cosine, sine)
-    return (
-        jnp.where((quadrant == 1) | (quadrant == 2), -across, across),
-        jnp.where(quadrant >= 2, -along, along),
-    )
+    cosine = jnp.where((quadrant == 1) | (quadrant == 2), -across, across)
+    sine = jnp.where(quadrant >= 2, -along, along)
+    square = cosine * cosine + sine * sine  # 1, but for rounding; a quotient is not computed anew for every tangent
+    return cosine / square, sine / square
 
 
 @cos_sin.defjvp
