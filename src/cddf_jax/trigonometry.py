@@ -32,8 +32,8 @@ def cos_sin(angle: Float[Array, "*points"]) -> tuple[Float[Array, "*points"], Fl
     across, along = jnp.where(odd, sine, cosine), jnp.where(odd, cosine, sine)
     cosine = jnp.where((quadrant == 1) | (quadrant == 2), -across, across)
     sine = jnp.where(quadrant >= 2, -along, along)
-    square = cosine * cosine + sine * sine  # 1, but for rounding; a quotient is not computed anew for every tangent
-    return cosine / square, sine / square
+    length = 0.5 + 0.5 * (cosine * cosine + sine * sine)  # 1, but for rounding; a quotient is not computed anew
+    return cosine / length, sine / length  # for every tangent
 
 
 @cos_sin.defjvp
