@@ -7,8 +7,9 @@ from pathlib import Path
 
 from cddf_jax.application import QUICK_COMPILATION
 
-# compiling is most of the run time of the suite, and the compiled programs are small
-os.environ.setdefault("XLA_FLAGS", QUICK_COMPILATION)
+# compiling is most of the run time of the suite, and the compiled programs are small; every core has a worker of its
+# own, so that one thread for each of them does
+os.environ.setdefault("XLA_FLAGS", f"{QUICK_COMPILATION} --xla_cpu_parallel_codegen_split_count=1")
 
 import jax
 import pytest
@@ -18,6 +19,7 @@ from hypothesis import Phase, settings
 gc.set_threshold(200_000, 50, 50)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 4)
+jax.config.update("jax_traceback_in_locations_limit", 0)  # compiled programs need not know the lines they come from
 
 # the same examples on every run; compiling takes longer than any deadline; shrinking a body tells little and takes long
 settings.register_profile(
