@@ -108,7 +108,7 @@ def test_the_report_says_what_changed_and_what_holds_it_back(run, task):
 
 
 def test_what_cannot_be_made_is_said_with_what_is_in_the_way(run, task, tmp_path):
-    """A wall of 3 mm at most bends further than 5 degrees under 50 N."""
+    """With a wall of 8 mm at most the body bends further than 5 degrees under 50 N."""
     thin = TASK.replace("45 deg", "5 deg") + '\n[[limit]]\nquantity = "wall_thickness"\nmost = "8 mm"\n'
     out = tmp_path / "out"
     code, text, error = run(task(thin), "--json", "--out", out)

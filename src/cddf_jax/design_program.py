@@ -15,6 +15,7 @@ from .design_problem import Evaluation, Problem, Values
 from .design_space import stretched
 from .equilibrium import RESULTS
 from .load_cases import LoadCase
+from .manipulator import Manipulator
 
 USABLE = tuple(  # results whose numbers lead somewhere
     int(code._value)
@@ -117,15 +118,15 @@ def fixed_numbers(problem: Problem) -> dict[str, float]:
             found[name] = value
     for i, used in enumerate(problem.cases):
         if len(used.numbers) == 0 or len(problem.cases) == 1:
-            found |= {f"case {i + 1}: {name}": x for name, x in _acting(used).items() if name not in free}
+            found |= {f"case {i + 1}: {name}": x for name, x in _acting(body, used).items() if name not in free}
     for i, limit in enumerate(problem.limits):
         sides = {side: getattr(limit, side) for side in ("least", "most", "equal")}
         found |= {f"limit {i + 1}: {side}": float(x) for side, x in sides.items() if x is not None and np.ndim(x) == 0}
     return found
 
 
-def _acting(used: LoadCase) -> dict[str, float]:
-    case = Case(None, used.base_tension, used.loads, used.direction)  # type: ignore[arg-type]
+def _acting(body: Manipulator, used: LoadCase) -> dict[str, float]:
+    case = Case(body, used.base_tension, used.loads, used.direction)
     names = ["base_tension", *(f"base_tension{part}" for part in (".value", ".0", ".1", ".0.value", ".1.value"))]
     names += ["loads.tip_force.0", "loads.tip_force.1", "loads.tip_moment"] if used.loads is not None else []
     return {name: value for name in names if (value := _number(case, name)) is not None}

@@ -27,7 +27,6 @@ class Space(eqx.Module):
     """
 
     names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
-    groups: tuple[str, ...] = eqx.field(static=True)  # as the user named them
     start: Vector
     lower: Vector
     upper: Vector
@@ -73,22 +72,21 @@ def space_of(case: Case, free: Sequence[str], bounds: Mapping[str, tuple[Any, An
     for name in bounds:
         if name not in free:
             raise InputError(f"design: {name!r} has bounds and is not free; add it to free")
-    names, groups, start, low, high = [], [], [], [], []
+    names, start, low, high = [], [], [], []
     for group in free:
-        if group in groups:
+        if list(free).count(group) > 1:
             raise InputError(f"design: {group!r} is free twice; name it once")
         for tied in numbers_under(case, group):
             value = float(np.asarray(case.number(tied[0])))
             lower, upper = _bounds_of(group, value, bounds)
             names.append(tied)
-            groups.append(group)
             start.append(value)
             low.append(lower)
             high.append(upper)
     _check_once(names)
     start, low, high = (np.asarray(x) for x in (start, low, high))
     size = np.minimum(high - low, np.where(start == 0, np.inf, np.abs(start)))
-    return Space(tuple(names), tuple(groups), start, low, high, size)
+    return Space(tuple(names), start, low, high, size)
 
 
 def _bounds_of(group: str, value: float, bounds: Mapping[str, tuple[Any, Any]]) -> tuple[float, float]:

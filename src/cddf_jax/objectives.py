@@ -1,5 +1,6 @@
 """What a design strives for."""
 
+from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
@@ -33,9 +34,9 @@ class Objective(eqx.Module):
     def bent(self) -> bool:
         return quantity_named(self.quantity).bent
 
+    @abstractmethod
     def values(self, view: View) -> Array:
         """What is to be made small, SI."""
-        raise NotImplementedError
 
     def told(self, value: float) -> float:
         """The value as people read it, in `dimension`."""

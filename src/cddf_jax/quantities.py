@@ -80,7 +80,6 @@ class Quantity(NamedTuple):
 
     of: Callable[[View], Any]  # an array of any shape, SI
     dimension: Dimension
-    meaning: str
     bent: bool = True  # whether an equilibrium is needed for it
     along: bool = False  # whether its last axis runs along the body
     per_tendon: bool = False  # whether it is one number for each tendon
@@ -93,8 +92,7 @@ def quantity_named(name: Any) -> Quantity:
         InputError: names the known ones.
     """
     if callable(name):
-        label = getattr(name, "__name__", type(name).__name__)
-        return Quantity(lambda view: jnp.asarray(name(view.body, view.equilibrium)), "dimensionless", label)
+        return Quantity(lambda view: jnp.asarray(name(view.body, view.equilibrium)), "dimensionless")
     if name not in QUANTITIES:
         raise InputError(f"design: {name!r} is no quantity of a body; there are {', '.join(QUANTITIES)}")
     return QUANTITIES[name]
@@ -186,32 +184,30 @@ def _fixed(x: float, y: float) -> Callable[[Equilibrium], Any]:
 
 
 QUANTITIES: dict[str, Quantity] = {
-    "length": Quantity(lambda v: jnp.asarray(v.body.length), "length", "length", bent=False),
-    "volume": Quantity(_volume, "volume", "volume of the body", bent=False),
-    "mass": Quantity(lambda v: jnp.asarray(v.body.density) * _volume(v), "mass", "mass", bent=False),
-    "outer_radius": Quantity(lambda v: v.body.outer_radius(v.arc_length), "length", "outer radius", False, True),
-    "inner_radius": Quantity(lambda v: v.body.inner_radius(v.arc_length), "length", "inner radius", False, True),
-    "wall_thickness": Quantity(_wall, "length", "wall thickness R - r", False, True),
-    "clearance": Quantity(_clearance, "length", "distance of a tendon from the walls", False, True),
-    "taper": Quantity(lambda v: -_slope(v.body.outer_radius, v.arc_length), "dimensionless", "taper -R'", False, True),
-    "slope": Quantity(_slopes, "dimensionless", "slope |R'|, |r'| of the walls", False, True),
-    "curvature": Quantity(lambda v: v.along.curvature, "curvature", "curvature", along=True),
-    "heading": Quantity(lambda v: v.along.heading, "angle", "heading", along=True),
-    "position": Quantity(lambda v: v.along.position.T, "length", "position (X, Y)", along=True),
-    "strain": Quantity(_strain, "dimensionless", "strain R |kappa| of the outer fibre", along=True),
-    "crossing": Quantity(_crossing, "dimensionless", "kappa d on the inside of a bend", along=True),
-    "tension": Quantity(lambda v: v.along.tension, "force", "tension along the tendons", along=True),
-    "base_tension": Quantity(lambda v: v.equilibrium.base_tension, "force", "base tension", per_tendon=True),
-    "tip_tension": Quantity(lambda v: v.equilibrium.tip_tension, "force", "tip tension", per_tendon=True),
-    "tension_loss": Quantity(lambda v: v.equilibrium.tension_loss, "dimensionless", "loss of tension", per_tendon=True),
-    "tendon_displacement": Quantity(
-        lambda v: v.equilibrium.tendon_displacement, "length", "tendon displacement", per_tendon=True
-    ),
-    "tip_angle": Quantity(lambda v: v.equilibrium.tip_angle, "angle", "tip angle"),
-    "tip_position": Quantity(lambda v: v.equilibrium.tip_position, "length", "tip position (X, Y)"),
-    "tip_x": Quantity(lambda v: v.equilibrium.tip_position[0], "length", "tip position X"),
-    "tip_y": Quantity(lambda v: v.equilibrium.tip_position[1], "length", "tip position Y"),
-    "tip_stiffness": Quantity(_stiffness(_across), "stiffness", "tip stiffness across the tip"),
-    "tip_stiffness_x": Quantity(_stiffness(_fixed(1.0, 0.0)), "stiffness", "tip stiffness along X"),
-    "tip_stiffness_y": Quantity(_stiffness(_fixed(0.0, 1.0)), "stiffness", "tip stiffness along Y"),
+    "length": Quantity(lambda v: jnp.asarray(v.body.length), "length", bent=False),
+    "volume": Quantity(_volume, "volume", bent=False),
+    "mass": Quantity(lambda v: jnp.asarray(v.body.density) * _volume(v), "mass", bent=False),
+    "outer_radius": Quantity(lambda v: v.body.outer_radius(v.arc_length), "length", False, True),
+    "inner_radius": Quantity(lambda v: v.body.inner_radius(v.arc_length), "length", False, True),
+    "wall_thickness": Quantity(_wall, "length", False, True),
+    "clearance": Quantity(_clearance, "length", False, True),
+    "taper": Quantity(lambda v: -_slope(v.body.outer_radius, v.arc_length), "dimensionless", False, True),
+    "slope": Quantity(_slopes, "dimensionless", False, True),
+    "curvature": Quantity(lambda v: v.along.curvature, "curvature", along=True),
+    "heading": Quantity(lambda v: v.along.heading, "angle", along=True),
+    "position": Quantity(lambda v: v.along.position.T, "length", along=True),
+    "strain": Quantity(_strain, "dimensionless", along=True),
+    "crossing": Quantity(_crossing, "dimensionless", along=True),
+    "tension": Quantity(lambda v: v.along.tension, "force", along=True),
+    "base_tension": Quantity(lambda v: v.equilibrium.base_tension, "force", per_tendon=True),
+    "tip_tension": Quantity(lambda v: v.equilibrium.tip_tension, "force", per_tendon=True),
+    "tension_loss": Quantity(lambda v: v.equilibrium.tension_loss, "dimensionless", per_tendon=True),
+    "tendon_displacement": Quantity(lambda v: v.equilibrium.tendon_displacement, "length", per_tendon=True),
+    "tip_angle": Quantity(lambda v: v.equilibrium.tip_angle, "angle"),
+    "tip_position": Quantity(lambda v: v.equilibrium.tip_position, "length"),
+    "tip_x": Quantity(lambda v: v.equilibrium.tip_position[0], "length"),
+    "tip_y": Quantity(lambda v: v.equilibrium.tip_position[1], "length"),
+    "tip_stiffness": Quantity(_stiffness(_across), "stiffness"),
+    "tip_stiffness_x": Quantity(_stiffness(_fixed(1.0, 0.0)), "stiffness"),
+    "tip_stiffness_y": Quantity(_stiffness(_fixed(0.0, 1.0)), "stiffness"),
 }
