@@ -104,7 +104,7 @@ def test_notes_that_a_spreadsheet_saved_again(tmp_path):
 
 
 def test_line_numbers_and_labels_beyond_the_first_batch(tmp_path, monkeypatch):
-    monkeypatch.setattr("cddf_jax.measurements._BATCH", 2)
+    monkeypatch.setattr("cddf_jax.csv_table._BATCH", 2)
     body = "B,1,1\n\nA,2,1\n# note\nB,3,2\nC,4,3"
     table = read(tmp_path, "trial,base_tension [N],tip_tension [N]\n" + body)
     assert table.rows.tolist() == [2, 4, 6, 7]
