@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .bootstrap import Bootstrap
     from .closed_form import closed_form_tension
+    from .cross_sections import read_cross_sections
     from .design_results import Design
     from .designing import design
     from .determination import Determination
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from .equilibrium import RESULTS, Equilibrium, Fields, SolveError
     from .errors import InputError
     from .identification import Fit, fit
+    from .interchange import as_dataset, as_frame
     from .least_squares import LeastSquaresFit, least_squares_fit
     from .limits import Limit
     from .literal_iteration import IterationHistory, LiteralIteration, iteration_history
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 _HOME = {
     "bootstrap": "Bootstrap",
     "closed_form": "closed_form_tension",
+    "cross_sections": "read_cross_sections",
     "design_results": "Design",
     "designing": "design",
     "determination": "Determination",
@@ -53,6 +56,7 @@ _HOME = {
     "equilibrium": "RESULTS, Equilibrium, Fields, SolveError",
     "errors": "InputError",
     "identification": "Fit, fit",
+    "interchange": "as_dataset, as_frame",
     "least_squares": "LeastSquaresFit, least_squares_fit",
     "limits": "Limit",
     "literal_iteration": "IterationHistory, LiteralIteration, iteration_history",
@@ -128,6 +132,8 @@ __all__ = [
     "TipTension",
     "TotalTension",
     "Uniform",
+    "as_dataset",
+    "as_frame",
     "closed_form_tension",
     "compare",
     "conical",
@@ -142,6 +148,7 @@ __all__ = [
     "pareto_front",
     "plan",
     "pulling_tension",
+    "read_cross_sections",
     "read_manipulator",
     "read_measurements",
     "sobol",

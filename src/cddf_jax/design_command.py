@@ -1,7 +1,5 @@
 """What `cddf design` says and writes: the report, the numbers for JSON, the profile for CAD."""
 
-import csv
-import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,19 +9,18 @@ import numpy as np
 from .artifacts import as_json, write_all
 from .case import unit_of_name
 from .constrained import TOLERANCE
+from .cross_sections import cross_sections_csv
 from .design_figure import design_figure, pareto_figure
 from .design_file import DesignTask
 from .design_program import fixed_numbers
 from .design_results import Design, LimitReport
 from .designing import design
 from .errors import InputError
-from .manipulator import Manipulator
 from .manipulator_file import manipulator_text
 from .pareto import ParetoFront, pareto_front
 from .plotting import render
 from .units import DIMENSION_OF, Dimension, preferred, shown
 
-PROFILE_POINTS = 201
 LARGEST = 12  # sensitivities that are told
 
 
@@ -42,7 +39,7 @@ def carry_out(task: DesignTask, out: Path | None, progress: bool) -> tuple[dict[
         if found.feasible:
             outside = task.offsets_outside_wall
             files["design.toml"] = manipulator_text(found.manipulator, offsets_outside_wall=outside)
-            files["profile.csv"] = profile_csv(found.manipulator)
+            files["profile.csv"] = cross_sections_csv(found.manipulator)
             files |= render(design_figure(found), "design")
         write_all(out, files)
     return answer, text, found.success
@@ -241,24 +238,6 @@ def as_dict(found: Design) -> dict[str, Any]:
         "starts": list(found.starts),
         "remarks": list(found.remarks),
     }
-
-
-def profile_csv(manipulator: Manipulator) -> str:
-    """The cross-section along the body in mm, for CAD: radii and the offset of every tendon to its side."""
-    length = float(manipulator.length)
-    joints = np.asarray(manipulator.breakpoints, float)
-    s = np.unique(np.concatenate([np.linspace(0.0, length, PROFILE_POINTS), joints[(joints > 0) & (joints < length)]]))
-    columns = {"arc_length [mm]": s, "outer_radius [mm]": manipulator.outer_radius(s)}
-    columns["inner_radius [mm]"] = manipulator.inner_radius(s)
-    for i, tendon in enumerate(manipulator.tendons, 1):
-        end = length if tendon.end is None else float(tendon.end)
-        columns[f"offset_{i} [mm]"] = np.where(s <= end, tendon.side * np.asarray(tendon.offset(s)), np.nan)
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(columns)
-    for row in 1e3 * np.array([np.asarray(column, float) for column in columns.values()]).T:
-        table.writerow("" if np.isnan(x) else f"{x:.9g}" for x in row)
-    return text.getvalue()
 
 
 def front_in_words(front: ParetoFront) -> str:

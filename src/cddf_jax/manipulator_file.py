@@ -28,6 +28,11 @@ A profile (radius, offset) is written in one of these forms; arc lengths count f
     { lines = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ...] }             Piecewise.linear: [arc length, value]
     { spline = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ...] }            Spline: [arc length, value], four or more
 
+The cross-sections may be a table of their own, measured or from CAD (`cross_sections` shows its columns); then length,
+radii and offsets are left out here, and a table [[tendons]] for each column of offsets only where there is more to say:
+
+    cross_sections = "body.csv"          # beside this file; or { file = "body.csv", tolerance = "10 um" }
+
 A passive tip link is a body that goes on beyond the `end` of its tendons, of any radius:
 
     outer_radius = { lines = [["0 mm", "15 mm"], ["300 mm", "6 mm"], ["350 mm", "5 mm"]] }     and     end = "300 mm"
@@ -35,6 +40,7 @@ A passive tip link is a body that goes on beyond the `end` of its tendons, of an
 What is written reads back to the last bit, in float64.
 """
 
+import dataclasses
 import os
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -43,6 +49,7 @@ from pathlib import Path
 from typing import Any
 
 from .artifacts import write_all
+from .cross_sections import CrossSections, read_cross_sections
 from .errors import InputError
 from .manipulator import KINEMATICS, Manipulator, Tendon
 from .profiles import Constant, Linear, Piecewise, Profile, Spline
@@ -66,6 +73,7 @@ _TENDON_NUMBERS: dict[str, Dimension] = {
 _PROFILES = ("outer_radius", "inner_radius")
 _REQUIRED = ("length", *_PROFILES, "youngs_modulus", "friction_coefficient", "tendons")
 _OPTIONAL = ("density", "drag", "kinematics", "offsets_outside_wall", "name", "description")
+_SECTIONS = "cross_sections"
 _FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
 
@@ -80,7 +88,7 @@ def read_manipulator(path: str | os.PathLike[str]) -> Manipulator:
         outside = table.get("offsets_outside_wall", False)
         if not isinstance(outside, bool):
             raise InputError(f"offsets_outside_wall must be true or false, got {outside!r}")
-        return _manipulator(table).validate(offsets_outside_wall=outside)
+        return _manipulator(table, Path(path).parent).validate(offsets_outside_wall=outside)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
     except UnicodeDecodeError:
@@ -138,21 +146,65 @@ def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = F
 # --- reading -------------------------------------------------------------------------------------
 
 
-def _manipulator(table: _Table) -> Manipulator:
-    check_keys("", table, _REQUIRED, _OPTIONAL)
-    numbers = {key: quantity(table[key], kind, key) for key, kind in _NUMBERS.items() if key in table}
-    tendons, length = table["tendons"], numbers["length"]
-    if not isinstance(tendons, list) or not tendons or not all(isinstance(tendon, dict) for tendon in tendons):
-        raise InputError("tendons must be one table per tendon; write each below a line [[tendons]]")
+def _manipulator(table: _Table, folder: Path) -> Manipulator:
+    if _SECTIONS in table:
+        sections = _with_tables(_read_sections(table, folder), table)
+    else:
+        check_keys("", table, _REQUIRED, (*_OPTIONAL, _SECTIONS))
+        sections = _sections(table)
+    numbers: dict[str, Any] = {key: quantity(table[key], kind, key) for key, kind in _NUMBERS.items() if key in table}
     kinematics = table.get("kinematics", "exact")
     if kinematics not in KINEMATICS:
         raise InputError(f"kinematics must be one of {KINEMATICS}, got {kinematics!r}")
-    return Manipulator(
-        **numbers,
-        **{key: _profile(table[key], length, key) for key in _PROFILES},
-        tendons=[_tendon(tendon, length, f"tendon {number}") for number, tendon in enumerate(tendons, 1)],
-        kinematics=kinematics,
-    )
+    return Manipulator(**numbers | sections._asdict(), kinematics=kinematics)
+
+
+def _sections(table: _Table) -> CrossSections:
+    """The body as its keys say."""
+    length = quantity(table["length"], "length", "length")
+    tendons = [_tendon(tendon, length, f"tendon {number}") for number, tendon in enumerate(_tables(table), 1)]
+    outer, inner = (_profile(table[key], length, key) for key in _PROFILES)
+    return CrossSections(length, outer, inner, tuple(tendons))
+
+
+def _tables(table: _Table) -> list[_Table]:
+    tendons = table["tendons"]
+    if not isinstance(tendons, list) or not tendons or not all(isinstance(tendon, dict) for tendon in tendons):
+        raise InputError("tendons must be one table per tendon; write each below a line [[tendons]]")
+    return tendons
+
+
+def _read_sections(table: _Table, folder: Path) -> CrossSections:
+    """The body in the CSV file that is named."""
+    for key in ("length", *_PROFILES):
+        if key in table:
+            raise InputError(f"{key} is in the table of {_SECTIONS} too; leave one of them out")
+    required = [key for key in _REQUIRED if key not in CrossSections._fields]
+    check_keys("", table, required, (*_OPTIONAL, "tendons", _SECTIONS))
+    match table[_SECTIONS]:
+        case str(file):
+            return read_cross_sections(folder / file)
+        case {"file": str(file), "tolerance": str(tolerance), **rest} if not rest:
+            size = quantity(tolerance, "length", f"{_SECTIONS}: tolerance")
+            return read_cross_sections(folder / file, tolerance=size)
+    raise InputError(f'{_SECTIONS} must name a CSV file, "body.csv" or {{ file = "body.csv", tolerance = "10 um" }}')
+
+
+def _with_tables(sections: CrossSections, table: _Table) -> CrossSections:
+    """The same with what the tables of the tendons add."""
+    if "tendons" not in table:
+        return sections
+    tables, count = _tables(table), len(sections.tendons)
+    if len(tables) != count:
+        raise InputError(f"tendons: {len(tables)} tables for {count} columns of offsets; write as many, or none")
+    return sections._replace(tendons=tuple(map(_added, sections.tendons, tables, range(1, count + 1))))
+
+
+def _added(tendon: Tendon, table: _Table, number: int) -> Tendon:
+    where = f"tendon {number}"
+    check_keys(f"{where}: ", table, (), [key for key in _TENDON_NUMBERS if key != "end"])
+    more = {key: quantity(value, _TENDON_NUMBERS[key], f"{where}: {key}") for key, value in table.items()}
+    return dataclasses.replace(tendon, **more)
 
 
 def _tendon(table: _Table, length: float, where: str) -> Tendon:

@@ -158,6 +158,11 @@ def preferred(dimension: Dimension) -> tuple[float, str]:
     return float(_root(si)[0] / _root(unit)[0]), unit
 
 
+def si_unit(dimension: Dimension) -> str:
+    """The unit of SI numbers; "1" for a plain number."""
+    return "1" if dimension == "dimensionless" else _UNITS[dimension].si
+
+
 def _rounded(number: Decimal, factor: Decimal) -> float:
     return float(_EXACT.multiply(number, factor))
 

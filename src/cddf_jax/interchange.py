@@ -1,0 +1,156 @@
+"""Results for other tools: xarray for labelled arrays and NetCDF, pandas for tables and CSV.
+
+A sweep's answer is an `xarray.Dataset` already.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+
+from .bench import parameter_named
+from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
+from .equilibrium import RESULTS, Equilibrium
+from .errors import InputError
+from .measurements import Measurements, dimension_of
+from .store import needed
+from .sweep_outputs import COMPONENTS, OUTPUTS
+from .units import si_unit
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+POINTS = 201  # along the body, where none are given
+ALONG = {
+    "heading": "heading [rad]",
+    "curvature": "curvature [1/m]",
+    "tension": "tension_{tendon} [N]",
+    "normal_force": "normal_force_{tendon}_{component} [N/m]",
+    "friction_force": "friction_force_{tendon}_{component} [N/m]",
+}
+
+
+_fields_at = eqx.filter_jit(lambda equilibrium, arc_length: equilibrium.at(arc_length))
+
+
+def as_dataset(equilibrium: Equilibrium, arc_length: Any = None) -> "xarray.Dataset":
+    """An equilibrium with labels and units: fields over arc_length (m), tendon (0, 1, ...) and component (X, Y).
+
+    `to_netcdf`, `to_dataframe` and `to_zarr` of the answer write it.
+
+    Args:
+        equilibrium: one; its `result` goes into the attributes in words, also where the solve failed.
+        arc_length: s, m, where the fields are wanted, within 0 to L; 201 places from base to tip unless given.
+
+    Raises:
+        InputError: for a batch of equilibria, arc lengths outside the body, or where xarray is not installed.
+    """
+    xarray = needed("xarray")
+    s = _stations(equilibrium, arc_length)
+    fields = _fields_at(equilibrium, s)
+    data = {}
+    for name, output in OUTPUTS.items():
+        if name == "arc_length":
+            continue
+        values = getattr(fields, name) if "point" in output.dims else getattr(equilibrium, name)
+        dims = tuple("arc_length" if dim == "point" else dim for dim in output.dims)
+        units = {"units": output.unit} if output.unit else {}
+        data[name] = (dims, np.asarray(values), {"long_name": output.meaning} | units)
+    coords = {
+        "arc_length": ("arc_length", s, {"long_name": "arc length", "units": "m"}),
+        "tendon": ("tendon", np.arange(len(equilibrium.base_tension)), {"long_name": "place among the tendons"}),
+        "component": ("component", np.array(COMPONENTS)),
+    }
+    return xarray.Dataset(data, coords, {"result": RESULTS[equilibrium.result] or "successful"})
+
+
+def as_frame(what: Equilibrium | Determination | Measurements) -> "pandas.DataFrame":
+    """A table, SI units: of an equilibrium its fields, of a fit its parameters, of measurements their rows.
+
+    - Equilibrium: a row for each of 201 arc lengths; columns carry their units, tendons count from 1.
+    - Fit (or any `Determination`): a row for each parameter, and for each combination that is identified in place of
+      its parts, with value, standard_error, lower, upper (95 %), unit and status. What is not identified has no
+      number: NaN, and an infinite standard error.
+    - Measurements: the columns of the file with their units; `trial` in the words of the file.
+
+    Raises:
+        InputError: for a batch of equilibria, or where pandas is not installed.
+        TypeError: for anything else.
+    """
+    pandas = needed("pandas")
+    match what:
+        case Equilibrium():
+            return pandas.DataFrame(columns_along(what))
+        case Determination():
+            return pandas.DataFrame(_parameters(what)).set_index("parameter")
+        case Measurements():
+            return pandas.DataFrame({_head(name): _column(what, name) for name in what.columns})
+    raise TypeError(f"as_frame takes an Equilibrium, a Fit or Measurements, got {type(what).__name__}")
+
+
+def columns_along(equilibrium: Equilibrium, arc_length: Any = None) -> dict[str, np.ndarray]:
+    """What varies along the body by the head of its column, one number for each arc length.
+
+    Raises:
+        InputError: for a batch of equilibria or arc lengths outside the body.
+    """
+    s = _stations(equilibrium, arc_length)
+    fields = _fields_at(equilibrium, s)
+    x, y = np.asarray(fields.position).T
+    columns = {"arc_length [m]": s, "x [m]": x, "y [m]": y}
+    for name, head in ALONG.items():
+        values = np.asarray(getattr(fields, name))
+        per_tendon = values if "{tendon}" in head else values[None]
+        for tendon, own in enumerate(per_tendon, 1):
+            for component, part in zip("xy", own.T if own.ndim == 2 else own[None], strict=False):
+                columns[head.format(tendon=tendon, component=component)] = part
+    return columns
+
+
+def _stations(equilibrium: Equilibrium, arc_length: Any) -> np.ndarray:
+    shape = np.shape(equilibrium.tip_angle)
+    if shape:
+        raise InputError(f"takes one equilibrium, got a batch of shape {shape}; `cddf.sweep` labels batches")
+    length = float(equilibrium.arc_length[-1])
+    if arc_length is None:
+        return np.linspace(0.0, length, POINTS)
+    s = np.atleast_1d(np.asarray(arc_length, float))
+    if s.ndim != 1 or not np.all((s >= 0) & (s <= length)):
+        raise InputError(f"arc_length must be one list within 0 to {length:g} m, the length of the body")
+    return s
+
+
+def _parameters(told: Determination) -> list[dict[str, Any]]:
+    rows = []
+    for name, status in told.status.items():
+        lost = status == NOT_IDENTIFIED
+        lower, upper = told.confidence_interval[name]
+        value = np.nan if lost else told.value[name]
+        rows.append(_row(name, value, told.standard_error[name], lower, upper, _unit(name), status))
+    for name, (value, error) in told.combinations.items():
+        reach = told.quantile * error
+        rows.append(_row(name, value, error, value - reach, value + reach, "SI", IDENTIFIED))
+    return rows
+
+
+def _row(*cells: Any) -> dict[str, Any]:
+    heads = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")
+    return dict(zip(heads, cells, strict=True))
+
+
+def _unit(parameter: str) -> str:
+    """Of a parameter of a bench; none of those of another `predict`."""
+    try:
+        return si_unit(parameter_named(parameter).dimension)
+    except InputError:
+        return ""
+
+
+def _head(column: str) -> str:
+    dimension = dimension_of(column)
+    return column if dimension is None else f"{column} [{si_unit(dimension)}]"
+
+
+def _column(table: Measurements, name: str) -> Any:
+    return [table.trial_labels[int(code)] for code in table[name]] if name == "trial" else table[name]
