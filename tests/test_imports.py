@@ -14,6 +14,7 @@ SOURCE = Path(cddf.__file__).parent
 FLOW = [
     {"profiles", "errors"},
     {"manipulator", "loads"},
+    {"friction"},
     {"mechanics"},
     {"reductions"},
     {"quadrature", "fixed_point", "implicit", "trigonometry"},

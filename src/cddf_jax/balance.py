@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .friction import PerTendon
 from .implicit import implicit, without_derivative
 from .load_path import LoadedBody, LoadPath, Trial, follow_loads, moment_left_at_tip, start_from
 from .loads import Loads
@@ -17,7 +18,6 @@ from .problem import (
     Nodal,
     Number,
     Path,
-    PerTendon,
     Problem,
     all_points,
     at_base,

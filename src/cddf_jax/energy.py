@@ -9,21 +9,10 @@ from jaxtyping import Array, Float
 
 from .balance import Setup, equilibrate
 from .equilibrium import RESULTS, nan_unless
+from .friction import PerTendon, tension_rate, unspent
 from .loads import Loads
 from .manipulator import Manipulator
-from .mechanics import tension_rate
-from .problem import (
-    Method,
-    Path,
-    PerTendon,
-    Problem,
-    curvature_along,
-    moment_rate_of,
-    rates_along,
-    tension_of,
-    unspent,
-    weight_rate,
-)
+from .problem import Method, Path, Problem, curvature_along, load_rate, moment_rate_of, rates_along, tension_of
 from .quadrature import gauss_rule
 from .solver import FixedPoint
 from .statics import one_precision, solve
@@ -120,7 +109,7 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     turning = rates_along(problem, problem.nodes, kappa, path.nodes.pull, moment_rate).turning
     section = problem.nodes
     tension = tension_of(section, base_tension, path.nodes.pull)
-    friction = -tension_rate(section, turning, tension, problem.direction)
+    friction = -tension_rate(problem.direction, section, turning, tension)
     starts = unspent(base_tension, path.starts.pull) / path.starts.ratio
     arriving = jnp.concatenate([base_tension[None], (starts - cut.gain(friction))[:-1]])
     body = problem.manipulator
@@ -145,8 +134,8 @@ def _load_energy(problem: Problem, path: Path) -> Number:
     loads = problem.loads
     if loads is None:
         return 0.0 * path.tip.heading
-    weight = weight_rate(problem.manipulator, problem.panels.nodes, loads)
-    lifted = jnp.sum(problem.panels.gain(jnp.sum(weight * path.nodes.position, axis=-1)))
+    rate = load_rate(problem.manipulator, problem.panels.nodes, loads)
+    lifted = jnp.sum(problem.panels.gain(jnp.sum(rate * path.nodes.position, axis=-1)))
     return -(problem.outboard.tip @ path.tip.position + loads.tip_moment * path.tip.heading + lifted)
 
 

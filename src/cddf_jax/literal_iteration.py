@@ -9,8 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from . import mechanics
 from .fixed_point import fixed_point
+from .friction import Pull
 from .manipulator import Manipulator
-from .problem import Nodal, Path, Problem, Pull, State, curvature_along, lay_out
+from .problem import Nodal, Path, Problem, State, curvature_along, lay_out
 from .quadrature import Panels
 from .solver import integrate_shape
 from .statics import check_nodes, one_precision, per_tendon

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .problem import Method, Nodal, Number, Path, PerTendon, Problem, loaded_to, nodal
+from .friction import PerTendon
+from .problem import Method, Nodal, Number, Path, Problem, loaded_to, nodal
 from .reductions import all_finite, largest_size, relative_size
 from .sign_changes import changes_sign
 from .tendon_travel import tendon_displacement

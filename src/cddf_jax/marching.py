@@ -4,25 +4,23 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from .friction import Pull, ratio_rate, spent_rate
 from .problem import (
     Nodal,
     Number,
     Path,
     Problem,
-    Pull,
     State,
     axis_of,
     curvature_of,
     edge_nudge,
     guarded_section,
+    load_rate,
     moment_rate_of,
     ones_at_base,
     rates_of,
-    ratio_rate,
-    spent_rate,
     spent_scale,
     turn_at_joint,
-    weight_rate,
 )
 from .solver import ACCURACY
 
@@ -76,10 +74,11 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
         moment_rate = moment_rate_of(state.heading, state.force)
         turning = rates_of(problem, section, kappa, state.pull, moment_rate).turning
         ratio = state.ratio
-        growth = Pull(ratio_rate(problem, section, turning, ratio), spent_rate(problem, section, ratio))
+        direction = problem.direction
+        growth = Pull(ratio_rate(direction, section, turning, ratio), spent_rate(direction, section, ratio))
         force_rate = 0.0 * state.force
         if problem.loads is not None:
-            force_rate = -weight_rate(problem.manipulator, arc_length, problem.loads)
+            force_rate = -load_rate(problem.manipulator, arc_length, problem.loads)
         return State(growth, jnp.abs(turning), kappa, axis_of(state.heading), moment_rate, force_rate)
 
     def panel(state, inputs):

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 from .manipulator import CrossSection
 
-PerTendon = Float[Array, " tendons"]
 Number = Float[Array, ""]
 NEWTON_STEPS = 8
 
@@ -110,12 +110,13 @@ def rates(
     arm = section.side * section.offset
     pull_rate = section.side * section.offset_slope * t.along + arm * t.along_rate
     force = jnp.sum(tension * pull_rate) - section.stiffness_rate * curvature + external_moment_rate
-    if section.drag is not None:
-        force = force - jnp.sum(arm * t.along * _drag_loss(section.drag, tension, direction))
+    dragged = drag_loss(direction, section, tension)
+    if dragged is not None:
+        force = force - jnp.sum(arm * t.along * dragged)
     stiffness = section.stiffness - jnp.sum(arm * tension * t.along_slope)
 
     def with_signs(sign: PerTendon) -> Rates:
-        friction = direction * section.friction_coefficient * sign * arm * t.along * tension
+        friction = bending_loss(direction, section, tension) * sign * arm * t.along
         kappa_rate = (force - jnp.sum(friction * t.turning)) / (stiffness + jnp.sum(friction * t.turning_slope))
         return Rates(kappa_rate, t.turning + t.turning_slope * kappa_rate if coupled else t.turning)
 
@@ -124,17 +125,6 @@ def rates(
         return with_signs(jnp.sign(t.turning))
     frictionless = with_signs(jnp.zeros_like(t.turning))
     return with_signs(jnp.sign(with_signs(jnp.sign(frictionless.turning)).turning))
-
-
-def tension_rate(section: CrossSection, turning: PerTendon, tension: PerTendon, direction: PerTendon) -> PerTendon:
-    """T' = -direction (mu |psi'| T + w), N/m: the derivative of Liu et al. (2020), eq. (8), and the drag w."""
-    by_bending = -direction * section.friction_coefficient * jnp.abs(turning) * tension
-    return by_bending if section.drag is None else by_bending - _drag_loss(section.drag, tension, direction)
-
-
-def _drag_loss(drag: PerTendon, tension: PerTendon, direction: PerTendon) -> PerTendon:
-    """What T loses to the drag, direction w, N/m: nothing where a tendon that slides in is slack."""
-    return jnp.where((tension > 0) | (direction < 0), direction * drag, 0.0)
 
 
 class Forces(NamedTuple):
@@ -162,7 +152,7 @@ def distributed_forces(
         along_rate, across_rate = along_rate - t.across * turn, across_rate + t.along * turn
     else:
         along_rate, across_rate = -t.across * rate.turning, t.along * rate.turning
-    loss_rate = tension_rate(section, rate.turning, tension, direction)
+    loss_rate = tension_rate(direction, section, rate.turning, tension)
 
     def in_fixed_frame(along, across):
         return along[:, None] * axis + across[:, None] * left

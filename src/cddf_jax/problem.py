@@ -14,12 +14,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from . import mechanics
-from .loads import Loads, planar_cross
+from .friction import PerTendon, Pull, ratio_beyond, unspent
+from .loads import Loads, force_per_length, planar_cross
 from .manipulator import CrossSection, Manipulator
 from .quadrature import Panels, panels
 from .trigonometry import cos_sin
 
-PerTendon = Float[Array, " tendons"]
 Number = Float[Array, ""]
 
 
@@ -57,13 +57,6 @@ class Problem(eqx.Module):
     def moment_scale(self) -> Number:
         """E J / L at the base, N m."""
         return self.base.stiffness / self.panels.edges[-1]
-
-
-class Pull(NamedTuple):
-    """What friction leaves of the base tensions: T = (T_base - c) / r."""
-
-    ratio: Float[Array, "*points tendons"]  # r, which grows by bending; T_base / T without drag
-    spent: Float[Array, "*points tendons"] | None = None  # c, N, used up by drag; None without drag
 
 
 class State(NamedTuple):
@@ -155,14 +148,14 @@ def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None) -> Out
     if loads is None:
         zero = jnp.zeros((*cut.nodes.shape, 2), cut.edges.dtype)
         return Outboard(zero[:, 0], zero, zero[0, 0])
-    edges, nodes = cut.integrate(weight_rate(manipulator, cut.nodes, loads))
+    edges, nodes = cut.integrate(load_rate(manipulator, cut.nodes, loads))
     force = jnp.asarray(loads.tip_force)
     return Outboard(force + edges[-1] - edges[:-1], force + edges[-1] - nodes, force)
 
 
-def weight_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points 2"]:
-    """The weight rho A g per length, N/m."""
-    return (jnp.asarray(manipulator.density) * manipulator.area(arc_length))[..., None] * jnp.asarray(loads.gravity)
+def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points 2"]:
+    """What the distributed dead loads put on the body per length, N/m."""
+    return force_per_length(loads, arc_length, jnp.asarray(manipulator.density) * manipulator.area(arc_length))
 
 
 def loaded_to(problem: Problem, fraction: Number, base_moment: Number) -> Problem:
@@ -192,14 +185,6 @@ def edge_nudge(cut: Panels) -> Number:
 
 
 # --- one cross-section ---------------------------------------------------------------------------
-
-
-def unspent(base_tension: PerTendon, pull: Pull) -> Float[Array, "*points tendons"]:
-    """T_base - c, N: what drag leaves of the base tension, zero where the tendon is slack."""
-    if pull.spent is None:
-        return base_tension
-    left = base_tension - pull.spent
-    return jnp.where(left >= 0, left, 0.0)
 
 
 def tension_of(section: CrossSection, base_tension: PerTendon, pull: Pull) -> PerTendon:
@@ -232,16 +217,6 @@ def axis_of(heading: Float[Array, "*points"]) -> Float[Array, "*points 2"]:
     return jnp.stack(cos_sin(heading), axis=-1)
 
 
-def ratio_rate(problem: Problem, section: CrossSection, turning: PerTendon, ratio: PerTendon) -> PerTendon:
-    """The growth r' = direction mu theta' r."""
-    return problem.direction * section.friction_coefficient * jnp.abs(turning) * jnp.abs(ratio)
-
-
-def spent_rate(problem: Problem, section: CrossSection, ratio: PerTendon) -> PerTendon | None:
-    """The growth c' = direction w r, N/m; None without drag. It goes on where a tendon is slack."""
-    return None if section.drag is None else problem.direction * section.drag * jnp.abs(ratio)
-
-
 def spent_scale(problem: Problem, tip: Pull) -> PerTendon | None:
     """What counts as large for c, N: base tension and c at the tip, 1 where there is neither; None without drag."""
     if tip.spent is None:
@@ -260,11 +235,11 @@ def turn_at_joint(problem: Problem, joint: Joints | None, pull: Pull, moment: Nu
     def angle(section, ratio):
         return mechanics.tangent_angle(section, curvature_of(problem, section, pull._replace(ratio=ratio), moment))
 
-    arriving, gain = angle(before, ratio), problem.direction * before.friction_coefficient
+    arriving = angle(before, ratio)
 
     def improve(_, guess):  # the angle beyond depends on r there only by mu d d' kappa, so this contracts fast
         turn = jnp.where(after.present, jnp.abs(angle(after, guess[1]) - arriving), 0.0)
-        return turn, ratio * jnp.exp(gain * turn)
+        return turn, ratio_beyond(problem.direction, before, turn, ratio)
 
     return jax.lax.fori_loop(0, 6, improve, (0.0 * arriving, ratio + 0.0 * arriving))
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .fixed_point import fixed_point, minus, round_off
+from .friction import PerTendon, Pull, ratio_rate, spent_rate
 from .manipulator import CrossSection
 from .problem import (
     AT_NODES,
@@ -21,9 +22,7 @@ from .problem import (
     Nodal,
     Number,
     Path,
-    PerTendon,
     Problem,
-    Pull,
     State,
     at_base,
     curvature_along,
@@ -31,8 +30,6 @@ from .problem import (
     guarded_section,
     moment_rate_of,
     rates_along,
-    ratio_rate,
-    spent_rate,
     spent_scale,
     turn_at_joint,
 )
@@ -67,8 +64,8 @@ def truncation_error(problem: Problem, path: Path) -> Number:
         kappa = curvature_along(problem, sections, state.pull, state.moment)
         moment_rate = moment_rate_of(state.heading, state.force)
         turning = rates_along(problem, sections, kappa, state.pull, moment_rate).turning
-        growth = sections.friction_coefficient * jnp.abs(turning) * state.ratio / path.tip.ratio
-        spending, scale = spent_rate(problem, sections, state.ratio), spent_scale(problem, path.tip.pull)
+        growth = ratio_rate(problem.direction, sections, turning, state.ratio) / path.tip.ratio
+        spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, path.tip.pull)
         spent = [] if spending is None or scale is None else [cut.gain(spending / scale)]
         shape = [cut.gain(component)[:, None] / cut.edges[-1] for component in cos_sin(state.heading)]
         bending = [cut.gain(moment_rate)[:, None] / problem.moment_scale] if problem.loads is not None else []
@@ -221,14 +218,14 @@ def _sweep(problem: Problem, part: _Part, start: _Reached, guess: Nodal) -> tupl
     """Curvature and turning that go with a guess, and r and M_ext that go with these, which are a better one."""
     cut, section, loaded = part.cut, part.section, guess.moment is not None
     moment = _moment(problem, guess)
-    spent, spent_at_nodes = _onward(cut, start.spent, spent_rate(problem, section, guess.ratio))
+    spent, spent_at_nodes = _onward(cut, start.spent, spent_rate(problem.direction, section, guess.ratio))
     pull = Pull(guess.ratio, spent_at_nodes)
     kappa = curvature_along(problem, section, pull, moment)
     heading, heading_at_nodes = _onward(cut, start.heading, kappa)
     moment_rate = moment_rate_of(heading_at_nodes, part.force) if loaded else 0.0 * kappa
     turning = rates_along(problem, section, kappa, pull, moment_rate).turning
     bending, bending_at_nodes = _onward(cut, start.values.moment, moment_rate * (1.0 / problem.moment_scale))
-    gains, within = cut.integrate(_ratio_rates(problem, section, turning, guess.ratio))
+    gains, within = cut.integrate(_ratio_rates(problem.direction, section, turning, guess.ratio))
     starts, tip, turns = _across_joints(problem, part, Nodal(start.values.ratio + gains, bending), spent)
     nodes = _Reached(Nodal((starts - gains[:-1])[:, None] + within, bending_at_nodes), heading_at_nodes, spent_at_nodes)
 

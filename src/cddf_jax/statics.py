@@ -12,9 +12,10 @@ from jaxtyping import Array, Bool, Float
 
 from .balance import Balance, Setup, equilibrate, inside_of_bend
 from .equilibrium import RESULTS, Dense, Equilibrium, Fields, SolveError, fields_at, nan_unless, tendons_first
+from .friction import unspent
 from .loads import Loads
 from .manipulator import Manipulator
-from .problem import Method, Path, Problem, guarded_section, line_up, unspent
+from .problem import Method, Path, Problem, guarded_section, line_up
 from .quadrature import panels
 from .reductions import largest
 from .solver import ACCURACY, FixedPoint, truncation_error

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from .balance import Setup, missing_moment
-from .problem import Number, Path, Problem, curvature_of, guarded_section, unspent, with_tip_force
+from .friction import unspent
+from .problem import Number, Path, Problem, curvature_of, guarded_section, with_tip_force
 from .profiles import Scalar, as_number
 from .tendon_travel import tendon_displacement
 

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .problem import Path, PerTendon, Problem, curvature_of, tension_of
+from .friction import PerTendon
+from .problem import Path, Problem, curvature_of, tension_of
 
 
 def tendon_displacement(problem: Problem, path: Path) -> PerTendon:

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .balance import Balance, Settled, Setup, balance, inside_of_bend, missing_moment, place, settle, unsettled
+from .friction import PerTendon
 from .implicit import solve_small, without_derivative
-from .problem import Number, Path, PerTendon, Problem
+from .problem import Number, Path, Problem
 from .targets import Displacement, Target, bending_tension
 
 START = 0.05  # of the tension at which d kappa would come near 1
