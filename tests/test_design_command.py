@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import cddf_jax as cddf
-from cddf_jax.design_figure import design_figure, pareto_figure
+from cddf_jax.design_figure import design_figure, draw_design, draw_trade_off, pareto_figure
 from cddf_jax.design_file import read_task
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -141,7 +142,10 @@ def test_a_trade_off(run, task, tmp_path):
     read = read_task(task(both))
     front = cddf.pareto_front(read.manipulator, [aim for _, aim in read.objective], **read.arguments(), num=3)
     (axes,) = pareto_figure(front).axes
-    assert axes.get_xlabel() == "Volume (cm^3)"
+    given = Figure().subplots()
+    assert draw_trade_off(front, given) is given
+    assert given.get_xlabel() == axes.get_xlabel()
+    assert axes.get_xlabel() == "Volume (cm$^{3}$)"
     assert axes.get_ylabel() == "Strain"
     drawn = next(line for line in axes.lines if line.get_marker() == "o").get_xydata()
     np.testing.assert_allclose(drawn, front.values * [1e6, 1.0])
@@ -149,6 +153,9 @@ def test_a_trade_off(run, task, tmp_path):
 
 def test_the_figure_is_to_scale_and_shows_both_bodies(found):
     shape, curvature, strain = design_figure(found).axes
+    given = Figure().subplots()
+    assert draw_design(found, given) is given
+    assert (given.get_xlabel(), given.get_ylabel()) == ("$X$ (mm)", "$Y$ (mm)")
     assert shape.get_aspect() == 1.0
     s = np.linspace(0, 0.14, 8)
     before, after = curvature.lines

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import cddf_jax as cddf
 from cddf_jax import plan_command
-from cddf_jax.plan_figure import plan_figure
+from cddf_jax.plan_figure import draw_plan, plan_figure
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 PAPER, LOAD_CELLS = (DATA / name for name in ("smooth_sil_940.toml", "load_cells_simulated.csv"))
@@ -74,6 +75,9 @@ def test_noise_that_grows_with_the_reading(tmp_path):
 def test_the_figure_holds_the_table(candidates):
     """A marker per candidate and parameter: filled at the standard error, hollow at the edge where there is none."""
     answer = cddf.plan(cddf.read_manipulator(PAPER), plan_command.read_candidates(candidates))
+    given = Figure().subplots()
+    assert draw_plan(answer, given) is given
+    assert given.get_xlabel() == "Expected standard error (%)"
     (axes,) = plan_figure(answer).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == [
         "now",

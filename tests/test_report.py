@@ -15,7 +15,7 @@ from repeat import repeated
 from scipy import stats
 
 import cddf_jax as cddf
-from cddf_jax import artifacts, fit_figures, fit_results, plotting, report
+from cddf_jax import artifacts, estimate_figures, fit_figures, fit_results, plotting, profile_figures, report
 from cddf_jax.bootstrap import Bootstrap
 from cddf_jax.measurements import Measurements
 from cddf_jax.observations import Noise
@@ -310,7 +310,7 @@ def test_too_few_residuals_have_no_normality(paper):
 
 def test_the_profile_is_the_sum_of_squares(drum, drum_report, pulley):
     """One parameter and noise that is held: the profile is the sum of squares itself."""
-    (axes,) = fit_figures.profiles_figure(drum, drum_report.profiles).axes
+    (axes,) = profile_figures.profiles_figure(drum, drum_report.profiles).axes
     estimate = drum.value["friction_coefficient"]
     noise = np.hypot(0.1, 0.01 * pulled(pulley, estimate))
 
@@ -332,7 +332,7 @@ def test_the_profile_is_the_sum_of_squares(drum, drum_report, pulley):
 def test_an_open_profile_is_seen_to_be_open(tensions_only):
     """Tensions know mu / E only: mu alone costs nothing, two decades up and down."""
     profile = tensions_only.profile("friction_coefficient")
-    (axes,) = fit_figures.profiles_figure(tensions_only, {"friction_coefficient": profile}).axes
+    (axes,) = profile_figures.profiles_figure(tensions_only, {"friction_coefficient": profile}).axes
     assert texts(axes) == ["← open", "open →"]
     assert axes.get_xscale() == "log"
     mu, root = line_of(axes, "profile")
@@ -343,11 +343,11 @@ def test_an_open_profile_is_seen_to_be_open(tensions_only):
 
 
 def test_the_correlation_in_numbers(paper_route, tensions_only):
-    figure = fit_figures.correlation_figure(paper_route)
+    figure = estimate_figures.correlation_figure(paper_route)
     matrix = [[float(text) for text in row] for row in np.reshape(texts(figure.axes[0]), (2, 2))]
     expected = paper_route.covariance[0, 1] / np.prod([paper_route.standard_error[name] for name in BOTH])
     np.testing.assert_allclose(matrix, [[1, expected], [expected, 1]], atol=0.0051)
-    assert fit_figures.correlated_names(tensions_only) == []
+    assert estimate_figures.correlated_names(tensions_only) == []
 
 
 def test_the_bootstrap_in_the_report(drum, drum_report):
@@ -370,7 +370,7 @@ def test_a_corner_holds_the_ellipse(paper_route):
     estimate = np.array([paper_route.value[name] for name in BOTH])
     points = rng.multivariate_normal(estimate, paper_route.covariance, size=4000)
     drawn = Bootstrap("parametric", BOTH, points, estimate, 0, 1)
-    figure = fit_figures.bootstrap_figure(paper_route, drawn)
+    figure = estimate_figures.bootstrap_figure(paper_route, drawn)
     pair = next(axes for axes in figure.axes if axes.get_legend_handles_labels()[1][:1] == ["refits"])
     (ellipse,) = pair.patches
     inside = ellipse.get_path().contains_points(

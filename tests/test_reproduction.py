@@ -10,7 +10,7 @@ import pytest
 from bodies import paper_body
 from matplotlib.image import imread
 
-from cddf_jax import artifacts, plotting, reproduction
+from cddf_jax import artifacts, plotting, readings_drawing, reproduction
 from cddf_jax.errors import InputError
 from cddf_jax.manipulator_file import read_manipulator
 from cddf_jax.measurements import Measurements, read_measurements
@@ -128,7 +128,7 @@ def test_markdown_holds_every_row(reproduced):
 
 def test_measured_trials_are_not_called_simulated(load_cells):
     measured = Measurements.from_columns("bench", **load_cells.columns)
-    results = reproduction.Results(paper_body(), *[None] * 3, load_cells=measured, predicted=np.zeros(0))  # type: ignore[arg-type]
+    results = reproduction.Results(paper_body(), *[None] * 2, load_cells=measured, predicted=np.zeros(0))  # type: ignore[arg-type]
     assert results.trials == "trials"
 
 
@@ -170,7 +170,7 @@ def test_json_of_arrays_and_of_what_is_not_finite():
 
 
 def test_readings_are_gathered_by_level():
-    levels = plotting.by_level([10.02, 5.0, 9.98, 20.0], [4.0, 1.0, 2.0, 7.0])
+    levels = readings_drawing.by_level([10.02, 5.0, 9.98, 20.0], [4.0, 1.0, 2.0, 7.0])
     np.testing.assert_allclose(levels.x, [5.0, 10.0, 20.0])
     np.testing.assert_allclose(levels.mean, [1.0, 3.0, 7.0])
     np.testing.assert_allclose(levels.deviation, [np.nan, np.sqrt(2.0), np.nan])
@@ -179,15 +179,3 @@ def test_readings_are_gathered_by_level():
 @pytest.mark.parametrize(("value", "expected"), [(531.6, 500), (27.3, 20), (1.0, 1), (0.09, 0.05)])
 def test_round_numbers(value, expected):
     assert plotting.round_number(value) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("columns", [1, 2])
-def test_fit_figure(columns):
-    x, grid = np.repeat([1.0, 2.0, 3.0], 2), np.linspace(0, 4, 9)
-    residual = np.array([0.1, -0.1] * 3)
-    panel = plotting.FitPanel(x, x + residual, residual, grid, grid, grid - 0.1, grid + 0.1, "x (N)", "y (N)", "r (N)")
-    figure = plotting.fit_figure([panel] * columns)
-    assert len(figure.axes) == 2 * columns
-    assert {axes.get_ylabel() for axes in figure.axes} == {"y (N)", "r (N)"}
-    assert all(axes.get_xlim() == figure.axes[0].get_xlim() for axes in figure.axes)
-    assert plotting.render(figure, "fit") == plotting.render(figure, "fit")  # no date, nothing random

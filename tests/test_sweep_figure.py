@@ -8,8 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from cddf_jax.plotting import render
-from cddf_jax.sweep_figure import in_words, left_out, sweep_figure
+from cddf_jax.sweep_figure import left_out, sweep_figure
 from cddf_jax.sweep_outputs import RESULT_NAMES
+from cddf_jax.sweep_view import in_words
 
 CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")
 TENSIONS = np.linspace(10.0, 50.0, 5)

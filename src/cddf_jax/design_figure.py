@@ -1,5 +1,6 @@
 """Figures of a design: the body before and after, to scale; and the trade-off between two objectives."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -7,15 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from . import plotting as draw
+from .along_figure import draw_along, fields_along, stations
 from .design_results import Design
 from .equilibrium import Equilibrium
 from .manipulator import Manipulator
 from .pareto import ParetoFront
-from .solve_figure import stations
 from .units import preferred
 
-START: dict[str, Any] = {"color": draw.GREY, "linestyle": (0, (4, 2))}
-END: dict[str, Any] = {"color": draw.BLUE, "linestyle": "-"}
+START: dict[str, Any] = {"color": draw.GREY, "linestyle": (0, (4, 2)), "label": "before"}
+END: dict[str, Any] = {"color": draw.BLUE, "linestyle": "-", "label": "after"}
+HEIGHT, FRONT_HEIGHT = 3.5, 2.6  # inches
 
 
 def design_figure(design: Design) -> Figure:
@@ -26,11 +28,30 @@ def design_figure(design: Design) -> Figure:
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4)
         grid = figure.add_gridspec(2, 2, width_ratios=(1.45, 1))
-        shape = figure.add_subplot(grid[:, 0])
-        _draw_bodies(shape, design)
+        draw_design(design, figure.add_subplot(grid[:, 0]))
         curvature, strain = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-        _draw_along(curvature, strain, design)
+        for axes, quantity in ((curvature, "curvature"), (strain, "strain")):
+            draw_along(design.start, design.equilibria_at_start[0], quantity, axes, **START)
+            draw_along(design.manipulator, design.equilibria[0], quantity, axes, **END)
+        curvature.set_xlabel("")
+        curvature.tick_params(labelbottom=False)
+        curvature.legend(loc="best")
     return figure
+
+
+def draw_design(design: Design, axes: Axes | None = None) -> Axes:
+    """The straight bodies before and after, and the designed one bent in its first load case; to one scale, mm.
+
+    Outer and inner diameters at both ends are written beside the straight bodies. The bent body from which the search
+    began is dashed.
+
+    Args:
+        design: of `design`.
+        axes: where to draw; None for a new figure, one column wide.
+    """
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        _draw_bodies(axes, design)
+    return axes
 
 
 def _draw_bodies(axes: Axes, design: Design) -> None:
@@ -48,7 +69,7 @@ def _draw_bodies(axes: Axes, design: Design) -> None:
     for tendon in after.tendons:
         axes.plot(*_tendon(after, tendon, bent).T, color=draw.BLACK, linewidth=0.6)
     axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
-    axes.set_aspect("equal", adjustable="datalim")
+    draw.to_scale(axes)
     axes.update_datalim([(0.0, top + 7.4 * radius)])  # room for what is written above
     axes.autoscale_view()
     axes.set_yticks([tick for tick in axes.get_yticks() if tick <= top + 1e-9])
@@ -73,7 +94,7 @@ def _draw_straight(axes: Axes, body: Manipulator, level: float, label: str) -> N
 
 def _bent(body: Manipulator, equilibrium: Equilibrium) -> draw.Body:
     s = stations(body)
-    along = equilibrium.at(s)
+    along = fields_along(equilibrium, s)
     outer, inner = (1e3 * np.asarray(radius(s)) for radius in (body.outer_radius, body.inner_radius))
     return draw.Body(1e3 * np.asarray(along.position), np.asarray(along.heading), outer, inner)
 
@@ -84,43 +105,38 @@ def _tendon(body: Manipulator, tendon, drawn: draw.Body) -> np.ndarray:
     return drawn.at_distance(np.where(s <= end, tendon.side * 1e3 * np.asarray(tendon.offset(s)), np.nan))
 
 
-def _draw_along(curvature: Axes, strain: Axes, design: Design) -> None:
-    pairs = (
-        (design.start, design.equilibria_at_start[0], START, "before"),
-        (design.manipulator, design.equilibria[0], END, "after"),
-    )
-    for body, equilibrium, look, label in pairs:
-        s = stations(body)
-        kappa = np.asarray(equilibrium.at(s).curvature)
-        curvature.plot(1e3 * s, kappa, **look, label=label)
-        strain.plot(1e3 * s, 100 * np.asarray(body.outer_radius(s)) * np.abs(kappa), **look, label=label)
-    curvature.set(ylabel=r"Curvature $\kappa$ (1/m)")
-    curvature.tick_params(labelbottom=False)
-    strain.set(xlabel="Arc length $s$ (mm)", ylabel=r"Strain $R|\kappa|$ (%)")
-    for axes in (curvature, strain):
-        axes.set_xlim(0.0, None)
-        low, high = axes.get_ylim()
-        axes.set_ylim(min(low, 0.0), max(high, 0.0) * 1.05 if high > 0 else 0.0)
-    curvature.legend(loc="best")
-
-
 def pareto_figure(front: ParetoFront) -> Figure:
-    """The two objectives against each other: every design a point, the start apart."""
-    scale = [preferred(dimension) for dimension in front.dimensions]
+    """The trade-off as a figure of one column."""
     with draw.house_style():
-        figure = draw.new_figure(draw.SINGLE_COLUMN, 2.6)
-        axes = figure.subplots()
-        x, y = (front.values[:, k] * scale[k][0] for k in (0, 1))
-        good = np.array([design.success for design in front.designs])
+        figure = draw.new_figure(draw.SINGLE_COLUMN, FRONT_HEIGHT)
+        draw_trade_off(front, figure.subplots())
+    return figure
+
+
+def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
+    """The two objectives against each other: every design a point, the start apart.
+
+    Designs that are not stationary are hollow. A start that would squash the front is told in words.
+
+    Args:
+        front: of `pareto_front`.
+        axes: where to draw; None for a new figure, one column wide.
+    """
+    scale = [preferred(dimension) for dimension in front.dimensions]
+    x, y = (front.values[:, k] * scale[k][0] for k in (0, 1))
+    good = np.array([design.success for design in front.designs])
+    with draw.axes_or_new(axes, FRONT_HEIGHT) as axes:
         axes.plot(x[np.isfinite(x)], y[np.isfinite(y)], color=draw.BLUE, linewidth=0.8)
         axes.plot(x[good], y[good], "o", color=draw.BLUE, label="designs")
         if np.any(~good & np.isfinite(x)):
             axes.plot(x[~good], y[~good], "o", color=draw.VERMILION, markerfacecolor="white", label="not stationary")
         _draw_start(axes, [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)], (x, y))
         for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
-            set_label(f"{_words(name)}{f' ({unit})' if unit else ''}")
-        axes.legend(loc="lower left")
-    return figure
+            set_label(f"{_words(name)}{f' ({_raised(unit)})' if unit else ''}")
+        axes.ticklabel_format(useOffset=False)
+        _widen(axes, x, y)
+        axes.legend(loc="lower left", frameon=False)
+    return axes
 
 
 def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.ndarray]) -> None:
@@ -132,6 +148,19 @@ def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.nda
         return
     text = f"start: {start[0]:.3g}, {start[1]:.3g} (off the figure)"
     axes.annotate(text, (0.98, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7, color=draw.GREY)
+
+
+def _widen(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    """Room about designs that are hardly different, so that nobody sees a trade-off in their last digits."""
+    for values, set_limits in ((x, axes.set_xlim), (y, axes.set_ylim)):
+        middle = float(np.nanmean(values))
+        if np.nanmax(values) - np.nanmin(values) < 1e-3 * abs(middle):
+            set_limits(middle - 0.05 * abs(middle), middle + 0.05 * abs(middle))
+
+
+def _raised(unit: str) -> str:
+    """With exponents as they are set: cm^3."""
+    return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
 
 
 def _words(name: str) -> str:

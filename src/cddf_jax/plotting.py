@@ -1,6 +1,6 @@
-"""Figures in the house style, made from plain arrays.
+"""The house style, and drawing from plain arrays.
 
-They are `matplotlib.figure.Figure` objects without pyplot: no display is needed and no global state
+Figures are `matplotlib.figure.Figure` objects without pyplot: no display is needed and no global state
 is touched. Colours (Okabe and Ito's, safe for colour-blind readers) always come with a line style or a
 marker of their own, so that a grey print can be read.
 """
@@ -8,7 +8,8 @@ marker of their own, so that a grey print can be read.
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, cast
 
 import matplotlib as mpl
 import numpy as np
@@ -17,8 +18,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Rectangle
-from matplotlib.path import Path
+from matplotlib.path import Path as Outline
 from matplotlib.quiver import Quiver
+
+from .artifacts import write_all
+from .errors import InputError
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.5, 7.16  # inches, the columns of IEEE's two-column page
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
@@ -40,7 +44,10 @@ CURVES: tuple[dict[str, Any], ...] = tuple(
         (BLACK, (0, (6, 2)), "x"),
     )
 )
-STYLE: dict[Any, Any] = {
+# of files: sharp in print, fonts that editors of journals accept, the same bytes for figures made alike
+FILES: dict[Any, Any] = {"savefig.dpi": 300, "savefig.bbox": None, "pdf.fonttype": 42, "svg.hashsalt": "cddf"}
+METADATA: dict[str, dict[str, None]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}, "svg": {"Date": None}}
+STYLE: dict[Any, Any] = FILES | {
     "font.family": "STIXGeneral",
     "font.size": 8.5,
     "mathtext.fontset": "stix",
@@ -62,8 +69,7 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.1,
     "lines.markersize": 3.2,
     "errorbar.capsize": 1.8,
-    "savefig.dpi": 300,
-    "pdf.fonttype": 42,  # fonts that editors of journals accept
+    "figure.dpi": 150,  # on a screen
 }
 
 
@@ -76,9 +82,18 @@ def house_style() -> Iterator[None]:
         yield
 
 
+class HouseFigure(Figure):
+    """A figure that is drawn in the house style, wherever it is shown or saved."""
+
+    def draw(self, renderer: Any) -> None:
+        """Draw it; ticks take their look from the style only now."""
+        with house_style():
+            super().draw(renderer)
+
+
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure, inches; call it within `house_style`."""
-    return Figure(figsize=(width, height), layout="constrained")
+    return HouseFigure(figsize=(width, height), layout="constrained")
 
 
 def panels(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
@@ -92,15 +107,89 @@ def panels(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]
     return figure, axes[:count]
 
 
-def render(figure: Figure, name: str) -> dict[str, bytes]:
-    """The figure as PDF and PNG (300 dpi) by file name; the same bytes for the same figure."""
-    files = {}
+@contextmanager
+def axes_or_new(axes: Axes | None, height: float) -> Iterator[Axes]:
+    """The axes to draw into: those given, in their own style, or a new figure's as wide as a column, in the house's."""
+    if axes is not None:
+        yield axes
+        return
     with house_style():
-        for suffix, metadata in (("pdf", {"CreationDate": None}), ("png", {"Software": None})):
-            buffer = BytesIO()
-            figure.savefig(buffer, format=suffix, metadata=metadata)
-            files[f"{name}.{suffix}"] = buffer.getvalue()
-    return files
+        yield new_figure(SINGLE_COLUMN, height).subplots()
+
+
+def figure_of(axes: Axes) -> Figure:
+    """The whole figure that holds some axes."""
+    return cast(Figure, axes.get_figure(root=True))
+
+
+def legend_above(axes: Axes, columns: int = 2) -> None:
+    """The legend of what is labelled, if anything is, over the axes."""
+    handles, labels = axes.get_legend_handles_labels()
+    if labels:
+        look = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "columnspacing": 1.2, "borderpad": 0.1}
+        axes.legend(handles, labels, ncols=min(columns, len(labels)), **look)
+
+
+def common_legend(figure: Figure, panels: Sequence[Axes]) -> None:
+    """One legend for all panels, above them, in place of their own."""
+    found: dict[str, Any] = {}
+    for panel in panels:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+        if (own := panel.get_legend()) is not None:
+            own.remove()
+    if found:
+        columns = min(2 if figure.get_figwidth() < DOUBLE_COLUMN else 4, len(found))
+        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=columns)
+
+
+def include_zero(axes: Axes) -> None:
+    """The limits of y: all that is drawn so far, and zero."""
+    low, high = axes.dataLim.intervaly
+    low, high = min(low, 0.0), max(high, 0.0)
+    margin = 0.05 * (high - low) or 1.0
+    axes.set_ylim(low - margin * (low < 0), high + margin * (high > 0 or low == 0))
+
+
+def to_scale(axes: Axes) -> None:
+    """One scale for x and y: the limits give way, or the axes where their limits are those of others too."""
+    groups = axes.get_shared_x_axes(), axes.get_shared_y_axes()
+    shared = all(len(group.get_siblings(axes)) > 1 for group in groups)
+    axes.set_aspect("equal", adjustable="box" if shared else "datalim")
+
+
+def render(figure: Figure, name: str) -> dict[str, bytes]:
+    """The figure as PDF and PNG (300 dpi) by file name; the same bytes for figures made alike."""
+    return {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure to a file, at its size in inches; the file is whole or as it was before.
+
+    Args:
+        figure: which; that of an axis `axes` is `axes.figure`.
+        path: where; its suffix says what: .pdf or .svg, or .png with 300 dpi. Its folder is made if it is missing.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: for another suffix.
+        OSError: when the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in METADATA:
+        raise InputError(f"save: {path.name!r} must end in .pdf, .png or .svg, which says what is written")
+    write_all(path.parent, {path.name: _bytes(figure, suffix)})
+    return path
+
+
+def _bytes(figure: Figure, suffix: str) -> bytes:
+    buffer = BytesIO()
+    with mpl.rc_context(FILES):
+        figure.savefig(buffer, format=suffix, metadata=METADATA[suffix])
+    return buffer.getvalue()
 
 
 # --- the body and the forces on it ---------------------------------------------------------------
@@ -113,7 +202,6 @@ class Body(NamedTuple):
     heading: np.ndarray
     outer_radius: np.ndarray
     inner_radius: np.ndarray
-    tendon: np.ndarray | None = None  # signed distance of the tendon from the midline, positive to the left
 
     def at_distance(self, distance: Any) -> np.ndarray:
         """The line at a signed distance to the left of the midline, (points, 2)."""
@@ -127,7 +215,7 @@ class Body(NamedTuple):
 
 
 def draw_body(axes: Axes, body: Body) -> None:
-    """Wall and bore to scale, the midline dash-dotted and the tendon, if there is one, as a line."""
+    """Wall and bore to scale, the midline dash-dotted."""
     look = {"facecolor": PALE, "edgecolor": GREY, "linewidth": 0.5}
     if np.any(body.inner_radius):
         for side in (+1, -1):
@@ -136,8 +224,6 @@ def draw_body(axes: Axes, body: Body) -> None:
     else:
         axes.fill(*body.outline.T, **look)
     axes.plot(*body.midline.T, color=GREY, linestyle=(0, (8, 2, 1, 2)), linewidth=0.6)
-    if body.tendon is not None:
-        axes.plot(*body.at_distance(body.tendon).T, color=BLACK, linewidth=0.5)
     axes.set_aspect("equal")
 
 
@@ -163,7 +249,7 @@ _ARROW: dict[str, Any] = {
 def draw_arrow(axes: Axes, points: np.ndarray, **style: Any) -> None:
     """An arrow along a line of points, (points, 2), with its head at the last."""
     axes.update_datalim(points)
-    axes.add_patch(FancyArrowPatch(path=Path(points), **(_ARROW | style)))
+    axes.add_patch(FancyArrowPatch(path=Outline(points), **(_ARROW | style)))
 
 
 def draw_coloured_line(axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize) -> None:
@@ -197,7 +283,7 @@ def place_label(axes: Axes, text: str, point: np.ndarray, obstacles: np.ndarray)
     """
     label = axes.annotate(text, tuple(point), (0, 0), textcoords="offset points", ha="center", va="center", zorder=7)
     size = np.array([label.get_window_extent().width, label.get_window_extent().height])
-    pixels = axes.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
+    pixels = figure_of(axes).dpi / 72
     centre, frame = axes.transData.transform(point), axes.get_window_extent().get_points()
     best, least = np.zeros(2), np.inf
     for gap in (3.0, 5.0, 8.0, 12.0, 17.0):
@@ -218,100 +304,3 @@ def round_number(value: float) -> float:
     """The greatest of 1, 2 and 5 times a power of ten that does not exceed a positive value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(digit for digit in (1, 2, 5) if digit * power <= value * (1 + 1e-12)))
-
-
-# --- data and model ------------------------------------------------------------------------------
-
-
-class Levels(NamedTuple):
-    """Repeated readings gathered by level; `deviation` is NaN where a level was read once."""
-
-    x: np.ndarray
-    mean: np.ndarray
-    deviation: np.ndarray  # standard deviation over the readings of a level
-    lowest: np.ndarray
-    highest: np.ndarray
-
-
-def by_level(x: Any, y: Any) -> Levels:
-    """Gather the readings y whose x agree within 2 % of the range of x, the scatter of a set point."""
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    order = np.argsort(x, kind="stable")
-    new_level = np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1
-    groups = np.split(order, new_level)
-    return Levels(
-        x=np.array([x[group].mean() for group in groups]),
-        mean=np.array([y[group].mean() for group in groups]),
-        deviation=np.array([y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]),
-        lowest=np.array([y[group].min() for group in groups]),
-        highest=np.array([y[group].max() for group in groups]),
-    )
-
-
-def draw_band(axes: Axes, x: Any, lower: Any, upper: Any, **style: Any) -> None:
-    """The region between two lines."""
-    axes.fill_between(x, lower, upper, **({"color": SKY, "alpha": 0.5, "linewidth": 0} | style))
-
-
-def draw_levels(axes: Axes, x: Any, y: Any, **style: Any) -> None:
-    """Mean and standard deviation of y at each level of x, as markers with error bars."""
-    levels = by_level(x, y)
-    look = {"fmt": "o", "color": BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
-    axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
-
-
-class FitPanel(NamedTuple):
-    """What one column of `fit_figure` shows; arrays in the units of the labels.
-
-    The rows of the data are `x`, `observed` and `residual` = observed - predicted; the model is a line
-    `predicted` over `grid` with the limits `lower` and `upper` of its 95 % band.
-    """
-
-    x: Any
-    observed: Any
-    residual: Any
-    grid: Any
-    predicted: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    x_label: str
-    y_label: str
-    residual_label: str
-    data_label: str = "data, mean ± sd"
-
-
-def fit_figure(panels: Sequence[FitPanel]) -> Figure:
-    """Data with error bars and the fitted model with its 95 % band; the residuals below on the same x axis.
-
-    The band is drawn about the residuals too, where a narrow one can be seen. One panel fills a
-    column of a page, two or more stand side by side over both columns.
-    """
-    columns = len(panels)
-    width = SINGLE_COLUMN if columns == 1 else DOUBLE_COLUMN
-    with house_style():
-        figure = new_figure(width, 3.2)
-        axes = figure.subplots(2, columns, squeeze=False, sharex="col", height_ratios=(3, 1))
-        for (top, bottom), panel in zip(axes.T, panels, strict=True):
-            _draw_fit(top, panel)
-            draw_band(bottom, panel.grid, panel.lower - panel.predicted, panel.upper - panel.predicted)
-            draw_residuals(bottom, panel.x, panel.residual)
-            bottom.set(xlabel=panel.x_label, ylabel=panel.residual_label)
-        figure.align_ylabels()
-    return figure
-
-
-def _draw_fit(axes: Axes, panel: FitPanel) -> None:
-    draw_band(axes, panel.grid, panel.lower, panel.upper, label="95 % band of the model")
-    axes.plot(panel.grid, panel.predicted, color=BLUE, label="model")
-    draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
-    axes.set_ylabel(panel.y_label)
-    axes.legend(loc="best")
-
-
-def draw_residuals(axes: Axes, x: Any, residual: Any) -> None:
-    """Every residual as a dot, mean and standard deviation at each level over them, about a line at zero."""
-    axes.axhline(0.0, color=BLUE)
-    axes.plot(x, residual, ".", color=GREY, markersize=3.5, markeredgewidth=0)
-    draw_levels(axes, x, residual, markersize=2.5)
-    reach = 1.15 * np.max(np.abs(np.asarray(residual)), initial=0.0) or 1.0
-    axes.set_ylim(-reach, reach)

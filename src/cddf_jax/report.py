@@ -7,16 +7,17 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from . import fit_figures as figures_of
 from . import plotting as draw
 from .artifacts import as_json, write_all
 from .bench import TRIALS, parameter_named
 from .bootstrap import Bootstrap
 from .determination import NOT_IDENTIFIED, Determination
-from .fit_figures import COLUMNS, moving_names
+from .estimate_figures import bootstrap_figure, correlated_names, correlation_figure
+from .fit_figures import COLUMNS, moving_names, residuals_figure, table_figures
 from .fit_results import Report, as_dict, make_report, trial_rows
 from .identification import SHOWN, Fit, shown
 from .observations import Noise
+from .profile_figures import profiles_figure
 
 
 def write_fit(
@@ -51,16 +52,16 @@ def write_report(report: Report, folder: str | Path) -> None:
 def report_figures(report: Report) -> dict[str, Figure]:
     """The figures by file name."""
     fit = report.fit
-    figures = figures_of.table_figures(fit)
+    figures = table_figures(fit)
     if all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
-        figures["residuals"] = figures_of.residuals_figure(fit)
+        figures["residuals"] = residuals_figure(fit)
     if report.profiles:
-        figures["profiles"] = figures_of.profiles_figure(fit, report.profiles)
-    if fit.success and len(figures_of.correlated_names(fit)) > 1:
-        figures["correlation"] = figures_of.correlation_figure(fit)
+        figures["profiles"] = profiles_figure(fit, report.profiles)
+    if fit.success and len(correlated_names(fit)) > 1:
+        figures["correlation"] = correlation_figure(fit)
     for bootstrap in report.bootstraps:
-        if len(bootstrap.estimates) > 1 and figures_of.moving_names(fit):
-            figures[f"bootstrap_{bootstrap.kind}"] = figures_of.bootstrap_figure(fit, bootstrap)
+        if len(bootstrap.estimates) > 1 and moving_names(fit):
+            figures[f"bootstrap_{bootstrap.kind}"] = bootstrap_figure(fit, bootstrap)
     return figures
 
 

@@ -10,12 +10,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from . import plotting as draw
+from .along_figure import draw_along, fields_along, stations
 from .artifacts import as_json, plain, write_all
-from .equilibrium import RESULTS, Fields
+from .equilibrium import RESULTS, Equilibrium
 from .errors import InputError
+from .force_figure import draw_force_arrows
 from .literal_iteration import IterationHistory, iteration_history
 from .manipulator import Manipulator
 from .measurements import Measurements
+from .readings_drawing import by_level, draw_about_zero, draw_band, draw_levels
 from .statics import solve
 
 PULL = 75.0  # N, the base tension of Fig. 4, 5 and 6
@@ -23,15 +26,13 @@ LIGHT_PULL = 10.0  # N, the other one of Fig. 6
 PULLS = np.arange(0.0, 85.1, 2.5)  # N, the model's line in Fig. 8
 HISTORY_PULLS = np.array([10.0, 25.0, 40.0, 55.0, 75.0, 85.0])  # N, Fig. 3
 HISTORY_UPDATES = 10
-PER_METRE = "N m$^{-1}$"
 
 
 class Results(NamedTuple):
     """Everything that is drawn and tabulated, as NumPy arrays in SI units."""
 
     manipulator: Manipulator
-    along: Fields  # base tensions `PULLS` first
-    tip_tension: np.ndarray  # at `PULLS`
+    equilibria: Equilibrium  # base tensions first, `PULLS` and then the load cells'
     history: IterationHistory  # base tensions `HISTORY_PULLS` first
     load_cells: Measurements
     predicted: np.ndarray  # tip tension by the model at the load cells' base tensions
@@ -40,8 +41,13 @@ class Results(NamedTuple):
     def trials(self) -> str:
         return "simulated trials" if self.load_cells.simulated else "trials"
 
-    def at_pull(self, base_tension: float) -> Fields:
-        return jax.tree.map(lambda x: x[np.searchsorted(PULLS, base_tension)], self.along)
+    @property
+    def tip_tension(self) -> np.ndarray:
+        """At `PULLS`."""
+        return np.asarray(self.equilibria.tip_tension)[: len(PULLS), 0]
+
+    def at_pull(self, base_tension: float) -> Equilibrium:
+        return jax.tree.map(lambda x: x[np.searchsorted(PULLS, base_tension)], self.equilibria)
 
     def history_at_pull(self) -> IterationHistory:
         return jax.tree.map(lambda x: x[np.searchsorted(HISTORY_PULLS, PULL)], self.history)
@@ -86,22 +92,21 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
 
 def _compute(manipulator: Manipulator, load_cells: Measurements) -> Results:
     pulls = np.concatenate([PULLS, load_cells["base_tension"]])
-    arc_length = np.linspace(0.0, manipulator.length, 141)
-    fields, tip_tension, good = jax.tree.map(np.asarray, _pull(manipulator, pulls, arc_length))
+    equilibria, good = jax.tree.map(np.asarray, _pull(manipulator, pulls))
     if not np.all(good):
         solve(manipulator, pulls[np.argmin(good)])  # raises and says why
     history = jax.tree.map(np.asarray, _histories(manipulator, HISTORY_PULLS))
-    model, predicted = np.split(tip_tension, [len(PULLS)])
-    return Results(manipulator, fields, model, history, load_cells, predicted)
+    predicted = np.asarray(equilibria.tip_tension)[len(PULLS) :, 0]
+    return Results(manipulator, equilibria, history, load_cells, predicted)
 
 
 @eqx.filter_jit
-def _pull(manipulator: Manipulator, base_tension: Any, arc_length: Any) -> tuple[Fields, Any, Any]:
-    """Fields along the body, tip tension, and whether all is well, at each base tension."""
+def _pull(manipulator: Manipulator, base_tension: Any) -> tuple[Equilibrium, Any]:
+    """The equilibrium at each base tension, and whether all is well."""
 
     def one(pull):
         equilibrium = solve(manipulator, pull, throw=False)
-        return equilibrium.at(arc_length), equilibrium.tip_tension[0], equilibrium.result == RESULTS.successful
+        return equilibrium, equilibrium.result == RESULTS.successful
 
     return jax.vmap(one)(base_tension)
 
@@ -161,19 +166,17 @@ def iterations_figure(results: Results) -> Figure:
 
 def distributed_forces_figure(results: Results) -> Figure:
     """Fig. 5: normal and friction force per length, and the tension, along the body."""
-    fields = results.at_pull(PULL)
-    s = 1e3 * fields.arc_length
+    body, equilibrium = results.manipulator, results.at_pull(PULL)
+    normal = {"color": draw.BLUE, "label": "normal, $|F_\\mathrm{CDDN}|$"}
+    friction = {"color": draw.VERMILION, "linestyle": "--", "label": "friction, $|F_\\mathrm{CDDF}|$"}
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 3.2)
         forces, tension = figure.subplots(2, sharex=True, height_ratios=(3, 2))
-        forces.plot(s, _size(fields.normal_force[0]), color=draw.BLUE, label="normal, $|F_\\mathrm{CDDN}|$")
-        forces.plot(
-            s, _size(fields.friction_force[0]), "--", color=draw.VERMILION, label="friction, $|F_\\mathrm{CDDF}|$"
-        )
-        forces.set(ylabel=f"Distributed force ({PER_METRE})", ylim=(0, None))
+        draw_along(body, equilibrium, "normal_force", forces, **normal)
+        draw_along(body, equilibrium, "friction_force", forces, **friction)
+        forces.set(xlabel="", ylabel="Distributed force (N/m)")
         forces.legend()
-        tension.plot(s, fields.tension[0], color=draw.BLACK)
-        tension.set(xlabel="Arc length $s$ (mm)", ylabel="Tension $T$ (N)", ylim=(0, None), xlim=(0, s[-1]))
+        draw_along(body, equilibrium, "tension", tension)
         figure.align_ylabels()
     return figure
 
@@ -183,46 +186,27 @@ def shapes_figure(results: Results) -> Figure:
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.6)
         for axes, pull in zip(figure.subplots(1, 2, sharex=True, sharey=True), (LIGHT_PULL, PULL), strict=True):
-            _draw_loaded_body(axes, results, pull)
-            axes.set(title=f"$T_\\mathrm{{base}}$ = {pull:g} N", xlabel="$X$ (mm)")
+            draw_force_arrows(results.manipulator, results.at_pull(pull), axes)
+            axes.set_title(f"$T_\\mathrm{{base}}$ = {pull:g} N")
             axes.label_outer()
-        figure.axes[0].set_ylabel("$Y$ (mm)")
     return figure
-
-
-def _draw_loaded_body(axes: Any, results: Results, pull: float) -> None:
-    manipulator, fields = results.manipulator, results.at_pull(pull)
-    s = fields.arc_length
-    outer, inner = 1e3 * np.asarray(manipulator.outer_radius(s)), 1e3 * np.asarray(manipulator.inner_radius(s))
-    tendon = 1e3 * manipulator.tendons[0].side * np.asarray(manipulator.offset(s))[0]
-    body = draw.Body(1e3 * np.asarray(fields.position), np.asarray(fields.heading), outer, inner, tendon)
-    draw.draw_body(axes, body)
-    every = slice(6, None, 14)
-    forces = {"normal": (fields.normal_force[0], draw.BLUE), "friction": (fields.friction_force[0], draw.VERMILION)}
-    strongest = np.max(_size(fields.normal_force[0]))
-    key = draw.round_number(strongest)
-    for height, (name, (force, color)) in zip((0.95, 0.87), forces.items(), strict=True):
-        points = body.at_distance(tendon)[every]
-        arrows = draw.draw_arrows(axes, points, force[every], strongest / 20.0, color=color)  # at most 20 mm long
-        label = f"{name} force, {key:g} {PER_METRE}"
-        axes.quiverkey(arrows, 0.17, height, key, label, labelpos="E", color=color)
 
 
 def tip_tension_figure(results: Results) -> Figure:
     """Fig. 8: tip over base tension, the model's line and the simulated trials, with what lies between them below."""
     base, tip = results.load_cells["base_tension"], results.load_cells["tip_tension"]
-    trials, left = draw.by_level(base, tip), draw.by_level(base, tip - results.predicted)
+    trials, left = by_level(base, tip), by_level(base, tip - results.predicted)
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 3.6)
         axes, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         axes.plot(PULLS, PULLS, ":", color=draw.GREY, label="no friction, $T_\\mathrm{tip} = T_\\mathrm{base}$")
         axes.plot(PULLS, results.tip_tension, color=draw.BLUE, label="model")
-        draw.draw_band(axes, trials.x, trials.lowest, trials.highest, label=f"{results.trials}, range")
-        draw.draw_levels(axes, base, tip, label=f"{results.trials}, mean ± sd")
+        draw_band(axes, trials.x, trials.lowest, trials.highest, label=f"{results.trials}, range")
+        draw_levels(axes, base, tip, label=f"{results.trials}, mean ± sd")
         axes.set(ylabel="Tip tension $T_\\mathrm{tip}$ (N)", ylim=(0, None), xlim=(0, None))
         axes.legend()
-        draw.draw_band(below, left.x, left.lowest, left.highest)
-        draw.draw_residuals(below, base, tip - results.predicted)
+        draw_band(below, left.x, left.lowest, left.highest)
+        draw_about_zero(below, base, tip - results.predicted)
         below.set(xlabel="Base tension $T_\\mathrm{base}$ (N)", ylabel="Trials − model (N)")
         figure.align_ylabels()
     return figure
@@ -280,10 +264,11 @@ class Row(NamedTuple):
 
 def table(results: Results) -> list[Row]:
     """The numbers of section IV that the paper prints, and those that its figures only show."""
-    fields, history = results.at_pull(PULL), results.history_at_pull()
+    fields = fields_along(results.at_pull(PULL), stations(results.manipulator))
+    history = results.history_at_pull()
     base, observed = results.load_cells["base_tension"], results.load_cells["tip_tension"]
     tip, updates = results.tip_tension[np.searchsorted(PULLS, PULL)], int(history.num_updates)
-    levels = len(draw.by_level(base, observed).x)
+    levels = len(by_level(base, observed).x)
     error = np.mean(np.abs(results.predicted - observed)[observed > 0] / observed[observed > 0])
     strongest = [np.max(_size(force[0])) for force in (fields.normal_force, fields.friction_force)]
     at = f"at {PULL:g} N"

@@ -147,7 +147,8 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, told: dict[str
     """Exports, figures and the JSON; where they are."""
     from .artifacts import as_json, write_all
     from .plotting import render
-    from .sweep_figure import in_words, left_out, sweep_figure
+    from .sweep_figure import left_out, sweep_figure
+    from .sweep_view import in_words
 
     if places.netcdf is not None:
         write_netcdf(answer, places.netcdf)

@@ -1,0 +1,150 @@
+"""Every function of `cddf_jax.figures` that draws into axes, drawn once: `python docs/make_gallery.py FOLDER`."""
+
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cddf_jax import figures
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+# what the pictures are made from: a few solves, one fit, one sweep, two designs
+SETUP = """
+import numpy as np
+import cddf_jax as cddf
+
+body = dict(length=0.140, outer_radius=(0.020, 0.013), inner_radius=0.007, tendon_offset=0.010,
+            youngs_modulus=1.4e6, friction_coefficient=0.42)
+robot, pair = cddf.conical(**body), cddf.conical(**body, num_tendons=2)
+loads = cddf.Loads(tip_force=(0.0, -2.0), gravity=(0.0, -9.81))
+bent, loaded = cddf.solve(robot, 75.0), cddf.solve(pair, [60.0, 10.0], loads)
+
+table = cddf.read_measurements(DATA / "tip_angle_simulated.csv")
+fit = cddf.fit(robot, table, ("friction_coefficient", "youngs_modulus", "tip_gain"), {"tip_gain": (1.0, 0.01)})
+candidates = cddf.standard_candidates(robot, 85.0)
+plan = cddf.plan(fit, [one for one in candidates if "weight" not in one.name])
+
+axes = {"base_tension": np.linspace(5.0, 145.0, 15), "friction_coefficient": np.linspace(0.1, 0.6, 6)}
+grid = cddf.sweep(robot, axes, outputs=("tip_tension", "tension_loss"))
+
+task = dict(free=("outer_radius",), bounds={"outer_radius": (8e-3, 25e-3)}, base_tension=50.0)
+angle, strain = cddf.Limit("tip_angle", most=np.pi / 4), cddf.Limit("strain", most=0.105)
+design = cddf.design(robot, cddf.Least("volume"), constraints=[angle, strain], **task)
+front = cddf.pareto_front(robot, (cddf.Least("volume"), cddf.Least("strain")), constraints=[angle], num=5, **task)
+"""
+
+
+class Picture(NamedTuple):
+    """One drawing: its files are `name`.png and `name`.pdf."""
+
+    name: str
+    title: str
+    caption: str
+    code: str
+
+
+PICTURES = (
+    Picture(
+        "shape",
+        "Shape",
+        "The bent body to scale under two tendons, a force on the tip and gravity; the rest shape is dotted.",
+        "figures.draw_shape(pair, loaded, loads)",
+    ),
+    Picture(
+        "force_arrows",
+        "Forces of the tendon",
+        "Normal and friction force per length that the tendon puts on the paper's manipulator at 75 N.",
+        "figures.draw_force_arrows(robot, bent)",
+    ),
+    Picture(
+        "along_tension",
+        "Tension along the body",
+        "One line for each tendon, told apart by its dashes and its number.",
+        'figures.draw_along(pair, loaded, "tension")',
+    ),
+    Picture(
+        "along_strain",
+        "Strain along the body",
+        "So are curvature, heading, normal and friction force drawn.",
+        'figures.draw_along(robot, bent, "strain")',
+    ),
+    Picture(
+        "fit",
+        "Data and model",
+        "Simulated tip angles, mean and standard deviation of each level, and the fitted model with its 95 % band.",
+        'figures.draw_fit(fit, column="tip_angle")',
+    ),
+    Picture(
+        "residuals",
+        "Residuals",
+        "What the model leaves of the tip tensions, reading by reading and level by level.",
+        'figures.draw_residuals(fit, column="tip_tension")',
+    ),
+    Picture(
+        "profile",
+        "Profile likelihood",
+        "How fast the fit gets worse away from the best friction coefficient, with all else fitted again.",
+        'figures.draw_profile(fit, "friction_coefficient")',
+    ),
+    Picture(
+        "correlation",
+        "Correlation",
+        "How the estimates of one fit hang together.",
+        "figures.draw_correlation(fit)",
+    ),
+    Picture(
+        "lines",
+        "A sweep as lines",
+        "One line for each friction coefficient; doubtful and failed solves would be marked, and the legend say why.",
+        'figures.draw_lines(grid, "tip_tension", "base_tension")',
+    ),
+    Picture(
+        "map",
+        "A sweep as a map",
+        "Contours over two numbers; where solves are doubtful or failed the map would be blank and hatched.",
+        'figures.draw_map(grid, "tension_loss", "base_tension", "friction_coefficient")',
+    ),
+    Picture(
+        "design",
+        "A design",
+        "The body before and after, straight and bent, to one scale: least volume within limits of strain and angle.",
+        "figures.draw_design(design)",
+    ),
+    Picture(
+        "trade_off",
+        "A trade-off",
+        "Every point is a design; none is better than another in both volume and strain.",
+        "figures.draw_trade_off(front)",
+    ),
+    Picture(
+        "plan",
+        "What to measure next",
+        "Standard errors that are expected after each candidate; hollow is what it leaves open.",
+        "figures.draw_plan(plan)",
+    ),
+)
+
+
+def make_gallery(folder: str | Path) -> list[Picture]:
+    """Draw every picture into a folder, as PNG and PDF, one column wide.
+
+    Args:
+        folder: made if it is missing.
+
+    Returns:
+        (name, title, caption, code) of each picture; `SETUP` is what its code needs.
+    """
+    made: dict[str, Any] = {"DATA": DATA, "figures": figures}
+    exec(SETUP, made)
+    for picture in PICTURES:
+        axes = eval(picture.code, made)
+        for suffix in ("png", "pdf"):
+            figures.save(axes.figure, Path(folder) / f"{picture.name}.{suffix}")
+    return list(PICTURES)
+
+
+if __name__ == "__main__":
+    from cddf_jax.application import configure_jax
+
+    configure_jax()
+    for picture in make_gallery(sys.argv[1]):
+        print(picture.name)
