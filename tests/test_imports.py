@@ -106,6 +106,12 @@ def test_only_the_solvers_know_the_fixed_point():
     assert users <= {"solver", "literal_iteration"}
 
 
+def test_only_the_friction_law_knows_friction():
+    """The paper's own algorithms beside the solver have it in their closed forms."""
+    written = {path.stem for path in SOURCE.glob("*.py") if "section.friction_coefficient" in path.read_text()}
+    assert written == {"friction", "literal_iteration"}
+
+
 def test_importing_the_package_imports_neither_jax_nor_matplotlib():
     loaded = run("import sys, cddf_jax; dir(cddf_jax); print(*{name.split('.')[0] for name in sys.modules})")
     assert "cddf_jax" in loaded

@@ -21,6 +21,7 @@ from .manipulator import Manipulator
 from .measurements import Measurements
 from .profiles import shifted
 from .pulley import pulling_tension
+from .readings import READINGS, columns_of, kind_of, tendon_number
 from .statics import solve
 from .units import Dimension
 
@@ -50,7 +51,6 @@ PARAMETERS = {
     "pretension": Parameter("force", 1.0, True, 0.5),  # of every tendon, not read by the cells
     "angle_zero": Parameter("angle", 0.0, False, 0.02),
 }
-POSE = ("tip_angle", "tip_x", "tip_y")
 
 
 def starting_value(manipulator: Manipulator, name: str) -> float:
@@ -147,8 +147,7 @@ def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Any]
     def observe(flat):
         parameters = unravel(flat)
         equilibrium = bench.solve(manipulator, parameters, nodes)
-        tendons = range(2, manipulator.num_tendons + 1)
-        columns = ("tip_tension", *(f"tip_tension_{i}" for i in tendons), *POSE)
+        columns = columns_of(manipulator.num_tendons)
         return {column: reading(equilibrium, column, parameters) for column in columns}, equilibrium.result
 
     def push(tangent):
@@ -159,19 +158,14 @@ def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Any]
 
 def reading(equilibrium: Equilibrium, column: str, parameters: Mapping[str, Any]) -> Array:
     """What the instrument of a column shows, one per row."""
-    if column.startswith("tip_tension"):
-        tension = equilibrium.tip_tension
-        gain, zero = (_of_cells(parameters, name, tension) for name in ("tip_gain", "tip_zero"))
-        return (gain * (tension - parameters.get("pretension", 0.0)) + zero)[:, tendon_number(column) - 1]
-    if column == "tip_angle":
-        return equilibrium.tip_angle + parameters.get("angle_zero", 0.0)
-    return equilibrium.tip_position[:, ("tip_x", "tip_y").index(column)]
-
-
-def tendon_number(column: str) -> int:
-    """1 for `tip_tension`, 2 for `tip_tension_2`, ..."""
-    digits = column.rpartition("_")[2]
-    return int(digits) if digits.isdigit() else 1
+    kind = READINGS[kind_of(column)]
+    values = kind.of(equilibrium)
+    if kind.by_cell:
+        gain, zero = (_of_cells(parameters, name, values) for name in ("tip_gain", "tip_zero"))
+        values = gain * (values - parameters.get("pretension", 0.0)) + zero
+    if kind.zero:
+        values = values + parameters.get(kind.zero, 0.0)
+    return values[..., tendon_number(column) - 1] if kind.per_tendon else values
 
 
 def parameter_named(name: str) -> Parameter:
@@ -227,11 +221,11 @@ def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: in
     for column in pulled:
         if column not in table:
             raise InputError(f"{table.name}: no column {column!r}; a manipulator of {count} tendons needs it")
-    columns = [c for c in table.columns if c in POSE or c.startswith("tip_tension")]
+    columns = [column for column in table.columns if kind_of(column)]
     if not columns:
         raise InputError(f"{table.name}: nothing observed; add a column tip_tension [N], tip_angle [deg] or tip_x [mm]")
     for column in table.columns:
-        if column.startswith(("base_tension", "tip_tension", "direction")) and tendon_number(column) > count:
+        if column not in READINGS and column != "trial" and tendon_number(column) > count:
             raise InputError(f"{table.name}: column {column!r}, but the manipulator has {count} tendon(s)")
     tension = np.stack([table[column] for column in pulled], axis=1)
     common = table.columns.get("direction", np.ones(len(table)))

@@ -13,11 +13,11 @@ from .fit_results import Report
 from .identification import SHOWN, Fit
 from .observations import Noise
 from .parameter_space import Prior, Uniform
+from .readings import READINGS, kind_of
 from .report import in_words
-from .units import Dimension, quantity
+from .units import quantity
 
 LEAST_TRIALS = 3  # to draw from with replacement
-COLUMN_DIMENSION: dict[str, Dimension] = {"tip_angle": "angle", "tip_x": "length", "tip_y": "length"}  # else force
 
 
 def read_all(texts: Sequence[str] | None, read: Callable[[str], tuple[str, Any]], option: str) -> dict[str, Any]:
@@ -76,7 +76,8 @@ def read_noise(text: str) -> tuple[str, float | Noise]:
 
 def noise_of(column: str, numbers: str, what: str) -> float | Noise:
     """ "0.5 N", or with a part that grows with the reading "0.2 N + 1 %"."""
-    dimension = COLUMN_DIMENSION.get(column, "force")
+    kind = READINGS.get(kind_of(column))
+    dimension = kind.dimension if kind else "force"  # of a pulley test
     floor, *shares = re.split(r"\s\+\s*", numbers, maxsplit=1)
     if not shares and not floor.endswith("%"):
         return quantity(floor, dimension, what)

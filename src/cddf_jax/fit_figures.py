@@ -16,14 +16,11 @@ from .errors import InputError
 from .identification import SHOWN, Fit
 from .measurements import Measurements
 from .pulley import pulling_tension
+from .readings import READINGS, kind_of
 from .readings_drawing import draw_about_zero, draw_band, draw_levels
+from .units import preferred
 
 DEGREE = np.degrees(1.0)
-COLUMNS = {
-    "tip_angle": (DEGREE, "Tip angle", "deg"),
-    "tip_x": (1e3, "Tip position X", "mm"),
-    "tip_y": (1e3, "Tip position Y", "mm"),
-}
 SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds
 PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
 
@@ -121,7 +118,7 @@ def table_figures(fit: Fit) -> dict[str, Figure]:
     """
     figures = {}
     for name in fit.alone:
-        columns = [column for column in ("pulling_tension", "tip_tension", *COLUMNS) if column in _observed(fit, name)]
+        columns = [column for column in ("pulling_tension", *READINGS) if column in _observed(fit, name)]
         if _is_apart(fit, name) or not all(_has_numbers(fit, name, column) for column in columns):
             continue
         figures["fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_")] = _table_figure(fit, name, columns)
@@ -209,8 +206,10 @@ def _readings(fit: Fit, name: str, column: str) -> _Readings:
         x, weight = DEGREE * table["wrap_angle"], table["weight"]
         words = "Pulling tension / weight"
         return _Readings(x, table[column] / weight, residual / weight, "Wrap angle (deg)", words, "N/N", label)
-    scale, words, unit = COLUMNS.get(column, (1.0, column.replace("_", " ").capitalize(), "N"))
-    set_to = column.replace("tip", "base") if column.startswith("tip_tension") else "base_tension"
+    kind = READINGS[kind_of(column)]
+    scale, unit = preferred(kind.dimension)
+    number = column.removeprefix(kind_of(column))  # "_2" of tendon 2
+    set_to, words = f"base_tension{number}", f"{kind.words}{number.replace('_', ' ')}"
     x_label = f"{set_to.replace('_', ' ').capitalize()} (N)"
     return _Readings(table[set_to], scale * table[column], scale * residual, x_label, words, unit, label)
 
@@ -219,7 +218,7 @@ def _curve(fit: Fit, name: str, column: str) -> _Curve:
     table = _table(fit, name)
     if column == "pulling_tension":
         return _pulley_curve(fit, table["wrap_angle"].max())
-    scale = COLUMNS[column][0] if column in COLUMNS else 1.0
+    scale, _ = preferred(READINGS[kind_of(column)].dimension)
     grid = np.linspace(table["base_tension"].min(), table["base_tension"].max(), 100)
     value, half_width, _ = fit.predict(column, grid)
     return _Curve(grid, scale * value, scale * half_width)

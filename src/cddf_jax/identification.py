@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .bench import (
-    POSE,
     TRIALS,
     Bench,
     BenchModel,
@@ -24,6 +23,7 @@ from .friction_by_trial import fit_trials
 from .least_squares import LeastSquaresFit, least_squares_fit
 from .manipulator import Manipulator
 from .measurements import Measurements, repeated_tables
+from .readings import OF_SHAPE
 
 POSITIVE = (0.0, None)
 # what to multiply SI by, and the unit that then holds
@@ -50,12 +50,12 @@ class Fit(LeastSquaresFit):
     """Friction, modulus and more as the measurements tell them, SI units; parameters that were not free are "fixed"."""
 
     manipulator: Manipulator  # with the estimates; where a parameter is not identified, one of many that fit
-    tables: tuple[Measurements, ...]
-    model: BenchModel
+    tables: tuple[Measurements, ...]  # the data
+    model: BenchModel  # of the bench: parameters to readings
     alone: dict[str, Determination]  # what each table by itself, without priors, would have told
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty unless asked for
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 where there is none, NaN where not asked for
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # of tables, statistics and solver, in words
 
     @property
     def verdict(self) -> tuple[str, ...]:
@@ -300,7 +300,7 @@ def _warnings(statistics: LeastSquaresFit, tables, model: BenchModel) -> list[st
     body = model.manipulator
     found = [f"{table.name}: {warning}" for table in tables for warning in table.warnings]
     found += repeated_tables(tables)
-    if body.kinematics == "published" and any(column in table for table in tables for column in POSE):
+    if body.kinematics == "published" and any(column in table for table in tables for column in OF_SHAPE):
         found.append(
             "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
             "use the exact one for a real body"

@@ -35,6 +35,7 @@ import numpy as np
 
 from .csv_table import Kind, read_table, short
 from .errors import InputError
+from .readings import READINGS, kind_of
 from .table_warnings import warnings_of
 from .units import Dimension, written
 
@@ -42,10 +43,7 @@ _DIMENSIONS: dict[str, Dimension | None] = {
     "trial": None,
     "direction": None,
     "base_tension": "force",
-    "tip_tension": "force",
-    "tip_angle": "angle",
-    "tip_x": "length",
-    "tip_y": "length",
+    **{name: kind.dimension for name, kind in READINGS.items()},
     "tip_force_x": "force",
     "tip_force_y": "force",
     "wrap_angle": "angle",
@@ -53,7 +51,7 @@ _DIMENSIONS: dict[str, Dimension | None] = {
     "pulling_tension": "force",
 }
 _PULLEY = ("wrap_angle", "weight", "pulling_tension")
-_PER_TENDON = ("base_tension", "tip_tension", "direction")
+_PER_TENDON = ("base_tension", "direction", *(name for name, kind in READINGS.items() if kind.per_tendon))
 _NEVER_NEGATIVE = ("base_tension", "tip_tension", *_PULLEY)
 
 
@@ -211,8 +209,8 @@ def _check_columns(columns: Iterable[str]) -> None:
         if other := sorted(names - needed - {"trial"}):
             raise InputError(f"the column {other[0]} does not belong to a pulley test; put it into a table of its own")
     else:
-        tips = {column for column in names if column.startswith("tip_tension")}
-        needed = {"base_tension"} | {column.replace("tip", "base") for column in tips}
+        tendons = {column: kind for column in names if (kind := kind_of(column)) in _PER_TENDON}
+        needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
     if missing := sorted(needed - names):
         raise InputError(f"the column {missing[0]} is missing; add it (a pulley test has {', '.join(_PULLEY)})")
 
