@@ -4,19 +4,30 @@ BIN := .venv/bin
 ROBOT := data/smooth_sil_940.toml
 TRIALS := data/load_cells_simulated.csv
 
-.PHONY: fit test lint studies benchmark clean
+.PHONY: fit test test-slow browser lint docs studies benchmark clean
 
 fit: .venv/ready  ## fit the shipped bench data and reproduce the paper's figures, into out/
 	$(BIN)/cddf fit $(ROBOT) data/pulley_simulated.csv $(TRIALS) --out out/fit
 	$(BIN)/cddf reproduce $(ROBOT) $(TRIALS) --out out/reproduce
 
-test: .venv/ready  ## all tests, on every core
+test: .venv/ready browser  ## all tests, on every core
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+test-slow: .venv/ready  ## those that compile for long, which `test` leaves out
+	$(BIN)/python -m pytest -n auto -m slow
+
+browser:  ## Chromium for the tests of the explorer's page, where Debian's packages may be installed; else they skip
+	@command -v chromium > /dev/null || test "$$(id -u)" != 0 || ! command -v apt-get > /dev/null || \
+		{ apt-get update && apt-get install --yes --no-install-recommends chromium; } > /dev/null 2>&1 || \
+		echo "Chromium could not be installed; the tests of the explorer's page will be skipped"
 
 lint: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
+
+docs: .venv/ready  ## the documentation, into out/site
+	$(BIN)/mkdocs build --strict
 
 studies: .venv/ready  ## every study of fitting/, into out/fitting/ and out/design/
 	for study in fitting/*.py; do $(BIN)/python $$study || exit 1; done

@@ -150,6 +150,7 @@ def test_trials_that_do_not_differ(paper):
     within(found, friction_coefficient=MU, youngs_modulus=E)
 
 
+@pytest.mark.slow
 def test_a_drag_that_the_data_ask_for(paper):
     """T' = -(mu psi' T + w): readings of the solver with a drag, fitted with and without one."""
     dragged = with_parameters(paper, {"drag": 15.0})
@@ -173,6 +174,7 @@ def test_a_drag_that_the_data_ask_for(paper):
         assert found.information_criteria[criterion] < without.information_criteria[criterion] - 10
 
 
+@pytest.mark.slow
 def test_a_known_tip_force_is_part_of_the_model(paper):
     """Readings of `solve` under -1 N across the tip, which SciPy confirms in test_loads."""
     levels = LEVELS[::2]

@@ -192,6 +192,7 @@ def test_a_change_of_sign_of_the_curvature_is_not_passed_over():
     assert error < 1e-3
 
 
+@pytest.mark.slow
 def test_the_estimate_knows_how_errors_grow_under_large_loads():
     """A force of 22 (base) to 147 (tip) E J / L^2 pulls the tip, and errors in the bending grow along the body."""
     body = cddf.conical(

@@ -213,6 +213,7 @@ def slanted():
     return base, np.array([reference_solution(plain, pull).tip_tension[0] for pull in base])
 
 
+@pytest.mark.slow
 def test_slanted_tendon_in_practice(slanted):
     """The two are separate in theory and not in practice, design.md section 4.
 

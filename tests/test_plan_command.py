@@ -91,6 +91,7 @@ def test_the_figure_holds_the_table(candidates):
     assert sum(len(line.get_xdata()) for line in hollow) == 2 + 1  # both now, the modulus after a pulley test
 
 
+@pytest.mark.slow
 def test_added_to_what_was_measured(run):
     """Load cells alone hold mu / E; the first thing to do is what separates the two, and the text says so."""
     code, text, error = run(PAPER, LOAD_CELLS, "--num", 1)

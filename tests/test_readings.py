@@ -1,4 +1,4 @@
-"""Every kind of data that a fit explains: its unit in a file, its prediction and derivatives, and a fit that finds it."""
+"""Every kind of data that a fit explains: its unit in a file, its prediction and derivatives; and a fit finds it."""
 
 import numpy as np
 import pytest

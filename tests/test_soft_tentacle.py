@@ -44,6 +44,7 @@ def test_frames(poses):
     assert np.max(np.abs(poses.out_of_plane[poses.tension < 7.0, 3])) < 0.011
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
 def test_one_modulus(poses, kinematics):
     """One modulus predicts 112 coordinates within 10 mm, and 3 % less or more predict them less well."""
@@ -60,6 +61,7 @@ def test_one_modulus(poses, kinematics):
     assert {row["pose"]: row["out_of_plane"] for row in table}["m2_u025"] > 0.02  # 7.7 N: out of the plane
 
 
+@pytest.mark.slow
 def test_friction_is_not_identified(poses):
     """Freed, the friction goes where the errors of the model push it: the two tendons of one body disagree."""
     free = ("youngs_modulus", "friction_coefficient")
@@ -95,7 +97,7 @@ def pose_by_scipy(tension, kinematics):
 ACCURATE = 1e-6 * 0.36
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", ["published", pytest.param("exact", marks=pytest.mark.slow)])
 def test_marker_by_scipy(poses, kinematics):
     """The marker ahead of the tip of one pose, with the compiled program of `by_modulus`."""
     reference = pose_by_scipy(float(poses.tension[1]), kinematics)

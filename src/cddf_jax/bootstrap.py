@@ -28,12 +28,12 @@ MOST_COPIES = 8  # of a datum under a robust loss: more are drawn with a chance 
 class Bootstrap(NamedTuple):
     """Estimates from data drawn anew. What they tell is NaN where fewer than two refits ended at a minimum."""
 
-    kind: str
-    names: tuple[str, ...]
+    kind: str  # "parametric" or "cases"
+    names: tuple[str, ...]  # of the parameters
     estimates: np.ndarray  # (replicates, parameters), those that ended at a minimum
     estimate: np.ndarray  # (parameters,), of the data themselves
-    num_failed: int
-    seed: int
+    num_failed: int  # refits that ended at no minimum, left out
+    seed: int  # of the draws
 
     @property
     def standard_error(self) -> dict[str, float]:

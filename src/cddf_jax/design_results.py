@@ -64,25 +64,25 @@ class LimitReport(NamedTuple):
 class Design:
     """The body that was found, SI units."""
 
-    manipulator: Manipulator
-    start: Manipulator
+    manipulator: Manipulator  # the body that was found
+    start: Manipulator  # the body that one began with
     success: bool  # feasible and stationary
     feasible: bool
     result: str  # "successful", or what went wrong
     objective: float  # of one objective its value, of several their weighted sum over their sizes at the start
-    objectives: tuple[Achieved, ...]
-    free: dict[str, FreeNumber]
-    limits: tuple[LimitReport, ...]
+    objectives: tuple[Achieved, ...]  # each with its value at the start and at the end
+    free: dict[str, FreeNumber]  # by name, every number that could change
+    limits: tuple[LimitReport, ...]  # each side of every limit, and what it costs
     blocking: tuple[str, ...]  # limits that are in one another's way, where no body keeps to all of them
     optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
     violation: float  # largest, scaled
     history: tuple[tuple[float, float], ...]  # objective and violation of every iterate
-    evaluations: int
+    evaluations: int  # of objective and limits
     starts: tuple[float, ...]  # the objective that the search from each start came to, inf where not feasible
     choices: tuple[tuple[dict[str, float], float], ...]  # by combination of choices, inf where not feasible
-    chosen: dict[str, float]
-    cases: tuple[LoadCase, ...]
-    remarks: tuple[str, ...]
+    chosen: dict[str, float]  # of the choices, the best
+    cases: tuple[LoadCase, ...]  # how the body is used
+    remarks: tuple[str, ...]  # in words, what else should be known
     outcome: Outcome = field(repr=False)
 
     @cached_property

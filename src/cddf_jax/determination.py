@@ -31,17 +31,17 @@ class Estimate(NamedTuple):
 class Determination:
     """What some data determine about the parameters. Dictionaries go by name, arrays by the order of `names`."""
 
-    names: tuple[str, ...]
-    value: dict[str, float]
+    names: tuple[str, ...]  # of the parameters that were fitted
+    value: dict[str, float]  # estimate, SI
     standard_error: dict[str, float]  # inf where the data do not determine the parameter
     confidence_interval: dict[str, tuple[float, float]]  # 95 %, t-statistics where noise was estimated
-    status: dict[str, str]
+    status: dict[str, str]  # "identified", "not identified", "prior only", "at bound" or "fixed"
     combinations: dict[str, Estimate]  # what is identified of the parameters that are not
     covariance: np.ndarray  # of the directions that the data determine
-    correlation: np.ndarray
+    correlation: np.ndarray  # of the same
     singular_values: np.ndarray  # of the Jacobian scaled by noise and size of the parameters
-    rank: int
-    condition_number: float
+    rank: int  # how many directions the data determine
+    condition_number: float  # largest over smallest singular value; inf where some are zero
     sloppy_direction: dict[str, float]  # powers of the parameters in the least determined combination
     quantile: float  # half-width of a 95 % interval over its standard error, where the noise of the data makes it
 

@@ -102,7 +102,7 @@ class Equilibrium(eqx.Module):
     Every attribute of `Fields` is found here as well, at the base, the Gauss nodes and the tip.
     """
 
-    along: Fields
+    along: Fields  # all that varies along the body
     tip_position: Float[Array, "2"]  # u(L), m
     tip_angle: Float[Array, ""]  # phi(L), rad
     tip_tension: Float[Array, " tendons"]  # N; at its anchor for a tendon that ends before the tip
@@ -118,7 +118,7 @@ class Equilibrium(eqx.Module):
     direction_contradicted: Bool[Array, " tendons"]
     error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
     num_iterations: Int[Array, ""]  # sweeps of the last pass, which under loads starts from what is known
-    result: RESULTS
+    result: RESULTS  # how the solve ended
     _dense: "Dense"
 
     arc_length = property(lambda self: self.along.arc_length, doc="s, m, from 0 to L.")

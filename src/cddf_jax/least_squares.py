@@ -44,13 +44,13 @@ class LeastSquaresFit(Determination):
     noise: dict[str, float]  # standard deviation by group of data, root mean square
     noise_model: dict[str, Noise]  # floor and fraction, of the groups that have them
     noise_parts: dict[str, int]  # how many numbers of each group's noise were estimated
-    noise_estimated: bool
+    noise_estimated: bool  # whether that of any group was
     residuals: Any  # observed - predicted, in the structure of the data
-    reduced_chi_square: float
-    degrees_of_freedom: int
+    reduced_chi_square: float  # sum of squared weighted residuals over the degrees of freedom
+    degrees_of_freedom: int  # data less what they determine
     log_likelihood: float  # Gaussian, at the noise; priors left out
-    loss: str
-    num_steps: int
+    loss: str  # as it was given
+    num_steps: int  # of the optimiser
     starts: np.ndarray  # the cost that the search from each start came down to, the best first
     seed: int  # of the further starts
     success: bool

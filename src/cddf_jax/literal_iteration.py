@@ -119,7 +119,7 @@ class IterationHistory(eqx.Module):
     tip_error: Float[Array, " updates"]  # e_tip, m: how far update k + 1 moved the tip, eq. (18)
     tip_tolerance: float = eqx.field(static=True)  # e_tip,th, m
     num_updates: Int[Array, ""]  # updates until e_tip < e_tip,th; all of them if that never came
-    converged: Bool[Array, ""]
+    converged: Bool[Array, ""]  # whether e_tip fell below e_tip,th
 
 
 def iteration_history(

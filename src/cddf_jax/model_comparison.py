@@ -19,13 +19,13 @@ ROW_FOLDS = 6  # where there are no trials
 class Comparison:
     """One model among others; the lower each of these, the better."""
 
-    name: str
+    name: str  # as it was given
     num_parameters: int  # with the noise that was estimated
-    AIC: float
-    BIC: float
+    AIC: float  # Akaike's criterion
+    BIC: float  # Schwarz's criterion
     cross_validation: float  # root mean square of what was left out, in standard deviations of the first fit's noise
     mean_relative_error: float  # of the tip tensions, the measure of Liu et al. (2020)
-    success: bool
+    success: bool  # whether the fit ended well
 
 
 def compare(fits: Mapping[str, Fit]) -> list[Comparison]:

@@ -76,8 +76,8 @@ class Ranked:
 class Plan:
     """Candidates by what each would add alone, and the few to do in turn."""
 
-    criterion: str
-    now: Determination
+    criterion: str  # "D" or the name of a parameter
+    now: Determination  # what is determined so far
     ranking: tuple[Ranked, ...]  # the best first, by gain per cost
     chosen: tuple[Ranked, ...]  # in turn: each is the best after those before it, and holds what all of them tell
 

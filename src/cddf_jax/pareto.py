@@ -28,13 +28,13 @@ SAME = 1e-3  # relative: ends that differ by less in both objectives are one bod
 class ParetoFront:
     """Designs from the best in the first objective to the best in the second, SI units."""
 
-    names: tuple[str, str]
-    dimensions: tuple[Dimension, Dimension]
+    names: tuple[str, str]  # of the objectives
+    dimensions: tuple[Dimension, Dimension]  # of their values
     values: np.ndarray  # (points, 2) of the two objectives; NaN where no body was found
     start: tuple[float, float]  # of the body that one began with
     exchange_rate: np.ndarray  # (points,) how much of the first objective a unit of the second costs; NaN at the ends
-    designs: tuple[Design, ...]
-    remarks: tuple[str, ...]
+    designs: tuple[Design, ...]  # one for each point
+    remarks: tuple[str, ...]  # in words, what else should be known
 
     @property
     def success(self) -> bool:

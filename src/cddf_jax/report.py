@@ -13,11 +13,13 @@ from .bench import TRIALS, parameter_named
 from .bootstrap import Bootstrap
 from .determination import NOT_IDENTIFIED, Determination
 from .estimate_figures import bootstrap_figure, correlated_names, correlation_figure
-from .fit_figures import COLUMNS, moving_names, residuals_figure, table_figures
+from .fit_figures import moving_names, residuals_figure, table_figures
 from .fit_results import Report, as_dict, make_report, trial_rows
 from .identification import SHOWN, Fit, shown
+from .measurements import dimension_of
 from .observations import Noise
 from .profile_figures import profiles_figure
+from .units import preferred
 
 
 def write_fit(
@@ -205,7 +207,7 @@ def _trial_section(fit: Fit) -> list[str]:
 def _noise_section(report: Report) -> list[str]:
     fit, rows = report.fit, []
     for label, deviation in fit.noise.items():
-        scale, _, unit = COLUMNS.get(label.rpartition(": ")[2], (1.0, "", "N"))
+        scale, unit = preferred(dimension_of(label.rpartition(": ")[2]) or "dimensionless")
         p_value = report.normality[label].p_value
         model = _noise_in_words(fit.noise_model.get(label), scale, unit)
         rows.append(

@@ -1,0 +1,237 @@
+"""What the pages need beyond their packages: examples that run, formulas in MathML, files of the project as pages.
+
+Every ```python block of a page is run, in one session for the page, and every `$ cddf` line of a ```console block,
+both in a folder that holds copies of `data` and `fitting`; an error is fatal under `mkdocs build --strict`.
+"""
+
+import base64
+import contextlib
+import gc
+import html
+import io
+import json
+import logging
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from datetime import date
+from enum import EnumType
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import ziamath
+from latex2mathml.converter import convert
+from mkdocs.structure.files import File
+
+from cddf_jax.application import configure_jax
+
+ROOT = Path(__file__).resolve().parents[1]
+WORK = Path(tempfile.mkdtemp(prefix="cddf_docs_"))
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+FONT = Path(ziamath.__file__).parent / "fonts" / "STIXTwoMath-Regular.ttf"  # for formulas, where none is installed
+PAGES = {"changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
+# what is shown of out/benchmark, where a run has left it
+TABLES = ("batch", "sweeps", "fits", "seventeen_levels", "designs", "coverage", "standard_errors")
+log = logging.getLogger("mkdocs.hooks")
+drawing: list[subprocess.Popen] = []
+sys.modules["hooks"] = sys.modules[__name__]  # pages import from here
+
+
+def on_pre_build(**_: Any) -> None:
+    """One process runs all examples: what is compiled for one page serves the next. Another draws the gallery."""
+    gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that live
+    sys.path.insert(0, str(ROOT / "docs"))  # where the gallery is
+    configure_jax()
+    import jax
+
+    jax.config.update("jax_traceback_in_locations_limit", 0)
+    for folder in ("data", "fitting"):
+        shutil.copytree(ROOT / folder, WORK / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    command = [sys.executable, ROOT / "docs" / "make_gallery.py", WORK / "gallery"]
+    drawing.append(subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
+
+
+def on_build_error(**_: Any) -> None:
+    """Let nobody draw on."""
+    for process in drawing:
+        process.kill()
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """Add the pictures of the gallery, drawn meanwhile by a process of their own, and leave nothing behind."""
+    drawn = drawing.pop()
+    output, _ = drawn.communicate()
+    if drawn.returncode:
+        log.warning("docs/make_gallery.py failed: %s", output)
+    for picture in (WORK / "gallery").glob("*.png"):
+        target = Path(config.site_dir, "gallery", picture.name)
+        target.parent.mkdir(exist_ok=True)
+        shutil.copy(picture, target)
+    shutil.rmtree(WORK, ignore_errors=True)
+
+
+# --- pages that are made ----------------------------------------------------------------------------
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """The changelog, how to contribute, the gallery, and a font for formulas."""
+    for page, source in PAGES.items():
+        files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
+    files.append(File.generated(config, "gallery.md", content=_gallery()))
+    files.append(File.generated(config, f"fonts/{FONT.name}", abs_src_path=str(FONT)))
+    return files
+
+
+def _gallery() -> str:
+    """The page; `on_pre_build` has set the drawing of its pictures going."""
+    made = import_module("make_gallery")
+    parts = ["# Gallery", "Drawn when the site is built, at the width of one column, by the code below each picture."]
+    parts += ["All of them draw into axes of yours as well (`axes=`). What they are made from:", _shown(made.SETUP)]
+    for name, title, caption, code in made.PICTURES:
+        picture = f'<img class="figure" src="gallery/{name}.png" alt="{title}" width="525">'
+        parts += [f"## {title}", picture, f"*{caption}*", _shown(code)]
+    return "\n\n".join(parts)
+
+
+def _shown(code: str) -> str:
+    return f"```py\n{code.strip()}\n```"
+
+
+def notebook_table() -> str:
+    """Each notebook with its title and the first sentence below it."""
+    rows = ["| notebook | what it tells |", "| --- | --- |"]
+    for path in NOTEBOOKS:
+        text = "".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"])
+        title, _, rest = text.partition("\n")
+        sentence = re.split(r"(?<=[.?])\s", " ".join(rest.split()), maxsplit=1)[0]
+        rows.append(f"| `{path.name}` | **{title.lstrip('# 0123456789')}.** {sentence} |")
+    return "\n".join(rows)
+
+
+def benchmark_tables() -> str:
+    """What the last run of each benchmark left in out/benchmark, with its date."""
+    parts = []
+    for path in (ROOT / "out" / "benchmark" / f"{name}.md" for name in TABLES):
+        if path.exists():
+            day = date.fromtimestamp(path.stat().st_mtime)
+            parts.append(f"### {path.stem.replace('_', ' ')}\n\nRun on {day}.\n\n{path.read_text(encoding='utf-8')}")
+    return "\n\n".join(parts) or "There is none beside this checkout; `make benchmark` makes them."
+
+
+def command_tables() -> str:
+    """Every command of `cddf` with its arguments and options."""
+    import typer
+
+    from cddf_jax.cli import app
+
+    parts = []
+    for name, command in typer.main.get_command(app).commands.items():
+        rows = [_parameter_row(parameter) for parameter in command.params]
+        parts.append("\n".join([f"## cddf {name}\n", command.help, "", "| name | meaning |", "| --- | --- |", *rows]))
+    return "\n\n".join(parts)
+
+
+def _parameter_row(parameter: Any) -> str:
+    names = ", ".join(f"`{name}`" for name in parameter.opts)
+    kind = parameter.type_descriptor.annotation
+    choices = " or ".join(f"`{choice.value}`" for choice in kind) if isinstance(kind, EnumType) else ""
+    words = [parameter.help or "", choices and f"One of {choices}.", "Required." if parameter.required else ""]
+    return f"| {names} | {' '.join(filter(None, words))} |".replace("\n", " ")
+
+
+# --- examples ---------------------------------------------------------------------------------------
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Hand Python to markdown-exec, run commands, and leave out pictures that are not there."""
+    run = f'exec="on" session="{page.file.src_uri}" workdir="{WORK}"'
+    blocks = re.compile(r"^```python *(\w*)\n(.*?)^```$", flags=re.M | re.S)
+    markdown = blocks.sub(lambda m: _example(m[1], m[2], run), markdown)
+    markdown = re.sub(r"^```console\n(.*?)^```$", lambda m: _console(m[1]), markdown, flags=re.M | re.S)
+    if page.file.abs_src_path is None:
+        return markdown
+    folder = Path(page.file.abs_src_path).parent
+    pictures = re.compile(r"^!\[.*?\]\((.*?)\).*$", flags=re.M)
+    return pictures.sub(lambda m: m[0] if (folder / m[1]).exists() else "", markdown)
+
+
+def _example(kind: str, code: str, run: str) -> str:
+    """A block that is run: ```python is shown with what it prints, the others as their word says."""
+    if kind == "hidden":  # only what it prints
+        return f'```python {run} result="text"\n{code}```'
+    if kind == "table":  # what it prints is Markdown
+        return f'```python {run} idprefix=""\n{code}```'
+    if kind == "figure":  # with the picture that its `axes` lie in
+        shown = "from hooks import picture\nprint(picture(axes))"
+        return f'```python {run} source="above"\n{code}```\n\n```python {run} html="on"\n{shown}\n```'
+    result = 'result="text"' if "print(" in code else ""
+    return f'```python {run} source="above" {result}\n{code}```'
+
+
+def _console(block: str) -> str:
+    """The commands of a block with what they print; one that ends in a backslash goes on in the next line."""
+    shown = []
+    for command in re.findall(r"^\$ (.*?[^\\])$", block, flags=re.M | re.S):
+        shown += [f"$ {command}", _run(command)]
+    return "```console\n" + "\n".join(shown) + "\n```"
+
+
+def _run(command: str) -> str:
+    """What `cddf` prints, in this process."""
+    from cddf_jax import application, cli
+
+    said, code = io.StringIO(), None
+    with (
+        contextlib.chdir(WORK),
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+        mock.patch.object(sys, "argv", shlex.split(command.replace("\\\n", " "))),
+        mock.patch.object(application, "configure_jax"),
+        mock.patch.object(application, "configure_jax_for_batches"),
+    ):
+        try:
+            cli.main()
+        except SystemExit as ended:
+            code = ended.code
+    if code:
+        log.warning("%s ended with %s: %s", command, code, said.getvalue())
+    return said.getvalue().rstrip()
+
+
+def picture(axes: Any) -> str:
+    """The figure that some axes lie in, within the page."""
+    from cddf_jax.figures import save
+
+    file = base64.b64encode(save(axes.figure, WORK / "picture.svg").read_bytes()).decode()
+    width = round(150 * axes.figure.get_figwidth())
+    words = "What the code above draws"
+    return f'<p><img class="figure" alt="{words}" width="{width}" src="data:image/svg+xml;base64,{file}"></p>'
+
+
+# --- formulas ---------------------------------------------------------------------------------------
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """LaTeX, as arithmatex marks it, into MathML; \\tag{n} becomes the number and the anchor eq-n."""
+    content = re.sub(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', lambda m: _display(m[1]), content, flags=re.S)
+    inline = r'<span class="arithmatex">\\\((.*?)\\\)</span>'
+    return re.sub(inline, lambda m: _mathml(m[1], "inline"), content, flags=re.S)
+
+
+def _mathml(latex: str, display: str) -> str:
+    return convert(html.unescape(latex).strip(), display=display).replace(
+        "<mi>&#x02032;", '<mi class="prime">&#x02032;'
+    )
+
+
+def _display(latex: str) -> str:
+    number = re.search(r"\\tag\{(.*?)\}", latex)
+    formula = _mathml(re.sub(r"\\tag\{.*?\}", "", latex), "block")
+    if number is None:
+        return f'<div class="equation">{formula}</div>'
+    return f'<div class="equation" id="eq-{number[1]}">{formula}<span>({number[1]})</span></div>'
