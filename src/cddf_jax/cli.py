@@ -1,4 +1,4 @@
-"""The command line: `cddf solve | sweep | fit | design | plan | reproduce`; each imports what is heavy when it runs."""
+"""The command line: `cddf solve`, `sweep`, `fit`, `design` and others; each imports what is heavy when it runs."""
 
 import sys
 from collections.abc import Callable
@@ -482,6 +482,48 @@ def plan(
         files = {"plan.md": plan_command.as_markdown(answer), "plan.json": json_text(plan_command.as_dict(answer))}
         write_all(out, files | render(plan_figure(answer), "plan"))
     _say(as_json, plan_command.as_dict(answer), plan_command.as_markdown(answer))
+
+
+# --- explore -------------------------------------------------------------------------------------
+
+
+@app.command()
+def explore(
+    robot: Annotated[
+        Path | None, typer.Argument(help="TOML file of the manipulator; else the paper's.", show_default=False)
+    ] = None,
+    data: Annotated[
+        list[Path] | None, typer.Argument(help="CSV files with the unit in the header.", show_default=False)
+    ] = None,
+    kinematics: KinematicsOption = None,
+    port: Annotated[int, typer.Option(help="On this machine.", min=0, max=65535, show_default="a free one")] = 0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")] = False,
+) -> None:
+    """A page in the browser: sliders for body and load, the data beside the model, a fit, what another taper would do.
+
+    It is served on this machine alone and needs no network. Ctrl-C ends it.
+    """
+    manipulator = None if robot is None else _read(robot, kinematics)
+    from dataclasses import replace
+
+    from . import application
+
+    application.configure_jax()
+    try:
+        from . import explorer
+    except ModuleNotFoundError as error:
+        if error.name not in ("panel", "bokeh"):
+            raise
+        raise InputError("explore needs the package panel; install it with pip install 'cddf-jax[explore]'") from None
+    from .measurements import read_measurements
+
+    if manipulator is None:
+        manipulator, source = explorer.papers_manipulator(), explorer.PAPER
+        manipulator = manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
+    else:
+        source = str(robot)
+    tables = [read_measurements(path) for path in data or []]
+    explorer.serve(manipulator, tables, source, port=port, browser=not no_browser, say=typer.echo)
 
 
 # --- common --------------------------------------------------------------------------------------

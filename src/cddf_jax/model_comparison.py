@@ -82,8 +82,8 @@ def cross_validation(fit: Fit, noise: tuple[np.ndarray, ...] | None = None) -> f
 
 def _folds(fit: Fit) -> list[np.ndarray]:
     """By group of data, which entries each fold leaves out, (folds, entries)."""
-    marks = []
-    for table, labels in fit.clusters.values():
+    marks, clusters = [], fit.clusters
+    for table, labels in (clusters[name] for name in fit.evidence.rows):  # in the order of the noise
         trials = len(np.unique(labels)) < len(labels)
         marks.append([(table, label) if trials else (table, k % ROW_FOLDS) for k, label in enumerate(labels.tolist())])
     every = list(dict.fromkeys(mark for group in marks for mark in group))

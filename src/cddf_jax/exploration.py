@@ -1,0 +1,358 @@
+"""What the explorer shows: one body under the numbers of some sliders, solved by a program that is compiled once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from .along_figure import stations
+from .bench import experiment_of
+from .case import Case
+from .equilibrium import RESULTS, Equilibrium, Fields
+from .errors import InputError
+from .explorer_taper import tapered
+from .identification import Fit, fit
+from .loads import Loads
+from .manipulator import Kinematics, Manipulator
+from .manipulator_file import manipulator_text
+from .measurements import Measurements
+from .plotting import round_number
+from .profiles import Profile
+from .statics import solve
+from .targets import TipAngle
+from .validation import describe_crossing
+
+GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
+NUM_PULLS = 17  # on the curve over the base tension
+FITTED = ("friction_coefficient", "youngs_modulus")
+RADII = ("outer_radius.base", "outer_radius.tip")
+
+
+class Control(NamedTuple):
+    """One number that can be changed, in the unit that is shown: SI times ten to the power of `exponent`."""
+
+    name: str
+    label: str
+    unit: str
+    exponent: int
+    value: float
+    low: float
+    high: float
+    least: float | None = None  # that may be typed
+
+    @property
+    def step(self) -> float:
+        return round_number((self.high - self.low) / 200)
+
+
+class Settings(NamedTuple):
+    """Where the controls stand: numbers in shown units by name of the control, and what is chosen beside them."""
+
+    numbers: Mapping[str, float]
+    direction: tuple[int, ...]
+    kinematics: Kinematics
+
+
+class Sections(NamedTuple):
+    """The body along a grid of arc lengths, m; tendons first."""
+
+    outer_radius: Any
+    inner_radius: Any
+    offset: Any
+
+
+class Picture(NamedTuple):
+    """An equilibrium, its fields and the body along a grid of arc lengths; NumPy, SI."""
+
+    case: Case
+    equilibrium: Equilibrium
+    along: Any  # `Fields`
+    sections: Sections
+    peak_strain: float  # the largest R |kappa| at the outer surface
+
+    @property
+    def good(self) -> bool:
+        """Whether there is something to show; other results keep no number, or one to be doubted."""
+        return self.equilibrium.result in GOOD
+
+    @property
+    def message(self) -> str:
+        """What has to be known of the result, as `solve` says it; empty where it is successful."""
+        result = self.equilibrium.result
+        if result == RESULTS.crossing:
+            return f"{describe_crossing(self.equilibrium)}. {RESULTS[result]}"
+        if result == RESULTS.load_limit:
+            reached = 100 * float(self.equilibrium.load_fraction)
+            return f"An equilibrium was found up to {reached:.3g} % of the loads. {RESULTS[result]}"
+        return RESULTS[result]
+
+    @property
+    def peak_curvature(self) -> float:
+        """The largest |kappa|, 1/m."""
+        return float(np.max(np.abs(self.along.curvature)))
+
+
+class Curve(NamedTuple):
+    """The answer over the base tension of tendon 1, all else as it is set; NaN where no solve is good. SI."""
+
+    base_tension: np.ndarray
+    tip_tension: np.ndarray
+    tip_angle: np.ndarray
+
+
+class Taper(NamedTuple):
+    """What one taper of the body does, SI; NaN where a solve is not good."""
+
+    tension_loss: float  # of tendon 1 at the tensions that are set
+    tip_angle: float
+    peak_strain: float
+    base_tension: float  # of tendon 1 at which the tip has the angle that is asked for
+    strain_there: float
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """A manipulator, the tables measured on it, and what the controls make of them.
+
+    Raises:
+        InputError: for a table that does not fit the manipulator, or a body that is none.
+    """
+
+    manipulator: Manipulator
+    tables: tuple[Measurements, ...] = ()
+
+    def __post_init__(self):
+        for table in self.tables:
+            experiment_of(table, self.manipulator)
+
+    # --- numbers and their ranges ----------------------------------------------------------------
+
+    @cached_property
+    def controls(self) -> tuple[Control, ...]:
+        """Everything that can be changed, with ranges about the numbers of the manipulator."""
+        body = self.manipulator
+        own = [tendon.friction_coefficient is not None for tendon in body.tendons]
+        mu, modulus = float(body.friction_coefficient), shown(body.youngs_modulus, -6)
+        friction = [Control(FITTED[0], "Friction coefficient", "", 0, mu, 0.0, max(1.0, _above(2 * mu)), 0.0)]
+        stiff = Control(
+            FITTED[1], "Young's modulus", "MPa", -6, modulus, round_number(0.2 * modulus), _above(2.5 * modulus), 1e-6
+        )
+        return (*self._tensions, *([] if all(own) else friction), stiff, *self._radii, *self._loads)
+
+    @cached_property
+    def _tensions(self) -> list[Control]:
+        body = self.manipulator
+        s, length = self.arc_length, float(body.length)
+        stiffness, offset = np.asarray(body.bending_stiffness(s)), np.maximum(np.asarray(body.offset(s)), 1e-3 * length)
+        turn = np.max(np.trapezoid(offset / stiffness, s))  # of the tip per tension, without friction
+        most = min(2.0 / turn, 0.3 * float(np.min(stiffness / offset**2)))
+        measured = [float(table["base_tension"].max()) for table in self.tables if "base_tension" in table]
+        high = _above(max([most, *measured]))
+        label = "Base tension" if body.num_tendons == 1 else "Base tension {}"
+        names = [(f"base_tension.{i}", label.format(i + 1)) for i in range(body.num_tendons)]
+        return [
+            Control(n, text, "N", 0, 0.0 if i else 0.75 * high, 0.0, high, 0.0) for i, (n, text) in enumerate(names)
+        ]
+
+    @cached_property
+    def _radii(self) -> list[Control]:
+        ends = [shown(self.manipulator.outer_radius(s), 3) for s in (0.0, self.manipulator.length)]
+        labels = ("Outer radius at the base", "Outer radius at the tip")
+        return [
+            Control(name, label, "mm", 3, r, 0.5 * r, 1.5 * r, 0.0)
+            for name, label, r in zip(RADII, labels, ends, strict=True)
+        ]
+
+    @cached_property
+    def _loads(self) -> list[Control]:
+        body, length = self.manipulator, float(self.manipulator.length)
+        stiffness = float(np.median(np.asarray(body.bending_stiffness(self.arc_length))))
+        force, moment = _above(0.6 * stiffness / length**2), _above(0.3 * stiffness / length)
+        found = [Control(f"tip_force.{i}", f"Tip force {a}", "N", 0, 0.0, -force, force) for i, a in enumerate("XY")]
+        found.append(Control("tip_moment", "Tip moment", "N m", 0, 0.0, -moment, moment))
+        if body.density > 0:
+            found += [Control(f"gravity.{i}", f"Gravity {a}", "m/s²", 0, 0.0, -10.0, 10.0) for i, a in enumerate("XY")]
+        return found
+
+    @property
+    def start(self) -> Settings:
+        """The manipulator as it is, tendon 1 pulled."""
+        numbers = {control.name: control.value for control in self.controls}
+        return Settings(numbers, (1,) * self.manipulator.num_tendons, self.manipulator.kinematics)
+
+    @cached_property
+    def offsets_outside_wall(self) -> bool:
+        """Whether the manipulator itself has tendons in the bore or outside the body."""
+        try:
+            self.manipulator.validate()
+        except InputError:
+            self.manipulator.validate(offsets_outside_wall=True)
+            return True
+        return False
+
+    def case(self, settings: Settings) -> Case:
+        """What is solved, from where the controls stand; of one structure for all numbers, unless loads come or go.
+
+        Raises:
+            InputError: for a body that is none, such as a tendon outside its wall.
+        """
+        number = {c.name: in_si(settings.numbers[c.name], c.exponent) for c in self.controls}
+        material = {name: number[name] for name in FITTED if name in number}
+        wall = self._wall(*(number[name] for name in RADII))
+        body = replace(self.manipulator, outer_radius=wall, kinematics=settings.kinematics, **material)
+        force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
+        loads = Loads(force, number["tip_moment"], gravity) if any((*force, number["tip_moment"], *gravity)) else None
+        pulls = np.array([number[f"base_tension.{i}"] for i in range(body.num_tendons)])
+        return Case(body, pulls, loads, np.array(settings.direction, float))
+
+    def _wall(self, base: float, tip: float) -> Profile:
+        """The outer radius; whether tendons lie within it is asked once for each."""
+        if (base, tip) not in self._walls:
+            wall = tapered(self.manipulator.outer_radius, base, tip, self.manipulator.length)
+            body = replace(self.manipulator, outer_radius=wall)
+            body.validate(offsets_outside_wall=self.offsets_outside_wall)
+            self._walls[base, tip] = wall
+        return self._walls[base, tip]
+
+    @cached_property
+    def _walls(self) -> dict[tuple[float, float], Profile]:
+        return {}
+
+    # --- answers ---------------------------------------------------------------------------------
+
+    @cached_property
+    def arc_length(self) -> np.ndarray:
+        """The grid of pictures, m."""
+        return stations(self.manipulator)
+
+    def picture(self, case: Case) -> Picture:
+        """The equilibrium of a case; look at `good` before it is shown."""
+        equilibrium, along, sections, strain = jax.tree.map(np.asarray, _solved(case, self.arc_length))
+        return Picture(case, equilibrium, along, sections, float(strain))
+
+    def curve(self, case: Case) -> Curve:
+        """Tip tension and tip angle over the whole range of the first tension."""
+        pulls = np.linspace(0.0, self.controls[0].high, NUM_PULLS)
+        return Curve(pulls, *map(np.asarray, _over_tension(case, pulls)))
+
+    def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:
+        """The taper of the manipulator itself and that of the settings, all else as it is set.
+
+        Args:
+            settings: where the controls stand.
+            angle: of the tip, rad, for which the tension is asked.
+        """
+        own = {c.name: c.value for c in self._radii}
+        both = (settings._replace(numbers={**settings.numbers, **own}), settings)
+        first, second = (Taper(*map(float, _taper(self.case(s), self.arc_length, np.float64(angle)))) for s in both)
+        return first, second
+
+    def fit(self, kinematics: Kinematics) -> Fit:
+        """Friction and modulus from the tables, on the manipulator itself, on which they were measured.
+
+        Raises:
+            InputError: without a table, and as `identification.fit`.
+        """
+        if not self.tables:
+            raise InputError("there is nothing to fit; load a table of measurements (CSV) first")
+        own = [control.name for control in self.controls if control.name in FITTED]
+        return fit(replace(self.manipulator, kinematics=kinematics), self.tables, own)
+
+    def toml(self, case: Case) -> str:
+        """The body of a case as a file."""
+        return manipulator_text(case.manipulator, offsets_outside_wall=self.offsets_outside_wall)
+
+
+# --- compiled once for each structure of a case ---------------------------------------------------
+
+
+@eqx.filter_jit
+def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Sections, Array]:
+    equilibrium = _solve(case)
+    along = equilibrium.at(arc_length)
+    return equilibrium, along, sections_at(case.manipulator, arc_length), _peak_strain(case.manipulator, along)
+
+
+def sections_at(body: Manipulator, arc_length: Any) -> Sections:
+    """The body at some places."""
+    return Sections(body.outer_radius(arc_length), body.inner_radius(arc_length), body.offset(arc_length))
+
+
+def _solve(case: Case) -> Equilibrium:
+    return solve(case.manipulator, case.base_tension, case.loads, direction=case.direction, throw=False)
+
+
+@eqx.filter_jit
+def _over_tension(case: Case, pulls: Float[ArrayLike, " pulls"]) -> tuple[Array, Array]:
+    def at(pull):
+        pulled = eqx.tree_at(lambda c: c.base_tension, case, jnp.asarray(case.base_tension).at[0].set(pull))
+        equilibrium = _solve(pulled)
+        return _where_good(equilibrium, (equilibrium.tip_tension[0], equilibrium.tip_angle))
+
+    return jax.vmap(at)(pulls)
+
+
+@eqx.filter_jit
+def _taper(case: Case, arc_length: Float[ArrayLike, " points"], angle: Float[ArrayLike, ""]) -> tuple:
+    given = _solve(case)
+    others = [case.base_tension[i] for i in range(1, case.manipulator.num_tendons)]
+    asked = eqx.tree_at(lambda c: c.base_tension, case, [TipAngle(angle), *others], is_leaf=lambda x: x is None)
+    reached = _solve(asked)
+    numbers = given.tension_loss[0], given.tip_angle, _peak_strain(case.manipulator, given.at(arc_length))
+    there = reached.base_tension[0], _peak_strain(case.manipulator, reached.at(arc_length))
+    return *_where_good(given, numbers), *_where_good(reached, there)
+
+
+def _where_good(equilibrium: Equilibrium, numbers: tuple) -> tuple:
+    good = (equilibrium.result == GOOD[0]) | (equilibrium.result == GOOD[1])
+    return tuple(jnp.where(good, number, jnp.nan) for number in numbers)
+
+
+def _peak_strain(manipulator: Manipulator, along: Fields) -> Array:
+    return jnp.max(manipulator.outer_radius(along.arc_length) * jnp.abs(along.curvature))
+
+
+# --- numbers -----------------------------------------------------------------------
+
+
+def in_si(value: float, exponent: int) -> float:
+    """The SI number of a shown one, to the last bit: 12.7 mm is 0.0127."""
+    return float(Decimal(repr(float(value))).scaleb(-exponent))
+
+
+def shown(value: Any, exponent: int) -> float:
+    """The other way round."""
+    return in_si(float(value), -exponent)
+
+
+def _above(value: float) -> float:
+    """The least of 1, 2 and 5 times a power of ten that is not below a positive value."""
+    return 1.0 / round_number(1.0 / value)
+
+
+# --- export ---------------------------------------------------------------------------------------
+
+
+def fields_csv(picture: Picture, notes: Sequence[str]) -> str:
+    """The fields along the body as a table, with the unit in the header and notes above it."""
+    along, count = picture.along, len(picture.along.tension)
+    columns: dict[str, Any] = {
+        "s [mm]": 1e3 * along.arc_length,
+        "x [mm]": 1e3 * along.position[:, 0],
+        "y [mm]": 1e3 * along.position[:, 1],
+        "heading [deg]": np.degrees(along.heading),
+        "curvature [1/m]": along.curvature,
+    }
+    for i in range(count):
+        columns[f"tension_{i + 1} [N]"] = along.tension[i]
+        for name, force in (("normal_force", along.normal_force[i]), ("friction_force", along.friction_force[i])):
+            columns |= {f"{name}_{i + 1}_{axis} [N/m]": force[:, k] for k, axis in enumerate("xy")}
+    rows = [",".join(f"{number:.10g}" for number in row) for row in zip(*columns.values(), strict=True)]
+    return "\n".join([*(f"# {note}" for note in notes), ",".join(columns), *rows]) + "\n"

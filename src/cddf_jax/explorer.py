@@ -1,0 +1,167 @@
+"""`cddf explore`: a local page on which a body is bent by sliders, compared with data and fitted. Panel and Bokeh."""
+
+import webbrowser
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import panel as pn
+from panel.io.server import get_server
+
+from .errors import InputError
+from .exploration import Exploration
+from .explorer_view import THREADS, View
+from .manipulator import Manipulator, conical
+from .manipulator_file import read_manipulator
+from .measurements import Measurements, read_measurements
+
+ADDRESS = "127.0.0.1"  # this machine alone
+TITLE = "cddf explorer"
+PAPER = "the manipulator of Liu et al. (2020), as no file was given"
+PAGE = """
+:host { display: grid !important; gap: 0 16px; grid-template-columns: 290px minmax(0, 1.6fr) minmax(0, 1fr);
+  grid-template-rows: auto auto auto 1fr;
+  grid-template-areas: "side body tension" "side numbers tension" "side along along" "side rest rest"; }
+.body { grid-area: body; } .numbers { grid-area: numbers; } .side { grid-area: side; }
+.tension { grid-area: tension; } .along { grid-area: along; } .rest { grid-area: rest; }
+@media (max-width: 1000px) { :host { grid-template-columns: 260px minmax(0, 1fr); grid-template-rows: none;
+  grid-template-areas: "side body" "side numbers" "side tension" "along along" "rest rest"; } }
+@media (max-width: 640px) { :host { grid-template-columns: minmax(0, 1fr); grid-template-rows: none;
+  grid-template-areas: "body" "numbers" "side" "tension" "along" "rest"; }
+  .body { position: sticky !important; top: 0; z-index: 5; background: white; } }
+"""
+ROOT = ".notice { position: sticky !important; top: 0; z-index: 10; }"
+HEAD = "h1 { font-size: 20px; margin: 4px 0 0; } p { margin: 2px 0; }"
+NOTICE = """
+p { margin: 0; padding: 6px 10px; border-left: 5px solid; font-size: 14px; overflow-wrap: anywhere; }
+p.error { border-color: #d55e00; background: #fdf1e7; }
+p.busy { border-color: #0072b2; background: #eaf4fb; }
+"""
+
+
+def papers_manipulator() -> Manipulator:
+    """The body of Liu et al. (2020), section IV, one tendon parallel to the axis, exact kinematics."""
+    return conical(
+        length=0.140,
+        outer_radius=(0.020, 0.013),
+        inner_radius=0.007,
+        tendon_offset=0.010,
+        youngs_modulus=1.4e6,
+        friction_coefficient=0.42,
+    )
+
+
+class Page:
+    """One browser's page: files are loaded here, and the view of a manipulator is renewed with each."""
+
+    def __init__(self, manipulator: Manipulator, tables: Sequence[Measurements], source: str):
+        self.manipulator, self.tables, self.source = manipulator, tuple(tables), source
+        self.notice = pn.pane.HTML("", stylesheets=[NOTICE], sizing_mode="stretch_width", css_classes=["notice"])
+        self.head = pn.pane.HTML("", stylesheets=[HEAD], margin=(0, 8))
+        self.robot_file = pn.widgets.FileInput(accept=".toml", name="Manipulator (TOML)", width=175, margin=(0, 4))
+        self.data_files = pn.widgets.FileInput(
+            accept=".csv,.tsv,.txt", name="Data (CSV, one or several)", multiple=True, width=185
+        )
+        self.robot_file.param.watch(lambda _: self._load(self._read_robot), "value")
+        self.data_files.param.watch(lambda _: self._load(self._read_data), "value")
+        self.view: View | None = None
+        self.place = pn.Column(stylesheets=[PAGE], sizing_mode="stretch_width", margin=0)
+        self._renew(Exploration(self.manipulator, self.tables))
+
+    @property
+    def layout(self) -> pn.Column:
+        """The whole page."""
+        head = pn.FlexBox(self.head, self.robot_file, self.data_files, align_items="center", gap="4px 12px")
+        return pn.Column(head, self.notice, self.place, stylesheets=[ROOT], sizing_mode="stretch_width")
+
+    def say(self, text: str, kind: str) -> None:
+        """One line at the head of the page, or none."""
+        self.notice.object = f'<p class="{kind}" role="alert">{_escaped(text)}</p>' if text else ""
+
+    def _renew(self, exploration: Exploration) -> None:
+        if self.view is not None:
+            self.view.close()
+        view = View(exploration, self.say)
+        parts = view.parts
+        for name, part in parts.items():
+            part.css_classes = [name]
+        self.place[:] = list(parts.values())
+        data = ", ".join(table.name for table in self.tables) or "no data loaded"
+        self.head.object = f"<h1>{TITLE}</h1><p>{_escaped(self.source)}; {_escaped(data)}</p>"
+        self.view = view
+
+    def _load(self, read: Any) -> None:
+        """Read a file that was chosen; a bad one leaves everything as it was."""
+        try:
+            manipulator, tables, source = read()
+            exploration = Exploration(manipulator, tables)
+        except InputError as error:
+            self.say(str(error), "error")
+            return
+        self.manipulator, self.tables, self.source = manipulator, tables, source
+        self.say("", "")
+        self._renew(exploration)
+
+    def _read_robot(self) -> tuple[Manipulator, tuple[Measurements, ...], str]:
+        name = str(self.robot_file.filename)
+        return _read(read_manipulator, name, self.robot_file.value), self.tables, name
+
+    def _read_data(self) -> tuple[Manipulator, tuple[Measurements, ...], str]:
+        files = zip(self.data_files.filename, self.data_files.value, strict=True)
+        tables = tuple(_read(read_measurements, str(name), content) for name, content in files)
+        return self.manipulator, tables, self.source
+
+
+def _escaped(text: str) -> str:
+    return escape(" ".join(text.split()))
+
+
+def _read(reader: Any, name: str, content: Any) -> Any:
+    """What `reader` makes of a file that was sent by the browser; its messages name the file alone."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / Path(name).name
+        path.write_bytes(content)
+        try:
+            return reader(path)
+        except InputError as error:
+            raise InputError(str(error).replace(f"{folder}/", "")) from None
+
+
+def serve(
+    manipulator: Manipulator,
+    tables: Sequence[Measurements],
+    source: str,
+    *,
+    port: int = 0,
+    browser: bool = True,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Serve the page on this machine alone until Ctrl-C.
+
+    Args:
+        manipulator: the body.
+        tables: measurements on it.
+        source: what the page says of where the manipulator comes from.
+        port: 0 for a free one.
+        browser: whether to open it.
+        say: takes a line with the address once the page is there.
+
+    Raises:
+        InputError: for a table that does not fit the manipulator, or a port that cannot be had.
+    """
+    Exploration(manipulator, tuple(tables))
+    pn.extension(respect_explicit_sizing=True)
+    try:
+        server = get_server(lambda: Page(manipulator, tables, source).layout, port=port, address=ADDRESS, title=TITLE)
+    except OSError as error:
+        raise InputError(f"--port {port}: {error.strerror}; give another, or leave it out for a free one") from None
+    url = f"http://localhost:{server.port}/"
+    say(f"{url}  (Ctrl-C ends it)")
+    if browser:
+        server.io_loop.add_callback(webbrowser.open, url)
+    server.start()
+    server.io_loop.start()  # Panel ends it on Ctrl-C
+    for threads in THREADS:
+        threads.shutdown(cancel_futures=True)

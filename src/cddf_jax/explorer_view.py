@@ -1,0 +1,329 @@
+"""One manipulator on the page: its sliders, its figures and numbers, its fit, and the files it can be saved to."""
+
+import io
+import logging
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import numpy as np
+import panel as pn
+
+from .determination import IDENTIFIED
+from .equilibrium import SolveError
+from .errors import InputError
+from .exploration import Control, Exploration, Picture, Settings, fields_csv, shown
+from .explorer_plots import AlongPlots, BodyPlot, TensionPlots
+from .explorer_words import lines_html, numbers_html, tapers_html
+from .fit_command import report_in_words
+from .fit_results import make_report
+from .identification import Fit
+from .manipulator import KINEMATICS, Kinematics
+from .plotting import render
+from .solve_figure import equilibrium_figure
+
+SLIDES = {"slides in": 1, "slides out": -1}
+# what is quick never waits for what may take long, least of all for a compiler
+PICTURES, COMPARISONS, FITS = THREADS = [ThreadPoolExecutor(1) for _ in range(3)]
+COMPILED: set[Any] = set()  # kinds of cases
+COMPILING = "Compiling for this kind of body and load, some seconds ..."
+WORDS = """
+:host { font-size: 14px; }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
+th { text-align: left; font-weight: normal; color: #595959; }
+td:not(:first-child) { white-space: nowrap; }
+td, th { padding: 2px 8px 2px 0; border-bottom: 1px solid #e8e8e8; }
+.tiles { display: flex; flex-wrap: wrap; gap: 4px 22px; margin-bottom: 6px; font-variant-numeric: tabular-nums; }
+.tile span { display: block; color: #595959; font-size: 12px; }
+.tile b, td b { font-weight: 600; }
+p { margin: 4px 0; overflow-wrap: anywhere; }
+p.known { border-left: 4px solid #009e73; padding-left: 8px; }
+p.lost { border-left: 4px solid #d55e00; padding-left: 8px; }
+"""
+GRID = """
+:host { display: grid !important; gap: 4px 16px; }
+:host { grid-template-columns: repeat(auto-fit, minmax(min(100%%, %dpx), 1fr)); }
+"""
+STALE = ":host(.stale) { opacity: 0.35; filter: grayscale(1); }"
+
+Say = Callable[[str, str], None]  # a line of text and its kind, "error", "busy" or "" for none
+
+
+def grid(*parts: Any, least: int) -> pn.Column:
+    """Side by side while each has so many pixels, below each other where not."""
+    return column(*parts, stylesheets=[GRID % least])
+
+
+def column(*parts: Any, **options: Any) -> pn.Column:
+    return pn.Column(*parts, sizing_mode="stretch_width", margin=0, **options)
+
+
+def words(name: str) -> pn.pane.HTML:
+    return pn.pane.HTML("", stylesheets=[WORDS], sizing_mode="stretch_width", margin=(4, 8), css_classes=[name])
+
+
+def plot(figure: Any) -> pn.pane.Bokeh:
+    return pn.pane.Bokeh(figure, sizing_mode="stretch_width", margin=0)
+
+
+class View:
+    """The sliders and what follows from them.
+
+    Every change is solved on a thread of its own and then drawn; while sliders move faster than that, what has been
+    overtaken is left out.
+    """
+
+    def __init__(self, exploration: Exploration, say: Say):
+        self.exploration, self.say = exploration, say
+        assert pn.state.curdoc is not None
+        self.document = pn.state.curdoc
+        self.settings: Settings = exploration.start
+        self.picture: Picture | None = None
+        self.fitted: Fit | None = None
+        body, s = exploration.manipulator, exploration.arc_length
+        self.drawn: list[pn.Column] = []
+        self.several = body.num_tendons > 1
+        self.body, self.along, self.tension = BodyPlot(body, s), AlongPlots(body, s), TensionPlots(self.several)
+        self.tension.show_data(exploration.tables)
+        self._make_controls()
+        self._make_words()
+        self.closed = False
+        pn.state.on_session_destroyed(lambda _: self.close())
+        pn.state.onload(self.change)
+
+    def close(self) -> None:
+        """Draw no more."""
+        self.closed = True
+
+    # --- widgets ---------------------------------------------------------------------------------
+
+    def _make_controls(self) -> None:
+        self.sliders = {control.name: _slider(control) for control in self.exploration.controls}
+        self.directions = [
+            pn.widgets.Select(name=f"Tendon {i + 1}", options=SLIDES, width=105)
+            for i in range(self.exploration.manipulator.num_tendons)
+        ]
+        kinematics = self.settings.kinematics
+        self.kinematics = pn.widgets.Select(name="Kinematics", options=list(KINEMATICS), value=kinematics, width=105)
+        self.angle = pn.widgets.FloatInput(
+            name="Tip angle asked for (deg)",
+            value=45.0 * self.exploration.manipulator.tendons[0].side,
+            step=5.0,
+            width=180,
+        )
+        self.reset = pn.widgets.Button(
+            name="Back to the file's numbers", on_click=lambda _: self.move_to(self.exploration.start)
+        )
+        for widget in (*self.sliders.values(), *self.directions, self.kinematics, self.angle):
+            widget.param.watch(lambda _: self.change(), "value")
+
+    def _make_words(self) -> None:
+        self.numbers, self.what_if, self.verdict = words("numbers"), words("what-if"), words("verdict")
+        self.fit_button = pn.widgets.Button(
+            name="Fit friction and modulus", button_type="primary", on_click=lambda _: self.start_fit()
+        )
+        self.take_over = pn.widgets.Button(
+            name="Set the sliders to the fit", visible=False, on_click=lambda _: self._take_over()
+        )
+        self.fit_button.disabled = not self.exploration.tables
+
+    def _downloads(self) -> list[pn.widgets.FileDownload]:
+        kinds: list[tuple[str, str, Callable[[Picture], str | bytes]]] = [
+            ("Figure (PDF)", "explorer.pdf", lambda picture: _figure(picture, "explorer.pdf")),
+            ("Figure (PNG)", "explorer.png", lambda picture: _figure(picture, "explorer.png")),
+            ("Body as set (TOML)", "body.toml", lambda picture: self.exploration.toml(picture.case)),
+            ("Fields along the body (CSV)", "fields.csv", lambda picture: fields_csv(picture, self.notes)),
+        ]
+        return [
+            pn.widgets.FileDownload(callback=self._file(make), filename=name, label=label, width=210)
+            for label, name, make in kinds
+        ]
+
+    def _file(self, make: Callable[[Picture], str | bytes]) -> Callable[[], io.BytesIO]:
+        def content() -> io.BytesIO:
+            if self.picture is None:
+                raise InputError("there is nothing to save yet; wait for the first picture")
+            made = make(self.picture)
+            return io.BytesIO(made.encode() if isinstance(made, str) else made)
+
+        return content
+
+    @property
+    def sidebar(self) -> pn.Column:
+        """The sliders, and what is chosen beside them."""
+        chosen = [*(self.directions if self.several else []), self.kinematics]
+        return column(*self.sliders.values(), pn.FlexBox(*chosen), self.reset)
+
+    @property
+    def parts(self) -> dict[str, pn.Column]:
+        """What stands where on the page, by the names of `explorer.PAGE`."""
+        compared = column(_title("What if the taper were another"), self.angle, self.what_if)
+        buttons = pn.FlexBox(self.fit_button, self.take_over)
+        fit = column(_title("What the data tell"), buttons, self.verdict)
+        files = column(_title("Save"), pn.FlexBox(*self._downloads()))
+        return {
+            "body": self._drawn(plot(self.body.figure)),
+            "numbers": self._drawn(self.numbers),
+            "side": self.sidebar,
+            "tension": self._drawn(grid(*map(plot, self.tension.figures.values()), least=330)),
+            "along": self._drawn(grid(*map(plot, self.along.figures.values()), least=230)),
+            "rest": column(grid(compared, fit, least=400), files),
+        }
+
+    def _drawn(self, part: Any) -> pn.Column:
+        """A part that turns grey while there is no good picture."""
+        self.drawn.append(column(part, stylesheets=[STALE]))
+        return self.drawn[-1]
+
+    # --- changes ---------------------------------------------------------------------------------
+
+    def move_to(self, settings: Settings) -> None:
+        """Set the sliders."""
+        for name, value in settings.numbers.items():
+            slider = self.sliders[name]
+            slider.param.update(start=min(slider.start, value), end=max(slider.end, value), value=value)
+        for widget, direction in zip(self.directions, settings.direction, strict=True):
+            widget.value = direction
+        self.kinematics.value = settings.kinematics
+
+    def change(self) -> None:
+        """Solve for where the sliders stand now."""
+        numbers = {name: float(slider.value) for name, slider in self.sliders.items()}
+        directions = tuple(widget.value for widget in self.directions)
+        self.settings = Settings(numbers, directions, self.kinematics.value)
+        PICTURES.submit(self._guarded, self._draw, self.settings, float(self.angle.value or 0.0))
+
+    def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: Any) -> None:
+        """On a thread: unless something newer is wanted; what goes wrong is said on the page."""
+        if settings is not self.settings or self.closed:
+            return
+        try:
+            function(settings, *arguments)
+        except (InputError, SolveError) as error:
+            self._on_page(self._refuse, str(error))
+        except Exception as error:
+            logging.getLogger(__name__).exception("explorer")
+            self._on_page(self._refuse, f"{type(error).__name__}: {error}")
+
+    def _draw(self, settings: Settings, angle: float) -> None:
+        """The picture, and then on another thread what takes longer."""
+        case = self.exploration.case(settings)
+        kind = jax.tree.structure(case), self.exploration.arc_length.size
+        if kind not in COMPILED:
+            self._on_page(self.say, COMPILING, "busy")
+        picture = self.exploration.picture(case)
+        self._on_page(self._show, picture)
+        if picture.good:
+            COMPARISONS.submit(self._guarded, self._compare, settings, angle, picture)
+        COMPILED.add(kind)
+
+    def _compare(self, settings: Settings, angle: float, picture: Picture) -> None:
+        curve = self.exploration.curve(picture.case)
+        self._on_page(self.tension.show_curve, curve)
+        tapers = self.exploration.tapers(settings, np.radians(angle))
+        self._on_page(setattr, self.what_if, "object", tapers_html(tapers, angle, self.several))
+
+    def _on_page(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Call on the thread of the page, everything that changes sent together."""
+
+        def call() -> None:
+            with pn.io.hold():
+                function(*arguments)
+
+        if not self.closed:
+            self.document.add_next_tick_callback(call)
+
+    def _show(self, picture: Picture) -> None:
+        if not picture.good:
+            self._refuse(picture.message)
+            return
+        self.picture = picture
+        self._mark([])
+        self.body.show(picture)
+        self.along.show(picture)
+        self.tension.show_now(picture)
+        self.numbers.object = numbers_html(picture)
+        self.say(picture.message, "error")
+
+    def _mark(self, classes: list[str]) -> None:
+        for part in self.drawn:
+            part.css_classes = [name for name in part.css_classes if name != "stale"] + classes
+
+    def _refuse(self, message: str) -> None:
+        """Say what is wrong; the last good picture stays, in grey."""
+        self._mark(["stale"])
+        self.say(message, "error")
+
+    # --- the fit ---------------------------------------------------------------------------------
+
+    def start_fit(self) -> None:
+        """Fit on a thread of its own."""
+        self.fit_button.loading = True
+        self.take_over.visible = False
+        self.verdict.object = '<p role="status">Fitting, some seconds ...</p>'
+        FITS.submit(self._fit, self.settings.kinematics)
+
+    def _fit(self, kinematics: Kinematics) -> None:
+        try:
+            fitted = self.exploration.fit(kinematics)
+            text = report_in_words(make_report(fitted, with_profiles=False))
+            text += "\nbody: that of the file, wherever the sliders stand"
+            if not fitted.success:
+                text += f"\nthe fit failed: {fitted.result}"
+            self._on_page(self._show_fit, fitted, text)
+        except Exception as error:
+            if not isinstance(error, InputError):
+                logging.getLogger(__name__).exception("explorer")
+            self._on_page(self._show_fit, None, str(error))
+
+    def _show_fit(self, fitted: Fit | None, text: str) -> None:
+        self.fitted, self.fit_button.loading = fitted, False
+        self.verdict.object = lines_html(text)
+        self.take_over.visible = bool(self._identified())
+
+    def _identified(self) -> dict[str, float]:
+        """What the data determine, SI; nothing else is ever taken over."""
+        fitted = self.fitted
+        if fitted is None or not fitted.success:
+            return {}
+        return {name: fitted.value[name] for name in fitted.names if fitted.status[name] == IDENTIFIED}
+
+    def _take_over(self) -> None:
+        exponent = {control.name: control.exponent for control in self.exploration.controls}
+        found = {name: shown(value, exponent[name]) for name, value in self._identified().items()}
+        self.move_to(self.settings._replace(numbers={**self.settings.numbers, **found}))
+
+    # --- files -----------------------------------------------------------------------------------
+
+    @property
+    def notes(self) -> list[str]:
+        """Where the sliders stand, for the head of a file."""
+        controls = self.exploration.controls
+        numbers = [f"{c.label} = {self.settings.numbers[c.name]:.10g} {c.unit}".strip() for c in controls]
+        return ["cddf explore", *numbers, f"kinematics {self.settings.kinematics}"]
+
+
+def _slider(control: Control) -> pn.widgets.EditableFloatSlider:
+    unit = f" ({control.unit})" if control.unit else ""
+    return pn.widgets.EditableFloatSlider(
+        name=f"{control.label}{unit}",
+        value=control.value,
+        start=control.low,
+        end=control.high,
+        step=control.step,
+        fixed_start=control.least,
+        sizing_mode="stretch_width",
+        format="0[.][0000000000]",
+        margin=(4, 12),
+    )
+
+
+def _title(text: str) -> pn.pane.HTML:
+    return pn.pane.HTML(f"<h2>{text}</h2>", stylesheets=["h2 { font-size: 16px; margin: 8px 0 0; }"], margin=(0, 8))
+
+
+def _figure(picture: Picture, name: str) -> bytes:
+    case = picture.case
+    files = render(equilibrium_figure(case.manipulator, picture.equilibrium, case.loads), name.partition(".")[0])
+    return files[name]
