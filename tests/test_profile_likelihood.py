@@ -114,6 +114,23 @@ def test_a_product_is_open_ended(bounds, low):
     assert np.max(profile.value) > 100 * fit.value["a"]
 
 
+def test_a_valley_is_followed_however_far(monkeypatch):
+    """T / (1 + a T g / b) tells a / b only: b is open on both sides. A search far off jumps out of the valley."""
+    pull = np.linspace(5.0, 85.0, 9)
+
+    def tip(p):
+        return pull / (1 + p["a"] * pull * 0.03 / p["b"])
+
+    data = np.asarray(tip({"a": 0.42, "b": 1.4})) + 0.1 * np.cos(np.arange(9.0))
+    fit = least_squares_fit(tip, {"a": 0.42, "b": 1.4}, data, 0.1, {"a": (0.0, None), "b": (0.0, None)})
+    profile = fit.profile("b")
+    assert profile.closed == (False, False)
+    assert profile.confidence_interval == (0.0, np.inf)
+    np.testing.assert_allclose(profile.rise, 0.0, atol=1e-6)
+    monkeypatch.setattr(profile_likelihood, "_ahead", profile_likelihood._nearest)
+    assert np.max(fit.profile("b").rise) > 1.0  # without going on along the valley
+
+
 def test_a_side_that_flattens_is_open():
     """1 - exp(-a x) where a x is large: the data say at least how large, and no more."""
     x = np.array([1.0, 2.0, 3.0])
@@ -186,6 +203,7 @@ def test_a_search_that_creeps_goes_on_or_counts_for_nothing(monkeypatch):
     expected = fit.profile("height").confidence_interval
     monkeypatch.setattr(profile_likelihood, "MAX_STEPS", 8)
     np.testing.assert_allclose(fit.profile("height").confidence_interval, expected, rtol=2e-4)
+    monkeypatch.setattr(profile_likelihood, "MAX_STEPS", 2)
     monkeypatch.setattr(profile_likelihood, "CONTINUATIONS", 0)
     assert fit.profile("height").closed == (False, False)
 

@@ -176,12 +176,20 @@ class Space(eqx.Module):
         return np.maximum(np.where(value == 0, np.asarray(self.scale), np.abs(value)), np.asarray(self.least_size))
 
     def first(self) -> Float[Array, " n"]:
-        def inverse(kind, start, lower, upper):
-            return jnp.log((start - lower) / (upper - start)) if kind == "between" else 0.0
+        return jnp.asarray([self.inverse(i, self.start[i]) for i in range(len(self.kinds))])
 
-        return jnp.asarray(
-            [inverse(*args) for args in zip(self.kinds, self.start, self.lower, self.upper, strict=True)]
-        )
+    def inverse(self, i: int, value: Any) -> Array:
+        """The z_i of values of parameter i inside its bounds."""
+        start, lower, upper = self.start[i], self.lower[i], self.upper[i]
+        match self.kinds[i]:
+            case "free":
+                return (value - start) / self.scale[i]
+            case "above":
+                return jnp.log((value - lower) / (start - lower))
+            case "below":
+                return jnp.log((upper - value) / (upper - start))
+            case _:
+                return jnp.log((value - lower) / (upper - value))
 
     def parameters(self, z: Float[Array, " n"]) -> Float[Array, " n"]:
         def one(i, kind):

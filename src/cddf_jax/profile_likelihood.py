@@ -64,13 +64,15 @@ def profile_likelihood(
     for distances in (NEAR * half_width, NEAR[-1] * half_width + FAR * size):
         still_open = [sign for sign in (-1, +1) if _crossing(found, estimate, sign, threshold) is None]
         places = [x for sign in still_open for x in _ladder(space, i, estimate, sign * distances)]
-        for _ in range(2):  # once from the estimate, once from the better neighbour
-            found = _join(found, _search(problem, noise, best, i, places, found, threshold))
+        for begin in (_nearest, _ahead):  # a valley that a search jumps out of is followed by the other
+            starts = [begin(found, space, i, estimate, place, threshold) for place in places]
+            found = _join(found, _search(problem, noise, best, i, places, starts, threshold))
     for _ in range(MOST_REFINEMENTS):
         places = [x for sign in (-1, +1) for x in _around_crossing(found, estimate, sign, threshold)]
         if not places:
             break
-        found = _join(found, _search(problem, noise, best, i, places, found, threshold))
+        starts = [_nearest(found, space, i, estimate, place, threshold) for place in places]
+        found = _join(found, _search(problem, noise, best, i, places, starts, threshold))
     below = _end(found, estimate, -1, threshold, float(space.lower[i]))
     above = _end(found, estimate, +1, threshold, float(space.upper[i]))
     return Profile(
@@ -108,26 +110,49 @@ def _ladder(space: Space, i: int, estimate: float, distances: np.ndarray) -> np.
     return places
 
 
+def _inward(known: _Row, estimate: float, place: float, most: float) -> np.ndarray:
+    """The known rows between a place and the estimate whose rise is not over the most, the nearest first."""
+    inward = (known.value - place) * np.sign(estimate - place) > 0
+    there = np.flatnonzero(inward & (known.rise <= most))
+    return there[np.argsort(np.abs(known.value[there] - place), kind="stable")]
+
+
+def _nearest(known: _Row, space: Space, i: int, estimate: float, place: float, threshold: float) -> np.ndarray:
+    """Where to begin a search, z: where that of the nearest place towards the estimate ended."""
+    there = _inward(known, estimate, place, np.finfo(float).max)
+    return known.z[there[0] if there.size else 0]
+
+
+def _ahead(known: _Row, space: Space, i: int, estimate: float, place: float, threshold: float) -> np.ndarray:
+    """The same on the straight line from the estimate through the nearest place within the interval, in z."""
+    there = _inward(known, estimate, place, threshold)
+    if there.size < 2:  # the estimate itself is one of them
+        return _nearest(known, space, i, estimate, place, threshold)
+    near, far = known.z[there[0]], known.z[there[-1]]
+    at = space.inverse(i, np.array([place, known.value[there[0]], known.value[there[-1]]]))
+    return near + (near - far) * (at[0] - at[1]) / (at[1] - at[2])
+
+
 def _search(
-    problem: LeastSquaresProblem, noise, best: Outcome, i: int, wanted: list[float], known: _Row, threshold: float
+    problem: LeastSquaresProblem,
+    noise,
+    best: Outcome,
+    i: int,
+    wanted: list[float],
+    starts: list[np.ndarray],
+    threshold: float,
 ) -> _Row:
-    """Fit all others with the parameter held, from the nearest known place towards the estimate.
+    """Fit all others with the parameter held, each search from a start of its own.
 
     A search that stops for want of steps bounds the rise from above only: it goes on while that is over the threshold.
     """
     if not wanted:
-        return known
+        return _Row(np.empty(0), np.empty(0), best.z[None][:0], best.parameters[None][:0])
     places = np.resize(wanted, 2 * LANES)  # always as many, so that nothing is compiled anew
-    order = np.argsort(known.value)
-    z = []
-    for place in places:
-        inward = (known.value[order] - place) * np.sign(best.parameters[i] - place) > 0
-        candidates = order[inward & np.isfinite(known.rise[order])]
-        nearest = candidates[np.argmin(np.abs(known.value[candidates] - place))] if candidates.size else order[0]
-        z.append(known.z[nearest])
-    held = np.full((places.size, best.z.size), np.nan)
+    z = np.resize(np.stack(starts), (places.size, best.z.size))
+    held = np.full(z.shape, np.nan)
     held[:, i] = places
-    there, rounds_left = minimise_all(problem, noise, np.stack(z), held, max_steps=MAX_STEPS), CONTINUATIONS
+    there, rounds_left = minimise_all(problem, noise, z, held, max_steps=MAX_STEPS), CONTINUATIONS
     while np.any(creeping := ~there.solved & (there.cost - best.cost > threshold)) and rounds_left:
         there, rounds_left = minimise_all(problem, noise, there.z, held, max_steps=MAX_STEPS), rounds_left - 1
     rise = np.where(np.isfinite(there.cost), there.cost - best.cost, np.inf)
