@@ -1,17 +1,20 @@
 """All that the benchmarks measured, on one page: `python benchmarks/table.py`, the last step of `make benchmark`.
 
-It measures nothing: it puts what the other scripts left in out/benchmark together, and says what is missing.
+It measures nothing: it puts what the other scripts left in out/benchmark together, and says what is missing. The page
+is kept in benchmarks/measured.md, which the documentation shows.
 """
 
 import json
 import os
 import platform
+from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
 from cddf_jax.artifacts import as_json, write_all
 
 FOLDER = Path("out/benchmark")
+KEPT = Path("benchmarks")
 PARTS = {
     "batch": "One solve, batches, gradients, loads",
     "sweeps": "Sweeps: size, devices, processes, precision, memory",
@@ -35,11 +38,18 @@ def main() -> None:
     for name, title in PARTS.items():
         page = FOLDER / f"{name}.md"
         found = page.exists()
-        pages.append(f"## {title}\n\n{page.read_text() if found else f'Not measured: run benchmarks/{name}.py.'}")
+        when = date.fromtimestamp(page.stat().st_mtime) if found else ""
+        text = (
+            f"`benchmarks/{name}.py`, {when}\n\n{page.read_text()}"
+            if found
+            else f"Not measured: run benchmarks/{name}.py."
+        )
+        pages.append(f"## {title}\n\n{text}")
         results[name] = json.loads((FOLDER / f"{name}.json").read_text()) if found else None
     text = "\n".join(pages)
     print(text)
-    write_all(FOLDER, {"benchmark.md": text, "benchmark.json": as_json({"about": about, "results": results})})
+    write_all(KEPT, {"measured.md": text})
+    write_all(FOLDER, {"benchmark.json": as_json({"about": about, "results": results})})
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from datetime import date
 from enum import EnumType
 from importlib import import_module
 from pathlib import Path
@@ -35,8 +34,6 @@ WORK = Path(tempfile.mkdtemp(prefix="cddf_docs_"))
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 FONT = Path(ziamath.__file__).parent / "fonts" / "STIXTwoMath-Regular.ttf"  # for formulas, where none is installed
 PAGES = {"changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
-# what is shown of out/benchmark, where a run has left it
-TABLES = ("batch", "sweeps", "fits", "seventeen_levels", "designs", "coverage", "standard_errors")
 log = logging.getLogger("mkdocs.hooks")
 drawing: list[subprocess.Popen] = []
 sys.modules["hooks"] = sys.modules[__name__]  # pages import from here
@@ -114,13 +111,9 @@ def notebook_table() -> str:
 
 
 def benchmark_tables() -> str:
-    """What the last run of each benchmark left in out/benchmark, with its date."""
-    parts = []
-    for path in (ROOT / "out" / "benchmark" / f"{name}.md" for name in TABLES):
-        if path.exists():
-            day = date.fromtimestamp(path.stat().st_mtime)
-            parts.append(f"### {path.stem.replace('_', ' ')}\n\nRun on {day}.\n\n{path.read_text(encoding='utf-8')}")
-    return "\n\n".join(parts) or "There is none beside this checkout; `make benchmark` makes them."
+    """What the last run of each benchmark left, with its date."""
+    text = (ROOT / "benchmarks" / "measured.md").read_text(encoding="utf-8")
+    return re.sub("^#", "##", text.partition("\n")[2], flags=re.M).strip()
 
 
 def command_tables() -> str:

@@ -117,7 +117,11 @@ def test_one_tension_for_all_tendons(answer_of, two_tendons):
 def test_solve_writes_files(answer_of, tmp_path):
     answer = answer_of("solve", PAPER, "-t", "75 N", "--out", tmp_path / "new" / "folder")
     files = {path.name: path for path in (tmp_path / "new" / "folder").iterdir()}
-    assert set(files) == {"solve.json", "solve.pdf", "solve.png"}
+    assert set(files) == {"solve.json", "solve.pdf", "solve.png", "fields.csv"}
+    head, *rows = files["fields.csv"].read_text().splitlines()
+    tip = dict(zip(head.split(","), map(float, rows[-1].split(",")), strict=True))
+    assert tip["tension_1 [N]"] == pytest.approx(answer["tip_tension"][0], rel=1e-8)  # nine digits are written
+    assert [tip["x [m]"], tip["y [m]"]] == pytest.approx(answer["tip_position"], rel=1e-8)
     assert json.loads(files["solve.json"].read_text()) == answer
     assert files["solve.pdf"].read_bytes().startswith(b"%PDF-")
     assert files["solve.png"].read_bytes().startswith(b"\x89PNG")

@@ -14,8 +14,9 @@ import pytest
 from bodies import PAPER, paper_body, paper_plain, straight
 
 import cddf_jax as cddf
-from cddf_jax.exploration import NUM_PULLS, Exploration, fields_csv, in_si, shown
+from cddf_jax.exploration import NUM_PULLS, Exploration, in_si, shown
 from cddf_jax.explorer_taper import tapered
+from cddf_jax.interchange import fields_csv
 from cddf_jax.profiles import Constant, Linear, Piecewise, Spline
 
 DATA = Path(__file__).parent.parent / "data"
@@ -142,14 +143,14 @@ def test_files_hold_what_is_shown(explored, picture, tmp_path):
     path.write_text(explored.toml(picture.case))
     body = cddf.read_manipulator(path)
     assert (body.outer_radius.base, body.outer_radius.tip) == (0.018, 0.015)
-    text = fields_csv(picture, ["a note"]).splitlines()
+    text = fields_csv(picture.along, ["a note"]).splitlines()
     assert text[0] == "# a note"
     header, rows = text[1].split(","), np.array([line.split(",") for line in text[2:]], float)
-    assert header[:2] == ["s [mm]", "x [mm]"]
+    assert header[:2] == ["arc_length [m]", "x [m]"]
     tension = rows[:, header.index("tension_1 [N]")]
     assert tension[0] == pytest.approx(60.0, rel=1e-9)
     assert tension[-1] == pytest.approx(float(picture.equilibrium.tip_tension[0]), rel=1e-9)
-    assert rows[-1, 0] == pytest.approx(140.0)
+    assert rows[-1, 0] == pytest.approx(0.140)
 
 
 # --- the command ----------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ def test_a_failed_solve_stays_failed():
     """A slender body under 1e5 N bends to where tendons cross: no numbers, and the reason."""
     failed = cddf.solve(ROBOT, [1e5, 0.0], direction=[1, -1], throw=False)
     data = cddf.as_dataset(failed)
-    assert data.attrs["result"] == cddf.RESULTS[failed.result]
+    assert cddf.RESULTS[failed.result] in data.attrs["result"]
     assert "successful" not in data.attrs["result"]
 
 

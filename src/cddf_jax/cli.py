@@ -114,13 +114,12 @@ def solve(
     if out is not None:
         from .artifacts import as_json as json_text
         from .artifacts import write_all
-        from .csv_table import table_csv
-        from .interchange import columns_along
+        from .interchange import fields_along, fields_csv
         from .plotting import render
         from .solve_figure import equilibrium_figure
 
         figure = equilibrium_figure(manipulator, equilibrium, loads)
-        tables = {"solve.json": json_text(answer), "fields.csv": table_csv(columns_along(equilibrium))}
+        tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_along(equilibrium))}
         write_all(out, render(figure, "solve") | tables)
     _say(as_json, answer, solve_command.in_words(equilibrium, actuation, base_tension, loads))
     if equilibrium.result == RESULTS.unstable:

@@ -1,6 +1,6 @@
 """What the explorer shows: one body under the numbers of some sliders, solved by a program that is compiled once."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
@@ -25,9 +25,8 @@ from .manipulator_file import manipulator_text
 from .measurements import Measurements
 from .plotting import round_number
 from .profiles import Profile
-from .statics import solve
+from .statics import in_words, solve
 from .targets import TipAngle
-from .validation import describe_crossing
 
 GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
 NUM_PULLS = 17  # on the curve over the base tension
@@ -85,13 +84,7 @@ class Picture(NamedTuple):
     @property
     def message(self) -> str:
         """What has to be known of the result, as `solve` says it; empty where it is successful."""
-        result = self.equilibrium.result
-        if result == RESULTS.crossing:
-            return f"{describe_crossing(self.equilibrium)}. {RESULTS[result]}"
-        if result == RESULTS.load_limit:
-            reached = 100 * float(self.equilibrium.load_fraction)
-            return f"An equilibrium was found up to {reached:.3g} % of the loads. {RESULTS[result]}"
-        return RESULTS[result]
+        return in_words(self.equilibrium)
 
     @property
     def peak_curvature(self) -> float:
@@ -335,24 +328,3 @@ def shown(value: Any, exponent: int) -> float:
 def _above(value: float) -> float:
     """The least of 1, 2 and 5 times a power of ten that is not below a positive value."""
     return 1.0 / round_number(1.0 / value)
-
-
-# --- export ---------------------------------------------------------------------------------------
-
-
-def fields_csv(picture: Picture, notes: Sequence[str]) -> str:
-    """The fields along the body as a table, with the unit in the header and notes above it."""
-    along, count = picture.along, len(picture.along.tension)
-    columns: dict[str, Any] = {
-        "s [mm]": 1e3 * along.arc_length,
-        "x [mm]": 1e3 * along.position[:, 0],
-        "y [mm]": 1e3 * along.position[:, 1],
-        "heading [deg]": np.degrees(along.heading),
-        "curvature [1/m]": along.curvature,
-    }
-    for i in range(count):
-        columns[f"tension_{i + 1} [N]"] = along.tension[i]
-        for name, force in (("normal_force", along.normal_force[i]), ("friction_force", along.friction_force[i])):
-            columns |= {f"{name}_{i + 1}_{axis} [N/m]": force[:, k] for k, axis in enumerate("xy")}
-    rows = [",".join(f"{number:.10g}" for number in row) for row in zip(*columns.values(), strict=True)]
-    return "\n".join([*(f"# {note}" for note in notes), ",".join(columns), *rows]) + "\n"

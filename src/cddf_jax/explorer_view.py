@@ -13,12 +13,13 @@ import panel as pn
 from .determination import IDENTIFIED
 from .equilibrium import SolveError
 from .errors import InputError
-from .exploration import Control, Exploration, Picture, Settings, fields_csv, shown
+from .exploration import Control, Exploration, Picture, Settings, shown
 from .explorer_plots import AlongPlots, BodyPlot, TensionPlots
 from .explorer_words import lines_html, numbers_html, tapers_html
 from .fit_command import report_in_words
 from .fit_results import make_report
 from .identification import Fit
+from .interchange import fields_csv
 from .manipulator import KINEMATICS, Kinematics
 from .plotting import render
 from .solve_figure import equilibrium_figure
@@ -133,7 +134,7 @@ class View:
             ("Figure (PDF)", "explorer.pdf", lambda picture: _figure(picture, "explorer.pdf")),
             ("Figure (PNG)", "explorer.png", lambda picture: _figure(picture, "explorer.png")),
             ("Body as set (TOML)", "body.toml", lambda picture: self.exploration.toml(picture.case)),
-            ("Fields along the body (CSV)", "fields.csv", lambda picture: fields_csv(picture, self.notes)),
+            ("Fields along the body (CSV)", "fields.csv", lambda picture: fields_csv(picture.along, self.notes)),
         ]
         return [
             pn.widgets.FileDownload(callback=self._file(make), filename=name, label=label, width=210)

@@ -3,16 +3,19 @@
 A sweep's answer is an `xarray.Dataset` already.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
 
 from .bench import parameter_named
+from .csv_table import table_csv
 from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
-from .equilibrium import RESULTS, Equilibrium
+from .equilibrium import Equilibrium, Fields
 from .errors import InputError
 from .measurements import Measurements, dimension_of
+from .statics import in_words
 from .store import needed
 from .sweep_outputs import COMPONENTS, OUTPUTS
 from .units import si_unit
@@ -62,7 +65,7 @@ def as_dataset(equilibrium: Equilibrium, arc_length: Any = None) -> "xarray.Data
         "tendon": ("tendon", np.arange(len(equilibrium.base_tension)), {"long_name": "place among the tendons"}),
         "component": ("component", np.array(COMPONENTS)),
     }
-    return xarray.Dataset(data, coords, {"result": RESULTS[equilibrium.result] or "successful"})
+    return xarray.Dataset(data, coords, {"result": in_words(equilibrium) or "successful"})
 
 
 def as_frame(what: Equilibrium | Determination | Measurements) -> "pandas.DataFrame":
@@ -81,7 +84,7 @@ def as_frame(what: Equilibrium | Determination | Measurements) -> "pandas.DataFr
     pandas = needed("pandas")
     match what:
         case Equilibrium():
-            return pandas.DataFrame(columns_along(what))
+            return pandas.DataFrame(_columns(fields_along(what)))
         case Determination():
             return pandas.DataFrame(_parameters(what)).set_index("parameter")
         case Measurements():
@@ -89,16 +92,24 @@ def as_frame(what: Equilibrium | Determination | Measurements) -> "pandas.DataFr
     raise TypeError(f"as_frame takes an Equilibrium, a Fit or Measurements, got {type(what).__name__}")
 
 
-def columns_along(equilibrium: Equilibrium, arc_length: Any = None) -> dict[str, np.ndarray]:
-    """What varies along the body by the head of its column, one number for each arc length.
+def fields_csv(fields: Fields, notes: Sequence[str] = ()) -> str:
+    """What varies along the body as a table for a CSV file, notes above it."""
+    return "".join(f"# {note}\n" for note in notes) + table_csv(_columns(fields))
+
+
+def fields_along(equilibrium: Equilibrium) -> Fields:
+    """The fields at 201 arc lengths from base to tip.
 
     Raises:
-        InputError: for a batch of equilibria or arc lengths outside the body.
+        InputError: for a batch of equilibria.
     """
-    s = _stations(equilibrium, arc_length)
-    fields = _fields_at(equilibrium, s)
+    return _fields_at(equilibrium, _stations(equilibrium, None))
+
+
+def _columns(fields: Fields) -> dict[str, np.ndarray]:
+    """One number for each arc length, by the head of its column."""
     x, y = np.asarray(fields.position).T
-    columns = {"arc_length [m]": s, "x [m]": x, "y [m]": y}
+    columns = {"arc_length [m]": np.asarray(fields.arc_length), "x [m]": x, "y [m]": y}
     for name, head in ALONG.items():
         values = np.asarray(getattr(fields, name))
         per_tendon = values if "{tendon}" in head else values[None]

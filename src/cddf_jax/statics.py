@@ -161,6 +161,12 @@ def _raise_if_failed(equilibrium: Equilibrium) -> None:
         return
     if int(code._value) in _GOOD:
         return
+    raise SolveError(in_words(equilibrium))
+
+
+def in_words(equilibrium: Equilibrium) -> str:
+    """What there is to know of how a single solve ended; empty where all is well."""
+    code = equilibrium.result
     message = RESULTS[code]
     if code == RESULTS.crossing:
         message = f"{describe_crossing(equilibrium)}. {message}"
@@ -171,7 +177,7 @@ def _raise_if_failed(equilibrium: Equilibrium) -> None:
     if code == RESULTS.slack or code == RESULTS.unreachable:
         missed = ", ".join(f"{miss:.4g}" for miss in np.asarray(equilibrium.target_miss))
         message = f"The nearest that can be reached misses the targets by {missed} (SI). {message}"
-    raise SolveError(message)
+    return message
 
 
 @eqx.filter_jit
