@@ -6,11 +6,14 @@ from typing import Any, NamedTuple
 
 from cddf_jax import figures
 
-DATA = Path(__file__).resolve().parents[1] / "data"
 # what the pictures are made from: a few solves, one fit, one sweep, two designs
 SETUP = """
+import jax
 import numpy as np
 import cddf_jax as cddf
+from cddf_jax import figures
+
+jax.config.update("jax_enable_x64", True)
 
 body = dict(length=0.140, outer_radius=(0.020, 0.013), inner_radius=0.007, tendon_offset=0.010,
             youngs_modulus=1.4e6, friction_coefficient=0.42)
@@ -18,8 +21,9 @@ robot, pair = cddf.conical(**body), cddf.conical(**body, num_tendons=2)
 loads = cddf.Loads(tip_force=(0.0, -2.0), gravity=(0.0, -9.81))
 bent, loaded = cddf.solve(robot, 75.0), cddf.solve(pair, [60.0, 10.0], loads)
 
-table = cddf.read_measurements(DATA / "tip_angle_simulated.csv")
-fit = cddf.fit(robot, table, ("friction_coefficient", "youngs_modulus", "tip_gain"), {"tip_gain": (1.0, 0.01)})
+table = cddf.read_measurements("data/tip_angle_simulated.csv")
+names = "friction_coefficient", "youngs_modulus", "tip_gain"
+fit = cddf.fit(robot, table, names, {"tip_gain": (1.0, 0.01)})
 candidates = cddf.standard_candidates(robot, 85.0)
 plan = cddf.plan(fit, [one for one in candidates if "weight" not in one.name])
 
@@ -29,7 +33,8 @@ grid = cddf.sweep(robot, axes, outputs=("tip_tension", "tension_loss"))
 task = dict(free=("outer_radius",), bounds={"outer_radius": (8e-3, 25e-3)}, base_tension=50.0)
 angle, strain = cddf.Limit("tip_angle", most=np.pi / 4), cddf.Limit("strain", most=0.105)
 design = cddf.design(robot, cddf.Least("volume"), constraints=[angle, strain], **task)
-front = cddf.pareto_front(robot, (cddf.Least("volume"), cddf.Least("strain")), constraints=[angle], num=5, **task)
+both = cddf.Least("volume"), cddf.Least("strain")
+front = cddf.pareto_front(robot, both, constraints=[angle], num=5, **task)
 """
 
 
@@ -125,7 +130,7 @@ PICTURES = (
 
 
 def make_gallery(folder: str | Path) -> list[Picture]:
-    """Draw every picture into a folder, as PNG and PDF, one column wide.
+    """Draw every picture into a folder, as PNG and PDF, one column wide; call it beside the folder `data`.
 
     Args:
         folder: made if it is missing.
@@ -133,7 +138,7 @@ def make_gallery(folder: str | Path) -> list[Picture]:
     Returns:
         (name, title, caption, code) of each picture; `SETUP` is what its code needs.
     """
-    made: dict[str, Any] = {"DATA": DATA, "figures": figures}
+    made: dict[str, Any] = {}
     exec(SETUP, made)
     for picture in PICTURES:
         axes = eval(picture.code, made)

@@ -148,6 +148,7 @@ def test_capstan_and_drag_add_up():
     np.testing.assert_allclose(friction, MU * normal + W, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_sharp_bend_and_an_end_before_the_tip():
     """A rigid body: T falls linearly from 0 to 60 and from 60 to 80 mm, between them by exp(-mu atan(0.06))."""
     offset = cddf.Piecewise.linear([0.0, 0.06, LENGTH], [0.0076, 0.0112, 0.0112])

@@ -456,6 +456,27 @@ def test_rows_whose_fibres_cross_are_reported():
     assert any("bench: 2 of 17 rows: " in warning and "reaches 1" in warning for warning in fit.warnings)
 
 
+def test_a_wrong_sign_and_a_wrong_unit_are_told(paper):
+    """Angles of the closed form, exact kinematics: with the other sign, and as radians taken for degrees."""
+    noise = {"tip_tension": 0.1, "tip_angle": 0.005}
+    turned = bench(tip_tension=closed_form(LEVELS), tip_angle=-wrap(LEVELS))
+    fit = cddf.fit(paper, turned, noise=noise)
+    assert any("tip_angle has the sign opposite to the model's" in warning for warning in fit.warnings)
+    assert not any("add a pulley test (friction alone), tip angles" in line for line in fit.verdict)
+    small = bench(tip_tension=closed_form(LEVELS), tip_angle=np.radians(wrap(LEVELS)))
+    fit = cddf.fit(paper, small, noise=noise)
+    assert fit.value["friction_coefficient"] > 2
+    assert any("check the units of the tables" in warning for warning in fit.warnings)
+
+
+def test_trials_that_differ_are_told(paper):
+    """Three trials whose friction differs by 20 %, from closed forms with 0.1 N of noise."""
+    pulls, rng = np.tile(LEVELS, 3), np.random.default_rng(3)
+    tip = np.concatenate([closed_form(LEVELS, mu) for mu in (0.34, 0.42, 0.5)]) + 0.1 * rng.normal(size=pulls.size)
+    fit = cddf.fit(paper, bench(pulls, tip_tension=tip, trial=np.repeat([1, 2, 3], LEVELS.size)))
+    assert any("tip_tension differs from trial to trial" in warning for warning in fit.warnings)
+
+
 def test_warnings_of_a_table_are_passed_on(paper):
     one = Measurements.from_columns("drum", weight=[5.0], wrap_angle=[1.0], pulling_tension=[8.0])
     fit = cddf.fit(paper, one, noise={"pulling_tension": 0.1})

@@ -878,3 +878,13 @@ def test_what_is_not_told_from_its_bound_has_a_limit_above(shift):
 def test_predictions_of_another_size():
     with pytest.raises(InputError, match=r"predict gives arrays of \[30\] numbers where the data have \[4\]"):
         least_squares_fit(line, START, NOISY[:4])
+
+
+def test_residuals_that_grow_are_told():
+    """Noise of 1 % and of one size, the same draws; a line from 1 to 31."""
+    x, draws = np.linspace(0.0, 3.0, 40), np.random.default_rng(5).normal(size=40)
+    truth = 1.0 + 10.0 * x
+    grown = least_squares_fit(lambda p: p["a"] + p["b"] * x, START, truth * (1 + 0.01 * draws))
+    even = least_squares_fit(lambda p: p["a"] + p["b"] * x, START, truth + 0.1 * draws)
+    assert any("residuals grow with the reading" in remark for remark in grown.remarks)
+    assert not any("residuals grow" in remark for remark in even.remarks)

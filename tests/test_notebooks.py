@@ -30,7 +30,11 @@ def surroundings(tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+SAMPLER = "07_posterior"  # which is no part of the story, and slow
+RUN = [pytest.param(path, marks=pytest.mark.slow) if path.stem == SAMPLER else path for path in NOTEBOOKS]
+
+
+@pytest.mark.parametrize("path", RUN, ids=lambda path: path.stem)
 def test_a_notebook_runs(path, surroundings, monkeypatch):
     """In a fresh kernel in its own folder, where it leaves nothing behind."""
     for name, value in surroundings.items():

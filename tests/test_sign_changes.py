@@ -225,6 +225,7 @@ def test_derivatives_across_a_sign_change():
     np.testing.assert_allclose(reverse, forward, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_where_each_tendon_turns_over_by_itself():
     """In the exact kinematics, along two directions, in reverse mode, which differentiates what forward mode makes."""
     rng = np.random.default_rng(5)

@@ -31,7 +31,9 @@ def test_a_uniform_cantilever():
     np.testing.assert_allclose(cddf.tip_compliance(body, 0.0), expected, rtol=1e-9, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "published" else name for name in CASES]
+)
 def test_against_differences_of_the_reference(name):
     """Central differences of SciPy's shooting, steps h of 1e-3 N and 1e-4 N m: error h^2, noise 1e-10 / h."""
     case, plain = CASES[name]

@@ -121,6 +121,7 @@ def test_numbers_that_vary_together():
     one_by_one(answer, solve)
 
 
+@pytest.mark.slow
 def test_two_tendons_loads_and_directions():
     body = paper_body(num_tendons=2)
     rng = np.random.default_rng(0)

@@ -272,6 +272,7 @@ def test_friction_costs_tension():
     assert found.base_tension[0] - found.base_tension[1] > 0.6 * E / G
 
 
+@pytest.mark.slow
 def test_tip_stiffness_is_the_inverse_of_the_compliance_across_the_tip():
     """Co-contraction stiffens in the published kinematics: E J + sum T d^2.
 

@@ -52,7 +52,8 @@ class RESULTS(eqx.Enumeration):
     )
     unphysical = (
         "The body or its load is not physical (NaN, negative tension, modulus, friction or drag, a wall of no "
-        "thickness, a direction other than +1 or -1, a place off the body). Call manipulator.validate() to see which."
+        "thickness, a direction other than +1 or -1, a place off the body). Give tensions of 0 or more; "
+        "manipulator.validate() tells what is wrong with a body."
     )
 
 

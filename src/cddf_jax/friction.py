@@ -1,4 +1,4 @@
-"""The friction law: what a tendon loses on its way along the body. No other file knows it.
+"""The friction law: what a tendon loses on its way along the body. The solver knows it from here alone.
 
     T' = -direction (mu |psi'| T + w)      N/m
 

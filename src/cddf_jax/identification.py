@@ -1,10 +1,11 @@
 """`fit`: friction, modulus and the errors of the bench from measurements, and what the measurements do not hold."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import f_oneway
 
 from .bench import (
     TRIALS,
@@ -24,8 +25,11 @@ from .least_squares import LeastSquaresFit, least_squares_fit
 from .manipulator import Manipulator
 from .measurements import Measurements, repeated_tables
 from .readings import OF_SHAPE
+from .remarks import EXACT
 
 POSITIVE = (0.0, None)
+LARGEST_FRICTION = 2.0  # that is taken without a word
+CHANCE = 1e-3  # below which residuals are said not to scatter as they should
 # what to multiply SI by, and the unit that then holds
 SHOWN = {
     "dimensionless": (1.0, ""),
@@ -89,6 +93,9 @@ class Fit(LeastSquaresFit):
         columns = np.concatenate([*self.evidence.rows.values()])[:, random] / size * spread
         more = np.linalg.slogdet(np.eye(len(random)) + columns.T @ columns)[1] + np.sum((effects / spread) ** 2)
         return {name: value + float(more) for name, value in super().information_criteria.items()}
+
+    def __str__(self) -> str:
+        return "\n".join(self.verdict)
 
     def predict(self, column: str, base_tension: Any, tip_force: Any = (0.0, 0.0), direction: Any = 1.0) -> Prediction:
         """A reading with its 95 % band.
@@ -199,7 +206,10 @@ def fit(
 
     Raises:
         InputError: for float32, unknown parameters or columns, tables that do not fit the manipulator.
+        TypeError: for a manipulator that is none.
     """
+    if not isinstance(manipulator, Manipulator):
+        raise TypeError(f"fit: the first argument must be a Manipulator, got {type(manipulator).__name__}")
     tables = (data,) if isinstance(data, Measurements) else tuple(data)
     free = (free,) if isinstance(free, str) else tuple(free)
     if not all(isinstance(table, Measurements) for table in tables):
@@ -306,6 +316,13 @@ def _warnings(statistics: LeastSquaresFit, tables, model: BenchModel) -> list[st
             "use the exact one for a real body"
         )
     found += [remark for remark in statistics.remarks if not remark.startswith(TRIALS)]
+    found += [f"{label} {remark}" for label, remark in _of_readings(statistics, tables, model)]
+    mu = statistics.value.get("friction_coefficient", 0.0)
+    if mu > LARGEST_FRICTION and statistics.status["friction_coefficient"] == IDENTIFIED:
+        found.append(
+            f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
+            "radians under a head of degrees among them"
+        )
     for name, experiment in zip(model.names, model.experiments, strict=True):
         if isinstance(experiment, Bench):
             codes = experiment.evaluate(body, statistics.parameters, model.nodes)[2]
@@ -313,6 +330,41 @@ def _warnings(statistics: LeastSquaresFit, tables, model: BenchModel) -> list[st
                 rows = int(np.sum(codes._value == code._value))
                 found += [f"{name}: {rows} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if rows else []
     return found
+
+
+def _of_readings(statistics: LeastSquaresFit, tables, model: BenchModel) -> Iterator[tuple[str, str]]:
+    """Columns of the wrong sign, and columns that differ from trial to trial."""
+    for table, name, experiment in zip(tables, model.names, model.experiments, strict=True):
+        for column in experiment.columns:
+            label, observed = f"{name}: {column}", table[column]
+            residual = statistics.residuals[label]
+            by_trial = "trial" in table and TRIALS not in statistics.parameters
+            lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
+            if lost and column in OF_SHAPE and isinstance(experiment, Bench):
+                if np.sum(observed * _at_start(statistics, model, experiment)[column]) >= 0:
+                    continue
+                yield label, "has the sign opposite to the model's; check the side of the tendon and the column's sign"
+            elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"]):
+                yield label, "differs from trial to trial by more than its scatter; try per_trial"
+
+
+def _at_start(statistics: LeastSquaresFit, model: BenchModel, experiment: Bench) -> dict[str, np.ndarray]:
+    """What the body would show as it was given."""
+    body = model.manipulator
+    start = {
+        name: value if name.startswith(TRIALS) else starting_value(body, name)
+        for name, value in statistics.parameters.items()
+    }
+    return experiment.evaluate(body, start, model.nodes)[0]
+
+
+def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
+    """Whether means over trials differ, by an analysis of variance."""
+    groups = [residual[trial == label] for label in np.unique(trial)]
+    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * size  # what is left is rounding
+    if exact or len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
+        return False
+    return bool(f_oneway(*groups).pvalue < CHANCE)
 
 
 def shown(told: Determination, name: str) -> tuple[float, float, float, float, str]:
@@ -346,6 +398,11 @@ def _verdict(fit: Fit) -> list[str]:
 
 def _advice(fit: Fit, lost: set[str]) -> str:
     """What would separate the parameters that these data leave together."""
+    if any(column in table for table in fit.tables for column in OF_SHAPE):
+        return (
+            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "
+            "the warnings. A pulley test or a prior would help."
+        )
     if lost == {"friction_coefficient", "youngs_modulus"} and fit.combinations:
         return (
             "Tensions of one tendon hold only friction_coefficient / youngs_modulus. To separate the two, add a pulley "

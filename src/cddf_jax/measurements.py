@@ -101,6 +101,9 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def __str__(self) -> str:
+        return f"{self.name}: {len(self)} rows of {', '.join(self.columns)}"
+
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What deserves a look though it can be used, for the report."""

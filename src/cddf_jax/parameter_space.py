@@ -122,7 +122,10 @@ def priors_of(names: tuple[str, ...], priors: Mapping[str, Any]) -> dict[int, Pr
     """The Gaussian ones; `with_uniform_priors` has taken the others for bounds."""
     _known("prior", names, priors)
     gaussian = {name: prior for name, prior in priors.items() if not isinstance(prior, Uniform)}
-    for name, (mean, deviation) in gaussian.items():
+    for name, prior in gaussian.items():
+        if isinstance(prior, str) or np.shape(prior) != (2,):
+            raise InputError(f"prior for {name}: needs (mean, standard deviation), SI, or Uniform, got {prior!r}")
+        mean, deviation = prior
         if not (np.isfinite(mean) and np.isfinite(deviation) and deviation > 0):
             raise InputError(f"prior for {name}: needs a mean and a standard deviation > 0, got {mean}, {deviation}")
     found = {names.index(name): Prior(*map(np.float64, prior)) for name, prior in gaussian.items()}

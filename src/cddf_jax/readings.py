@@ -15,7 +15,7 @@ class Reading(NamedTuple):
 
     dimension: Dimension
     words: str
-    of: Callable[[Any], Any]  # of an `Equilibrium`, SI; tendons last where every tendon has one
+    of: Callable[[Any], Any]  # of equilibria, rows first, SI; tendons last where every tendon has one
     per_tendon: bool = False
     by_cell: bool = False  # a tension as a load cell reads it, gain * (tension - pretension) + zero
     zero: str = ""  # the parameter of a bench that is added to what is true

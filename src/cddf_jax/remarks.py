@@ -2,6 +2,7 @@
 
 import numpy as np
 from scipy.special import ndtr, stdtr
+from scipy.stats import spearmanr
 
 from .determination import Evidence, spectrum_of
 from .levenberg_marquardt import Search
@@ -9,6 +10,8 @@ from .levenberg_marquardt import Search
 OUTLIER_CHANCE = 0.01
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals
 EXACT = 1e-7  # noise over data, below which there is none
+LEAST_FOR_RANKS = 12  # data
+GROWTH_CHANCE = 1e-3
 ONE_DATUM = 0.5  # share of a parameter's variance that no datum should make alone
 
 
@@ -51,8 +54,18 @@ def remarks_on_residuals(evidence: Evidence, search: Search, degrees_of_freedom:
         elif values.size > 2 and np.std(error) > UNEXPLAINED * np.std(values) > 0:
             found.append(f"{name} is hardly explained at all; search from another start, or from many (starts)")
         elif problem.loss == "linear":
+            found += _uneven(name, residual, values) if estimated and np.ptp(noise) == 0 else []
             found += _outliers(name, residual, np.einsum("ki,ij,kj->k", rows, covariance, rows), estimated)
     return found
+
+
+def _uneven(name: str, residual: np.ndarray, values: np.ndarray) -> list[str]:
+    """Whether the residuals grow with the reading, by ranks."""
+    if values.size < LEAST_FOR_RANKS or np.ptp(np.abs(values)) == 0 or np.ptp(np.abs(residual)) == 0:
+        return []
+    chance = np.asarray(spearmanr(np.abs(values), np.abs(residual), alternative="greater"))[1]
+    grown = f'{name}: residuals grow with the reading; let the noise do so, Noise() for it or "0.1 N + 1 %"'
+    return [grown] if chance < GROWTH_CHANCE else []
 
 
 def _outliers(name: str, residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> list[str]:

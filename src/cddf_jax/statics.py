@@ -19,7 +19,7 @@ from .problem import Method, Path, Problem, guarded_section, line_up
 from .quadrature import panels
 from .reductions import largest
 from .solver import ACCURACY, FixedPoint, truncation_error
-from .targets import CurvatureAt, Target, TipStiffness
+from .targets import CurvatureAt, Displacement, Target, TipAngle, TipStiffness
 from .tendon_travel import tendon_displacement
 from .tension_search import Found, reach
 from .validation import describe_crossing
@@ -74,8 +74,10 @@ def solve(
     Raises:
         SolveError: with `throw`, when the result is neither successful nor `direction_contradicted`.
         ValueError: for a wrong number of tensions, directions or components of a load, or nodes below 4.
-        TypeError: for a method or loads that are none.
+        TypeError: for a manipulator, tensions, a method or loads that are none.
     """
+    if not isinstance(manipulator, Manipulator):
+        raise TypeError(f"solve: the first argument must be a Manipulator, got {type(manipulator).__name__}")
     check_nodes(nodes)
     if not isinstance(method, Method) or isinstance(method, type):
         raise TypeError(f"solve: method must be one such as FixedPoint() or Marching(), got {method!r}")
@@ -86,7 +88,7 @@ def solve(
         loads = Loads()
     equilibrium = _solve(manipulator, given, targets, loads, direction, method, nodes)
     if throw:
-        _raise_if_failed(equilibrium)
+        _raise_if_failed(equilibrium, targets)
     return equilibrium
 
 
@@ -104,6 +106,8 @@ def _split_actuation(manipulator: Manipulator, actuation: Any) -> tuple[Any, tup
     """The tensions that are given, zero in the place of targets, and the targets, None in the place of tensions."""
     count = manipulator.num_tendons
     entries = actuation if isinstance(actuation, tuple | list) else [actuation]
+    if texts := [entry for entry in entries if isinstance(entry, str)]:
+        raise TypeError(f"solve: base_tension must hold numbers, N, or targets, got the text {texts[0]!r}")
     if not any(_is_target(entry) for entry in entries):
         return actuation, (None,) * count
     if len(entries) != count:
@@ -155,13 +159,23 @@ def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> t
 _GOOD = tuple(int(code._value) for code in (RESULTS.successful, RESULTS.direction_contradicted))
 
 
-def _raise_if_failed(equilibrium: Equilibrium) -> None:
+def _raise_if_failed(equilibrium: Equilibrium, targets: tuple[Target | None, ...]) -> None:
     code = equilibrium.result
     if isinstance(code._value, Tracer) or np.ndim(code._value) > 0:
         return
     if int(code._value) in _GOOD:
         return
-    raise SolveError(in_words(equilibrium))
+    raise SolveError(in_words(equilibrium) + _units_of(targets, float(equilibrium.arc_length[-1])))
+
+
+def _units_of(targets: tuple[Target | None, ...], length: float) -> str:
+    """The unit of a target whose size looks like another one."""
+    for target in targets:
+        if isinstance(target, TipAngle) and abs(float(target.value)) > 2 * np.pi:
+            return f" TipAngle is in rad; {float(target.value):g} rad are {np.degrees(float(target.value)):.4g} deg."
+        if isinstance(target, Displacement) and abs(float(target.value)) > length:
+            return f" Displacement is in m; {float(target.value):g} m is longer than the body."
+    return ""
 
 
 def in_words(equilibrium: Equilibrium) -> str:

@@ -16,6 +16,7 @@ from .profiles import Piecewise, Profile, Spline, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
 _POINTS = 1001
+_FAR_TOO_MUCH = 10.0  # offset * curvature, which no change of a body explains, but another unit does
 
 
 def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> None:
@@ -46,7 +47,9 @@ def describe_crossing(equilibrium: Equilibrium) -> str:
     reach = np.asarray([body.length if tendon.end is None else tendon.end for tendon in body.tendons])[:, None]
     crossing = np.where(s <= reach, side * np.asarray(body.offset(s)) * np.asarray(equilibrium.curvature), 0.0)
     tendon, point = np.unravel_index(np.argmax(crossing), crossing.shape)
-    return f"tendon {tendon + 1}: offset * curvature is {crossing[tendon, point]:.3g} at s = {_mm(s[point])}"
+    most = crossing[tendon, point]
+    hint = "; is the modulus in Pa, are lengths in m?" if most > _FAR_TOO_MUCH else ""
+    return f"tendon {tendon + 1}: offset * curvature is {most:.3g} at s = {_mm(s[point])}{hint}"
 
 
 # --- single numbers ------------------------------------------------------------------------------
