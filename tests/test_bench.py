@@ -223,6 +223,7 @@ def test_comparing_other_data(paper):
         cddf.compare(fits)
 
 
+@pytest.mark.slow
 def test_every_parameter_reaches_the_readings(paper):
     """Each parameter of a bench with one tendon changes what is read, by a derivative that differences confirm."""
     from cddf_jax.bench import Bench, starting_value

@@ -373,6 +373,7 @@ def test_options_of_a_fit(answer_of):
     }
 
 
+@pytest.mark.slow
 def test_trials_and_bootstrap_of_the_shipped_data(cddf_command, tmp_path):
     """The truth: mu 0.42, E 1.4 MPa, friction that scatters by 1 % from trial to trial (data/README.md)."""
     table = str(DATA / "tip_angle_simulated.csv")

@@ -25,6 +25,7 @@ def benchmark():
 
 
 @pytest.mark.parametrize("noise", ["one sd for each table, estimated", "floor and fraction, estimated"])
+@pytest.mark.slow
 def test_intervals_hold_the_truth(benchmark, noise):
     """The number that do is binomial, 95 % of 200; outside these limits one time in a thousand."""
     held = benchmark.simulate(benchmark.SCENARIOS[noise], EXPERIMENTS // 2)

@@ -738,6 +738,7 @@ def test_a_tendon_that_ends_early_is_in_nobodys_way_beyond():
     assert float(found.manipulator.outer_radius(0.1)) == pytest.approx(10.75e-3, rel=1e-6)  # it is lightest there
 
 
+@pytest.mark.slow
 def test_prices_where_two_limits_bind_at_one_place():
     """A wall of 3 mm and a tendon at 10 mm both stop the radius at 10 mm: giving way of one alone is worth nothing."""
 

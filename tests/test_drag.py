@@ -225,6 +225,7 @@ def test_under_a_load():
         compare(solution, Reference(base_tension, tip_force=force))
 
 
+@pytest.mark.slow
 def test_a_tip_tension_is_found_across_the_slack():
     """Far below the tension of the start, and above what is used up: the Riccati equation backwards."""
     for wanted in (0.5, 40.0):

@@ -86,6 +86,7 @@ def test_the_balance_closes_in_the_exact_kinematics(name):
         assert np.all(balance.friction_loss >= 0)
 
 
+@pytest.mark.slow
 def test_a_load_that_opposes_and_is_overcome():
     """While the curvature changes sign the balance closes with the number of steps only."""
     body, loads = parallel_tendons(), cddf.Loads(tip_force=(0.0, -2.0))

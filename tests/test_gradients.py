@@ -169,7 +169,9 @@ def derivatives_of(case):
 bent_derivatives = both_modes(bent)
 
 
-@pytest.mark.parametrize("case", ["published", "exact", "published, one out", "exact, one out"])
+@pytest.mark.parametrize(
+    "case", ["published", "exact", pytest.param("published, one out", marks=pytest.mark.slow), "exact, one out"]
+)
 def test_implicit_derivatives_are_those_of_unrolled_sweeps(case):
     value, forward, reverse, second = derivatives_of(case)(PARAMETERS)
     expected, slope, _, bend = twice(unrolled(case))(PARAMETERS)
@@ -180,6 +182,7 @@ def test_implicit_derivatives_are_those_of_unrolled_sweeps(case):
     np.testing.assert_allclose(second, np.swapaxes(second, 1, 2), rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["exact, out", "exact slanted, out"])
 def test_implicit_derivatives_of_a_slanted_tendon_are_those_of_unrolled_sweeps(case):
     """Two slanted tendons are held to differences of SciPy's solution, see test_sign_changes.py."""
@@ -192,6 +195,7 @@ def test_implicit_derivatives_of_a_slanted_tendon_are_those_of_unrolled_sweeps(c
     assert_close(reverse[:, :5], slope, ACCURATE)
 
 
+@pytest.mark.slow
 def test_implicit_derivatives_are_those_of_marching():
     """Of antagonists in the published kinematics; one in the exact kinematics is held to unrolled sweeps above."""
     case = "published, one out"
@@ -255,6 +259,7 @@ def test_derivatives_by_the_geometry():
     np.testing.assert_allclose(reverse, expected, rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_derivatives_by_a_kinked_offset_against_differences():
     """Finite turns included: both modes against central differences of the solver itself."""
     heights, h = jnp.array([0.8, 1.2, 1.0, 1.0]), 1e-4
@@ -288,6 +293,7 @@ def test_derivatives_without_tension_are_finite(case):
     assert np.all(np.isfinite(second))
 
 
+@pytest.mark.slow
 def test_the_fields_along_the_body_have_derivatives():
     """T(s) by the closed form at every node."""
 

@@ -115,7 +115,10 @@ def assert_moments_balance(solution, problem):
     np.testing.assert_allclose(solution.base_moment / unit, outboard[0] / unit, atol=1e-8)
 
 
-@pytest.mark.parametrize(("kinematics", "count", "slanted"), CASES)
+@pytest.mark.parametrize(
+    ("kinematics", "count", "slanted"),
+    [pytest.param(*case, marks=pytest.mark.slow) if case[1] == 2 and case != CASES[3] else case for case in CASES],
+)
 def test_random_problems(kinematics, count, slanted):
     """Against shooting; some as well against collocation, and by the moments about every node."""
     problems, batch = random_batch(kinematics, count, slanted)
@@ -202,7 +205,7 @@ def test_a_force_along_a_straight_rod_bends_nothing():
 # --- bodies that are not smooth ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", ["published", pytest.param("exact", marks=pytest.mark.slow)])
 def test_a_stepped_body_with_a_passive_tip_link(kinematics):
     """Two tendons of their own offsets and friction end at 100 mm; beyond it the body is passive, under loads."""
     outer = cddf.Piecewise([0.06], [cddf.Constant(0.018), cddf.Constant(0.014)])

@@ -58,7 +58,7 @@ def solved(case, method):
 
 
 @pytest.mark.parametrize(
-    "case", ["published", "exact, out", pytest.param("slanted pair", marks=pytest.mark.slow), "kinked"]
+    "case", ["published", "exact, out", *(pytest.param(c, marks=pytest.mark.slow) for c in ("slanted pair", "kinked"))]
 )
 def test_marching_agrees_with_the_fixed_point(case):
     fixed, marched = solved(case, cddf.FixedPoint()), solved(case, MARCHING)
@@ -112,6 +112,7 @@ def test_few_sweeps_settle_strong_friction():
 HASTY = cddf.FixedPoint(tolerance=1e-4, max_sweeps=4)  # enough for the kinked pair only
 
 
+@pytest.mark.slow
 def test_too_few_sweeps_are_reported():
     body, tension, direction = LANES["slanted pair"]
     solution = cddf.solve(body, tension, direction=direction, method=HASTY, throw=False)

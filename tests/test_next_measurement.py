@@ -38,6 +38,17 @@ def ranked(plan, name):
     return next(r for r in plan.ranking if r.candidate.name == name)
 
 
+def test_a_plan_as_a_table(planned):
+    """The numbers of the ranking, the best first; tensions leave both parameters open."""
+    frame = cddf.as_frame(planned)
+    assert list(frame.index) == [ranked.candidate.name for ranked in planned.ranking]
+    assert frame["gain"].is_monotonic_decreasing  # all cost the same
+    assert np.isinf(frame.loc["tensions", ["friction_coefficient [1]", "youngs_modulus [Pa]"]].astype(float)).all()
+    expected = ranked(planned, "positions").expected.standard_error["youngs_modulus"]
+    assert frame.loc["positions", "youngs_modulus [Pa]"] == expected
+    assert str(planned).splitlines()[1].startswith(planned.ranking[0].candidate.name)
+
+
 def test_tensions_tell_the_ratio_alone(planned):
     told = ranked(planned, "tensions").expected
     assert set(told.status.values()) == {"not identified"}

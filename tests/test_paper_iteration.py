@@ -85,8 +85,8 @@ def test_a_looser_threshold_takes_fewer_updates():
     ("body", "tension", "direction"),
     [
         (paper_body("exact"), 75.0, +1),
-        (paper_body("published", num_tendons=2), (75.0, 20.0), (+1, -1)),
-        (two_slanted_tendons("exact"), (60.0, 20.0), (+1, -1)),
+        pytest.param(paper_body("published", num_tendons=2), (75.0, 20.0), (+1, -1), marks=pytest.mark.slow),
+        pytest.param(two_slanted_tendons("exact"), (60.0, 20.0), (+1, -1), marks=pytest.mark.slow),
     ],
     ids=["exact", "published pair", "exact slanted pair"],
 )

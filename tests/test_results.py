@@ -170,6 +170,7 @@ def test_at_takes_any_shape(pair, shape):
     assert at.normal_force.shape == at.friction_force.shape == (2, *shape, 2)
 
 
+@pytest.mark.slow
 def test_at_between_the_nodes_is_smooth(pair):
     """More nodes give the same there: the interpolant of 9 points per panel."""
     s = jnp.linspace(0.0, 0.14, 23)

@@ -60,6 +60,7 @@ def test_reciprocity_and_its_loss(name):
     assert np.max(np.abs(rough - rough.T) / np.abs(rough)) > 0.02
 
 
+@pytest.mark.slow
 def test_a_held_displacement_is_stiffer_than_a_held_tension():
     """Holding the tendon's length adds a constraint, which without friction can only take compliance away.
 
@@ -91,6 +92,7 @@ def test_jacobian_against_the_closed_form():
     assert jacobian.manipulator.friction_coefficient[2] == pytest.approx(by_mu, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_jacobian_of_two_tendons_is_that_of_forward_mode():
     body, direction = PUBLISHED["body"], PUBLISHED["direction"]
     jacobian = cddf.tip_jacobian(body, PUBLISHED["tension"], LOADS, direction=direction)

@@ -34,6 +34,7 @@ def test_the_other_side_gives_the_mirror_image(kinematics):
         np.testing.assert_allclose(ours, theirs * jnp.array([1, -1]), rtol=1e-10, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_anchor_at_the_tip_is_none():
     """Where a tendon ends at s = L nobody turns."""
     body = two_slanted_tendons()

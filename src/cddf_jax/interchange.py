@@ -15,6 +15,7 @@ from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from .equilibrium import Equilibrium, Fields
 from .errors import InputError
 from .measurements import Measurements, dimension_of
+from .next_measurement import Plan
 from .statics import in_words
 from .store import needed
 from .sweep_outputs import COMPONENTS, OUTPUTS
@@ -68,14 +69,16 @@ def as_dataset(equilibrium: Equilibrium, arc_length: Any = None) -> "xarray.Data
     return xarray.Dataset(data, coords, {"result": in_words(equilibrium) or "successful"})
 
 
-def as_frame(what: Equilibrium | Determination | Measurements) -> "pandas.DataFrame":
-    """A table, SI units: of an equilibrium its fields, of a fit its parameters, of measurements their rows.
+def as_frame(what: Equilibrium | Determination | Measurements | Plan) -> "pandas.DataFrame":
+    """A table, SI units: of an equilibrium its fields, of a fit its parameters, of measurements their rows, of a plan.
 
     - Equilibrium: a row for each of 201 arc lengths; columns carry their units, tendons count from 1.
     - Fit (or any `Determination`): a row for each parameter, and for each combination that is identified in place of
       its parts, with value, standard_error, lower, upper (95 %), unit and status. What is not identified has no
       number: NaN, and an infinite standard error.
     - Measurements: the columns of the file with their units; `trial` in the words of the file.
+    - Plan: a row for each candidate, the best first, with gain, cost and the standard error that each parameter would
+      have, infinite where it would stay open.
 
     Raises:
         InputError: for a batch of equilibria, or where pandas is not installed.
@@ -89,7 +92,9 @@ def as_frame(what: Equilibrium | Determination | Measurements) -> "pandas.DataFr
             return pandas.DataFrame(_parameters(what)).set_index("parameter")
         case Measurements():
             return pandas.DataFrame({_head(name): _column(what, name) for name in what.columns})
-    raise TypeError(f"as_frame takes an Equilibrium, a Fit or Measurements, got {type(what).__name__}")
+        case Plan():
+            return pandas.DataFrame(_candidates(what)).set_index("candidate")
+    raise TypeError(f"as_frame takes an Equilibrium, a Fit, Measurements or a Plan, got {type(what).__name__}")
 
 
 def fields_csv(fields: Fields, notes: Sequence[str] = ()) -> str:
@@ -143,6 +148,14 @@ def _parameters(told: Determination) -> list[dict[str, Any]]:
         reach = told.quantile * error
         rows.append(_row(name, value, error, value - reach, value + reach, "SI", IDENTIFIED))
     return rows
+
+
+def _candidates(plan: Plan) -> list[dict[str, Any]]:
+    return [
+        {"candidate": ranked.candidate.name, "gain": ranked.gain, "cost": ranked.candidate.cost}
+        | {f"{name} [{_unit(name)}]": ranked.expected.standard_error[name] for name in plan.now.names}
+        for ranked in plan.ranking
+    ]
 
 
 def _row(*cells: Any) -> dict[str, Any]:

@@ -81,6 +81,10 @@ class Plan:
     ranking: tuple[Ranked, ...]  # the best first, by gain per cost
     chosen: tuple[Ranked, ...]  # in turn: each is the best after those before it, and holds what all of them tell
 
+    def __str__(self) -> str:
+        lines = [f"{ranked.candidate.name}: gain {ranked.gain:.4g}" for ranked in self.ranking]
+        return "\n".join([f"by {self.criterion}, the best first:", *lines])
+
 
 def plan(
     known: Manipulator | Fit,
