@@ -186,6 +186,7 @@ def test_shard_map_gives_values_slopes_and_curvatures():
     assert len(sharded[0].sharding.device_set) == 4
 
 
+@pytest.mark.slow
 def test_shard_map_carries_whole_solutions_of_slanted_pairs():
     bodies = stack(lanes_of_bodies())
     sharded = on_four_devices(jax.vmap(solve_pair))(bodies, TENSIONS)
