@@ -156,6 +156,9 @@ def test_files_hold_what_is_shown(explored, picture, tmp_path):
 # --- the command ----------------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings(
+    "ignore:There is no current event loop:DeprecationWarning"
+)  # Tornado asks for one, Python 3.12 on
 @pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")  # Tornado leaves one open that it cannot bind
 def test_a_port_in_use_is_said(cddf_command):
     with socket.socket() as taken:
