@@ -4,13 +4,12 @@ from collections.abc import Callable
 from itertools import cycle
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from matplotlib.axes import Axes
 
 from . import plotting as draw
-from .equilibrium import Equilibrium, Fields
+from .equilibrium import Equilibrium, Fields, fields_on
 from .errors import InputError
 from .manipulator import Manipulator
 
@@ -24,7 +23,7 @@ def _size(vectors: Any) -> np.ndarray:
 
 def _strain(manipulator: Manipulator, along: Fields) -> np.ndarray:
     """Of the outer wall, per cent."""
-    return 100 * np.asarray(manipulator.outer_radius(along.arc_length)) * np.abs(along.curvature)
+    return 100 * np.abs(manipulator.outer_strain(along.arc_length, along.curvature))
 
 
 # label with its unit, and values in that unit, (points,) or (tendons, points)
@@ -36,8 +35,6 @@ QUANTITIES: dict[str, tuple[str, Callable[[Manipulator, Fields], Any]]] = {
     "strain": (r"Strain $R|\kappa|$ (%)", _strain),
     "heading": (r"Heading $\phi$ (deg)", lambda _, along: np.degrees(along.heading)),
 }
-
-_fields_at = eqx.filter_jit(lambda equilibrium, arc_length: equilibrium.at(arc_length))
 
 
 def draw_along(
@@ -91,7 +88,7 @@ def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
     Raises:
         InputError: when the solve failed.
     """
-    fields = jax.tree.map(np.asarray, _fields_at(equilibrium, arc_length))
+    fields = jax.tree.map(np.asarray, fields_on(equilibrium, arc_length))
     if not np.all(np.isfinite(fields.position)):
         raise InputError("the solve failed, there is no shape to draw; see its result")
     return fields

@@ -114,12 +114,12 @@ def solve(
     if out is not None:
         from .artifacts import as_json as json_text
         from .artifacts import write_all
-        from .interchange import fields_along, fields_csv
+        from .interchange import fields_csv, fields_on_grid
         from .plotting import render
         from .solve_figure import equilibrium_figure
 
         figure = equilibrium_figure(manipulator, equilibrium, loads)
-        tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_along(equilibrium))}
+        tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
         write_all(out, render(figure, "solve") | tables)
     _say(as_json, answer, solve_command.in_words(equilibrium, actuation, base_tension, loads))
     if equilibrium.result == RESULTS.unstable:

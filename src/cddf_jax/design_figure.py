@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from . import plotting as draw
 from .along_figure import draw_along, fields_along, stations
+from .body_drawing import bent_body, straight_body, tendon_paths
 from .design_results import Design
-from .equilibrium import Equilibrium
 from .manipulator import Manipulator
 from .pareto import ParetoFront
 from .units import preferred
@@ -57,17 +57,18 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
 def _draw_bodies(axes: Axes, design: Design) -> None:
     before, after = design.start, design.manipulator
     radius = 1e3 * max(np.max(np.asarray(body.outer_radius(stations(body)))) for body in (before, after))
-    bent = _bent(after, design.equilibria[0])
+    s = stations(after)
+    bent = bent_body(after, fields_along(design.equilibria[0], s))
     top = max(float(np.max(bent.outline[:, 1])), radius)
     _draw_straight(axes, before, top + 5.4 * radius, "before (numbers: outer/inner diameter, mm)")
     _draw_straight(axes, after, top + 2.2 * radius, "after")
     draw.draw_clamp(axes, 1.3 * radius, 0.4 * radius)
     draw.draw_body(axes, bent)
-    old = _bent(before, design.equilibria_at_start[0])
+    old = bent_body(before, fields_along(design.equilibria_at_start[0], stations(before)))
     axes.plot(*old.outline.T, color=draw.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
     axes.plot(*bent.outline.T, color=draw.BLUE, linewidth=0.7)
-    for tendon in after.tendons:
-        axes.plot(*_tendon(after, tendon, bent).T, color=draw.BLACK, linewidth=0.6)
+    for path in tendon_paths(after, bent, s):
+        axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
     axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
     draw.to_scale(axes)
     axes.update_datalim([(0.0, top + 7.4 * radius)])  # room for what is written above
@@ -78,31 +79,17 @@ def _draw_bodies(axes: Axes, design: Design) -> None:
 def _draw_straight(axes: Axes, body: Manipulator, level: float, label: str) -> None:
     """A body at rest, its axis at the height `level`, with its radii at both ends."""
     s = stations(body)
-    midline = np.stack([1e3 * s, np.full_like(s, level)], axis=-1)
-    outer, inner = (1e3 * np.asarray(radius(s)) for radius in (body.outer_radius, body.inner_radius))
-    drawn = draw.Body(midline, 0.0 * s, outer, inner)
+    drawn = straight_body(body, s, level)
+    midline, outer, inner = drawn.midline, drawn.outer_radius, drawn.inner_radius
     draw.draw_body(axes, drawn)
-    for tendon in body.tendons:
-        axes.plot(*_tendon(body, tendon, drawn).T, color=draw.BLACK, linewidth=0.6)
+    for path in tendon_paths(body, drawn, s):
+        axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
     for end, align, gap in ((0, "right", -2.0), (-1, "left", 2.0)):
         text = f"{2 * outer[end]:.3g}/{2 * inner[end]:.3g}"
         axes.annotate(text, midline[end] + [gap, 0.0], ha=align, va="center", fontsize=7)
     axes.annotate(
         label, (midline[len(s) // 2, 0], level + 1.05 * np.max(outer)), ha="center", va="bottom", fontsize=7.5
     )
-
-
-def _bent(body: Manipulator, equilibrium: Equilibrium) -> draw.Body:
-    s = stations(body)
-    along = fields_along(equilibrium, s)
-    outer, inner = (1e3 * np.asarray(radius(s)) for radius in (body.outer_radius, body.inner_radius))
-    return draw.Body(1e3 * np.asarray(along.position), np.asarray(along.heading), outer, inner)
-
-
-def _tendon(body: Manipulator, tendon, drawn: draw.Body) -> np.ndarray:
-    s = stations(body)
-    end = float(body.length if tendon.end is None else tendon.end)
-    return drawn.at_distance(np.where(s <= end, tendon.side * 1e3 * np.asarray(tendon.offset(s)), np.nan))
 
 
 def pareto_figure(front: ParetoFront) -> Figure:

@@ -187,6 +187,12 @@ def tendons_first(fields: Fields, points_ndim: int) -> Fields:
     return eqx.tree_at(per_tendon, fields, [jnp.moveaxis(x, points_ndim, 0) for x in per_tendon(fields)])
 
 
+@eqx.filter_jit
+def fields_on(equilibrium: Equilibrium, arc_length: Any) -> Fields:
+    """`equilibrium.at`, compiled once for each number of arc lengths."""
+    return equilibrium.at(arc_length)
+
+
 def nan_unless(good: Bool[Array, ""], tree: Any) -> Any:
     """NaN where a solve failed: no number to mistake for a result, and no NaN in anyone else's derivative."""
     return jax.tree.map(lambda x: jnp.where(good, x, jnp.nan), tree)

@@ -309,7 +309,7 @@ def _where_good(equilibrium: Equilibrium, numbers: tuple) -> tuple:
 
 
 def _peak_strain(manipulator: Manipulator, along: Fields) -> Array:
-    return jnp.max(manipulator.outer_radius(along.arc_length) * jnp.abs(along.curvature))
+    return jnp.max(jnp.abs(manipulator.outer_strain(along.arc_length, along.curvature)))
 
 
 # --- numbers -----------------------------------------------------------------------

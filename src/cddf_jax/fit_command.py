@@ -11,9 +11,9 @@ from .errors import InputError
 from .fit_figures import moving_names
 from .fit_results import Report
 from .identification import SHOWN, Fit
+from .measurements import dimension_of
 from .observations import Noise
 from .parameter_space import Prior, Uniform
-from .readings import READINGS, kind_of
 from .report import in_words
 from .units import quantity
 
@@ -76,8 +76,7 @@ def read_noise(text: str) -> tuple[str, float | Noise]:
 
 def noise_of(column: str, numbers: str, what: str) -> float | Noise:
     """ "0.5 N", or with a part that grows with the reading "0.2 N + 1 %"."""
-    kind = READINGS.get(kind_of(column))
-    dimension = kind.dimension if kind else "force"  # of a pulley test
+    dimension = dimension_of(column) or "dimensionless"
     floor, *shares = re.split(r"\s\+\s*", numbers, maxsplit=1)
     if not shares and not floor.endswith("%"):
         return quantity(floor, dimension, what)

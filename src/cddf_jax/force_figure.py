@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 
 from . import plotting as draw
 from .along_figure import fields_along, reached
+from .body_drawing import bent_body, tendon_paths
 from .equilibrium import Equilibrium
 from .manipulator import Manipulator
 
@@ -30,8 +31,7 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     places = length * (np.arange(ARROWS) + 0.45) / ARROWS
     s = np.unique(np.concatenate([np.linspace(0.0, length, 201), places]))
     fields, there = fields_along(equilibrium, s), reached(manipulator, s)
-    outer, inner = (1e3 * np.asarray(radius(s)) for radius in (manipulator.outer_radius, manipulator.inner_radius))
-    body = draw.Body(1e3 * np.asarray(fields.position), np.asarray(fields.heading), outer, inner)
+    body = bent_body(manipulator, fields)
     tendons = tendon_paths(manipulator, body, s)
     forces = [np.where(there[..., None], force, 0.0) for force in (fields.normal_force, fields.friction_force)]
     with draw.axes_or_new(axes, HEIGHT) as axes:
@@ -46,14 +46,6 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         draw.to_scale(axes)
     return axes
-
-
-def tendon_paths(manipulator: Manipulator, body: draw.Body, arc_length: np.ndarray) -> np.ndarray:
-    """The line of each tendon in the plane of a drawn body, mm, (tendons, points, 2); NaN beyond its anchor."""
-    side = np.asarray([tendon.side for tendon in manipulator.tendons])[:, None]
-    distance = side * 1e3 * np.asarray(manipulator.offset(arc_length))
-    distance = np.where(reached(manipulator, arc_length), distance, np.nan)
-    return np.stack([body.at_distance(d) for d in distance])
 
 
 def _draw_forces(axes: Axes, points: np.ndarray, forces: list[np.ndarray], strongest: float, longest: float) -> None:

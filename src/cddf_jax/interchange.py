@@ -6,13 +6,12 @@ A sweep's answer is an `xarray.Dataset` already.
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
 import numpy as np
 
 from .bench import parameter_named
 from .csv_table import table_csv
 from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
-from .equilibrium import Equilibrium, Fields
+from .equilibrium import Equilibrium, Fields, fields_on
 from .errors import InputError
 from .measurements import Measurements, dimension_of
 from .next_measurement import Plan
@@ -35,9 +34,6 @@ ALONG = {
 }
 
 
-_fields_at = eqx.filter_jit(lambda equilibrium, arc_length: equilibrium.at(arc_length))
-
-
 def as_dataset(equilibrium: Equilibrium, arc_length: Any = None) -> "xarray.Dataset":
     """An equilibrium with labels and units: fields over arc_length (m), tendon (0, 1, ...) and component (X, Y).
 
@@ -52,7 +48,7 @@ def as_dataset(equilibrium: Equilibrium, arc_length: Any = None) -> "xarray.Data
     """
     xarray = needed("xarray")
     s = _stations(equilibrium, arc_length)
-    fields = _fields_at(equilibrium, s)
+    fields = fields_on(equilibrium, s)
     data = {}
     for name, output in OUTPUTS.items():
         if name == "arc_length":
@@ -87,7 +83,7 @@ def as_frame(what: Equilibrium | Determination | Measurements | Plan) -> "pandas
     pandas = needed("pandas")
     match what:
         case Equilibrium():
-            return pandas.DataFrame(_columns(fields_along(what)))
+            return pandas.DataFrame(_columns(fields_on_grid(what)))
         case Determination():
             return pandas.DataFrame(_parameters(what)).set_index("parameter")
         case Measurements():
@@ -102,13 +98,13 @@ def fields_csv(fields: Fields, notes: Sequence[str] = ()) -> str:
     return "".join(f"# {note}\n" for note in notes) + table_csv(_columns(fields))
 
 
-def fields_along(equilibrium: Equilibrium) -> Fields:
+def fields_on_grid(equilibrium: Equilibrium) -> Fields:
     """The fields at 201 arc lengths from base to tip.
 
     Raises:
         InputError: for a batch of equilibria.
     """
-    return _fields_at(equilibrium, _stations(equilibrium, None))
+    return fields_on(equilibrium, _stations(equilibrium, None))
 
 
 def _columns(fields: Fields) -> dict[str, np.ndarray]:

@@ -40,19 +40,15 @@ class Loads(eqx.Module):
                 raise ValueError(f"Loads: {name} must have two components (X, Y), got shape {shape}")
 
 
-def force_per_length(
-    loads: Loads, arc_length: Float[Array, "*points"], mass_per_length: Float[Array, "*points"]
-) -> Float[Array, "*points 2"]:
+def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> Float[Array, "*points 2"]:
     """What all distributed dead loads together put on the body, N/m: its weight, rho A g.
 
     A further distributed load is a field of `Loads` and a term here; the solver and its energy take it from here.
 
     Args:
         loads: on the body.
-        arc_length: s, m.
-        mass_per_length: rho A there, kg/m.
+        mass_per_length: rho A at each point, kg/m.
     """
-    del arc_length  # no load depends on it so far
     return mass_per_length[..., None] * jnp.asarray(loads.gravity)
 
 

@@ -164,6 +164,10 @@ class Manipulator(eqx.Module):
         """E J, N m^2."""
         return jnp.asarray(self.youngs_modulus) * self.second_moment(arc_length)
 
+    def outer_strain(self, arc_length: Points, curvature: Points) -> Float[Array, "*points"]:
+        """R_outer kappa, -: the bending strain of the outer surface, with the sign of the curvature (1/m)."""
+        return self.outer_radius(arc_length) * curvature
+
     def cross_section(self, arc_length: Scalar) -> CrossSection:
         """Everything that the mechanics needs at one arc length."""
         s = jnp.asarray(arc_length)

@@ -155,7 +155,7 @@ def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None) -> Out
 
 def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points 2"]:
     """What the distributed dead loads put on the body per length, N/m."""
-    return force_per_length(loads, arc_length, jnp.asarray(manipulator.density) * manipulator.area(arc_length))
+    return force_per_length(loads, jnp.asarray(manipulator.density) * manipulator.area(arc_length))
 
 
 def loaded_to(problem: Problem, fraction: Number, base_moment: Number) -> Problem:

@@ -148,7 +148,7 @@ def _volume(view: View) -> Array:
 
 
 def _strain(view: View) -> Array:
-    strain = view.body.outer_radius(view.arc_length) * view.along.curvature
+    strain = view.body.outer_strain(view.arc_length, view.along.curvature)
     return jnp.stack([strain, -strain])
 
 

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from . import plotting as draw
 from .along_figure import draw_along, fields_along, reached, stations
+from .body_drawing import bent_body, straight_body, tendon_paths
 from .equilibrium import Equilibrium
-from .force_figure import tendon_paths
 from .loads import Loads
 from .manipulator import Manipulator
 
@@ -110,9 +110,7 @@ def draw_shape(
 def _scene(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> _Scene:
     s, loads = stations(manipulator), Loads() if loads is None else loads
     along = fields_along(equilibrium, s)
-    outer, inner = (1e3 * np.asarray(radius(s)) for radius in (manipulator.outer_radius, manipulator.inner_radius))
-    body = draw.Body(1e3 * np.asarray(along.position), np.asarray(along.heading), outer, inner)
-    straight = draw.Body(np.stack([1e3 * s, 0.0 * s], axis=-1), 0.0 * s, outer, inner)
+    body, straight = bent_body(manipulator, along), straight_body(manipulator, s)
     tension = np.where(reached(manipulator, s), along.tension, np.nan)
     arrows, gravity = _arrows(body, 1e3 * s[-1], loads), np.asarray(loads.gravity)
     return _Scene(1e3 * s, body, straight, tendon_paths(manipulator, body, s), tension, arrows, gravity)
