@@ -1,7 +1,8 @@
 """A body in equilibrium: what has to be known before one pass solves it, and derivatives through all of that."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from .friction import PerTendon
 from .implicit import implicit, without_derivative
-from .load_path import LoadedBody, LoadPath, Trial, follow_loads, moment_left_at_tip, start_from
+from .load_path import LoadedBody, LoadPath, Trial, by_moment, follow_loads, moment_left_at_tip, start_from
 from .loads import Loads
 from .manipulator import Manipulator
 from .problem import (
@@ -27,9 +28,9 @@ from .problem import (
     lay_out,
     loaded_to,
 )
-from .quadrature import Panels, follow_edges, redistribute
+from .quadrature import Panels, follow_edges, redistribute, with_empty_panels
 from .reductions import largest, largest_size
-from .sign_changes import Splits, locate, num_splits, turning_at_splits, unsplit
+from .sign_changes import Splits, changes_sign, locate, num_splits, only_if, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
 
 MAX_ROUNDS = 6
@@ -212,11 +213,15 @@ def _distance(new: Splits, old: Splits, cut: Panels) -> Number:
 def _put_loads_on(setup: Setup, base_tension: PerTendon, zero: Number) -> Settled:
     """Along the path of the loads, then with panels that follow the sign changes from sweep to sweep.
 
-    On the way the panels end where the body is not smooth, and no more. That is all where nothing changes sign.
+    On the way the panels end where the body is not smooth, and no more; where nothing changes sign it settles on them.
     Panels follow at once where the sweeps are calm; those that come and go, only from one settled body to the next.
     """
     problem = _lay_out(setup, base_tension, None)
-    found, near, path = follow_loads(problem, setup.method, everywhere(problem.panels, at_base(problem)), zero)
+    body = LoadedBody(problem, setup.method)
+    found, near = follow_loads(body, everywhere(problem.panels, at_base(problem)), zero)
+    smooth = ~changes_sign(problem, body.path(near, found.fraction))
+    near = body.polish(near, found.fraction, found.converged & smooth)
+    path = body.path(near, found.fraction)
 
     def once(state: _Sweeping) -> _Sweeping:
         free = state.num_moves < MAX_MOVES
@@ -238,7 +243,15 @@ def _put_loads_on(setup: Setup, base_tension: PerTendon, zero: Number) -> Settle
 
     splits = locate(problem, path)
     moved = jnp.where(largest_size(splits.owner + 1.0) > 0, zero + jnp.inf, zero)
-    start = _Sweeping(_on_other_panels(near, problem, path, _cut(setup, splits)), splits, splits, moved, zero)
+    old, new = problem.panels, _cut(setup, splits)
+
+    def redistributed(zero: Number) -> Trial:
+        cut = Panels(new.edges + zero, new.order)
+        return _on_other_panels(near, problem, path, partial(redistribute, old, cut))
+
+    ahead = _on_other_panels(near, problem, path, partial(with_empty_panels, old, new))
+    ahead = only_if(moved > 0, redistributed, ahead)
+    start = _Sweeping(ahead, splits, splits, moved, zero)
     trial, splits, *_ = jax.lax.while_loop(goes_on, once, start)
     found = found._replace(
         base_moment=trial.moment,
@@ -249,24 +262,20 @@ def _put_loads_on(setup: Setup, base_tension: PerTendon, zero: Number) -> Settle
     return Settled(found, splits, trial)
 
 
-def _on_other_panels(trial: Trial, problem: Problem, path: Path, cut: Panels) -> Trial:
-    """With roughly the same values at the nodes of other panels, and slopes by the moment only."""
-
-    def moved(values, at_tip):
-        return redistribute(problem.panels, cut, values, at_tip)
-
-    tangents = jax.tree.map(lambda x: x[0], trial.tangents)
+def _on_other_panels(trial: Trial, problem: Problem, path: Path, moved: Callable[[Any, Any], Any]) -> Trial:
+    """With the values that `moved` makes of those at nodes and tip, and slopes by the moment only."""
+    tangents = by_moment(trial.tangents)
     at_tip = Nodal(path.tip.ratio, path.tip.moment / problem.moment_scale)
     values = moved(trial.nodal, at_tip)
     slopes = moved(tangents, jax.tree.map(lambda x: x[-1, -1], tangents))
-    at_nodes, at_tip = trial.turning[0, :-1].reshape(problem.panels.nodes.shape), trial.turning[0, -1]
-    turning = jnp.append(moved(at_nodes, at_tip), at_tip)
+    turning = by_moment(trial.turning)
+    turning = turning._replace(nodes=moved(turning.nodes, turning.tip))
     blank = start_from(values, 0.0 * trial.moment, 1)
     return blank._replace(
         moment=trial.moment,
         tangents=jax.tree.map(lambda x: x[None], slopes),
         slopes=trial.slopes[:1],
-        turning=turning[None],
+        turning=jax.tree.map(lambda x: x[None], turning),
         settled=trial.settled,
         change=trial.change,
     )

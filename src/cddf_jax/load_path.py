@@ -5,17 +5,17 @@ M_ext(L) = m is one equation. Where it has several solutions, the one that is me
 of equilibria along which the tensions act first and then all loads grow together from 0 to 1.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .fixed_point import minus
 from .friction import PerTendon
 from .problem import Method, Nodal, Number, Path, Problem, loaded_to, nodal
-from .reductions import all_finite, largest_size, relative_size
-from .sign_changes import changes_sign
+from .reductions import all_finite, computed_once, largest, largest_size, relative_size
 from .tendon_travel import tendon_displacement
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
@@ -24,7 +24,9 @@ LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: in a longer one stability must not change, lest a step lands on another branch
 MAX_TRIES = 200
 MAX_SWEEPS = 64  # in one of them
-ROUGH = 1e-5  # relative: what is passed on the way need not be known better
+MAX_POLISHING = 16  # sweeps
+ROUGH = 1e-3  # relative: what is passed on the way need not be known better
+STEADY = 1e-2  # relative: nor its slope by the moment
 TRAVEL = 1e-7  # relative: of how far tendons slide only the sign is asked
 
 
@@ -39,6 +41,13 @@ class LoadPath(NamedTuple):
     resolved: Bool[Array, ""]  # false where it was not the path that ended but the method that failed on it
 
 
+class Headings(NamedTuple):
+    """phi at the nodes and at the tip, rad, or slopes of it."""
+
+    nodes: Float[Array, "*K P p"]
+    tip: Float[Array, "*K"]
+
+
 class Trial(NamedTuple):
     """What is made an equilibrium under some fraction of the loads, sweep by sweep.
 
@@ -49,8 +58,8 @@ class Trial(NamedTuple):
     nodal: Nodal
     tangents: Nodal  # its slopes
     slopes: Float[Array, " K"]  # of what is missing of the moment at the tip
-    heading: Float[Array, " points"]
-    turning: Float[Array, "K points"]  # its slopes
+    heading: Headings
+    turning: Headings  # its slopes
     near: Bool[Array, ""]  # near enough to go on from
     settled: Bool[Array, ""]
     lost: Bool[Array, ""]
@@ -61,7 +70,8 @@ class Trial(NamedTuple):
     @property
     def stable(self) -> Bool[Array, ""]:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
-        return (self.slopes[0] > 0) & jnp.all(self.turning[0] > 0)
+        turning = by_moment(self.turning)
+        return (self.slopes[0] > 0) & (turning.tip > 0) & (largest(-turning.nodes) < 0)
 
     @property
     def leverage(self) -> Number:
@@ -70,7 +80,7 @@ class Trial(NamedTuple):
         What they leave at the tip the moment at the base puts right, and turns the body. Where bending grows
         exponentially along it, one in the middle grows by the square root of what one at the base would grow by.
         """
-        turns, least = largest_size(self.turning[0]), jnp.finfo(self.slopes.dtype).eps
+        turns, least = largest_size(by_moment(self.turning)), jnp.finfo(self.slopes.dtype).eps
         put_right = turns / jnp.maximum(jnp.abs(self.slopes[0]), least)
         return jnp.maximum(put_right, jnp.sqrt(jnp.maximum(turns, 1.0)))
 
@@ -83,8 +93,8 @@ class _Place(NamedTuple):
     moment_slope: Number
     nodal: Nodal
     nodal_slope: Nodal
-    heading: Float[Array, " points"]
-    turning: Float[Array, " points"]  # slope of the heading
+    heading: Headings
+    turning: Headings  # its slope
     stable: Bool[Array, ""]
 
 
@@ -116,13 +126,12 @@ class LoadedBody(NamedTuple):
 
     def sweep(self, trial: Trial, fraction: Number) -> tuple[Trial, Path]:
         """One sweep with its tangents; then Newton's method puts M_ext(0) right, and along its tangent the rest."""
-        round_off = 4 * float(jnp.finfo(trial.moment.dtype).eps)
-        close = 2 * round_off**0.5
+        close = 2 * _round_off(trial.moment) ** 0.5
 
         def flow(guess: Nodal, *at: Number):
             here = self.at(*at)
             path = self.method.improve(here, guess)
-            heading = jnp.append(path.nodes.heading, path.tip.heading)
+            heading = Headings(path.nodes.heading, path.tip.heading)
             return (nodal(here, path), moment_left_at_tip(here, path), heading), path
 
         def push(*tangents):
@@ -133,30 +142,50 @@ class LoadedBody(NamedTuple):
         (values, residual, heading), (tangents, slopes, turning), path = jax.vmap(push, out_axes=(None, 0, None))(
             trial.tangents, *basis
         )
-        exact = jnp.abs(residual) <= round_off  # also where its slope vanishes
-        newton = jnp.where(exact, 0.0, -residual / slopes[0])
+        newton, off = _newton(trial.moment, residual, slopes[0], turning)
         rough = (path.residual > jnp.abs(residual)) & ~path.converged  # what is missing may be the sweep's fault
         correction = jnp.where(rough, 0.0, newton)
         sane = jnp.isfinite(newton) & jnp.isfinite(path.residual) & ~path.locked
-        size, wavers = 1 + jnp.abs(trial.moment), relative_size(slopes - trial.slopes, slopes)
-        off = jnp.abs(newton) * jnp.maximum(1 / size, largest_size(turning[0]))  # by which it turns the body, rad
-        off = jnp.where(jnp.abs(newton) <= round_off * size, 0.0, off)  # a nearer moment cannot be written down
-        settled = sane & path.converged & (jnp.maximum(off, wavers) <= close)
-        passing = (fraction < 1) | changes_sign(self.problem, path)  # it will be settled elsewhere, or on other panels
+        changes = slopes - trial.slopes
+        steady = jnp.abs(changes[0]) <= STEADY * jnp.abs(slopes[0])
+        enough = ROUGH * jnp.minimum(1.0, jnp.abs(slopes[0]))  # the sign of that slope is to be told
+        settled = sane & path.converged & (jnp.maximum(off, relative_size(changes, slopes)) <= close)
         return Trial(
             moment=trial.moment + correction,
             nodal=jax.tree.map(lambda x, v: x + correction * v[0], values, tangents),
             tangents=tangents,
             slopes=slopes,
-            heading=heading + correction * turning[0],
+            heading=jax.tree.map(lambda x, v: x + correction * v[0], heading, turning),
             turning=turning,
-            near=settled | (sane & passing & (jnp.maximum(off, path.residual) <= ROUGH) & (wavers <= 1e-3)),
+            near=settled | (sane & (jnp.maximum(off, path.residual) <= enough) & steady),
             settled=settled,
             lost=~sane | (trial.num_sweeps + 1 >= MAX_SWEEPS),
             sane=jnp.where(trial.num_sweeps == 0, sane, trial.sane),
             num_sweeps=trial.num_sweeps + 1.0,
             change=path.residual,
         ), path
+
+    def polish(self, trial: Trial, fraction: Number, wanted: Bool[Array, ""]) -> Trial:
+        """Where it is wanted, sweeps without tangents, and Newton's method along those of before, until it settles."""
+
+        def once(trial: Trial) -> Trial:
+            path = self.path(trial, fraction)
+            here = self.at(trial.moment, fraction)
+            correction, off = _newton(trial.moment, moment_left_at_tip(here, path), trial.slopes[0], trial.turning)
+            return trial._replace(
+                moment=trial.moment + correction,
+                nodal=jax.tree.map(lambda x, v: x + correction * v[0], nodal(here, path), trial.tangents),
+                settled=path.converged & ~path.locked & (off <= _round_off(off) / STEADY),
+                num_sweeps=trial.num_sweeps + 1.0,
+                change=path.residual,
+            )
+
+        polished = jax.lax.while_loop(
+            lambda trial: wanted & ~trial.settled & (trial.num_sweeps < MAX_POLISHING),
+            once,
+            trial._replace(num_sweeps=0.0 * trial.num_sweeps),
+        )
+        return jax.tree.map(lambda a, b: jnp.where(polished.settled, a, b), polished, trial)
 
     def travel(self, trial: Trial, fraction: Number) -> PerTendon:
         """By how much tendons slide in as all tensions rise in proportion, m."""
@@ -183,6 +212,24 @@ class LoadedBody(NamedTuple):
         return push(tangents, slope, one)[2]
 
 
+def by_moment(slopes: Any) -> Any:
+    """The first of them."""
+    return jax.tree.map(lambda x: x[0], slopes)
+
+
+def _round_off(x: Array) -> float:
+    return 4 * float(jnp.finfo(x.dtype).eps)
+
+
+def _newton(moment: Number, residual: Number, slope: Number, turning: Headings) -> tuple[Number, Number]:
+    """The step to where nothing is missing at the tip, and by how much it turns the body, rad."""
+    exact = jnp.abs(residual) <= _round_off(residual)  # also where its slope vanishes
+    step = jnp.where(exact, 0.0, -residual / slope)
+    size = 1 + jnp.abs(moment)
+    turned = jnp.abs(step) * jnp.maximum(1 / size, largest_size(by_moment(turning)))
+    return step, jnp.where(jnp.abs(step) <= _round_off(step) * size, 0.0, turned)  # a nearer moment cannot be written
+
+
 def moment_left_at_tip(problem: Problem, path: Path) -> Number:
     """M_ext(L) - m over the moment scale."""
     assert problem.loads is not None
@@ -193,12 +240,13 @@ def start_from(guess: Nodal, zero: Number, count: int) -> Trial:
     """Nothing but a guess, with room for `count` slopes; 0 under shard_map varies as all numbers do."""
     guess = jax.tree.map(lambda x: x + zero, guess)
     tangents, slopes = (jax.tree.map(lambda x: jnp.stack([0.0 * x] * count), x) for x in (guess, zero))
-    heading = zero + jnp.zeros(guess.ratio.shape[0] * guess.ratio.shape[1] + 1, zero.dtype)
+    heading = Headings(zero + jnp.zeros(guess.ratio.shape[:2], zero.dtype), zero)
+    turning = jax.tree.map(lambda x: jnp.stack([x] * count), heading)
     no, yes = zero > 0, zero == 0
-    return Trial(zero, guess, tangents, slopes, heading, jnp.stack([heading] * count), no, no, no, yes, zero, zero)
+    return Trial(zero, guess, tangents, slopes, heading, turning, no, no, no, yes, zero, zero)
 
 
-def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial, Path]:
+def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
     """Walk along the path of equilibria until all loads act.
 
     Euler steps, each of them corrected. A step is taken back and shortened where the correction does not
@@ -206,34 +254,32 @@ def follow_loads(problem: Problem, method: Method, guess: Nodal, zero: Number) -
     the stability changes within more than a small step.
 
     Args:
-        problem: under its full loads.
-        method: makes a path of the body out of a problem with a given base moment.
+        body: its problem is that under its full loads.
         guess: the values at the nodes without loads.
         zero: 0, which under shard_map varies as all numbers do.
 
     Returns:
-        Where it led, and the values and the body there; only near it where the turning changes sign, which
-        these panels do not resolve.
+        Where it led, and the values near there, to be settled.
     """
-    body = LoadedBody(problem, method)
     no, yes = zero > 0, zero == 0
 
     def advance(walk: _Walk) -> _Walk:
-        walk = walk._replace(trial=body.sweep(walk.trial, walk.fraction)[0])
-        # it turns once where a trial is over; `lax.cond` would decide for every lane of a batch after every sweep
-        return jax.lax.while_loop(lambda walk: (walk.trial.near | walk.trial.lost) & ~over(walk), _decide, walk)
+        trial = jax.lax.while_loop(
+            lambda trial: ~(trial.near | trial.lost), lambda trial: body.sweep(trial, walk.fraction)[0], walk.trial
+        )
+        return _decide(walk._replace(trial=trial))
 
     def over(walk: _Walk) -> Bool[Array, ""]:
         return walk.arrived | walk.ended
 
     start = start_from(guess, zero, 2)
-    slope = jax.tree.map(lambda x: x[1], start.tangents)
-    place = _Place(zero, zero, zero, start.nodal, slope, start.heading, start.heading, yes)
+    slope = jax.tree.map(lambda x: x[1], (start.tangents, start.turning))
+    place = _Place(zero, zero, zero, start.nodal, slope[0], start.heading, slope[1], yes)
     walk = _Walk(place, start, zero + 1.0, zero, zero, zero, no, no, yes)
     walk = jax.lax.while_loop(lambda walk: ~over(walk), advance, walk)
     place, steps = walk.place, walk.num_steps - 1.0
     found = LoadPath(place.moment, place.fraction, steps, walk.arrived, place.stable, walk.resolved)
-    return found, walk.trial, body.path(walk.trial, place.fraction)
+    return found, walk.trial
 
 
 def _arrive(trial: Trial, fraction: Number) -> _Place:
@@ -243,7 +289,7 @@ def _arrive(trial: Trial, fraction: Number) -> _Place:
     def along(slopes):
         return slopes[1] + slope * slopes[0]
 
-    values = trial.nodal, jax.tree.map(along, trial.tangents), trial.heading, along(trial.turning)
+    values = trial.nodal, jax.tree.map(along, trial.tangents), trial.heading, jax.tree.map(along, trial.turning)
     return _Place(fraction, trial.moment, slope, *values, trial.stable)
 
 
@@ -251,11 +297,13 @@ def _decide(walk: _Walk) -> _Walk:
     """Go on, or take the step back."""
     first, old, trial = walk.num_steps == 0, walk.place, walk.trial
     new = _arrive(trial, walk.fraction)
-    missed = largest_size(new.heading - old.heading - (new.fraction - old.fraction) * old.turning)
-    missed, turned = (jnp.where(first, 0.0, x) for x in (missed, largest_size(new.heading - old.heading)))
+    turned = minus(new.heading, old.heading)
+    missed = jax.tree.map(lambda x, v: x - (new.fraction - old.fraction) * v, turned, old.turning)
+    missed, turned = (jnp.where(first, 0.0, largest_size(x)) for x in (missed, turned))
     near = trial.near & all_finite(new.turning)
     jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
     accepted = near & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
+    accepted = computed_once(jnp.where(accepted, 1.0, 0.0)) > 0
 
     ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
     shorter = walk.step * jnp.where(near & ~jumped, jnp.clip(ideal, 0.1, 0.5), 0.25)
@@ -265,6 +313,7 @@ def _decide(walk: _Walk) -> _Walk:
     remaining = 1.0 - place.fraction
     step = jnp.minimum(jnp.minimum(jnp.where(accepted, longer, shorter), gentle), remaining)
     tries = walk.num_tries + 1.0
+    step = computed_once(step)
     arrived = accepted & (place.fraction >= 1.0)
     ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
     return _Walk(

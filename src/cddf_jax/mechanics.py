@@ -70,7 +70,7 @@ def curvature(section: CrossSection, tension: PerTendon, external_moment: float 
     if section.kinematics == "published":
         return pull / (section.stiffness + jnp.sum(tension * section.offset**2))
     if not section.slanted:
-        return pull / section.stiffness
+        return pull * (1.0 / section.stiffness)  # which is the same at every sweep
 
     def moment_gap(kappa):
         t = tangent(section, kappa)

@@ -166,6 +166,22 @@ def follow_edges(old: Panels, new: Panels, values: Any) -> Any:
     return jax.tree.map(moved, values)
 
 
+def with_empty_panels(old: Panels, new: Panels, values: Any, at_tip: Any) -> Any:
+    """Values at the nodes of some panels, at those of the same and of as many empty ones at the tip as are new.
+
+    Args:
+        old, new: panels of the same body.
+        values: trees of arrays with leading axes (P, p).
+        at_tip: the same at the tip.
+    """
+    more = new.edges.shape[0] - old.edges.shape[0]
+
+    def extended(x: Array, tip: Array) -> Array:
+        return jnp.concatenate([x, jnp.broadcast_to(tip, (more, *x.shape[1:]))])
+
+    return jax.tree.map(extended, values, at_tip)
+
+
 def redistribute(old: Panels, new: Panels, values: Any, at_tip: Any) -> Any:
     """Values at the nodes of some panels, roughly at the nodes of others: linear between neighbours.
 

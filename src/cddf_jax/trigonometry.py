@@ -10,30 +10,30 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-# pi / 2 in three parts, the first two so short that their products with small integers are exact; then how many terms
-# of the Taylor series the precision takes on |x| <= pi / 4
-DOUBLE = tuple(map(float.fromhex, ("0x1.921fb54p+0", "0x1.10b46118p-30", "0x1.313198a2e0370p-61"))), 8
-SINGLE = tuple(map(float.fromhex, ("0x1.92p+0", "0x1.fb4p-12", "0x1.4442d2p-24"))), 5
+from .reductions import computed_once
+
+# pi in three parts, the first two so short that their products with small integers and halves are exact; then how many
+# terms of the Taylor series the precision takes on |x| <= pi / 2
+DOUBLE = tuple(map(float.fromhex, ("0x1.921fb54p+1", "0x1.10b46118p-29", "0x1.313198a2e0370p-60"))), 11
+SINGLE = tuple(map(float.fromhex, ("0x1.92p+1", "0x1.fb4p-11", "0x1.4442d2p-23"))), 7
 
 
 @jax.custom_jvp
 def cos_sin(angle: Float[Array, "*points"]) -> tuple[Float[Array, "*points"], Float[Array, "*points"]]:
-    """Cosine and sine of an angle, rad, to the last bit but one while |angle| < 1e6 (float32: 1e3)."""
+    """Cosine and sine of an angle, rad, to rounding errors while |angle| < 1e6 (float32: 1e3)."""
+    turns = angle * (1 / math.pi)
+    cosine, sine = -_sine(angle, jnp.floor(turns), 0.5), _sine(angle, jnp.round(turns), 0.0)
+    return computed_once(cosine), computed_once(sine)  # not anew for every tangent
+
+
+def _sine(angle: Array, turns: Array, more: float) -> Array:
+    """The sine of angle - (turns + more) pi, its sign changed where `turns` is odd."""
     parts, terms = DOUBLE if angle.dtype == jnp.float64 else SINGLE
-    quarter = jnp.round(angle * (2 / math.pi))
     rest = angle
     for part in parts:
-        rest = rest - quarter * part
-    square = rest * rest
-    sine = rest * _series(square, [(-1) ** k / math.factorial(2 * k + 1) for k in range(terms)])
-    cosine = _series(square, [(-1) ** k / math.factorial(2 * k) for k in range(terms + 1)])
-    quadrant = quarter - 4 * jnp.floor(quarter / 4)
-    odd = (quadrant == 1) | (quadrant == 3)
-    across, along = jnp.where(odd, sine, cosine), jnp.where(odd, cosine, sine)
-    cosine = jnp.where((quadrant == 1) | (quadrant == 2), -across, across)
-    sine = jnp.where(quadrant >= 2, -along, along)
-    length = 0.5 + 0.5 * (cosine * cosine + sine * sine)  # 1, but for rounding; a quotient is not computed anew
-    return cosine / length, sine / length  # for every tangent
+        rest = rest - (turns + more) * part
+    sine = rest * _series(rest * rest, [(-1) ** k / math.factorial(2 * k + 1) for k in range(terms)])
+    return jnp.where(0.5 * turns == jnp.floor(0.5 * turns), sine, -sine)
 
 
 @cos_sin.defjvp
