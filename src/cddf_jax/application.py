@@ -24,6 +24,7 @@ def configure_jax(*, quick_compilation: bool = True) -> None:
     from platformdirs import user_cache_dir
 
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_cpu_enable_async_dispatch", False)  # another thread would be woken for every small program
     jax.config.update("jax_compilation_cache_dir", os.path.join(user_cache_dir("cddf_jax"), "compiled"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
@@ -40,6 +41,7 @@ def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> Non
     configure_jax(quick_compilation=False)
     import jax
 
+    jax.config.update("jax_cpu_enable_async_dispatch", True)  # one chunk is written while the next is computed
     told = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
     if jax.config.jax_num_cpu_devices < 0 and not told:  # type: ignore[attr-defined]
         jax.config.update("jax_num_cpu_devices", _cores())

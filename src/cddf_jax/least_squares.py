@@ -211,6 +211,8 @@ def least_squares_fit(
     for _ in range(NOISE_ROUNDS):  # weights from residuals, residuals from weights
         improved = data.estimate_noise(noise, problem, outcome)
         settled = all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
+        if settled and all(map(np.array_equal, noise, improved)):  # it was known
+            break
         noise, outcome = improved, minimise(problem, improved, outcome.z, max_steps=max_steps)
         if settled or not np.all(np.isfinite(outcome.residual)):
             break
@@ -235,7 +237,7 @@ class _Starts(NamedTuple):
 
 
 def _from_many_starts(problem: LeastSquaresProblem, noise, starts: int, seed: int, max_steps: int) -> _Starts:
-    first = np.asarray(problem.space.first())
+    first = problem.space.first()
     if starts <= 1:
         return _Starts(first[None], np.empty(0))
     draws = qmc.Sobol(len(first), rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(starts))))

@@ -174,25 +174,29 @@ class Space(eqx.Module):
         finite = zip(np.isfinite(lower), np.isfinite(upper), strict=True)
         self.kinds = tuple(("free", "below", "above", "between")[2 * int(a) + int(b)] for a, b in finite)
 
+    @property
+    def num_parameters(self) -> int:
+        return len(self.kinds)
+
     def size(self, value: np.ndarray) -> np.ndarray:
         """What to measure each parameter by: its value, or where that is smaller the scale that was given."""
         return np.maximum(np.where(value == 0, np.asarray(self.scale), np.abs(value)), np.asarray(self.least_size))
 
-    def first(self) -> Float[Array, " n"]:
-        return jnp.asarray([self.inverse(i, self.start[i]) for i in range(len(self.kinds))])
+    def first(self) -> Float[np.ndarray, " n"]:
+        return np.array([self.inverse(i, self.start[i]) for i in range(self.num_parameters)])
 
-    def inverse(self, i: int, value: Any) -> Array:
+    def inverse(self, i: int, value: Any) -> Any:
         """The z_i of values of parameter i inside its bounds."""
         start, lower, upper = self.start[i], self.lower[i], self.upper[i]
         match self.kinds[i]:
             case "free":
                 return (value - start) / self.scale[i]
             case "above":
-                return jnp.log((value - lower) / (start - lower))
+                return np.log((value - lower) / (start - lower))
             case "below":
-                return jnp.log((upper - value) / (upper - start))
+                return np.log((upper - value) / (upper - start))
             case _:
-                return jnp.log((value - lower) / (upper - value))
+                return np.log((value - lower) / (upper - value))
 
     def parameters(self, z: Float[Array, " n"]) -> Float[Array, " n"]:
         def one(i, kind):

@@ -89,7 +89,7 @@ def nearest_to_start(
     problem: LeastSquaresProblem, noise, outcome: Outcome, opened: np.ndarray, quantile: float, max_steps: int
 ) -> Outcome:
     """Along an open valley any place will do: the one at the start of the first open parameter, if it fits."""
-    i, first = int(np.argmax(opened)), np.asarray(problem.space.first())
+    i, first = int(np.argmax(opened)), problem.space.first()
     held = np.where(np.arange(len(first)) == i, problem.space.start, np.nan)
     moved = minimise(problem, noise, outcome.z, held, max_steps)
     there = evaluate(problem, noise, np.where(np.isnan(held), moved.z, first))
