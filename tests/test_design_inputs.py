@@ -7,10 +7,11 @@ import pytest
 from bodies import paper_body
 
 import cddf_jax as cddf
-from cddf_jax.design_space import space_of, stretched
+from cddf_jax.design_space import space_of
 from cddf_jax.errors import InputError
 from cddf_jax.profiles import Shifted
 from cddf_jax.quantities import QUANTITIES, quantity_named
+from cddf_jax.stretching import stretched
 
 MASS = cddf.Least("mass")
 TENSION = cddf.Least("base_tension")

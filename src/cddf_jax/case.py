@@ -17,6 +17,7 @@ from .errors import InputError
 from .loads import Loads
 from .manipulator import Manipulator
 from .profiles import Constant
+from .stretching import stretched
 
 OWN = ("base_tension", "loads", "direction")  # parts of a case beside the parts of its manipulator
 UNITS = {
@@ -64,9 +65,11 @@ class Case(eqx.Module):
         return _Path(self, name).number
 
     def with_numbers(self, numbers: Mapping[str, Any]) -> "Case":
-        """The case with other numbers, which may be traced."""
-        case = self
-        for name, number in numbers.items():
+        """The case with other numbers, which may be traced; with another "length" all that runs along stretches."""
+        case, others = self, dict(numbers)
+        if "length" in others:
+            case = eqx.tree_at(lambda case: case.manipulator, case, stretched(case.manipulator, others.pop("length")))
+        for name, number in others.items():
             case = _Path(case, name).replaced(number)
         return case
 

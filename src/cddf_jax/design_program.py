@@ -12,7 +12,6 @@ import numpy as np
 from .case import Case
 from .constrained import Point, Weights
 from .design_problem import Evaluation, Problem, Values
-from .design_space import stretched
 from .equilibrium import RESULTS
 from .load_cases import LoadCase
 from .manipulator import Manipulator
@@ -144,9 +143,7 @@ def _number(case: Case, name: str) -> float | None:
 def with_fixed(problem: Problem, numbers: Mapping[str, Any]) -> Problem:
     """The problem with other fixed numbers; another length stretches what runs along the body."""
     own = {name: x for name, x in numbers.items() if ": " not in name}
-    length = own.pop("length", None)
     body = Case(problem.manipulator, None, None, None).with_numbers(own).manipulator
-    body = body if length is None else stretched(body, length)
     cases, limits = list(problem.cases), list(problem.limits)
     for label, x in numbers.items():
         kind, _, name = label.partition(": ")

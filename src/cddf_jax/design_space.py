@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from .case import Case
 from .errors import InputError
 from .load_cases import LoadCase
-from .manipulator import Manipulator, Tendon
+from .manipulator import Manipulator
 from .profiles import Constant, Linear, Piecewise, Profile, Spline
 
 WIDE = 10.0  # times the start value, and its tenth: bounds that nobody gave
@@ -47,11 +47,8 @@ class Space(eqx.Module):
         """Body and load case with the free numbers in them."""
         x = self.numbers(jnp.asarray(z))
         by_name = {name: x[i] for i, names in enumerate(self.names) for name in names}
-        length = by_name.pop("length", None)
         there = Case(manipulator, case.base_tension, case.loads, case.direction).with_numbers(by_name)
-        body = there.manipulator if length is None else stretched(there.manipulator, length)
-        acting = {"base_tension": there.base_tension, "loads": there.loads}
-        return body, replace(case, **acting)
+        return there.manipulator, replace(case, base_tension=there.base_tension, loads=there.loads)
 
 
 def space_of(case: Case, free: Sequence[str], bounds: Mapping[str, tuple[Any, Any]]) -> Space:
@@ -159,32 +156,3 @@ def _values_of(profile: Profile) -> list[str]:
             pieces = enumerate(profile.pieces)
             return [f"pieces.{i}.{inner}" for i, piece in pieces for inner in _values_of(piece)]
     raise InputError(f"design: a profile of type {type(profile).__name__} has no free values; name a number of it")
-
-
-def stretched(manipulator: Manipulator, length: Any) -> Manipulator:
-    """The body with another length, everything along it in proportion: tapers, knots, joints and anchors."""
-    ratio = length / jnp.asarray(manipulator.length)
-
-    def tendon(old: Tendon) -> Tendon:
-        return replace(old, offset=_stretched(old.offset, ratio), end=None if old.end is None else old.end * ratio)
-
-    return replace(
-        manipulator,
-        length=length,
-        outer_radius=_stretched(manipulator.outer_radius, ratio),
-        inner_radius=_stretched(manipulator.inner_radius, ratio),
-        tendons=tuple(tendon(old) for old in manipulator.tendons),
-    )
-
-
-def _stretched(profile: Profile, ratio: Any) -> Profile:
-    match profile:
-        case Constant():
-            return profile
-        case Linear():
-            return replace(profile, length=profile.length * ratio)
-        case Spline():
-            return replace(profile, arc_length=profile.arc_length * ratio)
-        case Piecewise():
-            return Piecewise(profile.ends * ratio, [_stretched(piece, ratio) for piece in profile.pieces])
-    raise InputError(f"design: a profile of type {type(profile).__name__} cannot follow the length; hold the length")

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .fixed_point import minus
 from .friction import PerTendon
 from .problem import Method, Nodal, Number, Path, Problem, loaded_to, nodal
 from .reductions import all_finite, computed_once, largest, largest_size, relative_size
@@ -297,7 +296,7 @@ def _decide(walk: _Walk) -> _Walk:
     """Go on, or take the step back."""
     first, old, trial = walk.num_steps == 0, walk.place, walk.trial
     new = _arrive(trial, walk.fraction)
-    turned = minus(new.heading, old.heading)
+    turned = jax.tree.map(jnp.subtract, new.heading, old.heading)
     missed = jax.tree.map(lambda x, v: x - (new.fraction - old.fraction) * v, turned, old.turning)
     missed, turned = (jnp.where(first, 0.0, largest_size(x)) for x in (missed, turned))
     near = trial.near & all_finite(new.turning)

@@ -80,8 +80,8 @@ def sweep(
         walls and clearances are the business of `manipulator.validate()`. Chunks, devices and processes change
         numbers in the last bits at most (1e-13 relative).
 
-    A number that a profile holds stays what it is when another varies: with "length" alone the taper of a `Linear`
-    radius goes on at its slope; let "outer_radius.length" vary together with it.
+    With "length" everything along the body varies in proportion: tapers, knots, joints and anchors. Other numbers that
+    a profile holds stay what they are.
 
     Raises:
         InputError: for an axis, output or option that is none, a store of another sweep, too little memory.
