@@ -52,28 +52,33 @@ def tip(mu: float, modulus: float, pull: float) -> np.ndarray:
     return np.array([tension[-1], np.trapezoid(np.cos(angle), S), np.trapezoid(np.sin(angle), S)])
 
 
+def update_as_printed(mu: float, modulus: float, pull: float, kappa: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Tensions and tip of a shape, and the curvature by eq. (14): the moment of all forces of the tendon outboard."""
+    weight = np.triu(np.full((POINTS, POINTS), S[1] - S[0]))
+    weight[:, -1] *= 0.5
+    np.fill_diagonal(weight, 0.5 * (S[1] - S[0]))
+    weight[-1, -1] = 0.0
+    angle = cumulative_trapezoid(kappa, S, initial=0.0)
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = (cumulative_trapezoid(component, S, initial=0.0) for component in (cos, sin))
+    tension = pull * np.exp(-mu * angle)
+    # normal force T kappa n and friction -mu T kappa t per length, and -T t at the tip
+    force_x, force_y = -tension * kappa * (sin + mu * cos), tension * kappa * (cos - mu * sin)
+    arm_x, arm_y = (x - OFFSET * sin) - x[:, None], (y + OFFSET * cos) - y[:, None]
+    moment = np.sum(weight * (arm_x * force_y - arm_y * force_x), axis=1)
+    moment -= tension[-1] * (arm_x[:, -1] * sin[-1] - arm_y[:, -1] * cos[-1])
+    return tension, np.array([tension[-1], x[-1], y[-1]]), moment / (modulus * SECOND_MOMENT)
+
+
 def tip_as_printed(mu: float, modulus: float, pull: float) -> np.ndarray:
-    """The same by eq. (14): the moment at every point is that of all forces of the tendon outboard of it."""
-    kappa = pull * OFFSET / (modulus * SECOND_MOMENT)
-    step, outboard = S[1] - S[0], np.triu(np.ones((POINTS, POINTS)))
-    weight = step * (outboard - 0.5 * np.eye(POINTS))
-    weight[:, -1] -= 0.5 * step
-    last = np.full_like(S, pull)
+    """Tip tension and position by the paper's iteration from the shape without friction."""
+    tension, tip, kappa = update_as_printed(mu, modulus, pull, pull * OFFSET / (modulus * SECOND_MOMENT))
     for _ in range(50):
-        angle = cumulative_trapezoid(kappa, S, initial=0.0)
-        cos, sin = np.cos(angle), np.sin(angle)
-        x, y = (cumulative_trapezoid(component, S, initial=0.0) for component in (cos, sin))
-        tension = pull * np.exp(-mu * angle)
-        # normal force T kappa n and friction -mu T kappa t per length, and -T t at the tip
-        force_x, force_y = -tension * kappa * (sin + mu * cos), tension * kappa * (cos - mu * sin)
-        arm_x, arm_y = (x - OFFSET * sin) - x[:, None], (y + OFFSET * cos) - y[:, None]
-        moment = np.sum(weight * (arm_x * force_y - arm_y * force_x), axis=1)
-        moment -= tension[-1] * (arm_x[:, -1] * sin[-1] - arm_y[:, -1] * cos[-1])
-        kappa = moment / (modulus * SECOND_MOMENT)
+        last = tension
+        tension, tip, kappa = update_as_printed(mu, modulus, pull, kappa)
         if np.max(np.abs(tension - last)) < 1e-9 * pull:
             break
-        last = tension
-    return np.array([tension[-1], x[-1], y[-1]])
+    return tip
 
 
 @numba.njit
