@@ -195,20 +195,20 @@ class LoadedBody(NamedTuple):
             path = self.method.improve(here, guess)
             return nodal(here, path), moment_left_at_tip(here, path), tendon_displacement(here, path)
 
-        def sweep(state):  # at constant M_ext(0)
-            old, _, _, count = state
-            new, missing, _ = push(old, zero, one)
-            return new, missing, relative_size(jax.tree.map(jnp.subtract, new, old), new), count + 1.0
+        def sweep(state):  # M_ext(0) has to follow for M_ext(L) to stay m
+            old, slope, _, count = state
+            new, missing, _ = push(old, slope, one)
+            more = jnp.where(missing == 0, 0.0, -missing / trial.slopes[0])
+            new = jax.tree.map(lambda x, v: x + more * v[0], new, trial.tangents)
+            return new, slope + more, relative_size(jax.tree.map(jnp.subtract, new, old), new), count + 1.0
 
         zero, one = 0.0 * trial.moment, jnp.ones_like(trial.moment)
         push = jax.linearize(flow, trial.nodal, trial.moment, one)[1]
         start = jax.tree.map(lambda x: 0.0 * x, trial.nodal), zero, zero + 1.0, zero
-        pulled, missing, *_ = jax.lax.while_loop(
+        pulled, slope, *_ = jax.lax.while_loop(
             lambda state: (state[2] > TRAVEL) & (state[3] < MAX_SWEEPS), sweep, start
         )
-        slope = jnp.where(missing == 0, 0.0, -missing / trial.slopes[0])  # with it M_ext(L) stays m
-        tangents = jax.tree.map(lambda x, v: x + slope * v[0], pulled, trial.tangents)
-        return push(tangents, slope, one)[2]
+        return push(pulled, slope, one)[2]
 
 
 def by_moment(slopes: Any) -> Any:
