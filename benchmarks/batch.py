@@ -24,11 +24,11 @@ import numpy as np
 from jax.sharding import PartitionSpec
 
 import cddf_jax as cddf
-from cddf_jax.application import configure_jax
+from cddf_jax.application import configure_jax_for_batches
 from cddf_jax.artifacts import as_json, write_all
 from cddf_jax.bench import with_parameters
 
-COUNT, LOADED, CHUNK, ROUNDS = 102_400, 16_384, 512, 9
+COUNT, LOADED, CHUNK, ROUNDS = 102_400, 16_384, 512, 15
 DEVICES = 2
 FORCES = {(0.0, 2.0): (32,), (0.0, -1.0): (32, 512), (0.0, -10.0): (32, 512)}  # N, and the steps of RK4
 
@@ -201,7 +201,7 @@ def loaded_rows(robot: cddf.Manipulator, samples: tuple) -> dict:
 
 def main() -> None:
     """Measure, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax_for_batches()
     jax.config.update("jax_num_cpu_devices", DEVICES)
     robot, rng = paper(), np.random.default_rng(0)
     ranges = ((5.0, 85.0), (0.1, 0.6), (1e6, 2e6))

@@ -24,7 +24,7 @@ import jax
 import numpy as np
 
 import cddf_jax as cddf
-from cddf_jax.application import configure_jax
+from cddf_jax.application import configure_jax_for_batches
 from cddf_jax.artifacts import as_json, write_all
 
 ROUNDS = 3
@@ -70,7 +70,7 @@ def peak() -> float:
 
 def child(asked: dict[str, Any]) -> dict[str, float]:
     """One row, in a process of its own."""
-    configure_jax(quick_compilation=False)
+    configure_jax_for_batches()
     jax.config.update("jax_num_cpu_devices", asked.get("devices", os.cpu_count()))
     if asked.get("processes", 1) > 1:
         jax.distributed.initialize(f"127.0.0.1:{asked['port']}", asked["processes"], asked["rank"])
@@ -150,7 +150,7 @@ def main() -> None:
         print(json.dumps(child(json.loads(sys.argv[1]))))
         return
     rows = {name: measured(asked) for name, asked in ROWS.items()}
-    configure_jax(quick_compilation=False)
+    configure_jax_for_batches()
     rows["numba, RK4 of 32 steps, 102,400 solves, unchecked"] = beside()
     lines = ["| what | us a solve | memory, MB | error of T_tip |", "| --- | ---: | ---: | ---: |"]
     for name, row in rows.items():

@@ -6,7 +6,6 @@ both in a folder that holds copies of `data` and `fitting`; an error is fatal un
 
 import base64
 import contextlib
-import gc
 import html
 import io
 import json
@@ -41,12 +40,8 @@ sys.modules["hooks"] = sys.modules[__name__]  # pages import from here
 
 def on_pre_build(**_: Any) -> None:
     """One process runs all examples: what is compiled for one page serves the next. Another draws the gallery."""
-    gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that live
     sys.path.insert(0, str(ROOT / "docs"))  # where the gallery is
     configure_jax()
-    import jax
-
-    jax.config.update("jax_traceback_in_locations_limit", 0)
     for folder in ("data", "fitting"):
         shutil.copytree(ROOT / folder, WORK / folder, ignore=shutil.ignore_patterns("__pycache__"))
     command = [sys.executable, ROOT / "docs" / "make_gallery.py", WORK / "gallery"]

@@ -95,6 +95,7 @@ def test_tolerances_of_the_dimensions_widen_the_modulus(paper):
     assert loose.standard_error["youngs_modulus"] / E == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 def test_friction_that_differs_from_trial_to_trial(paper):
     """Six deviations of ln mu, drawn with standard deviation 0.1; what they are is seen to 1 %."""
     rng = np.random.default_rng(3)

@@ -75,7 +75,8 @@ SLANTED = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLANTED else name for name in EXACT]
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) if name in (*SLANTED, "loads that help") else name for name in EXACT],
 )
 def test_the_balance_closes_in_the_exact_kinematics(name):
     """Virtual work, design.md section 2: what the tendons do is stored, rubbed off, or lifts the loads."""

@@ -402,6 +402,7 @@ def test_tip_positions_give_both():
 # --- two tendons and directions ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_tendons_and_a_direction():
     """Noise-free data of another integrator: both tendons, loading and unloading; the truth comes back."""
     first, second = np.array([20.0, 50.0, 75.0, 60.0, 30.0]), np.array([5.0, 0.0, 20.0, 40.0, 10.0])

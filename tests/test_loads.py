@@ -117,7 +117,7 @@ def assert_moments_balance(solution, problem):
 
 @pytest.mark.parametrize(
     ("kinematics", "count", "slanted"),
-    [pytest.param(*case, marks=pytest.mark.slow) if case[1] == 2 and case != CASES[3] else case for case in CASES],
+    [pytest.param(*case, marks=pytest.mark.slow) if case[1] == 2 else case for case in CASES],
 )
 def test_random_problems(kinematics, count, slanted):
     """Against shooting; some as well against collocation, and by the moments about every node."""
@@ -325,6 +325,7 @@ def test_the_opposed_tendon():
     assert largest_difference(solution, reference, paper_plain("exact")) < AGREES
 
 
+@pytest.mark.slow
 def test_marching_agrees():
     """RK4, eight steps between nodes, as it differs without loads too."""
     solution = cddf.solve(opposed(), 60.0, cddf.Loads(*OPPOSING), method=cddf.Marching())

@@ -27,7 +27,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.slow) if case == "slanted pair" else case for case in CASES]
+)
 def test_numbers_in_single_precision_stay_there(case):
     body, tension, direction = CASES[case]
     double = cddf.solve(body, tension, direction=direction)

@@ -329,6 +329,7 @@ def test_the_profile_is_the_sum_of_squares(drum, drum_report, pulley):
     assert f"| friction_coefficient | {low:.5g} | {high:.5g} |" in report.as_markdown(drum_report)
 
 
+@pytest.mark.slow
 def test_an_open_profile_is_seen_to_be_open(tensions_only):
     """Tensions know mu / E only: mu alone costs nothing, two decades up and down."""
     profile = tensions_only.profile("friction_coefficient")

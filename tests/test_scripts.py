@@ -90,6 +90,7 @@ def test_every_study_is_expected():
     assert {path.stem for path in (ROOT / "fitting").glob("*.py")} == set(STATUS) | own_test
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STATUS)
 def test_study(name):
     fit = runpy.run_path(str(ROOT / "fitting" / f"{name}.py"))["study"]()
@@ -102,6 +103,7 @@ def test_study(name):
             assert abs(fit.value[parameter] - truth) < 4 * fit.standard_error[parameter]
 
 
+@pytest.mark.slow
 def test_study_as_a_script(tmp_path):
     script = ROOT / "fitting" / "pulley.py"
     environment = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PATH": "", "HOME": str(tmp_path)}

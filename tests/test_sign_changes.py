@@ -237,6 +237,7 @@ def test_derivatives_where_each_tendon_turns_over_by_itself():
         np.testing.assert_allclose(ours, (ends[0] - ends[1]) / (2 * h), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_second_derivatives_across_a_sign_change():
     """Along two directions, against second differences of the reference: h^4 and its 1e-11 over h^2 leave 1e-5."""
     weights, h = np.array([1.0, -0.5, 0.7, 0.3, 2.0]), 1e-2

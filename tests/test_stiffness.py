@@ -49,7 +49,9 @@ def test_against_differences_of_the_reference(name):
     np.testing.assert_allclose(compliance_of(case), np.stack(columns, axis=1), rtol=2e-5, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "published" else name for name in CASES]
+)
 def test_reciprocity_and_its_loss(name):
     """At constant tensions a frictionless body has a potential, so C is symmetric (Maxwell, Betti)."""
     case, _ = CASES[name]

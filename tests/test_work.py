@@ -126,7 +126,7 @@ def test_devices_change_nothing(plain, tmp_path):
         same(found, plain)
 
 
-@pytest.mark.parametrize("processes", [2, 4])
+@pytest.mark.parametrize("processes", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_processes_share_the_work(plain, tmp_path, processes):
     path = tmp_path / "s.zarr"
     with socket.socket() as free:

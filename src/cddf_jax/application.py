@@ -1,5 +1,6 @@
 """How the command line, scripts and notebooks set JAX up; the library itself never does."""
 
+import gc
 import os
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -27,6 +28,8 @@ def configure_jax(*, quick_compilation: bool = True) -> None:
     jax.config.update("jax_cpu_enable_async_dispatch", False)  # another thread would be woken for every small program
     jax.config.update("jax_compilation_cache_dir", os.path.join(user_cache_dir("cddf_jax"), "compiled"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_traceback_in_locations_limit", 0)  # compiled code need not know the lines it comes from
+    gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that live; looking through them takes long
 
 
 def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> None:
