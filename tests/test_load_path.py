@@ -20,6 +20,7 @@ from scipy.optimize import brentq
 from scipy.special import jv
 
 import cddf_jax as cddf
+from cddf_jax.balance import Setup, equilibrate
 
 R = cddf.RESULTS
 LENGTH = PAPER["length"]
@@ -231,3 +232,16 @@ def test_steps_are_counted_for_whole_loads_only():
     none = cddf.solve(paper_body("exact"), 60.0)
     assert (int(none.num_load_steps), float(none.load_fraction), bool(none.stable)) == (0, 1.0, True)
     assert none.base_moment == jnp.zeros(())
+
+
+@pytest.mark.parametrize("force", [(0.0, 2.0), (0.0, -10.0)])
+def test_how_far_a_loaded_tendon_slides(force):
+    """By how much it slides in as its tension rises in proportion: against central differences of whole solves."""
+    body, loads, step = paper_body("exact"), cddf.Loads(tip_force=force), 1e-5
+
+    def displacement(tension):
+        return float(cddf.solve(body, tension, loads).tendon_displacement[0])
+
+    setup = Setup(body, jnp.ones(1), cddf.Loads(tip_force=jnp.asarray(force)), cddf.FixedPoint(), 16)
+    slope = (displacement(60.0 * (1 + step)) - displacement(60.0 * (1 - step))) / (2 * step)
+    assert float(equilibrate(setup, jnp.asarray([60.0])).travel[0]) == pytest.approx(slope, rel=1e-6)

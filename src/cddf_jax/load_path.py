@@ -263,8 +263,11 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
     no, yes = zero > 0, zero == 0
 
     def advance(walk: _Walk) -> _Walk:
+        # a batch comes here with lanes, too, that are over already
         trial = jax.lax.while_loop(
-            lambda trial: ~(trial.near | trial.lost), lambda trial: body.sweep(trial, walk.fraction)[0], walk.trial
+            lambda trial: ~(trial.near | trial.lost | over(walk)),
+            lambda trial: body.sweep(trial, walk.fraction)[0],
+            walk.trial,
         )
         return _decide(walk._replace(trial=trial))
 
