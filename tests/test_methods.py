@@ -10,6 +10,7 @@ import pytest
 from bodies import code, codes, lane, paper_body, paper_plain, reference_solution, stack
 
 import cddf_jax as cddf
+from cddf_jax.problem import Nodal, lay_out
 
 # --- two tendons: one along straight lines through four points, and a slanted one opposite --------
 
@@ -97,9 +98,35 @@ def test_marching_estimates_its_own_error():
     assert error < 2 * solution.error_estimate
 
 
-def test_one_sweep_is_exact_for_one_tendon_in_the_published_kinematics():
-    """design.md section 3, by the reciprocal tension: a second sweep only confirms it."""
-    assert cddf.solve(paper_body("published"), 75.0).num_iterations == 2
+# whether theta' r, and with it one sweep, is the same from every guess: worked out by hand in `Problem.is_quadrature`
+SLANTED = (cddf.Tendon(cddf.Linear(0.012, 0.009, 0.14)),)
+PARALLEL = paper_body("exact")
+SWEPT = {
+    "published": (paper_body("published"), None, True),
+    "published, slanted": (replace(paper_body("published"), tendons=SLANTED), None, True),
+    "exact": (PARALLEL, None, True),
+    "exact, slanted": (replace(PARALLEL, tendons=SLANTED), None, False),
+    "two tendons": (replace(PARALLEL, tendons=(*PARALLEL.tendons, cddf.Tendon(0.008, -1))), None, False),
+    "drag": (replace(PARALLEL, drag=10.0), None, False),
+    "tip force": (PARALLEL, cddf.Loads(tip_force=(0.0, 1.0)), False),
+}
+
+
+@pytest.mark.parametrize("case", SWEPT)
+def test_one_sweep_is_enough_where_it_does_not_depend_on_the_guess(case):
+    body, loads, expected = SWEPT[case]
+    tension = jnp.linspace(75.0, 40.0, body.num_tendons)
+    problem = lay_out(body, tension, jnp.ones_like(tension), 16, loads)
+    shape = (1, 16, body.num_tendons)
+    ratios = jnp.ones(shape), jnp.asarray(np.random.default_rng(5).uniform(0.5, 3.0, shape))
+    guesses = [Nodal(ratio, None if loads is None else jnp.ones(shape[:2])) for ratio in ratios]
+    ends = [cddf.FixedPoint().improve(problem, guess).tip.ratio for guess in guesses]
+    assert problem.is_quadrature == expected
+    assert bool(jnp.max(jnp.abs(ends[0] / ends[1] - 1)) < 1e-14) == expected
+    if expected:
+        solution = cddf.solve(body, tension)
+        assert solution.num_iterations == 1
+        np.testing.assert_allclose(solution.tip_tension, tension / ends[0], rtol=1e-14)
 
 
 def test_few_sweeps_settle_strong_friction():

@@ -32,6 +32,7 @@ from .quadrature import Panels, follow_edges, redistribute, with_empty_panels
 from .reductions import largest, largest_size
 from .sign_changes import Splits, changes_sign, locate, num_splits, only_if, turning_at_splits, unsplit
 from .tendon_travel import tendon_displacement
+from .varying import zero_as
 
 MAX_ROUNDS = 6
 MAX_MOVES = 12  # of panels that follow the sign changes from sweep to sweep; then MAX_ROUNDS more of settled bodies
@@ -162,9 +163,7 @@ class _Sweeping(NamedTuple):
 
 def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     """Where `settle` starts: no loads, no sign changes."""
-    # it derives from all numbers, so that as the carry of a loop shard_map sees on which devices it varies
-    numbers = jax.tree.leaves(eqx.filter((setup, base_tension), eqx.is_inexact_array))
-    zero = 0.0 * jnp.sum(jnp.stack([jnp.sum(x) for x in numbers]))
+    zero = zero_as(setup, base_tension)
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
     fraction = zero + 1.0 if setup.loads is None else zero
     load_path = LoadPath(zero, fraction, zero, zero == 0, zero == 0, zero == 0)
@@ -270,7 +269,7 @@ def _on_other_panels(trial: Trial, problem: Problem, path: Path, moved: Callable
     slopes = moved(tangents, jax.tree.map(lambda x: x[-1, -1], tangents))
     turning = by_moment(trial.turning)
     turning = turning._replace(nodes=moved(turning.nodes, turning.tip))
-    blank = start_from(values, 0.0 * trial.moment, 1)
+    blank = start_from(values, jnp.zeros_like(trial.moment), 1)
     return blank._replace(
         moment=trial.moment,
         tangents=jax.tree.map(lambda x: x[None], slopes),

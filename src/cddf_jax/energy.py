@@ -132,7 +132,7 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
 def _load_energy(problem: Problem, path: Path) -> Number:
     loads = problem.loads
     if loads is None:
-        return 0.0 * path.tip.heading
+        return jnp.zeros_like(path.tip.heading)
     rate = load_rate(problem.manipulator, problem.panels.nodes, loads)
     lifted = jnp.sum(problem.panels.gain(jnp.sum(rate * path.nodes.position, axis=-1)))
     return -(problem.outboard.tip @ path.tip.position + loads.tip_moment * path.tip.heading + lifted)

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .reductions import all_finite, relative_size
+from .reductions import all_finite, computed_once, relative_size
+from .varying import zero_as
 
 Values = Any  # an array or a tree of arrays
 Scalar = Float[Array, ""]
@@ -80,9 +81,18 @@ def fixed_point(
     return FixedPointResult(value, count, change, good > 0.5)
 
 
+def constant_map(
+    sweep: Callable[[Values], Values], start: Values, acceptable: Callable[[Values], Bool[Array, ""]] = all_finite
+) -> FixedPointResult:
+    """As `fixed_point`, for a sweep that is known to give the same from wherever it starts: one is enough."""
+    value, zero = sweep(jax.lax.stop_gradient(start)), zero_as(start)
+    good = computed_once(acceptable(value).astype(zero.dtype)) > 0.5
+    value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
+    return FixedPointResult(value, zero + 1.0, zero, good)
+
+
 def _repeat(step, first, size, tolerance, max_sweeps):
-    # the carry derives from `first`, so that shard_map sees on which devices it varies
-    zero = 0.0 * size(first, first)
+    zero = zero_as(first)
 
     def unsettled(carry):
         _, change, count = carry

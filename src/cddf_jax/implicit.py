@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .varying import zero_as
+
 Unknowns = Float[Array, " unknowns"]
 
 
@@ -25,7 +27,7 @@ def implicit(residual: Callable[[Unknowns], Unknowns], root: Unknowns) -> Unknow
     if root.size == 0:
         return root
     root = jax.lax.stop_gradient(root)
-    eye = jnp.eye(root.size, dtype=root.dtype) + 0.0 * root  # varies over the devices of shard_map as the root does
+    eye = jnp.eye(root.size, dtype=root.dtype) + zero_as(root)
 
     def solve_tangent(operator, b):
         jacobian = jax.vmap(operator, out_axes=1)(eye)

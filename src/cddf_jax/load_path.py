@@ -16,6 +16,7 @@ from .friction import PerTendon
 from .problem import Method, Nodal, Number, Path, Problem, loaded_to, nodal
 from .reductions import all_finite, computed_once, largest, largest_size, relative_size
 from .tendon_travel import tendon_displacement
+from .varying import zero_as
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
 LARGEST_MISS = 0.2  # rad, by which it may miss its prediction
@@ -137,7 +138,7 @@ class LoadedBody(NamedTuple):
             return jax.jvp(flow, (trial.nodal, trial.moment, fraction), tangents, has_aux=True)
 
         basis = jnp.eye(trial.slopes.shape[0], 2, dtype=trial.moment.dtype).T
-        basis = basis + 0.0 * trial.moment  # shard_map wants tangents like their values
+        basis = basis + zero_as(trial.moment)  # shard_map wants tangents like their values
         (values, residual, heading), (tangents, slopes, turning), path = jax.vmap(push, out_axes=(None, 0, None))(
             trial.tangents, *basis
         )
@@ -182,7 +183,7 @@ class LoadedBody(NamedTuple):
         polished = jax.lax.while_loop(
             lambda trial: wanted & ~trial.settled & (trial.num_sweeps < MAX_POLISHING),
             once,
-            trial._replace(num_sweeps=0.0 * trial.num_sweeps),
+            trial._replace(num_sweeps=jnp.zeros_like(trial.num_sweeps)),
         )
         return jax.tree.map(lambda a, b: jnp.where(polished.settled, a, b), polished, trial)
 
@@ -202,9 +203,9 @@ class LoadedBody(NamedTuple):
             new = jax.tree.map(lambda x, v: x + more * v[0], new, trial.tangents)
             return new, slope + more, relative_size(jax.tree.map(jnp.subtract, new, old), new), count + 1.0
 
-        zero, one = 0.0 * trial.moment, jnp.ones_like(trial.moment)
+        zero, one = jnp.zeros_like(trial.moment), jnp.ones_like(trial.moment)
         push = jax.linearize(flow, trial.nodal, trial.moment, one)[1]
-        start = jax.tree.map(lambda x: 0.0 * x, trial.nodal), zero, zero + 1.0, zero
+        start = jax.tree.map(jnp.zeros_like, trial.nodal), zero, zero + 1.0, zero
         pulled, slope, *_ = jax.lax.while_loop(
             lambda state: (state[2] > TRAVEL) & (state[3] < MAX_SWEEPS), sweep, start
         )
@@ -238,7 +239,7 @@ def moment_left_at_tip(problem: Problem, path: Path) -> Number:
 def start_from(guess: Nodal, zero: Number, count: int) -> Trial:
     """Nothing but a guess, with room for `count` slopes; 0 under shard_map varies as all numbers do."""
     guess = jax.tree.map(lambda x: x + zero, guess)
-    tangents, slopes = (jax.tree.map(lambda x: jnp.stack([0.0 * x] * count), x) for x in (guess, zero))
+    tangents, slopes = (jax.tree.map(lambda x: jnp.stack([jnp.zeros_like(x)] * count), x) for x in (guess, zero))
     heading = Headings(zero + jnp.zeros(guess.ratio.shape[:2], zero.dtype), zero)
     turning = jax.tree.map(lambda x: jnp.stack([x] * count), heading)
     no, yes = zero > 0, zero == 0
@@ -340,5 +341,5 @@ def _ahead(place: _Place, step: Number, trial: Trial) -> Trial:
         tangents=jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.tangents),
         near=no,
         lost=no,
-        num_sweeps=0.0 * place.moment,
+        num_sweeps=jnp.zeros_like(place.moment),
     )

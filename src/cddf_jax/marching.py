@@ -23,6 +23,7 @@ from .problem import (
     turn_at_joint,
 )
 from .solver import ACCURACY
+from .varying import zero_as
 
 
 class Marching(eqx.Module):
@@ -76,7 +77,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
         ratio = state.ratio
         direction = problem.direction
         growth = Pull(ratio_rate(direction, section, turning, ratio), spent_rate(direction, section, ratio))
-        force_rate = 0.0 * state.force
+        force_rate = jnp.zeros_like(state.force)
         if problem.loads is not None:
             force_rate = -load_rate(problem.manipulator, arc_length, problem.loads)
         return State(growth, jnp.abs(turning), kappa, axis_of(state.heading), moment_rate, force_rate)
@@ -99,10 +100,11 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
         return end_state, (state, along)
 
     ones = ones_at_base(problem)
-    zero = 0.0 * ones[0]
+    zero = zero_as(ones)
     force = problem.outboard.starts[0]
-    pull = Pull(ones, None if problem.base.drag is None else 0.0 * ones)
-    base = State(pull, 0.0 * ones, zero, 0.0 * force + zero, problem.base_moment + zero, force + zero)
+    pull = Pull(ones, None if problem.base.drag is None else jnp.zeros_like(ones))
+    base = State(pull, jnp.zeros_like(ones), zero, jnp.zeros_like(force), problem.base_moment, force)
+    base = jax.tree.map(lambda x: x + zero, base)
     inputs = problem.joints, cut.edges[:-1], cut.edges[1:], stops
     return jax.lax.scan(panel, base, inputs)
 

@@ -19,6 +19,7 @@ from .loads import Loads, force_per_length, planar_cross
 from .manipulator import CrossSection, Manipulator
 from .quadrature import Panels, panels
 from .trigonometry import cos_sin
+from .varying import zero_as
 
 Number = Float[Array, ""]
 
@@ -57,6 +58,17 @@ class Problem(eqx.Module):
     def moment_scale(self) -> Number:
         """E J / L at the base, N m."""
         return self.base.stiffness / self.panels.edges[-1]
+
+    @property
+    def is_quadrature(self) -> bool:
+        """Whether theta' r, and with it r', is the same for every r; static.
+
+        So it is where theta' is proportional to T: d T / (E J) for one unloaded tendon, in the exact kinematics if it
+        is parallel to the neutral axis, in the published ones, as kappa / (1 - d kappa), always.
+        """
+        body = self.manipulator
+        straight = body.kinematics == "published" or not body.slanted
+        return body.num_tendons == 1 and straight and self.loads is None and self.base.drag is None
 
 
 class State(NamedTuple):
@@ -134,7 +146,7 @@ def lay_out(
         joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside)) if turns else None,
         loads=loads,
         outboard=_outboard(manipulator, cut, loads),
-        base_moment=0.0 * cut.edges[-1],
+        base_moment=jnp.zeros_like(cut.edges[-1]),
     )
 
 
@@ -241,20 +253,19 @@ def turn_at_joint(problem: Problem, joint: Joints | None, pull: Pull, moment: Nu
         turn = jnp.where(after.present, jnp.abs(angle(after, guess[1]) - arriving), 0.0)
         return turn, ratio_beyond(problem.direction, before, turn, ratio)
 
-    return jax.lax.fori_loop(0, 6, improve, (0.0 * arriving, ratio + 0.0 * arriving))
+    return jax.lax.fori_loop(0, 6, improve, (jnp.zeros_like(arriving), ratio + jnp.zeros_like(arriving)))
 
 
 def ones_at_base(problem: Problem) -> PerTendon:
     """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
     there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
-    total = jnp.sum(jnp.stack([jnp.sum(x) for x in jax.tree.leaves(there)]))
-    return jnp.where(total == total, jnp.ones_like(problem.base_tension), 1.0)
+    return jnp.ones_like(problem.base_tension) + zero_as(there)
 
 
 def at_base(problem: Problem) -> Nodal:
     """What holds at the base."""
     ones = ones_at_base(problem)
-    moment = problem.base_moment / problem.moment_scale + 0.0 * ones[0]
+    moment = problem.base_moment / problem.moment_scale + zero_as(ones)
     return Nodal(ones, None if problem.loads is None else moment)
 
 

@@ -28,6 +28,7 @@ from .problem import (
     rates_of,
 )
 from .reductions import largest
+from .varying import zero_as
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 REFINEMENTS = 5  # the panels end ever closer to the place, and so does the interval in which it lies
@@ -95,7 +96,7 @@ def locate(problem: Problem, path: Path) -> Splits:
     """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
     turning = jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, path))
     both, least = _has_both_signs(problem, turning)
-    none = jax.tree.map(lambda x: x + (0.0 * least).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
+    none = jax.tree.map(lambda x: x + zero_as(least).astype(x.dtype), unsplit(problem.manipulator, problem.loads))
     return only_if(both, lambda zero: _first_changes(problem, path, turning + zero, least, none), none)
 
 

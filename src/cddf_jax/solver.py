@@ -1,9 +1,9 @@
 """Tensions and shape of a body, resolved together by a fixed point.
 
 The state is r_i = T_base,i / T_i, for which the capstan law, Liu et al. (2020) eq. (8), reads
-r' = direction mu theta' r, and under dead loads the moment M_ext. With one unloaded tendon in the published
-kinematics theta' r does not depend on r, and one sweep of the fixed point is exact. What drag uses up of the
-base tension follows from r by one more integral, see `problem`.
+r' = direction mu theta' r, and under dead loads the moment M_ext. With one unloaded tendon theta' r does mostly
+not depend on r, see `Problem.is_quadrature`, and one sweep is exact. What drag uses up of the base tension follows
+from r by one more integral, see `problem`.
 """
 
 from typing import Any, NamedTuple
@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from .fixed_point import fixed_point, minus, round_off
+from .fixed_point import constant_map, fixed_point, minus, round_off
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
 from .manipulator import CrossSection
 from .problem import (
@@ -36,6 +36,7 @@ from .problem import (
 from .quadrature import Panels
 from .reductions import all_finite, largest, relative_size
 from .trigonometry import cos_sin
+from .varying import zero_as
 
 ACCURACY = 1e-5  # a larger error of truncation is not called successful, nor a larger residual of Marching
 SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
@@ -110,13 +111,18 @@ class FixedPoint(eqx.Module):
         tolerance = self._tolerance(problem)
 
         def resolved(start: _Reached, part: _Part, first: Nodal) -> tuple[_Reached, Any]:
-            answer = fixed_point(
-                lambda values: _sweep(problem, part, start, values)[0].nodes.values,
-                first,
-                tolerance=tolerance,
-                max_sweeps=self.max_sweeps,
-                acceptable=lambda values: jnp.all(values.ratio > 0) & all_finite(values),
-            )
+            def sweep(values: Nodal) -> Nodal:
+                return _sweep(problem, part, start, values)[0].nodes.values
+
+            def acceptable(values: Nodal) -> Bool[Array, ""]:
+                return jnp.all(values.ratio > 0) & all_finite(values)
+
+            if problem.is_quadrature:
+                answer = constant_map(sweep, first, acceptable)
+            else:
+                answer = fixed_point(
+                    sweep, first, tolerance=tolerance, max_sweeps=self.max_sweeps, acceptable=acceptable
+                )
             swept, end = _sweep(problem, part, start, answer.value)
             positive = jnp.all(end.values.ratio > 0)
             values = end.values._replace(ratio=jnp.where(positive, end.values.ratio, 1.0))
@@ -198,12 +204,12 @@ def _whole(problem: Problem) -> _Part:
 
 def _base(problem: Problem) -> _Reached:
     base = at_base(problem)
-    return _Reached(base, 0.0 * base.ratio[0], None if problem.base.drag is None else 0.0 * base.ratio)
+    return _Reached(base, zero_as(base), None if problem.base.drag is None else jnp.zeros_like(base.ratio))
 
 
 def _moment(problem: Problem, values: Nodal) -> Float[Array, "*points"]:
     """M_ext, N m."""
-    return 0.0 * values.ratio[..., 0] if values.moment is None else problem.moment_scale * values.moment
+    return jnp.zeros_like(values.ratio[..., 0]) if values.moment is None else problem.moment_scale * values.moment
 
 
 def _onward(cut: Panels, start: Array | None, rate: Array | None) -> tuple[Any, Any]:
@@ -222,7 +228,7 @@ def _sweep(problem: Problem, part: _Part, start: _Reached, guess: Nodal) -> tupl
     pull = Pull(guess.ratio, spent_at_nodes)
     kappa = curvature_along(problem, section, pull, moment)
     heading, heading_at_nodes = _onward(cut, start.heading, kappa)
-    moment_rate = moment_rate_of(heading_at_nodes, part.force) if loaded else 0.0 * kappa
+    moment_rate = moment_rate_of(heading_at_nodes, part.force) if loaded else jnp.zeros_like(kappa)
     turning = rates_along(problem, section, kappa, pull, moment_rate).turning
     bending, bending_at_nodes = _onward(cut, start.values.moment, moment_rate * (1.0 / problem.moment_scale))
     gains, within = cut.integrate(_ratio_rates(problem.direction, section, turning, guess.ratio))
@@ -245,7 +251,7 @@ def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | N
         spent: c there.
     """
     if part.joints is None:
-        return edges.ratio[:-1], edges.ratio[-1], 0.0 * edges.ratio[:-1]
+        return edges.ratio[:-1], edges.ratio[-1], jnp.zeros_like(edges.ratio[:-1])
 
     def across(ratio: PerTendon, inputs):
         joint, gain, spent, moment = inputs

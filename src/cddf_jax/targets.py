@@ -111,8 +111,8 @@ class TipStiffness(eqx.Module):
         def by(force, moment):
             return jax.jvp(tip, (problem.outboard.tip, problem.base_moment), (force, moment))[1]
 
-        none = 0.0 * problem.base_moment
-        by_force, by_moment = by(across, none), by(0.0 * across, none + 1.0)
+        none = jnp.zeros_like(problem.base_moment)
+        by_force, by_moment = by(across, none), by(jnp.zeros_like(across), none + 1.0)
         deflection = by_force[0] - by_moment[0] * by_force[1] / by_moment[1]
         return 1.0 / (across @ deflection)
 

@@ -11,6 +11,7 @@ from .friction import PerTendon
 from .implicit import solve_small, without_derivative
 from .problem import Number, Path, Problem
 from .targets import Displacement, Target, bending_tension
+from .varying import zero_as
 
 START = 0.05  # of the tension at which d kappa would come near 1
 FARTHEST = 100.0  # of the same: no target is looked for beyond
@@ -107,7 +108,7 @@ def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> tu
 
         at = tension, settled.load_path.base_moment
         basis = jnp.eye(len(wanted) + (setup.loads is not None), len(wanted) + 1, dtype=tension.dtype)
-        basis = basis + 0.0 * (jnp.sum(tension) + at[1])  # shard_map wants tangents like their values
+        basis = basis + zero_as(at)  # shard_map wants tangents like their values
 
         def push(row):
             return jax.jvp(flow, at, (row[:-1], row[-1]), has_aux=True)
@@ -120,14 +121,13 @@ def _search(setup: Setup, given: PerTendon, wanted: Wanted, scale: Number) -> tu
         fine = fine & settled.load_path.converged & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
         return _Trial(tension, residual, jacobian, jnp.where(fine, jnp.sum(residual**2), jnp.inf), settled)
 
-    start = jnp.full(len(wanted), START) + 0.0 * (scale + jnp.sum(given))
+    start = jnp.full(len(wanted), START) + zero_as(scale, given)
     blank, eye = unsettled(setup, given), jnp.eye(len(wanted), dtype=start.dtype)
-    aims = [0.0 * jnp.sum(jnp.asarray(x)) for x in jax.tree.leaves(wanted)]
-    zero = blank.load_path.num_steps + jnp.sum(jnp.stack(aims))
+    zero = blank.load_path.num_steps + zero_as(wanted)
     # all of it varies over the devices of shard_map; an empty array would not, were it chosen by `where`
     blank = jax.tree.map(lambda x: x ^ (zero != 0) if x.dtype == bool else x + zero.astype(x.dtype), blank)
     blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
-    nothing = _Trial(start + zero, 0.0 * start + zero, eye + zero, zero + jnp.inf, blank)
+    nothing = _Trial(start + zero, jnp.zeros_like(start) + zero, eye + zero, zero + jnp.inf, blank)
     state = _Search(nothing, start + zero, zero, zero, zero > 0, nothing.tension < 0, zero > 0)
     pulled = jnp.asarray([isinstance(target, Displacement) for target in wanted.values()])
     state = jax.lax.while_loop(

@@ -22,7 +22,7 @@ SINGLE = tuple(map(float.fromhex, ("0x1.92p+1", "0x1.fb4p-11", "0x1.4442d2p-23")
 def cos_sin(angle: Float[Array, "*points"]) -> tuple[Float[Array, "*points"], Float[Array, "*points"]]:
     """Cosine and sine of an angle, rad, to rounding errors while |angle| < 1e6 (float32: 1e3)."""
     turns = angle * (1 / math.pi)
-    cosine, sine = -_sine(angle, jnp.floor(turns), 0.5), _sine(angle, jnp.round(turns), 0.0)
+    cosine, sine = -_sine(angle, jnp.floor(turns), 0.5), _sine(angle, jnp.floor(turns + 0.5), 0.0)  # round is slow
     return computed_once(cosine), computed_once(sine)  # not anew for every tangent
 
 
