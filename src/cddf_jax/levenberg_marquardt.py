@@ -82,6 +82,29 @@ class Search(NamedTuple):
     outcome: Outcome
 
 
+class _Acceptance(optx.ClassicalTrustRegion):
+    """Takes a step as well where it promises and makes less than rounding errors of the cost, so that searches end.
+
+    The remedy of Conn, Gould and Toint (2000), Trust Region Methods, section 17.4.2, which leaves the step size here.
+    """
+
+    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
+        _, accept, result, new = super().step(first_step, y, y_eval, f_info, f_eval_info, state)
+        cost = f_info.as_min()
+        least = 10 * jnp.finfo(cost.dtype).eps * cost
+        noise = (self.predict_reduction(y_eval - y, f_info) > -least) & (f_eval_info.as_min() - cost < least)
+        size = jnp.where(noise, state.step_size, new.step_size)
+        return size, accept | noise, result, eqx.tree_at(lambda state: state.step_size, new, size)
+
+
+class _LevenbergMarquardt(optx.LevenbergMarquardt):
+    """That of optimistix with this acceptance."""
+
+    def __init__(self, tolerance: float):
+        super().__init__(rtol=tolerance, atol=tolerance)
+        self.search = _Acceptance()
+
+
 def minimise(
     problem: LeastSquaresProblem,
     noise: tuple[np.ndarray, ...],
@@ -193,7 +216,7 @@ def _descend(problem: LeastSquaresProblem, noise: tuple[Any, ...], z: Any, held:
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
         solution = optx.least_squares(
             lambda z, _: residual(z),
-            optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance),
+            _LevenbergMarquardt(tolerance),
             jnp.asarray(z),
             options={"jac": "fwd"},
             max_steps=max_steps,
