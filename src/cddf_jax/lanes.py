@@ -10,7 +10,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 CPU_BATCH = 512  # lanes at once on a core: they stay in its cache
 ACCELERATOR_BATCH = 65536
-CALL = 16  # batches of each device in one call
+CALL = 128  # batches of each device in one call, at most
 LANES = PartitionSpec("lanes")
 
 
@@ -29,7 +29,9 @@ class Lanes:
         most = CPU_BATCH if devices[0].platform == "cpu" else ACCELERATOR_BATCH
         self.batch = min(most, -(-count // len(devices)))
         width = self.batch * len(devices)
-        self.size = width * min(CALL, -(-count // width))  # of every call, so that one program serves all
+        batches = -(-count // width)
+        calls = -(-batches // CALL)
+        self.size = width * -(-batches // calls)  # of every call, so that one program serves all
         self._function, self._mesh = function, Mesh(np.array(devices), ("lanes",))
 
     def __call__(self, inputs: Any, count: int) -> Any:
