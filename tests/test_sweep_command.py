@@ -64,10 +64,10 @@ def tip_tension(tension, friction):
     return float(cddf.closed_form_tension(replace(paper_body(), friction_coefficient=friction), tension, LENGTH))
 
 
-def read(*over, base_tension=None, sample=sweep_options.Samples(), body=None):
+def read(*over, base_tension=None, together=(), sample=sweep_options.Samples(), body=None):
     body = body or paper_body(density=1070.0)
     actuation = sweep_options.read_base_tension(base_tension or [], body)
-    return sweep_options.read_sweep(body, over, sample, base_tension=actuation)
+    return sweep_options.read_sweep(body, over, together, sample, base_tension=actuation)
 
 
 # --- running -------------------------------------------------------------------------------------
@@ -314,6 +314,29 @@ def test_options_as_axes():
     ]
 
 
+def test_axes_that_are_one():
+    work = read(
+        "friction_coefficient=0.1,0.5", *TENSIONS[1:], "youngs_modulus=1MPa,2MPa",
+        together=["youngs_modulus, friction_coefficient"],
+    )  # fmt: skip
+    tension, pair = work.dimensions
+    assert (tension.name, tension.size) == ("base_tension", 5)
+    assert pair.name == "youngs_modulus_and_friction_coefficient"
+    assert {name: values.tolist() for name, values in pair.numbers.items()} == {
+        "youngs_modulus": [1e6, 2e6],
+        "friction_coefficient": [0.1, 0.5],
+    }
+
+
+def test_a_sweep_over_axes_that_are_one(run):
+    pair = ("--over", "youngs_modulus=1MPa,2MPa", "--together", "friction_coefficient,youngs_modulus")
+    arguments = ("-t", "50 N", "--over", "friction_coefficient=0.1,0.5", *pair, "--output", "tip_tension")
+    code, _, error = run(PAPER, *arguments, "--out", "x.zarr", "--csv", "x.csv")
+    assert (code, error) == (0, "")
+    found = [float(row["tip_tension [N]"]) for row in rows_of("x.csv")]
+    np.testing.assert_allclose(found, [tip_tension(50.0, 0.1 * 1.4), tip_tension(50.0, 0.5 * 0.7)], rtol=1e-9)  # mu / E
+
+
 def test_samples_are_those_of_the_library():
     sample = sweep_options.Samples(["youngs_modulus=1.2MPa:1.6MPa", "friction_coefficient=0.1:0.6"], 50, seed=7)
     *_, axis = read("base_tension=5N,10N", sample=sample).dimensions
@@ -352,6 +375,20 @@ WRONG = [
     (("--over", "base_tension=5N,"), "--over base_tension is not a number, got ''"),
     (("--over", "friction_coefficient=0.1 N,2"), "--over friction_coefficient is a plain number, got '0.1 N'"),
     ((*TENSIONS, *TENSIONS), "--over base_tension is given twice; leave one out"),
+    ((*TENSIONS, "--together", "base_tension"), "--together 'base_tension': name two axes or more, each once, as in "),
+    ((*TENSIONS, "--together", "base_tension,base_tension"), "--together 'base_tension,base_tension': name two axes"),
+    (
+        (*TENSIONS, "--together", "base_tension,youngs_modulus"),
+        "--together 'base_tension,youngs_modulus': there is no --over youngs_modulus; give it its values there",
+    ),
+    (
+        (*TENSIONS, *FRICTIONS, *(2 * ("--together", "base_tension,friction_coefficient"))),
+        "--together 'base_tension,friction_coefficient': base_tension varies together with others already; name all",
+    ),
+    (
+        (*TENSIONS, *FRICTIONS, "--together", "base_tension,friction_coefficient"),
+        "sweep: what varies together along 'base_tension_and_friction_coefficient' must have one length, got ",
+    ),
     ((*TENSIONS, "-t", "5 N"), "base_tension is given by --base-tension and varies too; leave one out"),
     ((*TENSIONS, "--over", "friction=0.1,0.2"), "'friction' is no number of a case: "),
     ((*TENSIONS, "--over", "outer_radius=1mm,2mm"), "outer_radius is not one number; name a number of it: "),

@@ -126,17 +126,31 @@ def test_devices_change_nothing(plain, tmp_path):
         same(found, plain)
 
 
+def free_port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
 @pytest.mark.parametrize("processes", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_processes_share_the_work(plain, tmp_path, processes):
     path = tmp_path / "s.zarr"
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    common = {"out": str(path), "chunk": 50, "processes": processes, "port": port}
+    common = {"out": str(path), "chunk": 50, "processes": processes, "port": free_port()}
     children = [start(rank=rank, **common) for rank in range(processes)]
     told = {ended(child).splitlines()[-1] for child in children}  # gloo chats before
     assert len(told) == 1  # every process comes back with all of it
     same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+
+
+def test_a_process_that_cannot_open_the_store_stops_the_others_too(tmp_path):
+    """It is told another path, which is a folder: both end at once, each says why, and neither waits for the other."""
+    (tmp_path / "folder").mkdir()
+    common = {"processes": 2, "port": free_port()}
+    children = [start(out=str(tmp_path / out), rank=rank, **common) for rank, out in enumerate(("s.zarr", "folder"))]
+    said = [child.communicate(timeout=300)[1].splitlines()[-1] for child in children]
+    assert [child.returncode for child in children] == [1, 1]
+    assert said[0].endswith("s.zarr: another process could not open the store, and says why")
+    assert said[1].endswith("folder is there and is no store of ours; give another path, or delete it")
 
 
 # --- stopped and started again ----------------------------------------------------------------------
@@ -160,7 +174,7 @@ def test_killed_at_random_times_it_goes_on_where_it_was(plain, tmp_path):
     assert len(whole_chunks(path)) == SOLVES
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "scrambled", "short", "last"])
+@pytest.mark.parametrize("damage", ["missing", "empty", "scrambled", "garbage", "short", "last"])
 def test_a_chunk_that_is_not_whole_is_computed_again(plain, tmp_path, damage):
     path = tmp_path / "s.zarr"
     cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
@@ -168,10 +182,11 @@ def test_a_chunk_that_is_not_whole_is_computed_again(plain, tmp_path, damage):
         shutil.rmtree(path / "tip_position" / "c" / "3")
     elif damage == "empty":  # what a power cut leaves of a file
         (path / "tip_tension" / "c" / "3" / "0" / "0").write_bytes(b"")
-    elif damage in ("scrambled", "short"):
+    elif damage in ("scrambled", "garbage", "short"):
         chunk = path / "tip_tension" / "c" / "3" / "0" / "0"
         whole = chunk.read_bytes()
-        chunk.write_bytes(b"\0" * len(whole) if damage == "scrambled" else whole[: len(whole) // 2])
+        rubbish = {"scrambled": b"\0" * len(whole), "garbage": np.random.default_rng(0).bytes(len(whole))}
+        chunk.write_bytes(rubbish.get(damage, whole[: len(whole) // 2]))
     else:
         (path / "result" / "c" / "3" / "0").unlink()
     same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)

@@ -149,7 +149,15 @@ Over = Annotated[
         help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list, "kinematics=published,exact" '
         'or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. Any number has a name: outer_radius.tip, '
         "tendons.0.offset, loads.tip_force.1, base_tension.1, of a target base_tension.value. "
-        "A taper keeps its own length where the length varies.",
+        "With the length everything along the body varies in proportion.",
+        show_default=False,
+    ),
+]
+Together = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Names of --over that are one axis, "friction_coefficient,youngs_modulus": their first values together, '
+        "their second ones, and so on, in place of every combination.",
         show_default=False,
     ),
 ]
@@ -188,6 +196,7 @@ def sweep(
     context: typer.Context,
     robot: Robot,
     over: Over = None,
+    together: Together = None,
     sample: Sample = None,
     samples: Annotated[int | None, typer.Option(help="How many, for --sample.", min=1, show_default=False)] = None,
     sampler: Annotated[Sampler, typer.Option(help="How they are spread.")] = Sampler.latin_hypercube,
@@ -232,6 +241,7 @@ def sweep(
     work = sweep_options.read_sweep(
         manipulator,
         over or [],
+        together or [],
         sweep_options.Samples(sample or [], samples, sampler.value, seed),
         base_tension=sweep_options.read_base_tension(base_tension or [], manipulator),
         loads=solve_command.read_loads(tip_force, tip_moment, gravity, has_weight),

@@ -17,6 +17,7 @@ from .solve_command import read_actuation
 from .sweeping import Sweep
 
 OVER = '"base_tension=5N:85N:17" or "kinematics=published,exact"'
+TOGETHER = "friction_coefficient,youngs_modulus"
 MOST = 100_000_000  # values along an axis
 SAMPLE = '"youngs_modulus=1.2MPa:1.6MPa"'
 SAMPLERS = {"latin_hypercube": latin_hypercube, "sobol": sobol}
@@ -32,12 +33,15 @@ class Samples(NamedTuple):
     seed: int = 0
 
 
-def read_sweep(manipulator: Manipulator, over: Sequence[str], sample: Samples, **given: Any) -> Sweep:
+def read_sweep(
+    manipulator: Manipulator, over: Sequence[str], together: Sequence[str], sample: Samples, **given: Any
+) -> Sweep:
     """The sweep over axes such as "base_tension=5N:85N:17" and samples such as "youngs_modulus=1.2MPa:1.6MPa".
 
     Args:
         manipulator: the body.
         over: one axis each, in the order of the dimensions.
+        together: names of axes such as "friction_coefficient,youngs_modulus" that are one.
         sample: what varies together along one more dimension.
         given: other fields of `Sweep`.
 
@@ -55,7 +59,7 @@ def read_sweep(manipulator: Manipulator, over: Sequence[str], sample: Samples, *
         manipulator=manipulator, dimensions=tuple(Axis(name, {name: np.zeros(1)}, {}) for name in names), **given
     )
     si = {name: draft.case.unit(name) for name in names}
-    values: dict[str, Any] = {name: _values(name, text, si.get(name, "")) for name, text in axes.items()}
+    values = _joined({name: _values(name, text, si.get(name, "")) for name, text in axes.items()}, together)
     if ranges:
         limits = {name: _limits(name, text, si[name]) for name, text in ranges.items()}
         values["sample"] = SAMPLERS[sample.sampler](limits, count, sample.seed)
@@ -72,6 +76,24 @@ def _by_name(option: str, texts: Sequence[str], example: str) -> dict[str, str]:
             raise InputError(f"{option} {name} is given twice; leave one out")
         found[name] = values
     return found
+
+
+def _joined(values: Mapping[str, Any], together: Sequence[str]) -> dict[str, Any]:
+    """The axes, those that vary together in the place of the first of them."""
+    joined = dict(values)
+    for text in together:
+        names = [name.strip() for name in text.split(",")]
+        if len(set(names)) < max(len(names), 2):
+            raise InputError(f"--together {text!r}: name two axes or more, each once, as in {TOGETHER}")
+        for name in names:
+            if name not in values:
+                raise InputError(f"--together {text!r}: there is no --over {name}; give it its values there")
+            if name not in joined:
+                raise InputError(f"--together {text!r}: {name} varies together with others already; name all at once")
+        axis = "_and_".join(names), {name: joined[name] for name in names}
+        rest = {name: values for name, values in joined.items() if name not in names[1:]}
+        joined = dict(axis if name == names[0] else (name, values) for name, values in rest.items())
+    return joined
 
 
 def _num_samples(ranges: Mapping[str, str], count: int | None) -> int:

@@ -63,15 +63,17 @@ def _store(work: Work, out: Any, allowed: float) -> Store:
         _check_memory(layout.bytes_each * (layout.size + COPIES * layout.chunk_size), allowed, "give out= or memory=")
         return Memory(layout)
     store, trouble = None, None
-    try:
-        if jax.process_index() == 0:
-            store = ZarrStore(out, layout, work.identity())
-    except (InputError, OSError) as error:
-        trouble = error
-    if not _all_say("store", trouble is None):
-        raise trouble or InputError(f"{out}: process 0 could not open the store, and says why")
-    store = store or ZarrStore(out, layout, work.identity(), create=False)
-    _check_memory(COPIES * layout.bytes_each * store.layout.chunk_size, allowed, "give memory= or another out=")
+    for create in (True, False):  # process 0 makes it, then the others open it
+        try:
+            if (jax.process_index() == 0) == create:
+                store = ZarrStore(out, layout, work.identity(), create=create)
+                needed = COPIES * layout.bytes_each * store.layout.chunk_size
+                _check_memory(needed, allowed, "give memory= or another out=")
+        except (InputError, OSError) as error:
+            trouble = error
+        if not _all_say("store", trouble is None):
+            raise trouble or InputError(f"{out}: another process could not open the store, and says why")
+    assert store is not None
     return store
 
 
