@@ -1,7 +1,7 @@
 """All that the benchmarks measured, on one page: `python benchmarks/table.py`, the last step of `make benchmark`.
 
-It measures nothing: it puts what the other scripts left in out/benchmark together, and says what is missing. The page
-is kept in benchmarks/measured.md, which the documentation shows.
+It measures nothing: it puts what the other scripts left in out/benchmark together. The page is kept in
+benchmarks/measured.md, which the documentation shows; what was not run here stays as it was there, with its date.
 """
 
 import json
@@ -34,18 +34,21 @@ def main() -> None:
     packages = {name: version(name) for name in ("jax", "numpy", "scipy", "numba", "lmfit")}
     about = {"cores": os.cpu_count(), "processor": platform.machine(), "python": platform.python_version(), **packages}
     told = ", ".join(f"{name} {value}" for name, value in about.items())
-    pages, results = [f"# Benchmarks\n\n{told}. Medians of one run each; every script tells what it compares.\n"], {}
+    remark = (
+        "Medians of one run each; every script tells what it compares. Tables of other days may be of other versions."
+    )
+    pages, results = [f"# Benchmarks\n\n{told}. {remark}\n"], {}
+    earlier = KEPT / "measured.md"
+    sections = earlier.read_text().split("\n## ")[1:] if earlier.exists() else []
+    kept = {title: text for title, _, text in (section.partition("\n\n") for section in sections)}
     for name, title in PARTS.items():
-        page = FOLDER / f"{name}.md"
-        found = page.exists()
-        when = date.fromtimestamp(page.stat().st_mtime) if found else ""
-        text = (
-            f"`benchmarks/{name}.py`, {when}\n\n{page.read_text()}"
-            if found
-            else f"Not measured: run benchmarks/{name}.py."
-        )
-        pages.append(f"## {title}\n\n{text}")
-        results[name] = json.loads((FOLDER / f"{name}.json").read_text()) if found else None
+        page, text = FOLDER / f"{name}.md", f"Not measured: run benchmarks/{name}.py."
+        results[name] = None
+        if page.exists():
+            when = date.fromtimestamp(page.stat().st_mtime)
+            text = f"`benchmarks/{name}.py`, {when}\n\n{page.read_text()}"
+            results[name] = json.loads((FOLDER / f"{name}.json").read_text())
+        pages.append(f"## {title}\n\n{text if page.exists() else kept.get(title, text)}")
     text = "\n".join(pages)
     print(text)
     write_all(KEPT, {"measured.md": text})

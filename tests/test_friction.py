@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 import cddf_jax as cddf
-from cddf_jax.friction import Pull, drag_loss, ratio_beyond, ratio_rate, spent_rate, tension_rate, unspent
+from cddf_jax.friction import (
+    Pull,
+    drag_loss,
+    is_proportional,
+    ratio_beyond,
+    ratio_rate,
+    spent_rate,
+    tension_rate,
+    unspent,
+)
 
 BASE = jnp.array([40.0, 25.0])
 TURNING = jnp.array([3.0, -7.0])  # rad/m
@@ -29,6 +38,13 @@ def test_the_rate_of_the_tension_is_that_of_what_is_integrated(direction, drag):
     rates = Pull(ratio_rate(direction, here, TURNING, RATIO), spent_rate(direction, here, RATIO))
     tension, by_rule = jax.jvp(lambda pull: unspent(BASE, pull) / pull.ratio, (pull,), (rates,))
     np.testing.assert_allclose(tension_rate(direction, here, TURNING, tension), by_rule, rtol=1e-14)
+
+
+@pytest.mark.parametrize("drag", [None, 12.0])
+def test_what_is_called_proportional_doubles_with_the_tension(drag):
+    here, direction = section(drag), jnp.array([1.0, -1.0])
+    once, twice = (tension_rate(direction, here, TURNING, tension) for tension in (BASE, 2 * BASE))
+    assert is_proportional(here) == np.allclose(twice, 2 * once, rtol=1e-14)
 
 
 def test_a_finite_turn_is_a_fast_one():

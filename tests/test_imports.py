@@ -16,7 +16,7 @@ FLOW = [
     {"manipulator", "loads"},
     {"friction"},
     {"mechanics"},
-    {"reductions"},
+    {"reductions", "varying"},
     {"quadrature", "fixed_point", "implicit", "trigonometry"},
     {"problem"},
     {"solver", "tendon_travel", "sign_changes"},

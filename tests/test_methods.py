@@ -129,6 +129,25 @@ def test_one_sweep_is_enough_where_it_does_not_depend_on_the_guess(case):
         np.testing.assert_allclose(solution.tip_tension, tension / ends[0], rtol=1e-14)
 
 
+@pytest.mark.parametrize(("direction", "friction", "expected"), [(+1, 1e200, "not_converged"), (-1, 2.0, "locked")])
+def test_one_sweep_that_leads_nowhere_is_told(direction, friction, expected):
+    """The ratio overflows, or falls below zero; the lane beside them is that of a solve alone, slopes and all."""
+    modulus = jnp.asarray([1e-200 if expected == "not_converged" else 1e5, 1.4e6])
+
+    def tension(friction, modulus):
+        body = replace(PARALLEL, friction_coefficient=friction, youngs_modulus=modulus)
+        solution = cddf.solve(body, 75.0, direction=direction, throw=False)
+        return solution.tip_tension[0], solution.result
+
+    with_slope = jax.vmap(jax.value_and_grad(tension, has_aux=True))
+    (tensions, results), slopes = with_slope(jnp.asarray([friction, 0.1]), modulus)
+    assert codes(results)[0] == code(getattr(cddf.RESULTS, expected))
+    assert np.isnan(tensions[0])
+    assert slopes[0] == 0.0
+    alone, slope = jax.value_and_grad(lambda mu: tension(mu, 1.4e6)[0])(0.1)
+    np.testing.assert_allclose([tensions[1], slopes[1]], [alone, slope], rtol=1e-12)
+
+
 def test_few_sweeps_settle_strong_friction():
     """The errors of the sweeps fall like c^n / n!, design.md section 3: 80 % loss, a slanted pair."""
     solution = solved("strong friction", cddf.FixedPoint())

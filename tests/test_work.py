@@ -149,7 +149,7 @@ def test_a_process_that_cannot_open_the_store_stops_the_others_too(tmp_path):
     children = [start(out=str(tmp_path / out), rank=rank, **common) for rank, out in enumerate(("s.zarr", "folder"))]
     said = [child.communicate(timeout=300)[1].splitlines()[-1] for child in children]
     assert [child.returncode for child in children] == [1, 1]
-    assert said[0].endswith("s.zarr: another process could not open the store, and says why")
+    assert said[0].endswith("s.zarr: another process could not use the store, and says why")
     assert said[1].endswith("folder is there and is no store of ours; give another path, or delete it")
 
 

@@ -86,9 +86,10 @@ def constant_map(
 ) -> FixedPointResult:
     """As `fixed_point`, for a sweep that is known to give the same from wherever it starts: one is enough."""
     value, zero = sweep(jax.lax.stop_gradient(start)), zero_as(start)
+    change = jnp.where(all_finite(value), zero, jnp.inf)
     good = computed_once(acceptable(value).astype(zero.dtype)) > 0.5
     value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
-    return FixedPointResult(value, zero + 1.0, zero, good)
+    return FixedPointResult(value, zero + 1.0, change, good)
 
 
 def _repeat(step, first, size, tolerance, max_sweeps):

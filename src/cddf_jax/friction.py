@@ -49,6 +49,11 @@ def ratio_rate(direction: PerTendon, section: CrossSection, turning: PerTendon, 
     return direction * section.friction_coefficient * jnp.abs(turning) * jnp.abs(ratio)
 
 
+def is_proportional(section: CrossSection) -> bool:
+    """Whether a tendon loses in proportion to its tension, so that r' is known with T psi' / T_base; static."""
+    return section.drag is None
+
+
 def ratio_beyond(direction: PerTendon, section: CrossSection, turn: PerTendon, ratio: PerTendon) -> PerTendon:
     """What r is beyond a place where the tendon turns by a finite angle `turn` >= 0, rad."""
     return ratio * jnp.exp(direction * section.friction_coefficient * turn)

@@ -83,17 +83,19 @@ class Search(NamedTuple):
 
 
 class _Acceptance(optx.ClassicalTrustRegion):
-    """Takes a step as well where it promises and makes less than rounding errors of the cost, so that searches end.
+    """Takes a step, too, that neither promises nor makes more than rounding errors of the cost, so that searches end.
 
-    The remedy of Conn, Gould and Toint (2000), Trust Region Methods, section 17.4.2, which leaves the step size here.
+    The remedy of Conn, Gould and Toint (2000), Trust Region Methods, section 17.4.2. The next step is shorter: along a
+    flat valley rounding errors would lead it ever farther.
     """
 
     def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
         _, accept, result, new = super().step(first_step, y, y_eval, f_info, f_eval_info, state)
         cost = f_info.as_min()
         least = 10 * jnp.finfo(cost.dtype).eps * cost
-        noise = (self.predict_reduction(y_eval - y, f_info) > -least) & (f_eval_info.as_min() - cost < least)
-        size = jnp.where(noise, state.step_size, new.step_size)
+        changes = self.predict_reduction(y_eval - y, f_info), f_eval_info.as_min() - cost
+        noise = jnp.maximum(*map(jnp.abs, changes)) < least
+        size = jnp.where(noise, self.low_constant * state.step_size, new.step_size)
         return size, accept | noise, result, eqx.tree_at(lambda state: state.step_size, new, size)
 
 

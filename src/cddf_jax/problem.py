@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from . import mechanics
-from .friction import PerTendon, Pull, ratio_beyond, unspent
+from .friction import PerTendon, Pull, is_proportional, ratio_beyond, unspent
 from .loads import Loads, force_per_length, planar_cross
 from .manipulator import CrossSection, Manipulator
 from .quadrature import Panels, panels
@@ -63,12 +63,12 @@ class Problem(eqx.Module):
     def is_quadrature(self) -> bool:
         """Whether theta' r, and with it r', is the same for every r; static.
 
-        So it is where theta' is proportional to T: d T / (E J) for one unloaded tendon, in the exact kinematics if it
-        is parallel to the neutral axis, in the published ones, as kappa / (1 - d kappa), always.
+        So it is where theta' and friction are proportional to T: theta' = d T / (E J) for one unloaded tendon, in the
+        exact kinematics if it is parallel to the neutral axis, in the published ones, as kappa / (1 - d kappa), always.
         """
         body = self.manipulator
         straight = body.kinematics == "published" or not body.slanted
-        return body.num_tendons == 1 and straight and self.loads is None and self.base.drag is None
+        return body.num_tendons == 1 and straight and self.loads is None and is_proportional(self.base)
 
 
 class State(NamedTuple):

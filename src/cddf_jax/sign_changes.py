@@ -121,7 +121,7 @@ def _first_changes(
     problem: Problem, path: Path, turning: Float[Array, "points owners"], least: Number, none: Splits
 ) -> Splits:
     cut = problem.panels
-    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1]) + 0.0 * turning[0, 0]
+    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1]) + zero_as(turning)
     signed, index = jnp.abs(turning) > least, jnp.arange(arc_length.shape[0])
     last = jax.lax.cummax(jnp.where(signed, 2 * index[:, None] + (turning > 0), -1))  # point and sign
     before = jnp.concatenate([-jnp.ones_like(last[:1]), last[:-1]])
@@ -165,7 +165,7 @@ def _refine(
         jax.vmap(turning)(jnp.concatenate([jnp.stack([left, right]), joints - nudge, joints + nudge])),
         [2, 2 + joints.shape[0]],
     )
-    zero = 0.0 * ends[0]  # shard_map wants the bracket to vary as the turning does
+    zero = zero_as(ends)  # shard_map wants the bracket to vary as the turning does
     place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left + zero, ends[0], right + zero, ends[1]))[2]
     within = (joints >= left) & (joints <= right)
     return place, jnp.any(within & (before * after < 0))

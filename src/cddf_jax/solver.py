@@ -1,9 +1,9 @@
 """Tensions and shape of a body, resolved together by a fixed point.
 
 The state is r_i = T_base,i / T_i, for which the capstan law, Liu et al. (2020) eq. (8), reads
-r' = direction mu theta' r, and under dead loads the moment M_ext. With one unloaded tendon theta' r does mostly
-not depend on r, see `Problem.is_quadrature`, and one sweep is exact. What drag uses up of the base tension follows
-from r by one more integral, see `problem`.
+r' = direction mu theta' r, and under dead loads the moment M_ext. With one unloaded tendon theta' r mostly does not
+depend on r, see `Problem.is_quadrature`, and one sweep is exact. What drag uses up of the base tension follows from r
+by one more integral, see `problem`.
 """
 
 from typing import Any, NamedTuple

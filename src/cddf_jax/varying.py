@@ -14,6 +14,6 @@ from jaxtyping import Array, Float
 
 
 def zero_as(*numbers: Any) -> Float[Array, ""]:
-    """0, which varies over the devices of shard_map as any floating-point number of the trees does."""
-    arrays = [x for x in jax.tree.leaves(numbers) if eqx.is_inexact_array(x)]
-    return reduce(jnp.add, [jax.lax.full_like(x, 0.0, shape=()) for x in arrays])
+    """0, which varies over the devices of shard_map as any number of the trees does; whole arrays are left out."""
+    real = [x for x in jax.tree.leaves(numbers) if isinstance(x, float | int) or eqx.is_inexact_array(x)]
+    return reduce(jnp.add, [jax.lax.full_like(x, 0, shape=()) for x in real])

@@ -72,7 +72,7 @@ def _store(work: Work, out: Any, allowed: float) -> Store:
         except (InputError, OSError) as error:
             trouble = error
         if not _all_say("store", trouble is None):
-            raise trouble or InputError(f"{out}: another process could not open the store, and says why")
+            raise trouble or InputError(f"{out}: another process could not use the store, and says why")
     assert store is not None
     return store
 
