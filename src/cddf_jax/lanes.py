@@ -10,7 +10,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 CPU_BATCH = 512  # lanes at once on a core: they stay in its cache
 ACCELERATOR_BATCH = 65536
-CALL = 128  # batches of each device in one call, at most
+CALL = 32  # batches of each device in one call, at most
 LANES = PartitionSpec("lanes")
 
 
