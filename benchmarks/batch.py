@@ -1,4 +1,4 @@
-"""A sweep of 100,000 unloaded solves beside a compiled loop: `python benchmarks/batch.py`, about three minutes.
+"""A sweep of 100,000 unloaded solves beside a compiled loop: `python benchmarks/batch.py`, five minutes.
 
 The body is the paper's with one parallel tendon, exact kinematics; tension, friction coefficient and modulus differ
 from solve to solve. Asked for are tip tension, tip position and tip angle. Beside `solve`, on two devices of the CPU,

@@ -79,7 +79,7 @@ def solve(
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"solve: the first argument must be a Manipulator, got {type(manipulator).__name__}")
     check_nodes(nodes)
-    if not isinstance(method, FixedPoint | Method) or isinstance(method, type):
+    if not isinstance(method, FixedPoint | Method) or isinstance(method, type):  # the default is told at once
         raise TypeError(f"solve: method must be one such as FixedPoint() or Marching(), got {method!r}")
     given, targets = _split_actuation(manipulator, base_tension)
     given, direction = per_tendon(manipulator, given, direction)
