@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .friction import PerTendon
-from .implicit import implicit, without_derivative
+from .implicit import Unknowns, implicit, without_derivative
 from .load_path import LoadedBody, LoadPath, Trial, by_moment, follow_loads, moment_left_at_tip, start_from
 from .loads import Loads
 from .manipulator import Manipulator
@@ -93,9 +93,45 @@ def equilibrate(setup: Setup, base_tension: PerTendon) -> Balance:
     return balance(setup, base_tension, settle(*without_derivative((setup, base_tension))))
 
 
+Equations = Callable[[Problem, Path], Float[Array, " unknown"]]
+
+
 def no_equations(problem: Problem, path: Path) -> Float[Array, " 0"]:
     """No tension is unknown."""
     return path.tip.ratio[:0]
+
+
+class _LeftOpen(eqx.Module):
+    """What unknowns leave open of a body: tensions that were searched for, the base moment, sign changes."""
+
+    setup: Setup
+    base_tension: PerTendon
+    settled: Settled
+    equations: Equations
+    unknown: tuple[int, ...] = eqx.field(static=True)
+
+    def start(self) -> Unknowns:
+        """The unknowns as they were found."""
+        load_path, splits, _ = self.settled
+        moment = [] if self.setup.loads is None else [load_path.base_moment[None]]
+        return jnp.concatenate([*[self.base_tension[i, None] for i in self.unknown], *moment, splits.arc_length])
+
+    def put(self, unknowns: Unknowns) -> tuple[Problem, Splits]:
+        """The body with them."""
+        load_path, splits, trial = self.settled
+        tensions, rest = jnp.split(unknowns, [len(self.unknown)])
+        if self.setup.loads is not None:
+            load_path, rest = load_path._replace(base_moment=rest[0]), rest[1:]
+        splits = splits._replace(arc_length=rest)
+        tension = self.base_tension.at[jnp.asarray(self.unknown)].set(tensions) if self.unknown else self.base_tension
+        return place(self.setup, tension, Settled(load_path, splits, trial)), splits
+
+    def __call__(self, unknowns: Unknowns) -> Unknowns:
+        """What vanishes."""
+        problem, splits = self.put(unknowns)
+        path = self.setup.method(problem, self.settled.guess)
+        turning = turning_at_splits(problem, path, splits)
+        return jnp.concatenate([self.equations(problem, path), missing_moment(problem, path), turning])
 
 
 def balance(
@@ -103,7 +139,7 @@ def balance(
     base_tension: PerTendon,
     settled: Settled,
     unknown: tuple[int, ...] = (),
-    equations: Callable[[Problem, Path], Float[Array, " unknown"]] = no_equations,
+    equations: Equations = no_equations,
 ) -> Balance:
     """One last pass, with the derivatives of everything that had to be known for it.
 
@@ -112,36 +148,17 @@ def balance(
         base_tension: T_base, N, with derivatives where it is given, without where it was searched for.
         settled: what was found for these tensions.
         unknown: the tendons whose tension was searched for.
-        equations: what vanishes at these tensions, one for each.
+        equations: what vanishes at these tensions, one for each; a pytree, see `implicit`.
     """
-    which = jnp.asarray(unknown, int)
-    guess = settled.guess
-    count = len(unknown), len(unknown) + (setup.loads is not None)
-
-    def put(unknowns):
-        load_path, splits, trial = settled
-        if setup.loads is not None:
-            load_path = load_path._replace(base_moment=unknowns[count[0]])
-        splits = splits._replace(arc_length=unknowns[count[1] :])
-        tension = base_tension.at[which].set(unknowns[: count[0]]) if unknown else base_tension
-        return place(setup, tension, Settled(load_path, splits, trial)), splits
-
-    def residual(unknowns):
-        problem, splits = put(unknowns)
-        path = setup.method(problem, guess)
-        turning = turning_at_splits(problem, path, splits)
-        return jnp.concatenate([equations(problem, path), missing_moment(problem, path), turning])
-
-    moment = [settled.load_path.base_moment[None]] if setup.loads is not None else []
-    start = jnp.concatenate([base_tension[which] if unknown else base_tension[:0], *moment, settled.splits.arc_length])
-    problem, _ = put(implicit(residual, start))
-    path = setup.method(problem, guess)
+    left_open = _LeftOpen(setup, base_tension, settled, equations, unknown)
+    problem, _ = left_open.put(implicit(left_open, left_open.start()))
+    path = setup.method(problem, settled.guess)
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
     if settled.trial is None:
         return Balance(problem, path, found, tendon_displacement(problem, path), jnp.ones_like(path.residual))
-    left_open = path.residual, settled.trial.change, jnp.abs(moment_left_at_tip(problem, path))
-    path = path._replace(residual=largest(jnp.stack(left_open)))
+    changes = path.residual, settled.trial.change, jnp.abs(moment_left_at_tip(problem, path))
+    path = path._replace(residual=largest(jnp.stack(changes)))
     body, whole = LoadedBody(without_derivative(problem), setup.method), jnp.ones_like(found.fraction)
     leverage = jnp.where(found.converged, settled.trial.leverage, 1.0)
     return Balance(problem, path, found, body.travel(settled.trial, whole), leverage)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -48,37 +49,46 @@ def fixed_point(
     `start`, and the derivatives are those of the linearisation there, finite unless the sweep's are not.
 
     Args:
-        sweep: the map; it may close over traced values and is differentiated through them.
-        start: first guess.
+        sweep: the map, a pytree as `jax.tree_util.Partial` makes it: derivatives are by its leaves, and what else it
+            closes over must be constant.
+        start: first guess; its own derivatives are not looked at.
         tolerance: the sweeps stop when the last change was no larger.
         max_sweeps: the sweeps stop here at the latest.
         size: (change, value) -> how large a change is, to be compared with `tolerance`. The
             linearised sweeps always go on until only rounding errors change.
         acceptable: whether a value may count as a solution.
     """
+    settings = {"tolerance": tolerance, "max_sweeps": max_sweeps, "size": size, "acceptable": acceptable}
+    return FixedPointResult(*_solve(sweep, jax.lax.stop_gradient(start), **settings))
 
-    def solve(residual, first):
-        value, change, count = _repeat(lambda y: minus(y, residual(y)), first, size, tolerance, max_sweeps)
-        good = (change <= tolerance) & acceptable(value)
-        value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, first)
-        return value, (count, change, good.astype(count.dtype))
+
+@eqx.filter_custom_jvp
+def _solve(sweep, start, *, tolerance, max_sweeps, size, acceptable):
+    value, change, count = _repeat(sweep, start, size, tolerance, max_sweeps)
+    good = (change <= tolerance) & acceptable(value)
+    return jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start), count, change, good
+
+
+@_solve.def_jvp
+def _(primals, tangents, **settings):
+    (sweep, start), (direction, _) = primals, tangents
+    value, *outcome = _solve(sweep, start, **settings)
+    pushed = eqx.filter_jvp(lambda sweep: sweep(value), (sweep,), (direction,))[1]
+    push = jax.linearize(sweep, value)[1]
 
     def solve_linear(operator, b):
         settled = round_off(jax.tree.leaves(b)[0].dtype)
 
-        def sweep(v):
+        def again(v):
             return jax.tree.map(lambda b, v, w: b + v - w, b, v, operator(v))
 
-        value, change, _ = _repeat(sweep, b, relative_size, settled, max_sweeps)
+        value, change, _ = _repeat(again, b, relative_size, settled, settings["max_sweeps"])
         return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
 
-    def solve_tangent(operator, b):
-        return jax.lax.custom_linear_solve(operator, b, solve=solve_linear, transpose_solve=solve_linear)
-
-    value, (count, change, good) = jax.lax.custom_root(
-        lambda y: minus(y, sweep(y)), start, solve, solve_tangent, has_aux=True
+    slope = jax.lax.custom_linear_solve(
+        lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
     )
-    return FixedPointResult(value, count, change, good > 0.5)
+    return (value, *outcome), (slope, None, None, None)
 
 
 def constant_map(

@@ -18,25 +18,32 @@ def implicit(residual: Callable[[Unknowns], Unknowns], root: Unknowns) -> Unknow
 
     In both modes and to any order. The Jacobian is dense: one linearised residual for each unknown.
     Where it is singular, as in a lane of a batch that found no root, the identity stands in, so that
-    the derivative is finite.
+    the derivative is finite. Where nothing is differentiated, the residual is not even looked at.
 
     Args:
-        residual: as many equations as unknowns; it may close over traced values.
+        residual: as many equations as unknowns, a pytree as `jax.tree_util.Partial` makes it: derivatives are by its
+            leaves, and what else it closes over must be constant.
         root: where the residual vanishes; its own derivatives are not looked at.
     """
-    if root.size == 0:
-        return root
-    root = jax.lax.stop_gradient(root)
+    return _root(residual, jax.lax.stop_gradient(root)) if root.size else root
+
+
+@eqx.filter_custom_jvp
+def _root(residual, root):
+    return root
+
+
+@_root.def_jvp
+def _(primals, tangents):
+    (residual, root), (direction, _) = primals, tangents
+    root = _root(residual, root)
+    pushed = eqx.filter_jvp(lambda residual: residual(root), (residual,), (direction,))[1]
     eye = jnp.eye(root.size, dtype=root.dtype) + zero_as(root)
-
-    def solve_tangent(operator, b):
-        jacobian = jax.vmap(operator, out_axes=1)(eye)
-        size = jnp.max(jnp.abs(jacobian), axis=1)
-        regular = jnp.all(jnp.isfinite(jacobian)) & jnp.all(size > 0)
-        size = jnp.where(regular, size, 1.0)
-        return solve_small(jnp.where(regular, jacobian / size[:, None], eye), b / size)[0]
-
-    return jax.lax.custom_root(residual, root, lambda _, guess: guess, solve_tangent)
+    jacobian = jax.vmap(jax.linearize(residual, root)[1], out_axes=1)(eye)
+    size = jnp.max(jnp.abs(jacobian), axis=1)
+    regular = jnp.all(jnp.isfinite(jacobian)) & jnp.all(size > 0)
+    size = jnp.where(regular, size, 1.0)
+    return root, -solve_small(jnp.where(regular, jacobian / size[:, None], eye), pushed / size)[0]
 
 
 def solve_small(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, ""]]:

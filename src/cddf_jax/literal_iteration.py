@@ -5,11 +5,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, Int
 
 from . import mechanics
 from .fixed_point import fixed_point
 from .friction import Pull
+from .implicit import without_derivative
 from .manipulator import Manipulator
 from .problem import Nodal, Path, Problem, State, curvature_along, lay_out
 from .quadrature import Panels
@@ -39,16 +41,12 @@ class LiteralIteration(eqx.Module):
         _refuse_drag(problem.manipulator)
         cut = problem.panels
 
-        def tip_motion(change, curvature):
-            moved = _tip(cut, curvature) - _tip(cut, curvature - change)
-            return jnp.sqrt(jnp.sum(moved**2))
-
         answer = fixed_point(
-            lambda kappa: literal_update(problem, kappa),
+            Partial(literal_update, problem),
             frictionless_curvature(problem),
             tolerance=self.tip_tolerance,
             max_sweeps=self.max_updates,
-            size=tip_motion,
+            size=Partial(_tip_motion, without_derivative(cut)),
         )
         gain = problem.direction * problem.manipulator.tendon_friction
         wrap_edges, wrap = literal_wrap_angle(problem, answer.value)
@@ -76,6 +74,12 @@ def _refuse_drag(manipulator: Manipulator) -> None:
 
 def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
     return integrate_shape(cut, curvature)[1][0][-1]
+
+
+def _tip_motion(cut: Panels, change: Float[Array, "P p"], curvature: Float[Array, "P p"]) -> Float[Array, ""]:
+    """How far the last change moved the tip, m: e_tip of eq. (18)."""
+    moved = _tip(cut, curvature) - _tip(cut, curvature - change)
+    return jnp.sqrt(jnp.sum(moved**2))
 
 
 def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:

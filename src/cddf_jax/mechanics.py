@@ -7,8 +7,10 @@ tendon is said to turn: "published" takes Liu et al. (2020) as written, "exact" 
 and counts the turning of the tendon itself.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -71,20 +73,37 @@ def curvature(section: CrossSection, tension: PerTendon, external_moment: float 
         return pull / (section.stiffness + jnp.sum(tension * section.offset**2))
     if not section.slanted:
         return pull * (1.0 / section.stiffness)  # which is the same at every sweep
+    return _slanted_curvature(section, tension, external_moment)
 
-    def moment_gap(kappa):
-        t = tangent(section, kappa)
-        return section.stiffness * kappa - jnp.sum(arm * tension * t.along) - external_moment
 
-    def solve_gap(gap, start):  # it grows with kappa, so Newton's method from the unslanted value finds its one root
-        def newton_step(_, kappa):
-            value, slope = jax.jvp(gap, (kappa,), (jnp.ones_like(kappa),))
-            return kappa - value / slope
+@eqx.filter_custom_jvp
+def _slanted_curvature(section: CrossSection, tension: PerTendon, external_moment: float | Number) -> Number:
+    """The root of the moment gap, which grows with kappa: Newton's method finds it from the unslanted value."""
 
-        return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, start)
+    def newton_step(_, kappa):
+        value, slope = _gap_and_slope((section, tension, external_moment), kappa)
+        return kappa - value / slope
 
-    start = jax.lax.stop_gradient(pull / section.stiffness)
-    return jax.lax.custom_root(moment_gap, start, solve_gap, lambda slope, y: y / slope(jnp.ones_like(y)))
+    pull = jnp.sum(section.side * section.offset * tension) + external_moment
+    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, pull / section.stiffness)
+
+
+@_slanted_curvature.def_jvp
+def _(primals, tangents):
+    kappa = _slanted_curvature(*primals)
+    pushed = eqx.filter_jvp(lambda given: _moment_gap(given, kappa), (primals,), (tangents,))[1]
+    return kappa, -pushed / _gap_and_slope(primals, kappa)[1]
+
+
+def _moment_gap(given: tuple[CrossSection, PerTendon, Any], kappa: Number) -> Number:
+    """What is missing of the moment at a cross-section with its tensions and M_ext, N m."""
+    section, tension, external_moment = given
+    arm = section.side * section.offset * tension
+    return section.stiffness * kappa - jnp.sum(arm * tangent(section, kappa).along) - external_moment
+
+
+def _gap_and_slope(given: tuple[CrossSection, PerTendon, Any], kappa: Number) -> tuple[Number, Number]:
+    return jax.jvp(partial(_moment_gap, given), (kappa,), (jnp.ones_like(kappa),))
 
 
 class Rates(NamedTuple):

@@ -11,12 +11,15 @@ Numbers = Any  # an array of floating-point numbers or a tree of them
 Scalar = Float[Array, ""]
 
 
+@jax.jit  # traced once for every shape
 def largest(values: Float[Array, "*values"]) -> Scalar:
     """The largest value, by halves: in a batch that is ten times as fast as XLA's reduction on the CPU."""
     left = values.ravel()
     while left.size > 1:
-        half = left.size // 2
-        left = jnp.concatenate([jnp.maximum(left[:half], left[half : 2 * half]), left[2 * half :]])
+        half, odd = divmod(left.size, 2)
+        halves, rest = (left[: 2 * half], left[-1]) if odd else (left, None)
+        left = jnp.maximum(*jnp.split(halves, 2))
+        left = left if rest is None else jnp.maximum(left, rest)
     return left[0]
 
 

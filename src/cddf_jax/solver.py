@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
 from .fixed_point import constant_map, fixed_point, minus, round_off
@@ -111,18 +112,12 @@ class FixedPoint(eqx.Module):
         tolerance = self._tolerance(problem)
 
         def resolved(start: _Reached, part: _Part, first: Nodal) -> tuple[_Reached, Any]:
-            def sweep(values: Nodal) -> Nodal:
-                return _sweep(problem, part, start, values)[0].nodes.values
-
-            def acceptable(values: Nodal) -> Bool[Array, ""]:
-                return jnp.all(values.ratio > 0) & all_finite(values)
-
+            sweep = Partial(_improved, problem, part, start)
             if problem.is_quadrature:
-                answer = constant_map(sweep, first, acceptable)
+                answer = constant_map(sweep, first, _acceptable)
             else:
-                answer = fixed_point(
-                    sweep, first, tolerance=tolerance, max_sweeps=self.max_sweeps, acceptable=acceptable
-                )
+                settings = {"tolerance": tolerance, "max_sweeps": self.max_sweeps}
+                answer = fixed_point(sweep, first, **settings, acceptable=_acceptable)
             swept, end = _sweep(problem, part, start, answer.value)
             positive = jnp.all(end.values.ratio > 0)
             values = end.values._replace(ratio=jnp.where(positive, end.values.ratio, 1.0))
@@ -240,6 +235,14 @@ def _sweep(problem: Problem, part: _Part, start: _Reached, guess: Nodal) -> tupl
         return _Reached(Nodal(ratio, moment), phi, c)
 
     return _Swept(edges(starts, slice(-1)), nodes, turns, turning), edges(tip, -1)
+
+
+def _improved(problem: Problem, part: _Part, start: _Reached, guess: Nodal) -> Nodal:
+    return _sweep(problem, part, start, guess)[0].nodes.values
+
+
+def _acceptable(values: Nodal) -> Bool[Array, ""]:
+    return jnp.all(values.ratio > 0) & all_finite(values)
 
 
 def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array]:

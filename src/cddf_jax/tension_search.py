@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
 from .balance import Balance, Settled, Setup, balance, inside_of_bend, missing_moment, place, settle, unsettled
@@ -68,18 +69,30 @@ def reach(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) ->
     tolerance = max(REACHED, 1e2 * float(jnp.finfo(scale.dtype).eps))
     reached = jnp.isfinite(best.cost) & (jnp.max(jnp.where(slack, 0.0, jnp.abs(best.residual))) <= tolerance)
 
-    def equations(problem, path):
-        held = (problem.base_tension[which] / scale) - best.tension
-        return jnp.where(reached & determined & ~slack, _misses(setup, problem, path, wanted), held)
-
+    free = reached & determined & ~slack
     tension = given.at[which].set(scale * best.tension)
     sizes = jnp.stack([target.size(setup) for target in wanted.values()])
     miss = jnp.zeros_like(given).at[which].set(best.residual * sizes)
     found = Found(miss, reached, jnp.any(slack), determined)
+    equations = Partial(_equations, setup, wanted, scale, best.tension, free)
     return balance(setup, tension, best.settled, tuple(wanted), equations), found
 
 
 Wanted = dict[int, Target]  # by tendon
+
+
+def _equations(
+    setup: Setup,
+    wanted: Wanted,
+    scale: Number,
+    found: Float[Array, " unknowns"],
+    free: Bool[Array, " unknowns"],
+    problem: Problem,
+    path: Path,
+) -> Float[Array, " unknowns"]:
+    """What vanishes: the misses of the targets; for a tension that could not follow its own, how far it has moved."""
+    tension = problem.base_tension[jnp.asarray(list(wanted))] / scale
+    return jnp.where(free, _misses(setup, problem, path, wanted), tension - found)
 
 
 def _misses(setup: Setup, problem: Problem, path: Path, wanted: Wanted) -> Float[Array, " unknowns"]:

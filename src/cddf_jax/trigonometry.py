@@ -18,9 +18,14 @@ DOUBLE = tuple(map(float.fromhex, ("0x1.921fb54p+1", "0x1.10b46118p-29", "0x1.31
 SINGLE = tuple(map(float.fromhex, ("0x1.92p+1", "0x1.fb4p-11", "0x1.4442d2p-23"))), 7
 
 
-@jax.custom_jvp
+@jax.jit  # traced once for every shape
 def cos_sin(angle: Float[Array, "*points"]) -> tuple[Float[Array, "*points"], Float[Array, "*points"]]:
     """Cosine and sine of an angle, rad, to rounding errors while |angle| < 1e6 (float32: 1e3)."""
+    return _cos_sin(angle)
+
+
+@jax.custom_jvp
+def _cos_sin(angle: Array) -> tuple[Array, Array]:
     turns = angle * (1 / math.pi)
     cosine, sine = -_sine(angle, jnp.floor(turns), 0.5), _sine(angle, jnp.floor(turns + 0.5), 0.0)  # round is slow
     return computed_once(cosine), computed_once(sine)  # not anew for every tangent
@@ -36,9 +41,9 @@ def _sine(angle: Array, turns: Array, more: float) -> Array:
     return jnp.where(0.5 * turns == jnp.floor(0.5 * turns), sine, -sine)
 
 
-@cos_sin.defjvp
+@_cos_sin.defjvp
 def _(primals, tangents):
-    cosine, sine = cos_sin(*primals)
+    cosine, sine = _cos_sin(*primals)
     return (cosine, sine), (-sine * tangents[0], cosine * tangents[0])
 
 
