@@ -12,12 +12,11 @@ import cddf_jax as cddf
 SOURCE = Path(cddf.__file__).parent
 # a file imports only from files to its left, or beside it in the same set
 FLOW = [
-    {"profiles", "errors"},
-    {"manipulator", "loads"},
+    {"profiles", "errors", "reductions", "varying"},
+    {"manipulator", "loads", "implicit"},
     {"friction"},
     {"mechanics"},
-    {"reductions", "varying"},
-    {"quadrature", "fixed_point", "implicit", "trigonometry"},
+    {"quadrature", "fixed_point", "trigonometry"},
     {"problem"},
     {"solver", "tendon_travel", "sign_changes"},
     {"load_path"},

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .implicit import slope_along
 from .reductions import all_finite, computed_once, relative_size
 from .varying import zero_as
 
@@ -73,7 +74,7 @@ def _solve(sweep, start, *, tolerance, max_sweeps, size, acceptable):
 def _(primals, tangents, **settings):
     (sweep, start), (direction, _) = primals, tangents
     value, *outcome = _solve(sweep, start, **settings)
-    pushed = eqx.filter_jvp(lambda sweep: sweep(value), (sweep,), (direction,))[1]
+    pushed = slope_along(lambda sweep: sweep(value), sweep, direction)
     push = jax.linearize(sweep, value)[1]
 
     def solve_linear(operator, b):

@@ -37,13 +37,30 @@ def _root(residual, root):
 def _(primals, tangents):
     (residual, root), (direction, _) = primals, tangents
     root = _root(residual, root)
-    pushed = eqx.filter_jvp(lambda residual: residual(root), (residual,), (direction,))[1]
+    pushed = slope_along(lambda residual: residual(root), residual, direction)
     eye = jnp.eye(root.size, dtype=root.dtype) + zero_as(root)
     jacobian = jax.vmap(jax.linearize(residual, root)[1], out_axes=1)(eye)
     size = jnp.max(jnp.abs(jacobian), axis=1)
     regular = jnp.all(jnp.isfinite(jacobian)) & jnp.all(size > 0)
     size = jnp.where(regular, size, 1.0)
     return root, -solve_small(jnp.where(regular, jacobian / size[:, None], eye), pushed / size)[0]
+
+
+def slope_along(function: Callable[[Any], Any], given: Any, direction: Any) -> Any:
+    """The derivative of function(given) along a direction, as the rules of `equinox.filter_custom_jvp` get it.
+
+    Args:
+        function: of one pytree.
+        given: that pytree.
+        direction: None where a number is not moved.
+
+    Returns:
+        A number for every number of the result, zero for one that does not move.
+    """
+    value, slope = eqx.filter_jvp(function, (given,), (direction,))
+    moved = jax.tree.leaves(slope)
+    still = 0.0 * moved[0].ravel()[0] if moved else 0.0  # linear as the others: `custom_linear_solve` transposes all
+    return jax.tree.map(lambda x, v: jnp.zeros_like(x) + still if v is None else v, value, slope)
 
 
 def solve_small(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, ""]]:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
+from .implicit import slope_along
 from .manipulator import CrossSection
 
 Number = Float[Array, ""]
@@ -91,7 +92,7 @@ def _slanted_curvature(section: CrossSection, tension: PerTendon, external_momen
 @_slanted_curvature.def_jvp
 def _(primals, tangents):
     kappa = _slanted_curvature(*primals)
-    pushed = eqx.filter_jvp(lambda given: _moment_gap(given, kappa), (primals,), (tangents,))[1]
+    pushed = slope_along(lambda given: _moment_gap(given, kappa), primals, tangents)
     return kappa, -pushed / _gap_and_slope(primals, kappa)[1]
 
 
