@@ -1,5 +1,6 @@
 """Profiles along the arc length."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -62,6 +63,28 @@ def test_spline_is_linear_in_its_values():
     jacobian = jax.jacrev(lambda values: cddf.Spline(KNOTS, values)(jnp.asarray(0.042)))(jnp.asarray(HEIGHTS))
     expected = [CubicSpline(KNOTS, row, bc_type="not-a-knot")(0.042) for row in np.eye(KNOTS.size)]
     np.testing.assert_allclose(jacobian, expected, atol=ROUNDING)
+
+
+def test_a_plain_function_holds_no_numbers_and_serves_jax_as_any_profile():
+    """So that a body is a pytree of numbers; the expected tensions are those of the same line as a `Linear`."""
+
+    def radius(s):
+        return 0.020 - 0.05 * s
+
+    def body(outer_radius):
+        return cddf.Manipulator(0.14, outer_radius, 0.007, (cddf.Tendon(0.010),), 1.4e6, 0.42)
+
+    told = body(radius)
+    assert jax.tree.leaves(told.outer_radius) == []
+    assert told.outer_radius(0.05) == radius(0.05)
+    assert breakpoints(told.outer_radius).size == 0
+    both = jax.tree.map(lambda x: np.stack([x, x]), told)
+    tips = jax.jit(jax.vmap(lambda body: cddf.solve(body, 50.0).tip_tension))(both)
+    expected = cddf.solve(body(cddf.Linear(0.020, 0.013, 0.14)), 50.0).tip_tension
+    np.testing.assert_allclose(tips, [expected, expected], rtol=1e-13)
+    wrong = eqx.tree_at(lambda body: body.outer_radius, told, radius)
+    with pytest.raises(TypeError, match=r"solve: <function .* stands where a body has numbers; give the function to"):
+        cddf.solve(wrong, 50.0)
 
 
 def test_spline_breaks_where_its_third_derivative_jumps():

@@ -11,6 +11,7 @@ from bodies import paper_body
 from scipy.integrate import quad
 
 import cddf_jax as cddf
+from cddf_jax.fingerprint import numbers_of
 from cddf_jax.sweep_outputs import OUTPUTS, RESULT_NAMES
 
 TENSIONS, FRICTION = np.linspace(5.0, 85.0, 5), np.linspace(0.1, 0.6, 4)
@@ -346,3 +347,13 @@ def test_bad_input_is_named(case):
     with pytest.raises(cddf.InputError, match=message) as error:
         cddf.sweep(axes=axes, **({"manipulator": paper_body()} | options))
     assert "\n" not in str(error.value)
+
+
+def test_bodies_that_differ_in_a_plain_function_are_not_the_same_work():
+    """A store of one is refused by the sweep of the other; written anew, the same function is the same."""
+
+    def told(radius):
+        return numbers_of(cddf.Manipulator(0.14, radius, 0.007, (cddf.Tendon(0.010),), 1.4e6, 0.42))
+
+    assert told(lambda s: 0.02 - 0.05 * s) == told(lambda s: 0.02 - 0.05 * s)
+    assert told(lambda s: 0.02 - 0.05 * s) != told(lambda s: 0.02 - 0.04 * s)

@@ -8,12 +8,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from .profiles import Function
+
 SHOWN = 8  # numbers that are told themselves; more of them by their digest
 
 
 def numbers_of(tree: Any) -> dict[str, Any]:
     """The numbers of a pytree by their names, and the digest of its structure."""
-    leaves, structure = jax.tree.flatten_with_path(tree)
+    leaves, structure = jax.tree.flatten_with_path(tree, is_leaf=lambda part: isinstance(part, Function))
     return {_name(path): told(leaf) for path, leaf in leaves} | {"structure": digest(without_addresses(str(structure)))}
 
 
@@ -28,7 +30,7 @@ def told(value: Any) -> Any:
     if isinstance(value, int | str):
         return value
     if callable(value):
-        return code_of(value)
+        return code_of(value.function if isinstance(value, Function) else value)
     try:
         numbers = np.asarray(value, np.float64)
     except (TypeError, ValueError):

@@ -8,14 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .profiles import Constant, Linear, Points, Profile, Scalar, as_number, breakpoints
+from .profiles import Constant, Linear, Points, Profile, Scalar, as_number, as_profile, breakpoints
 
 Kinematics = Literal["published", "exact"]
 KINEMATICS = ("published", "exact")
-
-
-def _as_profile(value: Any) -> Profile:
-    return value if callable(value) else Constant(value)
 
 
 def _as_optional_number(value: Any) -> Any:
@@ -38,7 +34,7 @@ class Tendon(eqx.Module):
         ValueError: when side is neither +1 nor -1.
     """
 
-    offset: Profile = eqx.field(converter=_as_profile)
+    offset: Profile = eqx.field(converter=as_profile)
     side: int = eqx.field(default=+1, static=True)
     end: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     friction_coefficient: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
@@ -89,8 +85,8 @@ class Manipulator(eqx.Module):
     """
 
     length: Scalar = eqx.field(converter=as_number)
-    outer_radius: Profile = eqx.field(converter=_as_profile)
-    inner_radius: Profile = eqx.field(converter=_as_profile)
+    outer_radius: Profile = eqx.field(converter=as_profile)
+    inner_radius: Profile = eqx.field(converter=as_profile)
     tendons: tuple[Tendon, ...] = eqx.field(converter=tuple)
     youngs_modulus: Scalar = eqx.field(converter=as_number)
     friction_coefficient: Scalar = eqx.field(converter=as_number)

@@ -25,6 +25,26 @@ def as_number(value: Any) -> Any:
     return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
 
 
+def as_profile(value: Any) -> Profile:
+    """A profile of a number or a function; what is a pytree that is callable stays what it is."""
+    if not callable(value):
+        return Constant(value)
+    return Function(value) if jax.tree_util.all_leaves([value]) else value
+
+
+class Function(eqx.Module):
+    """A plain function of the arc length as a profile; JAX sees no numbers in it."""
+
+    function: Callable[[Any], Any] = eqx.field(static=True)
+
+    def __call__(self, arc_length: Points) -> Any:
+        return self.function(arc_length)
+
+    @property
+    def breakpoints(self) -> Float[Array, " n"]:
+        return breakpoints(self.function)
+
+
 class Constant(eqx.Module):
     """The same value along the whole length."""
 
@@ -62,7 +82,7 @@ class Piecewise(eqx.Module):
 
     def __init__(self, ends: Any, pieces: Sequence[Any]):
         self.ends = as_number(ends)
-        self.pieces = tuple(piece if callable(piece) else Constant(piece) for piece in pieces)
+        self.pieces = tuple(map(as_profile, pieces))
         if np.ndim(self.ends) != 1 or len(self.pieces) != np.shape(self.ends)[0] + 1:
             raise ValueError(
                 f"Piecewise: {len(self.pieces)} pieces need {len(self.pieces) - 1} ends in one list, "
@@ -161,7 +181,7 @@ def _second_derivatives(knots: Float[Array, " n"], values: Float[Array, " n"]) -
 class Shifted(eqx.Module):
     """A profile with the same number added everywhere."""
 
-    profile: Profile
+    profile: Profile = eqx.field(converter=as_profile)
     by: Scalar = eqx.field(converter=as_number)
 
     @property

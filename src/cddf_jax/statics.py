@@ -1,6 +1,6 @@
 """`solve`: static equilibrium of one manipulator under one load."""
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import equinox as eqx
@@ -196,7 +196,7 @@ def in_words(equilibrium: Equilibrium) -> str:
     return message
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnames=("method", "nodes"))
 def _solve(
     manipulator: Manipulator,
     given: Any,
@@ -289,7 +289,13 @@ def _first_of(*cases: tuple[Any, RESULTS]) -> RESULTS:
 
 def _precision(*trees: Any) -> jnp.dtype:
     """The precision of the numbers of a pytree."""
-    kinds = {x.dtype for x in jax.tree.leaves(trees) if isinstance(x, jax.Array | np.ndarray | np.generic)}
+    leaves = jax.tree.leaves(trees)
+    if functions := [x for x in leaves if callable(x)]:
+        raise TypeError(
+            f"solve: {functions[0]!r} stands where a body has numbers; give the function to Manipulator, Tendon or "
+            "Piecewise, or make it a static field of its profile"
+        )
+    kinds = {x.dtype for x in leaves if isinstance(x, jax.Array | np.ndarray | np.generic)}
     return _common_precision(frozenset(kinds), jax.dtypes.canonicalize_dtype(np.float64))
 
 
