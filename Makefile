@@ -11,7 +11,7 @@ fit: .venv/ready  ## fit the shipped bench data and reproduce the paper's figure
 	$(BIN)/cddf reproduce $(ROBOT) $(TRIALS) --out out/reproduce
 
 test: .venv/ready browser  ## all tests, on every core
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-slow: .venv/ready  ## those that compile for long, which `test` leaves out
 	$(BIN)/python -m pytest -n auto -m slow

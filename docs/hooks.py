@@ -38,14 +38,15 @@ drawing: list[subprocess.Popen] = []
 sys.modules["hooks"] = sys.modules[__name__]  # pages import from here
 
 
-def on_pre_build(**_: Any) -> None:
+def on_pre_build(config: Any, **_: Any) -> None:
     """One process runs all examples: what is compiled for one page serves the next. Another draws the gallery."""
     sys.path.insert(0, str(ROOT / "docs"))  # where the gallery is
     configure_jax()
     for folder in ("data", "fitting"):
         shutil.copytree(ROOT / folder, WORK / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    command = [sys.executable, ROOT / "docs" / "make_gallery.py", WORK / "gallery"]
-    drawing.append(subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
+    if config.extra["gallery"]:
+        command = [sys.executable, ROOT / "docs" / "make_gallery.py", WORK / "gallery"]
+        drawing.append(subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
 
 
 def on_build_error(**_: Any) -> None:
@@ -56,10 +57,11 @@ def on_build_error(**_: Any) -> None:
 
 def on_post_build(config: Any, **_: Any) -> None:
     """Add the pictures of the gallery, drawn meanwhile by a process of their own, and leave nothing behind."""
-    drawn = drawing.pop()
-    output, _ = drawn.communicate()
-    if drawn.returncode:
-        log.warning("docs/make_gallery.py failed: %s", output)
+    while drawing:
+        drawn = drawing.pop()
+        output, _ = drawn.communicate()
+        if drawn.returncode:
+            log.warning("docs/make_gallery.py failed: %s", output)
     for picture in (WORK / "gallery").glob("*.png"):
         target = Path(config.site_dir, "gallery", picture.name)
         target.parent.mkdir(exist_ok=True)
@@ -74,19 +76,19 @@ def on_files(files: Any, config: Any) -> Any:
     """The changelog, how to contribute, the gallery, and a font for formulas."""
     for page, source in PAGES.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
-    files.append(File.generated(config, "gallery.md", content=_gallery()))
+    files.append(File.generated(config, "gallery.md", content=_gallery(config.extra["gallery"])))
     files.append(File.generated(config, f"fonts/{FONT.name}", abs_src_path=str(FONT)))
     return files
 
 
-def _gallery() -> str:
+def _gallery(drawn: bool) -> str:
     """The page; `on_pre_build` has set the drawing of its pictures going."""
     made = import_module("make_gallery")
     parts = ["# Gallery", "Drawn when the site is built, at the width of one column, by the code below each picture."]
     parts += ["All of them draw into axes of yours as well (`axes=`). What they are made from:", _shown(made.SETUP)]
     for name, title, caption, code in made.PICTURES:
         picture = f'<img class="figure" src="gallery/{name}.png" alt="{title}" width="525">'
-        parts += [f"## {title}", picture, f"*{caption}*", _shown(code)]
+        parts += [f"## {title}", picture if drawn else "", f"*{caption}*", _shown(code)]
     return "\n\n".join(parts)
 
 

@@ -30,7 +30,15 @@ settings.load_profile("cddf")
 # every compiled program keeps a dozen maps of memory; Linux grants a process 65,530 of them, and the compiler crashes
 # without a word where there are no more
 MAPS = Path("/proc/self/maps")
-MANY_MAPS = 15_000
+MANY_MAPS = 40_000
+
+
+# files whose single tests take long: one that starts last would leave the other workers without work
+FIRST = ("test_documentation", "test_work", "test_notebooks", "test_explorer", "test_packaging")
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: item.path.stem not in FIRST)
 
 
 @pytest.fixture(scope="module", autouse=True)

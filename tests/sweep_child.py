@@ -1,7 +1,7 @@
 """A sweep in a process of its own, for the tests of what processes do: `python sweep_child.py JSON`.
 
 The argument holds what differs: `out`, `devices`, `chunk`, `processes`, `rank`, `port`, `solves`, `outputs`, `limit`
-(bytes of data beyond what a small sweep took). It prints the sum of the tip tensions.
+(bytes of data beyond what a sweep of two chunks took). It prints the sum of the tip tensions.
 """
 
 import json
@@ -17,8 +17,9 @@ from bodies import paper_body
 import cddf_jax as cddf
 
 
-def axes(solves: int) -> dict[str, Any]:
-    return {"base_tension": np.linspace(5.0, 85.0, solves // 50), "friction_coefficient": np.linspace(0.1, 0.6, 50)}
+def axes(solves: int, frictions: int = 50) -> dict[str, Any]:
+    tensions = np.linspace(5.0, 85.0, solves // frictions)
+    return {"base_tension": tensions, "friction_coefficient": np.linspace(0.1, 0.6, frictions)}
 
 
 def main(asked: dict[str, Any]) -> None:
@@ -28,14 +29,17 @@ def main(asked: dict[str, Any]) -> None:
         where = f"127.0.0.1:{asked['port']}"
         jax.distributed.initialize(where, asked["processes"], asked["rank"], heartbeat_timeout_seconds=10)
     options = {"outputs": asked.get("outputs", ["tip_tension", "tip_position"]), "chunk": asked.get("chunk")}
+    over = axes(asked["solves"])
     if "limit" in asked:
-        # threads and compiled code come with the first sweep; what is limited is written memory, not mere address space
-        cddf.sweep(paper_body(), axes(20_000), out=asked["out"] + ".small", memory=asked["limit"] / 4, **options)
+        # threads and compiled code come with a sweep of the first two chunks, which are of one row as those of the whole
+        over = axes(asked["solves"], 50_000)
+        options["memory"] = 40e6
+        first = {"base_tension": over["base_tension"][:2]}
+        cddf.sweep(paper_body(), over | first, out=asked["out"] + ".first", **options)
         status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-        most = 1024 * int(status["VmData"].split()[0]) + asked["limit"]
+        most = 1024 * int(status["VmData"].split()[0]) + asked["limit"]  # written memory, not mere address space
         resource.setrlimit(resource.RLIMIT_DATA, (most, most))
-        options["memory"] = asked["limit"] / 4
-    found = cddf.sweep(paper_body(), axes(asked["solves"]), out=asked["out"], **options)
+    found = cddf.sweep(paper_body(), over, out=asked["out"], **options)
     print(repr(float(found.tip_tension.sum())), int(found.successful.sum()), flush=True)
 
 

@@ -258,6 +258,7 @@ def test_a_target_in_words(cddf_command, heavy):
     assert line + "pulled in 7.854 mm" in out
 
 
+@pytest.mark.slow
 def test_a_target_under_loads(answer_of, heavy):
     answer = answer_of("solve", heavy, "-t", "tip_angle=45 deg", "--tip-force", "0 N, -5 N")
     assert answer["tip_angle"] == pytest.approx(np.pi / 4, rel=1e-9)

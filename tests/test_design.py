@@ -417,6 +417,7 @@ def test_multipliers_are_what_limits_cost(stiff):
     assert limit_of(stiff, "strain").multiplier == 0.0
 
 
+@pytest.mark.slow
 def test_sensitivities_are_what_fixed_numbers_cost(stiff):
     """Against designing again with another body, load case or limit."""
     h = 1e-4
@@ -588,6 +589,7 @@ def test_the_most_of_something_within_a_volume():
     assert report.multiplier > 0
 
 
+@pytest.mark.slow
 def test_the_stiffness_of_a_bent_tip():
     """Without friction phi = T d h(s) / E, h = int ds / J, and a force along w bends by (u(L) - u(s)) x w / (E J)."""
     pull = 20.0

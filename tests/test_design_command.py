@@ -173,6 +173,7 @@ def test_the_examples_can_be_read(name):
     assert read.manipulator.kinematics == "published"
 
 
+@pytest.mark.slow
 def test_the_example_of_uniform_curvature_is_the_analytic_body(run, tmp_path):
     """Published kinematics: kappa = d T / (E J + T d^2) and T' = -mu kappa / (1 - d kappa) T, solved for J."""
     assert run(ROOT / "fitting" / "design_uniform_curvature.toml", "--out", tmp_path)[0] == 0

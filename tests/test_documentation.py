@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -41,7 +42,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The pages by their place in the site."""
+    """The pages by their place in the site, with all that their examples print, without the pictures of the gallery."""
     folder = tmp_path_factory.mktemp("site")
     command = [
         sys.executable,
@@ -52,7 +53,8 @@ def site(tmp_path_factory):
         "--site-dir",
         folder,
     ]  # --quiet hides warnings from --strict
-    done = subprocess.run(command, cwd=ROOT, env=os.environ, capture_output=True, text=True, timeout=600, check=False)
+    settings = {**os.environ, "DRAW_GALLERY": "false"}
+    done = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, (done.stdout + done.stderr)[-4000:]
     return {path.relative_to(folder).as_posix(): Page(path) for path in folder.rglob("*.html")}
 
@@ -104,6 +106,17 @@ def test_examples_end_in_the_numbers_that_they_name(site):
     assert "friction_coefficient / youngs_modulus = 3.0" in site["identifiability.html"].text
     # NIST, Misra1a.dat
     assert "b1 238.94212" in site["reference/fitting.html"].text
+
+
+@pytest.mark.slow
+def test_the_gallery_is_drawn(tmp_path):
+    script = ROOT / "docs" / "make_gallery.py"
+    subprocess.run([sys.executable, script, tmp_path], cwd=ROOT, timeout=600, check=True)
+    pictures = runpy.run_path(str(script))["PICTURES"]
+    assert {path.name for path in tmp_path.iterdir()} == {
+        f"{p.name}.{kind}" for p in pictures for kind in ("pdf", "png")
+    }
+    assert all(path.stat().st_size > 1000 for path in tmp_path.iterdir())
 
 
 def test_formulas_are_mathml_and_numbered(site):

@@ -329,6 +329,7 @@ def test_each_tendon_may_have_its_own():
 # --- energy --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_energy_of_drag_alone():
     """A cylinder with mu = 0, pulled from P = 0: slack beyond P / w until P = w L.
 

@@ -285,16 +285,25 @@ def test_keys_move_a_slider(page):
 
 
 def test_a_slider_is_dragged(page):
-    box = slider(page, "friction_coefficient").bounding_box()
+    from playwright.sync_api import expect
+
+    handle = slider(page, "friction_coefficient")
+    box = handle.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x - 60, y, steps=20)
     page.mouse.up()
-    page.wait_for_timeout(300)
-    left = float(page.locator(".slider-edit input").nth(CONTROLS.index("friction_coefficient")).input_value())
+    index = CONTROLS.index("friction_coefficient")
+    # the field lags behind the handle; where that was let go stands in the page's model of it
+    left = page.evaluate(
+        """index => [...Bokeh.documents[0]._all_models.values()]
+        .filter(model => model.type.endsWith('Slider'))[index].value""",
+        index,
+    )
     assert left < 0.35
     assert follows(page, 75.0, friction_coefficient=left)
+    expect(page.locator(".slider-edit input").nth(index)).to_have_value(f"{left:.10g}", timeout=PATIENCE)
 
 
 def test_exact_numbers_are_typed(page):

@@ -193,6 +193,7 @@ def test_a_locking_tendon_is_reported_as_such(method, kinematics):
     assert code(cddf.RESULTS.locked) not in codes(solve(jnp.linspace(0.1, 0.9, 8) * limit))
 
 
+@pytest.mark.slow
 def test_methods_agree_over_random_tensions():
     fixed, marched = (
         jax.tree.map(lambda x: x[len(LANES) :], lanes_by(method)) for method in (cddf.FixedPoint(), MARCHING)

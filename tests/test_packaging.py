@@ -5,9 +5,11 @@ import sys
 import tarfile
 import venv
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 import cddf_jax
 
@@ -55,8 +57,45 @@ def test_the_source_distribution_holds_what_the_tests_need(built):
     assert not any(name.startswith(("out/", ".venv/", "dist/")) for name in names)
 
 
+def works(python, tmp_path):
+    """The solve meets the closed form, and the command answers."""
+    solved, expected = map(float, run(python, "-c", SOLVE, cwd=tmp_path).split())
+    assert solved == pytest.approx(expected, rel=1e-9)
+    command = python.with_name("cddf")
+    told = run(command, "solve", ROOT / "data/smooth_sil_940.toml", "-t", "10 N", "--json", cwd=tmp_path)
+    assert '"tip_tension"' in told
+
+
+def needed_by(name):
+    """The distributions that one needs, itself among them: those that its metadata declare, without its extras."""
+    found, left = {}, [Requirement(name)]
+    while left:
+        wanted = left.pop()
+        distribution = found[wanted.name] = metadata.distribution(wanted.name)
+        for extra in wanted.extras or {""}:
+            declared = map(Requirement, distribution.requires or ())
+            told = (r for r in declared if r.marker is None or r.marker.evaluate({"extra": extra}))
+            left += [r for r in told if r.name not in found]
+    return list(found.values())
+
+
+def test_the_wheel_works_with_what_it_declares_alone(built, tmp_path):
+    """In an environment of links to the distributions that its metadata name, and to nothing else."""
+    home = tmp_path / "declared"
+    venv.create(home, symlinks=True)
+    python, (site,) = home / "bin" / "python", home.glob("lib/*/site-packages")
+    for distribution in needed_by("cddf_jax")[1:]:
+        for part in {file.parts[0] for file in distribution.files or () if ".." not in file.parts}:
+            place = Path(str(distribution.locate_file(part)))
+            if place.exists() and not (site / part).exists():
+                (site / part).symlink_to(place)
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-compile", built[0])
+    works(python, tmp_path)
+
+
+@pytest.mark.slow
 def test_the_wheel_works_in_a_clean_environment(built, tmp_path):
-    """Only the wheel and its declared dependencies are there; the solve meets the closed form."""
+    """Installed as a user does, with whatever it declares."""
     home = tmp_path / "clean"
     venv.create(home, with_pip=True)
     python = home / "bin" / "python"
@@ -73,8 +112,5 @@ def test_the_wheel_works_in_a_clean_environment(built, tmp_path):
         constraints,
         built[0],
     )
-    solved, expected = map(float, run(python, "-c", SOLVE, cwd=tmp_path).split())
-    assert solved == pytest.approx(expected, rel=1e-9)
-    told = run(home / "bin" / "cddf", "solve", ROOT / "data/smooth_sil_940.toml", "-t", "10 N", "--json", cwd=tmp_path)
-    assert '"tip_tension"' in told
+    works(python, tmp_path)
     assert "No broken requirements" in run(python, "-m", "pip", "check")

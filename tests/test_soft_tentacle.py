@@ -107,6 +107,7 @@ def test_marker_by_scipy(poses, kinematics):
     np.testing.assert_allclose(marker, reference.tip_position + ahead, atol=ACCURATE)
 
 
+@pytest.mark.slow
 def test_pose_by_scipy(poses):
     """One pose against SciPy: tip, its angle and the tension there."""
     tension = float(poses.tension[1])

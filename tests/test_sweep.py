@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import paper_body
+from bodies import paper_body, paper_plain
+from loaded_bodies import PlainLoads, loaded_reference
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -146,18 +147,19 @@ def test_with_the_length_the_taper_varies_too():
         assert slope == pytest.approx(float(ahead - behind) / (2 * step), rel=1e-6)
 
 
-def test_two_tendons_loads_and_directions():
-    body = paper_body(num_tendons=2)
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_tendons_loads_and_directions(count):
+    body, direction = paper_body(num_tendons=count), (1, -1)[:count]
     rng = np.random.default_rng(0)
-    together = {
-        "base_tension.0": rng.uniform(20, 60, 4),
-        "base_tension.1": rng.uniform(0, 15, 4),
-        "loads.tip_force.1": rng.uniform(-2, 2, 4),
-    }
-    answer = cddf.sweep(body, {"sample": together}, direction=(1, -1))
+    pulls = {"base_tension.0": rng.uniform(20, 60, 4), "base_tension.1": rng.uniform(0, 15, 4)}
+    forces = {"loads.tip_force.1": rng.uniform(-2, 2, 4)}
+    answer = cddf.sweep(body, {"sample": dict(list(pulls.items())[:count]) | forces}, direction=direction)
 
-    def solve(first, second, force):
-        return cddf.solve(body, (first, second), cddf.Loads(tip_force=(0.0, force)), direction=(1, -1), throw=False)
+    def solve(*numbers):
+        """By SciPy."""
+        *tensions, force = numbers
+        plain = paper_plain(body.kinematics, (+1, -1)[:count])
+        return loaded_reference(plain, tensions, PlainLoads((0.0, force)), direction=direction)
 
     assert answer["loads.tip_force.1"].attrs["units"] == "N"
     one_by_one(answer, solve)

@@ -19,7 +19,7 @@ def with_sides(body, *sides):
     return eqx.tree_at(lambda body: body.tendons, body, tendons)
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)])
 def test_the_other_side_gives_the_mirror_image(kinematics):
     body = two_slanted_tendons(kinematics)
     left = cddf.solve(body, (60.0, 15.0), direction=(+1, -1))

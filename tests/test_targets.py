@@ -213,6 +213,7 @@ def test_round_trip_under_loads(target):
     np.testing.assert_allclose(found.tendon_displacement[:, 0], displacement, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_slack_under_a_load_is_what_the_load_leaves():
     """A force that bends the body towards the tendon takes up more tendon than the micrometer does.
 
@@ -235,6 +236,7 @@ def test_slack_under_a_load_is_what_the_load_leaves():
     np.testing.assert_allclose(found.tendon_displacement[2:, 0], wanted[2:], rtol=CLOSED)
 
 
+@pytest.mark.slow
 def test_shard_map():
     """A target under a load, four devices against one."""
     body, loads = paper_body("exact"), cddf.Loads(tip_force=(0.0, -1.0))
