@@ -31,7 +31,7 @@ def main(asked: dict[str, Any]) -> None:
     options = {"outputs": asked.get("outputs", ["tip_tension", "tip_position"]), "chunk": asked.get("chunk")}
     over = axes(asked["solves"])
     if "limit" in asked:
-        # threads and compiled code come with a sweep of the first two chunks, which are of one row as those of the whole
+        # threads and compiled code come with a sweep of the first two chunks, of one row each as those of the whole
         over = axes(asked["solves"], 50_000)
         options["memory"] = 40e6
         first = {"base_tension": over["base_tension"][:2]}

@@ -25,7 +25,7 @@ def tip_errors(kinematics, nodes, tension=75.0):
     )
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)])
 def test_the_error_falls_spectrally(kinematics):
     """Gauss's rule: each further node of the one panel divides the error by rho^2.
 

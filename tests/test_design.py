@@ -60,7 +60,7 @@ def uniform(kinematics, thinnest=0.0105, starts=1):
     )
 
 
-@pytest.mark.parametrize("kinematics", ["exact", "published"])
+@pytest.mark.parametrize("kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)])
 def test_uniform_curvature_has_the_analytic_radius(kinematics):
     """Exact: J = T d exp(-mu kappa s) / (E kappa), design.md section 5.
 

@@ -391,7 +391,7 @@ def total(times):
 
 @jax.jit
 def derivatives(times):
-    """Both modes of a batch of lanes in one compiled program; reverse mode is what `vjp` does, a linear map transposed."""
+    """Both modes of a batch of lanes, compiled once; reverse mode is what `vjp` does, a linear map transposed."""
     (sums, values), along, solutions = jax.linearize(total, times, has_aux=True)
     in_all_lanes = jax.vmap(lambda number: along(jnp.broadcast_to(number, times.shape))[1], out_axes=-1)
     (reverse,) = jax.vmap(jax.linear_transpose(lambda t: along(t)[0], times))(jnp.eye(sums.size))

@@ -77,7 +77,7 @@ def test_marching_agrees_with_the_fixed_point(case):
     assert marched.result == fixed.result
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)])
 def test_marching_is_of_fourth_order(kinematics):
     """Against the closed form (tension) and DOP853 (position); 4 nodes, 2 to 8 steps between them."""
     plain = paper_plain(kinematics)
