@@ -13,7 +13,7 @@ fit: .venv/ready  ## fit the shipped bench data and reproduce the paper's figure
 test: .venv/ready browser  ## all tests, on every core
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-test-slow: .venv/ready  ## those that compile for long, which `test` leaves out
+test-slow: .venv/ready  ## those that take long, which `test` leaves out
 	$(BIN)/python -m pytest -n auto -m slow
 
 browser:  ## Chromium for the tests of the explorer's page, where Debian's packages may be installed; else they skip

@@ -38,6 +38,7 @@ NOISE = {"tip_tension": CELL, "tip_angle": ANGLE}
 BOTH = ("friction_coefficient", "youngs_modulus")
 
 
+@pytest.mark.slow
 def test_gain_and_zeros_of_the_instruments(paper):
     truth = {"tip_gain": 1.02, "tip_zero": 0.3, "angle_zero": 0.01}
     table = readings(1, gain=1.02, zero=0.3, turned=0.01)

@@ -454,6 +454,7 @@ def test_a_process_of_its_own(tmp_path):
     assert json.loads(done.stdout)["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)  # in double precision
 
 
+@pytest.mark.slow
 def test_an_error_in_a_process_of_its_own(tmp_path):
     done = separate_process("fit", PAPER, tmp_path / "none.csv", XDG_CACHE_HOME=str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")

@@ -40,7 +40,7 @@ def test_the_error_falls_spectrally(kinematics):
     np.testing.assert_allclose(falls[:, 0], rate, rtol=0.1)
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
 def test_two_panels_go_on_where_one_ends(kinematics):
     """12 nodes are two panels of 6, 16 two of 8: the error of as many nodes on half the width, 2^-12 and less."""
     errors = {nodes: tip_errors(kinematics, nodes) for nodes in (6, 12, 16)}
@@ -76,7 +76,9 @@ def true_errors(kinematics, draws, solutions):
 
 
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
-@pytest.mark.parametrize("nodes", [4, 8, 16])
+@pytest.mark.parametrize(
+    "nodes", [pytest.param(4, marks=pytest.mark.slow), 8, pytest.param(16, marks=pytest.mark.slow)]
+)
 def test_the_estimate_is_not_below_the_error(kinematics, nodes):
     """Over 64 random bodies (seed 5); the estimate may fall short by a factor of two."""
     draws = random_draws(kinematics, 64, seed=5)
@@ -86,7 +88,7 @@ def test_the_estimate_is_not_below_the_error(kinematics, nodes):
     assert np.all(errors <= 2 * estimates + FLOOR)
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
 def test_what_is_called_successful_is_accurate(kinematics):
     """With too few nodes on purpose: no lane may be wrong by more than 1e-5 and say nothing."""
     draws = random_draws(kinematics, 64, seed=6)

@@ -354,7 +354,8 @@ def stiff():
     return pulled_two()
 
 
-@pytest.mark.parametrize("slope", [0.06, pytest.param(0.2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0.06, 0.2])
 def test_the_least_tension_against_a_brute_force_sweep(slope):
     """Where the slope holds the taper back, and where the thinnest tip does."""
     found, (tension, (base, tip, offset)) = pulled_two(slope=slope), brute_force(slope)

@@ -218,6 +218,7 @@ def test_two_tendons(offsets, tension, direction):
     np.testing.assert_allclose(solution.tip_position, reference.tip_position, atol=1e-8 * LENGTH)
 
 
+@pytest.mark.slow
 def test_under_a_load():
     force = (0.3, 1.0)
     for base_tension in (60.0, 10.0):
@@ -355,6 +356,7 @@ def test_energy_of_drag_alone():
     np.testing.assert_allclose(balance.friction_loss, [work - elastic], rtol=5e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("direction", "closes"), [(+1, 1e-5), (-1, 1e-11)], ids=["in", "out"])
 def test_the_energy_of_both_frictions_balances(direction, closes):
     """Virtual work, design.md section 2, whichever way friction acts; sliding in, the tendon is slack at first."""

@@ -69,15 +69,8 @@ EXACT = {
 }
 
 
-SLANTED = {
-    name for name in EXACT if "antagonists" in name or "bend" in name
-}  # one program, which takes long to compile
-
-
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.slow) if name in (*SLANTED, "loads that help") else name for name in EXACT],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXACT)
 def test_the_balance_closes_in_the_exact_kinematics(name):
     """Virtual work, design.md section 2: what the tendons do is stored, rubbed off, or lifts the loads."""
     body, tension, loads, direction = EXACT[name]
@@ -99,6 +92,7 @@ def test_a_load_that_opposes_and_is_overcome():
     assert fine.load_work == pytest.approx(lifted, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_without_friction_nothing_is_lost():
     balance = cddf.energy_balance(parallel_tendons(friction_coefficient=0.0), ONE_PULLS, LOADS, direction=IN_OUT)
     assert balance.friction_loss == pytest.approx([0.0, 0.0], abs=1e-15)

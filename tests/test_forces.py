@@ -63,11 +63,12 @@ def imbalance(case, nodes):
 
 
 SLOW = ("exact, one out", "exact, converging")  # slanted, exact: each section is solved by Newton
-
-
-@pytest.mark.parametrize(
+each_case = pytest.mark.parametrize(
     "case", [pytest.param(case, marks=pytest.mark.slow) if case in SLOW else case for case in CASES]
 )
+
+
+@each_case
 def test_the_forces_along_the_body_and_at_its_ends_balance(case):
     """F_CDDN + F_CDDF is the derivative of T t_c, eq. (9), (10): the integral closes, the better the more nodes."""
     coarse, fine = imbalance(case, 6), imbalance(case, 16)
@@ -75,7 +76,7 @@ def test_the_forces_along_the_body_and_at_its_ends_balance(case):
     assert fine < max(coarse / 100, 1e-10)
 
 
-@pytest.mark.parametrize("case", CASES)
+@each_case
 def test_friction_opposes_the_sliding(case):
     """On the body it points along the tendon's motion: to the base (-t_c) for one sliding in, eq. (10)."""
     body, solution = solved(case)
@@ -84,7 +85,7 @@ def test_friction_opposes_the_sliding(case):
     assert np.all(sign[:, None] * along < 0)
 
 
-@pytest.mark.parametrize("case", CASES)
+@each_case
 def test_friction_lies_along_the_tendon_and_in_the_exact_kinematics_the_rest_across(case):
     body, solution = solved(case)
     t_c = tangents(body, solution.along)
@@ -144,7 +145,7 @@ def literal_moment(body, solution, points):
     return s, np.array(moments)
 
 
-@pytest.mark.parametrize("case", CASES)
+@each_case
 def test_the_double_integral_of_eq_13_is_the_local_equilibrium(case):
     """It tends to E J kappa with the square of the step, as the trapezoidal rule does."""
     body, solution = solved(case)

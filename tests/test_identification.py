@@ -140,7 +140,7 @@ def test_neither_start_nor_order_matters(paper, load_cells, tensions_only, start
     assert fit.combinations[RATIO].standard_error == pytest.approx(expected.standard_error, rel=1e-4)
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
 @pytest.mark.parametrize("start", [(MU, E), (2.0, 1e5), (0.46, 1.48e6), (0.05, 1e8)])
 def test_tensions_without_noise(kinematics, start):
     """The closed form itself as data: the ratio comes back, neither factor does."""

@@ -205,7 +205,8 @@ def test_a_force_along_a_straight_rod_bends_nothing():
 # --- bodies that are not smooth ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kinematics", ["published", pytest.param("exact", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
 def test_a_stepped_body_with_a_passive_tip_link(kinematics):
     """Two tendons of their own offsets and friction end at 100 mm; beyond it the body is passive, under loads."""
     outer = cddf.Piecewise([0.06], [cddf.Constant(0.018), cddf.Constant(0.014)])

@@ -28,7 +28,7 @@ def surroundings(tmp_path_factory):
     }
 
 
-AT_ONCE = ("01", "03")  # the model, and data of one's own; the others take longer than the rest of their kind of test
+AT_ONCE = ("03",)  # data of one's own; the others are slow
 RUN = [path if path.stem.startswith(AT_ONCE) else pytest.param(path, marks=pytest.mark.slow) for path in NOTEBOOKS]
 
 

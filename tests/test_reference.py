@@ -69,7 +69,7 @@ def test_one_tendon(kinematics, direction):
     compare(paper_body(kinematics), paper_plain(kinematics), 30.0, direction)
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
 @pytest.mark.parametrize("direction", [(+1, +1), (+1, -1), (-1, +1)], ids=str)
 def test_two_tendons(kinematics, direction):
     tension = (75.0, 20.0) if direction[0] > 0 else (30.0, 40.0)
@@ -125,7 +125,7 @@ SPLINE_KNOTS = np.array([0.0, 0.03, 0.06, 0.10, 0.14])
 SPLINE_HEIGHTS = np.array([0.0100, 0.0108, 0.0110, 0.0103, 0.0090])
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
 def test_a_spline_offset(kinematics):
     scipy_spline = CubicSpline(SPLINE_KNOTS, SPLINE_HEIGHTS, bc_type="not-a-knot")
     plain = paper_plain(
@@ -134,7 +134,7 @@ def test_a_spline_offset(kinematics):
     compare(manipulator(kinematics, cddf.Tendon(cddf.Spline(SPLINE_KNOTS, SPLINE_HEIGHTS))), plain, 60.0)
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
 def test_a_tendon_that_ends_before_the_tip(kinematics):
     compare_pair(kinematics, (0.010, 0.010), (0.011, 0.011), (40.0, 15.0), (+1, -1), end=0.08)
 

@@ -97,7 +97,8 @@ def pose_by_scipy(tension, kinematics):
 ACCURATE = 1e-6 * 0.36
 
 
-@pytest.mark.parametrize("kinematics", ["published", pytest.param("exact", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
 def test_marker_by_scipy(poses, kinematics):
     """The marker ahead of the tip of one pose, with the compiled program of `by_modulus`."""
     reference = pose_by_scipy(float(poses.tension[1]), kinematics)

@@ -119,7 +119,8 @@ def test_regions_tile_the_answer():
 # --- devices and processes --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [1, 2])
 def test_devices_change_nothing(plain, tmp_path, devices):
     """Four devices here (conftest), one or two in a process of its own; the compiler's options differ as well."""
     path = tmp_path / "s.zarr"
