@@ -3,6 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 ROBOT := data/smooth_sil_940.toml
 TRIALS := data/load_cells_simulated.csv
+# every command starts processes that import JAX: compiled modules are kept, whatever the shell asks for
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: fit test test-slow browser lint docs studies benchmark clean
 
