@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
@@ -24,6 +25,12 @@ PAPER = {
     "youngs_modulus": 1.4e6,
     "friction_coefficient": 0.42,
 }
+
+
+# for tests that compile for either kinematics, and say much the same of both
+one_kinematics_at_once = pytest.mark.parametrize(
+    "kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)]
+)
 
 
 def paper_body(kinematics: str = "published", **changes: Any) -> cddf.Manipulator:

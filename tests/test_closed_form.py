@@ -12,6 +12,7 @@ from bodies import (
     codes,
     constant,
     draws,
+    one_kinematics_at_once,
     paper_body,
     paper_plain,
     plain_of,
@@ -107,7 +108,7 @@ def test_random_bodies_exact_with_converging_offset(draw):
         assert owned < TENSION_ACCURACY
 
 
-@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
+@one_kinematics_at_once
 def test_no_false_alarm(kinematics):
     """What is solved to the accuracy above is not to be called inaccurate; 200 bodies, seed 0."""
     result = jax.vmap(solve_draw[kinematics])(stack(random_draws(kinematics, 200, seed=0))).result

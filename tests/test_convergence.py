@@ -4,7 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import body_of, constant, paper_body, paper_plain, plain_of, random_draws, reference_solution, stack
+from bodies import (
+    body_of,
+    constant,
+    one_kinematics_at_once,
+    paper_body,
+    paper_plain,
+    plain_of,
+    random_draws,
+    reference_solution,
+    stack,
+)
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -25,7 +35,7 @@ def tip_errors(kinematics, nodes, tension=75.0):
     )
 
 
-@pytest.mark.parametrize("kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)])
+@one_kinematics_at_once
 def test_the_error_falls_spectrally(kinematics):
     """Gauss's rule: each further node of the one panel divides the error by rho^2.
 
@@ -40,7 +50,7 @@ def test_the_error_falls_spectrally(kinematics):
     np.testing.assert_allclose(falls[:, 0], rate, rtol=0.1)
 
 
-@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
+@one_kinematics_at_once
 def test_two_panels_go_on_where_one_ends(kinematics):
     """12 nodes are two panels of 6, 16 two of 8: the error of as many nodes on half the width, 2^-12 and less."""
     errors = {nodes: tip_errors(kinematics, nodes) for nodes in (6, 12, 16)}
@@ -88,7 +98,7 @@ def test_the_estimate_is_not_below_the_error(kinematics, nodes):
     assert np.all(errors <= 2 * estimates + FLOOR)
 
 
-@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
+@one_kinematics_at_once
 def test_what_is_called_successful_is_accurate(kinematics):
     """With too few nodes on purpose: no lane may be wrong by more than 1e-5 and say nothing."""
     draws = random_draws(kinematics, 64, seed=6)

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, fields_at, paper_body, paper_plain
+from bodies import PAPER, fields_at, one_kinematics_at_once, paper_body, paper_plain
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq, minimize
@@ -60,7 +60,7 @@ def uniform(kinematics, thinnest=0.0105, starts=1):
     )
 
 
-@pytest.mark.parametrize("kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)])
+@one_kinematics_at_once
 def test_uniform_curvature_has_the_analytic_radius(kinematics):
     """Exact: J = T d exp(-mu kappa s) / (E kappa), design.md section 5.
 

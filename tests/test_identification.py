@@ -5,7 +5,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from bodies import constant, paper_body, paper_plain, reference_solution, replaced, straight
+from bodies import constant, one_kinematics_at_once, paper_body, paper_plain, reference_solution, replaced, straight
 from scipy import optimize, stats
 
 import cddf_jax as cddf
@@ -140,7 +140,7 @@ def test_neither_start_nor_order_matters(paper, load_cells, tensions_only, start
     assert fit.combinations[RATIO].standard_error == pytest.approx(expected.standard_error, rel=1e-4)
 
 
-@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
+@one_kinematics_at_once
 @pytest.mark.parametrize("start", [(MU, E), (2.0, 1e5), (0.46, 1.48e6), (0.05, 1e8)])
 def test_tensions_without_noise(kinematics, start):
     """The closed form itself as data: the ratio comes back, neither factor does."""

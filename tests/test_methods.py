@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import code, codes, lane, paper_body, paper_plain, reference_solution, stack
+from bodies import code, codes, lane, one_kinematics_at_once, paper_body, paper_plain, reference_solution, stack
 
 import cddf_jax as cddf
 from cddf_jax.problem import Nodal, lay_out
@@ -77,7 +77,7 @@ def test_marching_agrees_with_the_fixed_point(case):
     assert marched.result == fixed.result
 
 
-@pytest.mark.parametrize("kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)])
+@one_kinematics_at_once
 def test_marching_is_of_fourth_order(kinematics):
     """Against the closed form (tension) and DOP853 (position); 4 nodes, 2 to 8 steps between them."""
     plain = paper_plain(kinematics)

@@ -7,6 +7,7 @@ from bodies import (
     PAPER,
     constant,
     fields_at,
+    one_kinematics_at_once,
     paper_body,
     paper_plain,
     reference_solution,
@@ -69,7 +70,7 @@ def test_one_tendon(kinematics, direction):
     compare(paper_body(kinematics), paper_plain(kinematics), 30.0, direction)
 
 
-@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
+@one_kinematics_at_once
 @pytest.mark.parametrize("direction", [(+1, +1), (+1, -1), (-1, +1)], ids=str)
 def test_two_tendons(kinematics, direction):
     tension = (75.0, 20.0) if direction[0] > 0 else (30.0, 40.0)
@@ -125,7 +126,7 @@ SPLINE_KNOTS = np.array([0.0, 0.03, 0.06, 0.10, 0.14])
 SPLINE_HEIGHTS = np.array([0.0100, 0.0108, 0.0110, 0.0103, 0.0090])
 
 
-@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
+@one_kinematics_at_once
 def test_a_spline_offset(kinematics):
     scipy_spline = CubicSpline(SPLINE_KNOTS, SPLINE_HEIGHTS, bc_type="not-a-knot")
     plain = paper_plain(
@@ -134,7 +135,7 @@ def test_a_spline_offset(kinematics):
     compare(manipulator(kinematics, cddf.Tendon(cddf.Spline(SPLINE_KNOTS, SPLINE_HEIGHTS))), plain, 60.0)
 
 
-@pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
+@one_kinematics_at_once
 def test_a_tendon_that_ends_before_the_tip(kinematics):
     compare_pair(kinematics, (0.010, 0.010), (0.011, 0.011), (40.0, 15.0), (+1, -1), end=0.08)
 

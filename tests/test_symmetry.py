@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body, paper_plain, replaced, two_slanted_tendons
+from bodies import PAPER, one_kinematics_at_once, paper_body, paper_plain, replaced, two_slanted_tendons
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -19,7 +19,7 @@ def with_sides(body, *sides):
     return eqx.tree_at(lambda body: body.tendons, body, tendons)
 
 
-@pytest.mark.parametrize("kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)])
+@one_kinematics_at_once
 def test_the_other_side_gives_the_mirror_image(kinematics):
     body = two_slanted_tendons(kinematics)
     left = cddf.solve(body, (60.0, 15.0), direction=(+1, -1))
