@@ -7,7 +7,7 @@ from scipy import stats
 from test_identification import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
-from cddf_jax.bench import PARAMETERS, with_parameters
+from cddf_jax.bench import PARAMETERS, experiment_of, with_parameters
 from cddf_jax.errors import InputError
 from cddf_jax.measurements import Measurements
 
@@ -244,3 +244,16 @@ def test_every_parameter_reaches_the_readings(paper):
             )
             size = np.maximum(size, np.abs(difference))
         assert np.all(size > 0), name
+
+
+def test_which_rows_lie_on_one_curve(paper):
+    """A free body of one tendon that is pulled in has one answer for each base tension; nothing else has."""
+    columns = {"base_tension": [10.0, 20.0], "tip_tension": [9.0, 18.0]}
+    others = {
+        "forces": (paper, {"tip_force_y": [0.0, -1.0]}),
+        "slides out": (paper, {"direction": [1.0, -1.0]}),
+        "two tendons": (paper_body("exact", num_tendons=2), {"base_tension_2": [0.0, 0.0]}),
+    }
+    assert experiment_of(Measurements.from_columns("bench", **columns), paper).on_one_curve
+    for body, extra in others.values():
+        assert not experiment_of(Measurements.from_columns("bench", **columns, **extra), body).on_one_curve

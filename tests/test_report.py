@@ -16,6 +16,7 @@ from scipy import stats
 
 import cddf_jax as cddf
 from cddf_jax import artifacts, estimate_figures, fit_figures, fit_results, plotting, profile_figures, report
+from cddf_jax.bench import Bench, experiment_of
 from cddf_jax.bootstrap import Bootstrap
 from cddf_jax.measurements import Measurements
 from cddf_jax.observations import Noise
@@ -235,14 +236,45 @@ def test_the_figure_of_one_base_tension(paper):
     assert imread(BytesIO(plotting.render(figure, "bench")["bench.png"])).size > 0
 
 
-def test_no_curve_through_rows_that_lie_apart(paper, load_cells):
-    """A force on the tip, or a tendon that slides out: the curve of the free body would not go through them."""
+def test_rows_that_lie_apart_are_drawn_over_their_prediction(paper, load_cells):
+    """A tendon that slides out in two rows: the curve of the tendon that is pulled in would not go through them."""
     columns = {name: load_cells[name][:17] for name in ("base_tension", "tip_tension")}
     ones, fit = np.ones(17), cddf.fit(paper, Measurements.from_columns("bench", **columns))
-    for extra in ({"tip_force_y": -ones}, {"direction": np.where(np.arange(17) < 15, ones, -ones)}):
-        table = Measurements.from_columns("bench", **columns, **extra)
-        assert fit_figures.table_figures(dataclasses.replace(fit, tables=(table,))) == {}
-    assert list(fit_figures.table_figures(fit)) == ["fit_bench"]
+    labels = [axes.get_xlabel() for axes in fit_figures.table_figures(fit)["fit_bench"].axes]
+    assert labels == ["", "Base tension (N)"]
+    table = Measurements.from_columns("bench", **columns, direction=np.where(np.arange(17) < 15, ones, -ones))
+    model = dataclasses.replace(fit.model, experiments=(experiment_of(table, paper),))
+    (figure,) = fit_figures.table_figures(dataclasses.replace(fit, tables=(table,), model=model)).values()
+    above, below = figure.axes
+    assert above.get_ylabel() == "Measured tip tension (N)"
+    assert below.get_xlabel() == "Predicted tip tension (N)"
+    residual = fit.residuals["bench: tip_tension"]
+    measured = next(line for line in above.lines if line.get_marker() == "o")
+    np.testing.assert_array_equal(measured.get_ydata(), table["tip_tension"])
+    np.testing.assert_array_equal(measured.get_xdata(), table["tip_tension"] - residual)
+    dots = next(line for line in below.lines if line.get_marker() == ".")
+    np.testing.assert_array_equal(dots.get_ydata(), residual)
+
+
+@pytest.mark.slow
+def test_two_tendons_are_drawn_over_their_predictions():
+    """Rows of the model itself, with noise; the prediction and its interval are those of `Fit.predict`."""
+    pair, pulls = paper_body(num_tendons=2), np.array([[20.0, 5.0], [40.0, 5.0], [60.0, 10.0], [30.0, 8.0]] * 2)
+    read = Bench(pulls, np.tile([1.0, -1.0], (8, 1))).evaluate(pair, {"friction_coefficient": 0.42}, 16)[0]
+    noise = np.random.default_rng(0).normal(0, 0.01, (8, 2))
+    columns = {"base_tension": pulls[:, 0], "base_tension_2": pulls[:, 1], "direction_2": -np.ones(8)}
+    columns |= {name: read[name] + noise[:, i] for i, name in enumerate(("tip_tension", "tip_tension_2"))}
+    fit = cddf.fit(pair, Measurements.from_columns("pair", **columns), "friction_coefficient")
+    (figure,) = fit_figures.table_figures(fit).values()
+    labels = [axes.get_xlabel() for axes in figure.axes if axes.get_xlabel()]
+    assert labels == ["Predicted tip tension (N)", "Predicted tip tension 2 (N)"]
+    axes = fit_figures.draw_fit(fit, column="tip_tension_2")
+    drawn = next(line for line in axes.lines if line.get_marker() == "o")
+    predicted = fit.predict("tip_tension_2", pulls, direction=(1.0, -1.0))
+    np.testing.assert_allclose(drawn.get_xdata(), predicted.value, rtol=1e-9)
+    (bars,) = (item for item in axes.containers if item.get_label() == "95 % interval of the model")
+    reach = [np.ptp(segment[:, 0]) / 2 for segment in bars[2][0].get_segments()]
+    np.testing.assert_allclose(reach, predicted.half_width, rtol=1e-9)
 
 
 def test_a_failed_fit_still_has_a_report():
@@ -254,8 +286,12 @@ def test_a_failed_fit_still_has_a_report():
     assert not fit.success
     assert words_of(fit).splitlines()[2].startswith("- The fit failed: ")
     json.dumps(artifacts.plain(results_of(fit)), allow_nan=False)
-    for name, figure in fit_figures.table_figures(fit).items():
-        assert plotting.render(figure, name)
+    made = fit_results.make_report(fit)
+    assert report.report_figures(made) == {}
+    said = report.as_markdown(made, [])
+    rows = "- No figure of bench: the model gave no numbers for tip_tension in 17 of 17 rows."
+    for line in (rows, *(f"- No figure of {name}: the fit failed: " for name in ("profiles", "correlation"))):
+        assert line in said
 
 
 # --- residuals, profiles, correlation, bootstraps --------------------------------------------------

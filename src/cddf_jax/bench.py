@@ -97,6 +97,11 @@ class Bench(eqx.Module):
     columns: tuple[str, ...] = eqx.field(default=(), static=True)
     name: str = eqx.field(default="", static=True)
 
+    @property
+    def on_one_curve(self) -> bool:
+        """Whether the rows lie on the curve of a free body of one tendon that is pulled in."""
+        return self.base_tension.shape[1] == 1 and self.tip_force is None and bool(np.all(self.direction > 0))
+
     def solve(self, manipulator: Manipulator, parameters: Mapping[str, Any], nodes: int) -> Equilibrium:
         """The rows, in equilibrium."""
         body = with_parameters(manipulator, parameters)

@@ -2,7 +2,7 @@
 
 import re
 from textwrap import fill
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from . import plotting as draw
-from .bench import TRIALS, parameter_named
+from .bench import TRIALS, Bench, parameter_named
 from .determination import AT_BOUND
 from .errors import InputError
 from .identification import SHOWN, Fit
@@ -23,6 +23,8 @@ from .units import preferred
 DEGREE = np.degrees(1.0)
 SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds
 PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
+MOST_ACROSS = 3  # panels side by side
+INTERVAL: dict[str, Any] = {"fmt": "none", "ecolor": draw.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
 
 
 def own_names(fit: Fit) -> list[str]:
@@ -51,32 +53,29 @@ def draw_fit(
     """The readings of a column over base tension, N, and the fitted model with its 95 % band.
 
     Readings of one level are drawn as their mean with one standard deviation. A pulley test is drawn as pulling
-    tension per weight over wrap angle, deg, so that one curve holds every weight.
+    tension per weight over wrap angle, deg, so that one curve holds every weight. No single curve holds the rows of a
+    table with several tendons, forces on the tip or tendons that slide out: each reading is then drawn over what the
+    model predicts for its row, with the 95 % interval of the prediction.
 
     Args:
         fit: of `fit`.
         table: one of the tables that were fitted, or its name as in `fit.alone`; may be left out where there is one.
-        column: "tip_tension" (N), "tip_angle" (deg), "tip_x" or "tip_y" (mm); may be left out where there is one.
+        column: "tip_tension", "tip_tension_2", ... (N), "tip_angle" (deg), "tip_x" or "tip_y" (mm); may be left out
+            where there is one.
         axes: where to draw; None for a new figure, one column wide.
 
     Raises:
-        InputError: for another table or column; where no single curve holds the rows, because there are several
-            tendons, forces on the tip or tendons that slide out; where the model gave no numbers.
+        InputError: for another table or column, or where the model gave no numbers.
     """
     name, column = _chosen("draw_fit", fit, table, column)
-    if _is_apart(fit, name):
-        raise InputError(
-            f"draw_fit: {name} has several tendons, forces on the tip or tendons that slide out, which no single curve "
-            "holds; draw_residuals shows what is left of it"
-        )
-    readings, curve = _readings(fit, name, column), _curve(fit, name, column)
-    if not _is_finite(readings, curve):
-        raise InputError(f"draw_fit: the model gave no numbers for {column} of {name}; see fit.result")
+    readings, curve = _drawable("draw_fit", fit, name, column)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
-        low, high = curve.value - curve.half_width, curve.value + curve.half_width
-        draw_band(axes, curve.grid, low, high, label="95 % band of the model")
-        axes.plot(curve.grid, curve.value, color=draw.BLUE, label="model")
-        draw_levels(axes, readings.x, readings.observed, label=readings.data_label)
+        if curve is None:
+            _draw_over_prediction(axes, readings)
+        else:
+            draw_band(axes, curve.grid, *curve.band, label="95 % band of the model")
+            axes.plot(curve.grid, curve.value, color=draw.BLUE, label="model")
+            draw_levels(axes, readings.x, readings.observed, label=readings.data_label)
         axes.set(xlabel=readings.x_label, ylabel=f"{readings.words} ({readings.unit})")
         axes.legend(loc="best", frameon=False)
     return axes
@@ -87,58 +86,76 @@ def draw_residuals(
 ) -> Axes:
     """What the fitted model leaves of a column, observed less predicted, over base tension, N (wrap angle, deg).
 
-    Every reading is a dot; over them mean and standard deviation of each level. The 95 % band of the model lies about
-    zero where a single curve holds the rows.
+    Every reading is a dot; over them mean and standard deviation of each level, and about zero the 95 % band of the
+    model. Where no single curve holds the rows, the residuals are drawn over the prediction, as `draw_fit` does.
 
     Args:
-        fit, table, axes: as of `draw_fit`.
-        column: as of `draw_fit`, and "tip_tension_2" and so on (N).
+        fit, table, column, axes: as of `draw_fit`.
 
     Raises:
         InputError: for another table or column, or where the model gave no numbers.
     """
     name, column = _chosen("draw_residuals", fit, table, column)
-    readings = _readings(fit, name, column)
-    curve = None if _is_apart(fit, name) else _curve(fit, name, column)
-    if not _is_finite(readings, curve):
-        raise InputError(f"draw_residuals: the model gave no numbers for {column} of {name}; see fit.result")
+    readings, curve = _drawable("draw_residuals", fit, name, column)
     with draw.axes_or_new(axes, RESIDUAL_HEIGHT) as axes:
         if curve is not None:
             draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
-        draw_about_zero(axes, readings.x, readings.residual)
+        elif np.all(np.isfinite(readings.half_width)):
+            axes.errorbar(readings.x, 0 * readings.x, yerr=readings.half_width, **INTERVAL)
+        draw_about_zero(axes, readings.x, readings.residual, levels=curve is not None)
         axes.set(xlabel=readings.x_label, ylabel=f"Residual ({readings.unit})")
     return axes
 
 
 def table_figures(fit: Fit) -> dict[str, Figure]:
-    """One figure for each table: data, model with its 95 % band, residuals.
+    """One figure for each table, as `draw_fit` above and `draw_residuals` below draw it, a panel for each column.
 
-    There is none for tables of several tendons, under forces or of tendons that slide out, which no single curve
-    holds, and none where the model gave no numbers.
+    There is none where the model gave no numbers: `tables_without_numbers`.
     """
-    figures = {}
+    lost = tables_without_numbers(fit)
+    return {
+        "fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_"): _table_figure(fit, name)
+        for name in fit.alone
+        if name not in lost
+    }
+
+
+def tables_without_numbers(fit: Fit) -> dict[str, str]:
+    """By table, what the model gave no numbers for, in words; such a table cannot be drawn."""
+    lost = {}
     for name in fit.alone:
-        columns = [column for column in ("pulling_tension", *READINGS) if column in _observed(fit, name)]
-        if _is_apart(fit, name) or not all(_has_numbers(fit, name, column) for column in columns):
-            continue
-        figures["fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_")] = _table_figure(fit, name, columns)
-    return figures
+        missing = [column for column in _observed(fit, name) if not _has_numbers(fit, name, column)]
+        if missing:
+            rows = max(np.sum(~np.isfinite(fit.residuals[f"{name}: {column}"])) for column in missing)
+            where = f" in {rows} of {len(_table(fit, name))} rows" if rows else " between the rows"
+            lost[name] = f"the model gave no numbers for {', '.join(missing)}{where}"
+    return lost
 
 
-def _table_figure(fit: Fit, name: str, columns: list[str]) -> Figure:
-    """Data and model above, residuals below; one column fills that of a page, more stand side by side over both."""
+def _table_figure(fit: Fit, name: str) -> Figure:
+    """Data and model above, residuals below; one column fills that of a page, up to three stand side by side."""
+    columns = _observed(fit, name)
+    across, down = min(len(columns), MOST_ACROSS), -(-len(columns) // MOST_ACROSS)
     with draw.house_style():
-        figure = draw.new_figure(draw.SINGLE_COLUMN if len(columns) == 1 else draw.DOUBLE_COLUMN, 3.2)
-        axes = figure.subplots(2, len(columns), squeeze=False, sharex="col", height_ratios=(3, 1))
-        for (above, below), column in zip(axes.T, columns, strict=True):
-            draw_fit(fit, name, column, above).set_xlabel("")
-            draw_residuals(fit, name, column, below)
-        figure.align_ylabels()
+        figure = draw.new_figure(draw.SINGLE_COLUMN if across == 1 else draw.DOUBLE_COLUMN, 3.2 * down)
+        rows = figure.subfigures(down, 1, squeeze=False)[:, 0]
+        for first, row in enumerate(rows):
+            axes = row.subplots(2, across, squeeze=False, sharex="col", height_ratios=(3, 1)).T
+            own = columns[first * across : (first + 1) * across]
+            for (above, below), column in zip(axes, own, strict=False):
+                draw_fit(fit, name, column, above).set_xlabel("")
+                draw_residuals(fit, name, column, below)
+            for unused in axes[len(own) :].ravel():
+                unused.set_axis_off()
+            row.align_ylabels()
     return figure
 
 
 class _Readings(NamedTuple):
-    """One column over what was set, in the units of the labels; residual = observed - predicted."""
+    """One column over what was set, or over its prediction, in the units of the labels.
+
+    residual = observed - predicted; `half_width` is that of the 95 % interval of the predictions.
+    """
 
     x: np.ndarray
     observed: np.ndarray
@@ -147,6 +164,7 @@ class _Readings(NamedTuple):
     words: str
     unit: str
     data_label: str
+    half_width: Any = np.nan  # where x is what was set, the curve has it
 
 
 class _Curve(NamedTuple):
@@ -155,6 +173,11 @@ class _Curve(NamedTuple):
     grid: np.ndarray
     value: np.ndarray
     half_width: np.ndarray
+
+    @property
+    def band(self) -> tuple[np.ndarray, np.ndarray]:
+        """Its lower and upper end."""
+        return self.value - self.half_width, self.value + self.half_width
 
 
 def _chosen(who: str, fit: Fit, table: str | Measurements | None, column: str | None) -> tuple[str, str]:
@@ -184,24 +207,39 @@ def _table(fit: Fit, name: str) -> Measurements:
 
 
 def _is_apart(fit: Fit, name: str) -> bool:
-    """Whether rows lie off the curve of a free body of one tendon that is pulled in."""
-    table = _table(fit, name)
-    forces = any(np.any(table[column]) for column in ("tip_force_x", "tip_force_y") if column in table)
-    out = "direction" in table and bool(np.any(table["direction"] < 0))
-    return "pulling_tension" not in table and (fit.manipulator.num_tendons > 1 or forces or out)
+    """Whether no single curve holds the rows of a table."""
+    rows = fit.model.experiments[list(fit.alone).index(name)]
+    return isinstance(rows, Bench) and not rows.on_one_curve
 
 
-def _is_finite(readings: _Readings, curve: _Curve | None) -> bool:
-    return bool(np.all(np.isfinite(readings.residual)) and (curve is None or np.all(np.isfinite(curve.value))))
+def _drawable(who: str, fit: Fit, name: str, column: str) -> tuple[_Readings, _Curve | None]:
+    """The readings of a column, and the curve of the model where a single one holds them."""
+    if not _has_numbers(fit, name, column):
+        raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
+    return _readings(fit, name, column), _curve(fit, name, column)
 
 
 def _has_numbers(fit: Fit, name: str, column: str) -> bool:
-    return _is_finite(_readings(fit, name, column), _curve(fit, name, column))
+    if not np.all(np.isfinite(fit.residuals[f"{name}: {column}"])):
+        return False
+    curve = _curve(fit, name, column)
+    return curve is None or bool(np.all(np.isfinite(curve.value)))
+
+
+def _draw_over_prediction(axes: Axes, readings: _Readings) -> None:
+    """Readings over predictions, with the intervals of these, and the line on which they would be equal."""
+    ends = [np.min(readings.x), np.max(readings.x)]
+    axes.plot(ends, ends, color=draw.BLUE, label="measured = predicted")
+    if np.all(np.isfinite(readings.half_width)):
+        label = "95 % interval of the model"
+        axes.errorbar(readings.x, readings.observed, xerr=readings.half_width, label=label, **INTERVAL)
+    look = {"color": draw.BLACK, "markerfacecolor": "none", "zorder": 3}
+    axes.plot(readings.x, readings.observed, "o", label=readings.data_label, **look)
 
 
 def _readings(fit: Fit, name: str, column: str) -> _Readings:
     table, residual = _table(fit, name), fit.residuals[f"{name}: {column}"]
-    label = "simulated data, mean ± sd" if table.simulated else "data, mean ± sd"
+    label = ("simulated data" if table.simulated else "data") + (", mean ± sd" if not _is_apart(fit, name) else "")
     if column == "pulling_tension":
         x, weight = DEGREE * table["wrap_angle"], table["weight"]
         words = "Pulling tension / weight"
@@ -209,13 +247,33 @@ def _readings(fit: Fit, name: str, column: str) -> _Readings:
     kind = READINGS[kind_of(column)]
     scale, unit = preferred(kind.dimension)
     number = column.removeprefix(kind_of(column))  # "_2" of tendon 2
-    set_to, words = f"base_tension{number}", f"{kind.words}{number.replace('_', ' ')}"
-    x_label = f"{set_to.replace('_', ' ').capitalize()} (N)"
-    return _Readings(table[set_to], scale * table[column], scale * residual, x_label, words, unit, label)
+    words = f"{kind.words}{number.replace('_', ' ')}"
+    numbers = scale * table[column], scale * residual
+    if not _is_apart(fit, name):
+        return _Readings(table["base_tension"], *numbers, "Base tension (N)", words, unit, label)
+    predicted, x_label = numbers[0] - numbers[1], f"Predicted {_lower(words)} ({unit})"
+    words, half_width = f"Measured {_lower(words)}", scale * _half_width(fit, name, column)
+    return _Readings(predicted, *numbers, x_label, words, unit, label, half_width)
 
 
-def _curve(fit: Fit, name: str, column: str) -> _Curve:
+def _lower(words: str) -> str:
+    """With a small first letter."""
+    return words[0].lower() + words[1:]
+
+
+def _half_width(fit: Fit, name: str, column: str) -> np.ndarray:
+    """Of the 95 % intervals of the predictions for the rows of a table, SI."""
+    rows = fit.model.experiments[list(fit.alone).index(name)]
+    assert isinstance(rows, Bench)
+    _, slope, _ = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    return fit.band(slope[column])
+
+
+def _curve(fit: Fit, name: str, column: str) -> _Curve | None:
+    """The model over all base tensions of a table; None where no single curve holds its rows."""
     table = _table(fit, name)
+    if _is_apart(fit, name):
+        return None
     if column == "pulling_tension":
         return _pulley_curve(fit, table["wrap_angle"].max())
     scale, _ = preferred(READINGS[kind_of(column)].dimension)

@@ -45,10 +45,11 @@ def draw_levels(axes: Axes, x: Any, y: Any, **style: Any) -> None:
     axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
 
 
-def draw_about_zero(axes: Axes, x: Any, residual: Any) -> None:
-    """Every residual as a dot, mean and standard deviation at each level over them, about a line at zero."""
+def draw_about_zero(axes: Axes, x: Any, residual: Any, *, levels: bool = True) -> None:
+    """Every residual as a dot about a line at zero; over them mean and standard deviation at each level of x."""
     axes.axhline(0.0, color=BLUE)
     axes.plot(x, residual, ".", color=GREY, markersize=3.5, markeredgewidth=0)
-    draw_levels(axes, x, residual, markersize=2.5)
+    if levels:
+        draw_levels(axes, x, residual, markersize=2.5)
     reach = 1.15 * np.max(np.abs(np.asarray(residual)), initial=0.0) or 1.0
     axes.set_ylim(-reach, reach)

@@ -13,7 +13,7 @@ from .bench import TRIALS, parameter_named
 from .bootstrap import Bootstrap
 from .determination import NOT_IDENTIFIED, Determination
 from .estimate_figures import bootstrap_figure, correlated_names, correlation_figure
-from .fit_figures import moving_names, residuals_figure, table_figures
+from .fit_figures import moving_names, residuals_figure, table_figures, tables_without_numbers
 from .fit_results import Report, as_dict, make_report, trial_rows
 from .identification import SHOWN, Fit, shown
 from .measurements import dimension_of
@@ -52,30 +52,51 @@ def write_report(report: Report, folder: str | Path) -> None:
 
 
 def report_figures(report: Report) -> dict[str, Figure]:
-    """The figures by file name."""
-    fit = report.fit
+    """The figures by file name; `left_out` says why others are missing."""
+    fit, missing = report.fit, left_out(report)
     figures = table_figures(fit)
-    if all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
+    if "residuals" not in missing:
         figures["residuals"] = residuals_figure(fit)
-    if report.profiles:
+    if "profiles" not in missing:
         figures["profiles"] = profiles_figure(fit, report.profiles)
-    if fit.success and len(correlated_names(fit)) > 1:
+    if "correlation" not in missing:
         figures["correlation"] = correlation_figure(fit)
     for bootstrap in report.bootstraps:
-        if len(bootstrap.estimates) > 1 and moving_names(fit):
-            figures[f"bootstrap_{bootstrap.kind}"] = bootstrap_figure(fit, bootstrap)
+        name = f"bootstrap_{bootstrap.kind}"
+        if name not in missing:
+            figures[name] = bootstrap_figure(fit, bootstrap)
     return figures
+
+
+def left_out(report: Report) -> dict[str, str]:
+    """By table or figure, why there is none."""
+    fit, failed = report.fit, f"the fit failed: {report.fit.result}"
+    reasons = tables_without_numbers(fit)
+    if not all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
+        reasons["residuals"] = "the model gave no numbers for some rows"
+    if not report.profiles:
+        reasons["profiles"] = "none were asked for" if fit.success else failed
+    if not fit.success:
+        reasons["correlation"] = failed
+    elif len(correlated_names(fit)) < 2:
+        reasons["correlation"] = "the data determine fewer than two parameters, and a correlation needs two"
+    for bootstrap in report.bootstraps:
+        if not moving_names(fit):
+            reasons[f"bootstrap_{bootstrap.kind}"] = "every parameter lies at a bound"
+        elif len(bootstrap.estimates) < 2:
+            reasons[f"bootstrap_{bootstrap.kind}"] = "fewer than two refits succeeded"
+    return reasons
 
 
 # --- report.md -----------------------------------------------------------------------------------
 
 
-def as_markdown(report: Report, figures: Sequence[str] = ()) -> str:
+def as_markdown(report: Report, figures: Sequence[str] | None = None) -> str:
     """The report: first in words what was determined and what was not, then the numbers.
 
     Args:
         report: what to say.
-        figures: names of the figures beside it.
+        figures: names of the figures beside it; None where no figures are made.
     """
     sections = [
         _in_short(report),
@@ -87,7 +108,7 @@ def as_markdown(report: Report, figures: Sequence[str] = ()) -> str:
         _noise_section(report),
         _model_free_section(report),
         _warning_section(report.fit),
-        _figure_section(figures),
+        _figure_section(report, figures),
         _repeat_section(report),
     ]
     return "\n\n".join("\n".join(section) for section in sections if section) + "\n"
@@ -242,8 +263,13 @@ def _warning_section(fit: Fit) -> list[str]:
     return ["## Warnings", "", *lines] if lines else []
 
 
-def _figure_section(figures: Sequence[str]) -> list[str]:
-    return ["## Figures", "", *(f"![{name.replace('_', ' ')}]({name}.png)" for name in figures)] if figures else []
+def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
+    """The figures, and why others are missing."""
+    if figures is None:
+        return []
+    pictures = [f"![{name.replace('_', ' ')}]({name}.png)" for name in figures]
+    missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(report).items()]
+    return ["## Figures", "", *pictures, *[""] * bool(pictures and missing), *missing]
 
 
 def _repeat_section(report: Report) -> list[str]:
