@@ -25,13 +25,13 @@ FLOW = [
     {"tension_search"},
     {"equilibrium"},
     {"validation"},
-    {"statics"},
+    {"statics", "contact"},
     {"literal_iteration", "marching", "closed_form", "stiffness", "energy"},
 ]
 CORE = [name for stage in FLOW for name in sorted(stage)]
 STAGE = {name: i for i, stage in enumerate(FLOW) for name in stage}
-# `Manipulator.validate` asks for the host's checks when it is called, not when it is imported
-ON_DEMAND = {("manipulator", "validation")}
+# `Manipulator.validate` and `print` ask for the host's checks and words when they are called, not on import
+ON_DEMAND = {("manipulator", "validation"), ("manipulator", "printing"), ("equilibrium", "printing")}
 HEAVY = {"matplotlib", "typer", "rich", "pint", "pandas", "xarray", "zarr", "scipy", "optimistix"}
 
 

@@ -70,6 +70,14 @@ def test_optional_keys(tmp_path):
     assert (plain.side, plain.end, plain.friction_coefficient) == (1, None, None)
 
 
+@pytest.mark.parametrize("written", ['"0.8 %"', "0.008", '"0.008"'])
+def test_a_yield_strain_in_per_cent_or_as_a_fraction(tmp_path, written):
+    body = read(tmp_path, TEXT.replace("[[tendons]]", f"yield_strain = {written}\n[[tendons]]"))
+    assert body.yield_strain == 0.008
+    write_manipulator(body, tmp_path / "again.toml")
+    assert_identical(read_manipulator(tmp_path / "again.toml"), body)
+
+
 def test_a_tendon_that_stretches(tmp_path):
     tendon = read(tmp_path, TEXT + 'axial_stiffness = "12 kN"\nfree_length = "30 cm"').tendons[0]
     assert (tendon.axial_stiffness, tendon.free_length) == (12000.0, 0.3)

@@ -34,6 +34,8 @@ def bits(value):
         ("1.4 N/mm^2", "pressure", 1400000.0),
         ("1.07 g/cm^3", "density", 1070.0),
         ("0.42", "dimensionless", 0.42),
+        ("0.8 %", "strain", 0.008),
+        (0.008, "strain", 0.008),
         (0.42, "dimensionless", 0.42),
         (1, "dimensionless", 1.0),
         ("2 rad", "angle", 2.0),
@@ -53,6 +55,7 @@ def test_quantity_is_exact(text, dimension, value):
         ("140 N", "length", "L needs a unit of length, got '140 N'; write for example '12.5 mm'"),
         ("140 rad m", "length", "L needs a unit of length, got '140 rad m'"),
         ("5 %", "angle", "L needs a unit of angle, got '5 %'; write for example '12.5 deg'"),
+        ("5 mm", "strain", "L needs a unit of strain, got '5 mm'; write for example '12.5 %'"),
         ("3", "angle", "L needs a unit of angle, got '3'"),
         (
             "140 furlogns",

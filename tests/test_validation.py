@@ -82,6 +82,7 @@ def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype
         (replace(BODY, youngs_modulus=-1.4e6), "youngs_modulus must be above 0, got -1.4e+06 Pa; correct its value"),
         (replace(BODY, friction_coefficient=-0.1), "friction_coefficient must be 0 or more, got -0.1; correct its"),
         (replace(BODY, density=-1.0), "density must be 0 or more, got -1 kg/m^3; correct its value"),
+        (replace(BODY, yield_strain=0.0), "yield_strain must be above 0, got 0; correct its value"),
         (replace(BODY, youngs_modulus=np.nan), "youngs_modulus must be finite, got nan; correct its value"),
         (with_offset(np.inf), "tendons[0].offset.value must be finite, got inf; correct its value"),
         (

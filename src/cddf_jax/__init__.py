@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .bootstrap import Bootstrap
     from .closed_form import closed_form_tension
+    from .contact import Contact, self_contact
     from .cross_sections import read_cross_sections
     from .design_results import Design
     from .designing import design
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 _HOME = {
     "bootstrap": "Bootstrap",
     "closed_form": "closed_form_tension",
+    "contact": "Contact, self_contact",
     "cross_sections": "read_cross_sections",
     "design_results": "Design",
     "designing": "design",
@@ -93,6 +95,7 @@ __all__ = [
     "Candidate",
     "Comparison",
     "Constant",
+    "Contact",
     "CurvatureAt",
     "Design",
     "Determination",
@@ -151,6 +154,7 @@ __all__ = [
     "read_cross_sections",
     "read_manipulator",
     "read_measurements",
+    "self_contact",
     "sobol",
     "solve",
     "standard_candidates",

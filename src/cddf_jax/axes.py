@@ -134,6 +134,8 @@ def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...
 def _idle(swept: set[str], case: Case) -> dict[str, str]:
     """Numbers that change nothing, with the remedy."""
     found: dict[str, str] = {}
+    if "yield_strain" in swept:
+        found["yield_strain"] = "it only says when a solve warns; ask for the output peak_strain"
     for i, tendon in enumerate(case.manipulator.tendons):
         stiff = tendon.axial_stiffness is None and f"tendons.{i}.axial_stiffness" not in swept
         if f"tendons.{i}.free_length" in swept and stiff:

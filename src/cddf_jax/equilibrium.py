@@ -5,14 +5,17 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from . import mechanics
 from .manipulator import CrossSection, Manipulator
-from .problem import State, guarded_section, moment_rate_of, tension_of
+from .problem import State, edge_nudge, guarded_section, moment_rate_of, tension_of
 from .quadrature import Panels
 
 PerTendon = Float[Array, " tendons"]
+FRACTIONS = np.linspace(0.0, 1.0, 129)  # of every smooth piece of the body, at which its strain is looked at
 
 
 class RESULTS(eqx.Enumeration):
@@ -55,6 +58,22 @@ class RESULTS(eqx.Enumeration):
         "thickness, a direction other than +1 or -1, a place off the body). Give tensions of 0 or more; "
         "manipulator.validate() tells what is wrong with a body."
     )
+
+
+class Result(type(RESULTS.successful)):  # pyright: ignore[reportGeneralTypeIssues, reportUntypedBaseClass]
+    """A member of `RESULTS`, or one for each lane of a batch; its text is its words, or how many lanes ended how."""
+
+    def __str__(self) -> str:
+        if isinstance(self._value, Tracer) or np.ndim(self._value) == 0:
+            return RESULTS[self] or "successful"
+        codes, counts = np.unique(np.asarray(self._value), return_counts=True)
+        return ", ".join(
+            f"{count} {tuple(RESULTS._name_to_item)[code]}" for code, count in zip(codes, counts, strict=True)
+        )
+
+
+for _name, _member in RESULTS._name_to_item.items():  # equinox makes the members, and has no public way to them
+    RESULTS._name_to_item[_name] = Result(_member._value, RESULTS)  # pyright: ignore[reportCallIssue]
 
 
 NOTEWORTHY = (
@@ -131,6 +150,46 @@ class Equilibrium(eqx.Module):
     normal_force = property(lambda self: self.along.normal_force, doc="F_CDDN, N/m, (tendons, points, 2).")
     friction_force = property(lambda self: self.along.friction_force, doc="F_CDDF, N/m, (tendons, points, 2).")
 
+    @property
+    def has_wall(self) -> bool:
+        """Whether the body has an outer radius, so that the strain of its wall is known."""
+        return self._dense.manipulator.outer_radius is not None
+
+    @property
+    def peak_strain(self) -> Float[Array, ""]:
+        """The largest bending strain |R_outer kappa| of the wall, a fraction, to 1e-4 of it; NaN where a solve failed.
+
+        Worked out when it is asked for. It is the strain of the wall as the body has it: notches are not in it.
+
+        Raises:
+            ValueError: for a body without an outer radius.
+        """
+        return _peak_strain(self._dense)[0]
+
+    @property
+    def peak_strain_at(self) -> Float[Array, ""]:
+        """The arc length, m, at which the wall has its `peak_strain`."""
+        return _peak_strain(self._dense)[1]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What leaves the numbers and has to be known, in words: one solve, on the host, not traced.
+
+        An unstable equilibrium, tendons that travel against their direction, a strain above the body's
+        `yield_strain`, a body that touches itself.
+
+        Raises:
+            ValueError: for a batch or traced values.
+        """
+        from .printing import remarks_on
+
+        return remarks_on(self)
+
+    def __str__(self) -> str:
+        from .printing import equilibrium_in_words
+
+        return equilibrium_in_words(self)
+
     def at(self, arc_length: Any) -> Fields:
         """The same fields anywhere along the body.
 
@@ -163,6 +222,29 @@ class Dense(eqx.Module):
         fields = fields_at(section, self.base_tension, self.direction, arc_length, state)
         inside = (arc_length >= 0) & (arc_length <= self.panels.edges[-1])
         return nan_unless(self.solved & inside, fields)
+
+    def peak_strain(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """The largest |R_outer kappa|, and its arc length, m."""
+        if self.manipulator.outer_radius is None:
+            raise ValueError("peak_strain: the body has no outer_radius; give it one to know the strain of its wall")
+        cut, nudge = self.panels, edge_nudge(self.panels)
+        left, right = cut.edges[:-1, None], cut.edges[1:, None]
+        places = left + cut.width[:, None] * FRACTIONS
+        within = jnp.clip(places, left + nudge, right - nudge)  # at a joint each side has its own radius
+        states = jax.tree.map(lambda a, b: cut.resample(a, b, FRACTIONS), self.starts, self.nodes)
+        states = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
+        strain = jnp.abs(jax.vmap(self._strain)(within.ravel(), states))
+        same = 64 * float(jnp.finfo(strain.dtype).eps)  # along an even bend: the place is the first
+        most = jnp.argmax(strain >= (1 - same) * jnp.max(strain))
+        return nan_unless(self.solved, (strain[most], places.ravel()[most]))
+
+    def _strain(self, arc_length: Float[Array, ""], state: State) -> Float[Array, ""]:
+        section = guarded_section(self.manipulator, arc_length)
+        curvature = mechanics.curvature(section, tension_of(section, self.base_tension, state.pull), state.moment)
+        return self.manipulator.outer_strain(arc_length, curvature)
+
+
+_peak_strain = eqx.filter_jit(Dense.peak_strain)
 
 
 def fields_at(

@@ -24,6 +24,7 @@ from .manipulator import Kinematics, Manipulator
 from .manipulator_file import manipulator_text
 from .measurements import Measurements
 from .plotting import round_number
+from .printing import wall_remarks
 from .profiles import Profile
 from .statics import in_words, solve
 from .targets import TipAngle
@@ -74,7 +75,7 @@ class Picture(NamedTuple):
     equilibrium: Equilibrium
     along: Any  # `Fields`
     sections: Sections
-    peak_strain: float  # the largest R |kappa| at the outer surface
+    peak_strain: np.ndarray  # of the wall, a fraction
 
     @property
     def good(self) -> bool:
@@ -84,7 +85,7 @@ class Picture(NamedTuple):
     @property
     def message(self) -> str:
         """What has to be known of the result, as `solve` says it; empty where it is successful."""
-        return in_words(self.equilibrium)
+        return " ".join([text for text in (in_words(self.equilibrium), *wall_remarks(self.equilibrium)) if text])
 
     @property
     def peak_curvature(self) -> float:
@@ -227,8 +228,7 @@ class Exploration:
 
     def picture(self, case: Case) -> Picture:
         """The equilibrium of a case; look at `good` before it is shown."""
-        equilibrium, along, sections, strain = jax.tree.map(np.asarray, _solved(case, self.arc_length))
-        return Picture(case, equilibrium, along, sections, float(strain))
+        return Picture(case, *jax.tree.map(np.asarray, _solved(case, self.arc_length)))
 
     def curve(self, case: Case) -> Curve:
         """Tip tension and tip angle over the whole range of the first tension."""
@@ -244,7 +244,7 @@ class Exploration:
         """
         own = {c.name: c.value for c in self._radii}
         both = (settings._replace(numbers={**settings.numbers, **own}), settings)
-        first, second = (Taper(*map(float, _taper(self.case(s), self.arc_length, np.float64(angle)))) for s in both)
+        first, second = (Taper(*map(float, _taper(self.case(s), np.float64(angle)))) for s in both)
         return first, second
 
     def fit(self, kinematics: Kinematics) -> Fit:
@@ -269,8 +269,8 @@ class Exploration:
 @eqx.filter_jit
 def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Sections, Array]:
     equilibrium = _solve(case)
-    along = equilibrium.at(arc_length)
-    return equilibrium, along, sections_at(case.manipulator, arc_length), _peak_strain(case.manipulator, along)
+    sections = sections_at(case.manipulator, arc_length)
+    return equilibrium, equilibrium.at(arc_length), sections, equilibrium.peak_strain
 
 
 def sections_at(body: Manipulator, arc_length: Any) -> Sections:
@@ -293,23 +293,19 @@ def _over_tension(case: Case, pulls: Float[ArrayLike, " pulls"]) -> tuple[Array,
 
 
 @eqx.filter_jit
-def _taper(case: Case, arc_length: Float[ArrayLike, " points"], angle: Float[ArrayLike, ""]) -> tuple:
+def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     given = _solve(case)
     others = [case.base_tension[i] for i in range(1, case.manipulator.num_tendons)]
     asked = eqx.tree_at(lambda c: c.base_tension, case, [TipAngle(angle), *others], is_leaf=lambda x: x is None)
     reached = _solve(asked)
-    numbers = given.tension_loss[0], given.tip_angle, _peak_strain(case.manipulator, given.at(arc_length))
-    there = reached.base_tension[0], _peak_strain(case.manipulator, reached.at(arc_length))
+    numbers = given.tension_loss[0], given.tip_angle, given.peak_strain
+    there = reached.base_tension[0], reached.peak_strain
     return *_where_good(given, numbers), *_where_good(reached, there)
 
 
 def _where_good(equilibrium: Equilibrium, numbers: tuple) -> tuple:
     good = (equilibrium.result == GOOD[0]) | (equilibrium.result == GOOD[1])
     return tuple(jnp.where(good, number, jnp.nan) for number in numbers)
-
-
-def _peak_strain(manipulator: Manipulator, along: Fields) -> Array:
-    return jnp.max(jnp.abs(manipulator.outer_strain(along.arc_length, along.curvature)))
 
 
 # --- numbers -----------------------------------------------------------------------

@@ -51,7 +51,7 @@ def as_dataset(equilibrium: Equilibrium, arc_length: Any = None) -> "xarray.Data
     fields = fields_on(equilibrium, s)
     data = {}
     for name, output in OUTPUTS.items():
-        if name == "arc_length":
+        if name == "arc_length" or (name.startswith("peak_strain") and not equilibrium.has_wall):
             continue
         values = getattr(fields, name) if "point" in output.dims else getattr(equilibrium, name)
         dims = tuple("arc_length" if dim == "point" else dim for dim in output.dims)

@@ -77,6 +77,8 @@ class Manipulator(eqx.Module):
         drag: w >= 0, N/m, friction per length of the neutral axis that is there without tension and curvature, as
             of a sheath that squeezes the tendon: T' = -direction (mu |psi'| T + w). For every tendon without its
             own; None for none. A tendon is slack, T = 0, from where drag has used its tension up.
+        yield_strain: above 0, a fraction: the largest bending strain of the wall from which the body comes back. A
+            solve is remarked on where its `peak_strain` is larger; nothing else follows from it. None where unknown.
 
     Values are not checked here, as they may be traced: `validate` does that on the host.
 
@@ -93,12 +95,18 @@ class Manipulator(eqx.Module):
     density: Scalar = eqx.field(default=0.0, converter=as_number)
     kinematics: Kinematics = eqx.field(default="exact", static=True)
     drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    yield_strain: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
 
     def __check_init__(self):
         if self.kinematics not in KINEMATICS:
             raise ValueError(f"Manipulator: kinematics must be one of {KINEMATICS}, got {self.kinematics!r}")
         if not self.tendons or not all(isinstance(tendon, Tendon) for tendon in self.tendons):
             raise ValueError("Manipulator: tendons must hold one Tendon or more, e.g. (Tendon(offset=5e-3),)")
+
+    def __str__(self) -> str:
+        from .printing import manipulator_in_words
+
+        return manipulator_in_words(self)
 
     @property
     def num_tendons(self) -> int:
@@ -218,6 +226,7 @@ def conical(
     num_tendons: int = 1,
     kinematics: Kinematics = "exact",
     drag: Any = None,
+    yield_strain: Any = None,
 ) -> Manipulator:
     """The conical manipulator of Liu et al. (2020), section II: every dimension tapers linearly.
 
@@ -230,6 +239,7 @@ def conical(
         num_tendons: 1 (side +1) or 2 (sides +1 and -1).
         kinematics: "exact" or "published".
         drag: w, N/m; None for none.
+        yield_strain: a fraction; None where unknown.
 
     Raises:
         ValueError: for a number of tendons other than 1 or 2, or a dimension that is no number and no pair.
@@ -249,6 +259,7 @@ def conical(
         density=density,
         kinematics=kinematics,
         drag=drag,
+        yield_strain=yield_strain,
     )
 
 

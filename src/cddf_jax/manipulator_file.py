@@ -8,6 +8,7 @@
     friction_coefficient = 0.42
     density = "1070 kg/m^3"              # optional, 0 unless given
     drag = "0.5 N/m"                     # optional, none unless given: friction per length, tension or not
+    yield_strain = "0.8 %"               # optional, or 0.008: `cddf solve` warns where the wall is strained more
     kinematics = "published"             # optional, "exact" unless given
     offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
 
@@ -62,6 +63,7 @@ _NUMBERS: dict[str, Dimension] = {
     "friction_coefficient": "dimensionless",
     "density": "density",
     "drag": "force per length",
+    "yield_strain": "strain",
 }
 _TENDON_NUMBERS: dict[str, Dimension] = {
     "end": "length",
@@ -72,7 +74,7 @@ _TENDON_NUMBERS: dict[str, Dimension] = {
 }
 _PROFILES = ("outer_radius", "inner_radius")
 _REQUIRED = ("length", *_PROFILES, "youngs_modulus", "friction_coefficient", "tendons")
-_OPTIONAL = ("density", "drag", "kinematics", "offsets_outside_wall", "name", "description")
+_OPTIONAL = ("density", "drag", "yield_strain", "kinematics", "offsets_outside_wall", "name", "description")
 _SECTIONS = "cross_sections"
 _FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
@@ -284,6 +286,7 @@ def _table(manipulator: Manipulator) -> dict[str, Any]:
         "friction_coefficient": float(manipulator.friction_coefficient),
         "density": written(float(manipulator.density), "density"),
         **({} if manipulator.drag is None else {"drag": written(float(manipulator.drag), "force per length")}),
+        **({} if manipulator.yield_strain is None else {"yield_strain": float(manipulator.yield_strain)}),
         "kinematics": manipulator.kinematics,
         "tendons": [
             _tendon_table(tendon, length, f"tendon {number}") for number, tendon in enumerate(manipulator.tendons, 1)

@@ -6,10 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .contact import self_contact
 from .equilibrium import RESULTS, Equilibrium, SolveError
 from .errors import InputError
 from .loads import Loads
 from .manipulator import Manipulator
+from .printing import last_lines, strain_line, tendon_lines, tip_line
 from .statics import solve
 from .targets import CurvatureAt, Displacement, Target, TipAngle, TipStiffness, TipTension, TotalTension
 from .units import Dimension, quantity, shown, vector
@@ -32,7 +34,6 @@ TARGETS = {
     "tip_stiffness": _Kind(TipStiffness, "stiffness", "tip_stiffness=350 N/m"),
 }
 _NAME_OF = {kind.make: name for name, kind in TARGETS.items()}
-_WARNINGS = (RESULTS.direction_contradicted, RESULTS.unstable)
 
 
 # --- reading -------------------------------------------------------------------------------------
@@ -184,11 +185,15 @@ def as_dict(equilibrium: Equilibrium, actuation: list[Any], loads: Loads | None)
         *("num_iterations", "direction_contradicted", "arc_length", "curvature", "heading", "position", "tension"),
         *("wrap_angle", "normal_force", "friction_force"),
     )
-    asked: dict[str, Any] = {"result": RESULTS[equilibrium.result] or "successful"}
+    asked: dict[str, Any] = {"result": RESULTS[equilibrium.result] or "successful", "remarks": equilibrium.remarks}
     if any(isinstance(entry, Target) for entry in actuation):
         asked["targets"] = [_target_dict(entry) if isinstance(entry, Target) else None for entry in actuation]
     if loads is not None:
         asked["loads"] = {name: getattr(loads, name) for name in ("tip_force", "tip_moment", "gravity")}
+    contact = self_contact(equilibrium)
+    asked["self_contact"] = None if contact is None else contact._asdict()
+    strain = ("peak_strain", "peak_strain_at")
+    asked |= {name: getattr(equilibrium, name) if equilibrium.has_wall else None for name in strain}
     return asked | {name: getattr(equilibrium, name) for name in names}
 
 
@@ -199,18 +204,13 @@ def _target_dict(target: Target) -> dict[str, Any]:
 
 def in_words(equilibrium: Equilibrium, actuation: list[Any], texts: Sequence[str], loads: Loads | None) -> str:
     """The answer for people."""
-    x, y = 1e3 * np.asarray(equilibrium.tip_position)
-    lines = [f"tip at ({x:.3f}, {y:.3f}) mm, {np.degrees(equilibrium.tip_angle):.3f} deg"]
-    for i, travel in enumerate(equilibrium.tendon_displacement):
-        base, tip, loss = equilibrium.base_tension[i], equilibrium.tip_tension[i], equilibrium.tension_loss[i]
-        found = f"base tension {base:.4f} N gives {texts[i].strip()}, " if isinstance(actuation[i], Target) else ""
-        tension = f"tip tension {tip:.4f} N, loss {100 * loss:.2f} %" if base > 0 else "no tension"
-        lines.append(f"tendon {i + 1}: {found}{tension}, pulled in {1e3 * travel:.3f} mm")
-    if loads is not None:
-        lines += _loads_in_words(loads, equilibrium)
-    warned = equilibrium.result in _WARNINGS
-    lines.append(f"error estimate {float(equilibrium.error_estimate):.1e}{'' if warned else '; successful'}")
-    return "\n".join([*lines, *(f"warning: {text}" for text in _warnings(equilibrium))])
+    found = [
+        f"base tension {tension:.4f} N gives {texts[i].strip()}" if isinstance(actuation[i], Target) else ""
+        for i, tension in enumerate(equilibrium.base_tension)
+    ]
+    lines = [tip_line(equilibrium), *tendon_lines(equilibrium, found), strain_line(equilibrium)]
+    lines += _loads_in_words(loads, equilibrium) if loads is not None else []
+    return "\n".join([*lines, *last_lines(equilibrium)])
 
 
 def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
@@ -221,10 +221,3 @@ def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
         f"put on in {steps} step{'s' if steps > 1 else ''}",
         f"moment of the loads at the base: {shown(equilibrium.base_moment, 'moment')}",
     ]
-
-
-def _warnings(equilibrium: Equilibrium) -> list[str]:
-    """What keeps the numbers but has to be known."""
-    told = [] if equilibrium.stable else [RESULTS[RESULTS.unstable]]
-    wrong = [str(i) for i, contradicted in enumerate(equilibrium.direction_contradicted, 1) if contradicted]
-    return told + [f"tendon {i}: {RESULTS[RESULTS.direction_contradicted]}" for i in wrong]

@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from .balance import Balance, Setup, equilibrate, inside_of_bend
-from .equilibrium import RESULTS, Dense, Equilibrium, Fields, SolveError, fields_at, nan_unless, tendons_first
+from .equilibrium import RESULTS, Dense, Equilibrium, Fields, Result, SolveError, fields_at, nan_unless, tendons_first
 from .friction import unspent
 from .loads import Loads
 from .manipulator import Manipulator
@@ -284,7 +284,7 @@ def _first_of(*cases: tuple[Any, RESULTS]) -> RESULTS:
     result = RESULTS.successful
     for holds, code in reversed(cases):
         result = RESULTS.where(holds, code, result)
-    return result
+    return Result(result._value, RESULTS)  # pyright: ignore[reportCallIssue]
 
 
 def _precision(*trees: Any) -> jnp.dtype:

@@ -37,6 +37,8 @@ OUTPUTS = {
     "direction_contradicted": Output("", "travel against the stated direction", ("tendon",)),
     "error_estimate": Output("1", "estimated relative error"),
     "num_iterations": Output("1", "iterations"),
+    "peak_strain": Output("1", "peak strain of the wall"),
+    "peak_strain_at": Output("m", "arc length of the peak strain"),
     "arc_length": Output("m", "arc length", ("point",)),
     "curvature": Output("1/m", "curvature", ("point",)),
     "heading": Output("rad", "heading", ("point",)),

@@ -27,6 +27,7 @@ Dimension = Literal[
     "force per length",
     "mass",
     "volume",
+    "strain",
     "dimensionless",
 ]
 
@@ -49,10 +50,11 @@ _UNITS: dict[Dimension, _Units] = {
     "force per length": _Units("N/m", "N/m"),
     "mass": _Units("kg", "g"),
     "volume": _Units("m^3", "cm^3"),
+    "strain": _Units("", "%"),
 }
 
-DIMENSION_OF: dict[str, Dimension] = {"1": "dimensionless"}  # by the SI unit
-DIMENSION_OF |= {known.si: dimension for dimension, known in _UNITS.items()}
+DIMENSION_OF: dict[str, Dimension] = {known.si: dimension for dimension, known in _UNITS.items() if known.si}
+DIMENSION_OF["1"] = "dimensionless"  # by the SI unit
 
 _EXACT = Context(prec=40, traps=[])  # a float64 has 17 digits, a unit's factor 28 at most
 _QUANTITY = re.compile(
@@ -66,7 +68,7 @@ def quantity(text: Any, dimension: Dimension, what: str) -> float:
     """The SI value of a number with its unit, such as "140 mm", "1.4 MPa" or "30 deg".
 
     Args:
-        text: number and unit; for "dimensionless" a plain number, as text or not.
+        text: number and unit; for "dimensionless" a plain number, as text or not, for "strain" that or per cent.
         dimension: what is measured, such as "length" or "dimensionless".
         what: the name of the quantity, with which an error message begins.
 
@@ -177,7 +179,7 @@ def _factor(unit: str, dimension: Dimension, what: str, got: str, example: str) 
     """How many SI units of the dimension one `unit` is."""
     size, base = _root(_NEWTON_METRES.sub(r"\1 \2", unit) if dimension == "moment" else unit)
     si_size, si_base = _root(_UNITS[dimension].si)
-    if unit and size is not None and base == si_base:
+    if bool(unit) >= bool(_UNITS[dimension].si) and size is not None and base == si_base:
         return _EXACT.divide(size, si_size)
     unknown = f" with the unknown unit {unit!r}" if unit and size is None else ""
     raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")

@@ -74,6 +74,8 @@ def _check_scalars(manipulator: Manipulator) -> None:
     if manipulator.drag is not None:
         _demand_number("drag", manipulator.drag, least=0.0, unit="N/m")
     _demand_number("density", manipulator.density, least=0.0, unit="kg/m^3")
+    if manipulator.yield_strain is not None:
+        _demand_number("yield_strain", manipulator.yield_strain, above=0.0)
     for number, tendon in enumerate(manipulator.tendons, 1):
         if tendon.friction_coefficient is not None:
             _demand_number(f"tendon {number}: friction_coefficient", tendon.friction_coefficient, least=0.0)

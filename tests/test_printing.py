@@ -1,0 +1,81 @@
+"""What `print` shows: numbers with units in a few lines, shapes where numbers are traced or batched."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from bodies import paper_body, two_slanted_tendons
+
+import cddf_jax as cddf
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return cddf.solve(paper_body(), 75.0)
+
+
+def test_an_equilibrium(bent):
+    """design.md section 3: tip, angle, tension and loss; the strain as in test_contact."""
+    tip, tendon, strain, last = str(bent).splitlines()
+    assert tip == "tip at (120.396, 57.002) mm, 63.167 deg"
+    assert tendon.startswith("tendon 1: base tension 75.0000 N, tip tension 45.1229 N, loss 39.84 %, pulled in ")
+    assert strain == "peak strain of the wall 17.63 % at s = 140 mm"
+    assert last.endswith("; successful")
+
+
+def test_a_result_prints_its_words(bent):
+    failed = cddf.solve(paper_body(), -1.0, throw=False)
+    assert str(bent.result) == "successful"
+    assert str(failed.result) == cddf.RESULTS[cddf.RESULTS.unphysical]
+    assert str(failed) == f"no equilibrium: {failed.result}"
+    assert bent.result == cddf.RESULTS.successful
+    assert isinstance(bent.result, cddf.RESULTS)
+
+
+def test_numbers_to_be_doubted_say_so():
+    """Offset times curvature is above 1 at the tip, as in test_results, and the body is rolled up, 783 degrees."""
+    crossing = cddf.solve(paper_body("exact", youngs_modulus=3e5, friction_coefficient=0.05), 200.0, throw=False)
+    *_, error, doubt, contact = str(crossing).splitlines()
+    assert "successful" not in error
+    assert doubt.startswith("warning: tendon 1: offset * curvature is")
+    assert contact.startswith("warning: The body touches itself")
+
+
+def test_under_vmap_and_jit_there_are_shapes():
+    told = []
+
+    def tip(tension):
+        bent = cddf.solve(paper_body(), tension)
+        told.extend([str(bent), str(bent.result), str(replace(paper_body(), length=tension))])
+        return bent
+
+    batch = jax.jit(jax.vmap(tip))(np.array([10.0, 75.0, -1.0]))
+    assert "tip_position=f64[2]" in told[0]
+    assert told[1] == "traced"
+    assert told[2].startswith("Manipulator(")
+    assert "tip_position=f64[3,2]" in str(batch)
+    assert str(batch.result) == "2 successful, 1 unphysical"
+
+
+def test_a_manipulator():
+    body = replace(paper_body(density=1070.0), yield_strain=0.1)
+    assert str(body).splitlines() == [
+        "Manipulator of 140 mm, published kinematics",
+        "outer_radius 20 mm at the base, 13 mm at s = 140 mm",
+        "inner_radius 7 mm",
+        "youngs_modulus 1.4 MPa, friction_coefficient 0.42, density 1070 kg/m^3, yield_strain 10 %",
+        "tendon 1: offset 10 mm, side +1",
+    ]
+
+
+def test_tendons_and_profiles():
+    wavy = cddf.Tendon(lambda s: 0.010 + 0.001 * np.sin(np.pi * s / 0.1) ** 2, -1, end=0.1, friction_coefficient=0.3)
+    body = replace(two_slanted_tendons(), tendons=(*two_slanted_tendons().tendons, wavy), drag=0.5)
+    *_, material, _, second, third = str(body).splitlines()
+    assert material == "youngs_modulus 1.4 MPa, friction_coefficient 0.42, drag 0.5 N/m"
+    assert second == "tendon 2: offset 12 mm at the base, 9 mm at s = 140 mm, side -1"
+    assert third == (
+        "tendon 3: offset 10 mm at the base, 10 mm at s = 100 mm (from 10 mm to 11 mm), side -1, "
+        "friction_coefficient 0.3, end 100 mm"
+    )
