@@ -39,7 +39,7 @@ def explored():
 def settings(explored):
     """Another taper, 60 N."""
     start = explored.start
-    return start._replace(numbers={**start.numbers, "base_tension.0": 60.0, **OTHER})
+    return start._replace(numbers={**start.numbers, "base_tension_1": 60.0, **OTHER})
 
 
 @pytest.fixture(scope="module")
@@ -276,7 +276,7 @@ def test_keys_move_a_slider(page):
     page.locator("input[type=file]").first.focus()
     for _ in range(20):
         page.keyboard.press("Tab")
-        if slider(page, "base_tension.0").evaluate("handle => handle.matches(':focus')"):
+        if slider(page, "base_tension_1").evaluate("handle => handle.matches(':focus')"):
             break
     page.keyboard.press("ArrowRight")
     page.keyboard.press("ArrowRight")
@@ -335,7 +335,7 @@ def test_a_body_that_is_none_is_said(page):
 def test_crossing_fibres_are_said(page):
     """Without friction the tip has d kappa = T d^2 / (E J), 1.4 at 400 N."""
     type_number(page, "friction_coefficient", "0")
-    type_number(page, "base_tension.0", "400")
+    type_number(page, "base_tension_1", "400")
     page.get_by_role("alert").filter(has_text="offset * curvature").wait_for()
     assert page.locator(".stale").count() > 0
 
@@ -358,7 +358,7 @@ def saved(page, folder, label, name):
 
 def test_body_and_fields_are_saved(page, tmp_path):
     type_number(page, "outer_radius.tip", "14.2")
-    type_number(page, "base_tension.0", "40")
+    type_number(page, "base_tension_1", "40")
     assert follows(page, 40.0, outer_radius=(0.020, 0.0142))
     body = cddf.read_manipulator(saved(page, tmp_path, "Body as set (TOML)", "body.toml"))
     assert float(body.outer_radius.tip) == 0.0142

@@ -151,7 +151,7 @@ def test_with_the_length_the_taper_varies_too():
 def test_tendons_loads_and_directions(count):
     body, direction = paper_body(num_tendons=count), (1, -1)[:count]
     rng = np.random.default_rng(0)
-    pulls = {"base_tension.0": rng.uniform(20, 60, 4), "base_tension.1": rng.uniform(0, 15, 4)}
+    pulls = {"base_tension_1": rng.uniform(20, 60, 4), "base_tension_2": rng.uniform(0, 15, 4)}
     forces = {"loads.tip_force.1": rng.uniform(-2, 2, 4)}
     answer = cddf.sweep(body, {"sample": dict(list(pulls.items())[:count]) | forces}, direction=direction)
 
@@ -168,7 +168,7 @@ def test_tendons_loads_and_directions(count):
 def test_one_tension_for_all_tendons_and_one_of_several():
     body = paper_body(num_tendons=2)
     both = cddf.sweep(body, {"base_tension": [30.0]}, outputs=["tip_tension"], direction=[1, -1])
-    one = cddf.sweep(body, {"base_tension.1": [30.0]}, base_tension=30.0, outputs=["tip_tension"], direction=[1, -1])
+    one = cddf.sweep(body, {"base_tension_2": [30.0]}, base_tension=30.0, outputs=["tip_tension"], direction=[1, -1])
     np.testing.assert_allclose(both.tip_tension, one.tip_tension.values, rtol=SAME)
 
 
@@ -309,6 +309,8 @@ BAD = {
     "unknown": ({"youngs_modulos": [1.0]}, {"base_tension": 1.0}, "did you mean 'youngs_modulus'"),
     "unknown part": ({"outer_radius.tp": [1.0]}, {"base_tension": 1.0}, "outer_radius has no 'tp'; did you mean 'tip'"),
     "beyond the tendons": ({"tendons.1.offset": [1.0]}, {"base_tension": 1.0}, "tendons has no '1'"),
+    "tendons count from 1": ({"base_tension.1": [1.0]}, {"base_tension": 1.0}, "from 1; write 'base_tension_2'"),
+    "no such tendon": ({"base_tension_2": [1.0]}, {"base_tension": 1.0}, r"the manipulator has 1 tendon\(s\)"),
     "no number": ({"outer_radius": [1.0]}, {"base_tension": 1.0}, r"not one number.*outer_radius.tip"),
     "a vector": ({"loads.tip_force": [1.0]}, {"base_tension": 1.0}, r"loads.tip_force.0, loads.tip_force.1"),
     "words": ({"base_tension": ["much"]}, {}, "'base_tension' must be a list of numbers"),
@@ -318,7 +320,7 @@ BAD = {
     "lengths": ({"s": {"base_tension": [1.0], "youngs_modulus": [1e6, 2e6]}}, {}, "base_tension 1, youngs_modulus 2"),
     "nothing along it": ({"s": {}}, {}, "nothing varies along the axis 's'"),
     "twice": ({"base_tension": [1.0], "s": {"base_tension": [1.0]}}, {}, "varies along two axes"),
-    "inside another": ({"base_tension": [1.0], "base_tension.0": [1.0]}, {}, "only one of them"),
+    "inside another": ({"base_tension": [1.0], "base_tension_1": [1.0]}, {}, "only one of them"),
     "reserved": ({"tendon": [1.0]}, {}, "rename it"),
     "no tension": ({"youngs_modulus": [1e6]}, {}, "neither given nor an axis"),
     "nodes": ({"nodes": [2]}, {"base_tension": 1.0}, "nodes must be a whole number of 4 or more, got 2"),
@@ -330,7 +332,7 @@ BAD = {
     "observable": ({"base_tension": [1.0]}, {"observables": {"result": len}}, "no observable can be called"),
     "sensitivity": ({"base_tension": [1.0]}, {"sensitivities": ["nodes"]}, "nothing can be differentiated by 'nodes'"),
     "absent": ({"base_tension": [1.0]}, {"sensitivities": ["drag"]}, "has no 'drag' to differentiate by"),
-    "overlap": ({"base_tension": [1.0]}, {"sensitivities": ["base_tension.0"]}, "overlap"),
+    "overlap": ({"base_tension": [1.0]}, {"sensitivities": ["base_tension_1"]}, "overlap"),
     "precision": ({"base_tension": [1.0]}, {"precision": "float16"}, "'float32' or 'float64'"),
     "chunk": ({"base_tension": [1.0]}, {"chunk": 0}, "chunk must be"),
     "fields over nodes": (

@@ -181,14 +181,14 @@ def test_two_tendons_in_a_table(tmp_path):
     """The columns; the numbers are made up."""
     body = paper_body("exact", num_tendons=2)
     work = replace(
-        read("base_tension.0=20N,40N", "nodes=8,16", base_tension=["0 N", "5 N"], body=body), outputs=("tip_tension",)
+        read("base_tension_1=20N,40N", "nodes=8,16", base_tension=["0 N", "5 N"], body=body), outputs=("tip_tension",)
     )
     answer = Memory(work.layout).dataset()
     answer["tip_tension"][...] = np.arange(8.0).reshape(2, 2, 2)
     answer["result"][...] = [[0, 0], [3, 0]]
     sweep_exports.write_csv(work.layout, answer, tmp_path / "two.csv")
     rows = rows_of(tmp_path / "two.csv")
-    assert list(rows[0]) == ["base_tension.0 [N]", "nodes", "tip_tension.0 [N]", "tip_tension.1 [N]", "result"]
+    assert list(rows[0]) == ["base_tension_1 [N]", "nodes", "tip_tension_1 [N]", "tip_tension_2 [N]", "result"]
     assert [tuple(row.values()) for row in rows] == [
         ("20.0", "8", "0.0", "1.0", "successful"),
         ("20.0", "16", "2.0", "3.0", "successful"),
@@ -302,8 +302,8 @@ def test_targets_with_units(target, text, values):
 
 def test_a_target_beside_a_tension():
     body = paper_body("exact", num_tendons=2)
-    work = read("base_tension.1.value=10deg,20deg", base_tension=["20 N", "tip_angle=45 deg"], body=body)
-    np.testing.assert_allclose(work.dimensions[0].numbers["base_tension.1.value"], np.radians([10.0, 20.0]))
+    work = read("base_tension_2.value=10deg,20deg", base_tension=["20 N", "tip_angle=45 deg"], body=body)
+    np.testing.assert_allclose(work.dimensions[0].numbers["base_tension_2.value"], np.radians([10.0, 20.0]))
 
 
 def test_options_as_axes():

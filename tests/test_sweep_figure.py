@@ -233,7 +233,7 @@ def test_one_value_is_no_axis():
         ("tendons.0.offset", "Tendon 1 offset"),
         ("loads.tip_force.1", "Tip force Y"),
         ("loads.tip_moment", "Tip moment"),
-        ("base_tension.1", "Base tension 2"),
+        ("base_tension_2", "Base tension 2"),
     ],
 )
 def test_names_in_words(name, words):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .case import Case
+from .case import Case, holds, stem_and_tendon
 from .errors import InputError
 from .manipulator import KINEMATICS
 from .problem import Method
@@ -42,7 +42,7 @@ def dimensions_of(axes: Mapping[str, Any]) -> tuple[Dimension, ...]:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"sweep: {name!r} varies along two axes; let it vary along one")
-        inner = [other for other in names if other.startswith(f"{name}.")]
+        inner = [other for other in names if holds(name, other)]
         if inner:
             raise InputError(f"sweep: {name!r} holds {inner[0]!r}; let only one of them vary")
     return found
@@ -70,7 +70,7 @@ def _numbers(name: str, given: Any) -> np.ndarray:
         raise InputError(f"sweep: the axis {name!r} must be a list of numbers, got {given!r}") from None
     if values.ndim != 1 or values.size == 0:
         raise InputError(f"sweep: the axis {name!r} must be a list of one number or more, got shape {values.shape}")
-    if name.split(".")[0] == "direction" and not np.all(np.abs(values) == 1):
+    if stem_and_tendon(name.split(".")[0])[0] == "direction" and not np.all(np.abs(values) == 1):
         raise InputError(f"sweep: the axis {name!r} must hold 1 for sliding in and -1 for sliding out, got {given!r}")
     if not np.all(np.isfinite(values)):
         place = int(np.argmin(np.isfinite(values)))
@@ -119,13 +119,11 @@ def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...
     if tension is None and "base_tension" not in swept:
         raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
     for name in sensitivities:
-        if name in OPTIONS or name == "direction" or name.startswith("direction."):
+        if name in OPTIONS or stem_and_tendon(name)[0] == "direction":
             raise InputError(f"sweep: nothing can be differentiated by {name!r}; take it out of the sensitivities")
         if case.number(name) is None and name not in swept:
             raise InputError(f"sweep: the case has no {name!r} to differentiate by; give it a value")
-        wider = [
-            other for other in swept if other != name and (name.startswith(f"{other}.") or other.startswith(f"{name}."))
-        ]
+        wider = [other for other in swept if holds(other, name) or holds(name, other)]
         if wider:
             close = get_close_matches(name, wider, 1) or wider
             raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")

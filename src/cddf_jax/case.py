@@ -1,9 +1,11 @@
 """One case of a sweep: a manipulator, how it is actuated and loaded, and the names of all numbers in it.
 
-A name is a path of attributes and places: "youngs_modulus", "outer_radius.tip", "tendons.0.offset" (of a constant
-profile its value), "base_tension" (of all tendons), "base_tension.1", "loads.tip_force.1", "direction.0".
+A name is a path of attributes and places, as in Python and counted as there: "youngs_modulus", "outer_radius.tip",
+"tendons.0.offset" (of a constant profile its value), "loads.tip_force.1". How the tendons are actuated is named as in
+tables, which count tendons from 1: "base_tension" and "direction" of all tendons, "base_tension_2" of tendon 2.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any
@@ -20,6 +22,7 @@ from .profiles import Constant
 from .stretching import stretched
 
 OWN = ("base_tension", "loads", "direction")  # parts of a case beside the parts of its manipulator
+_OF_ONE_TENDON = re.compile(r"(base_tension|direction)_([1-9]\d*)")
 UNITS = {
     "base_tension": "N",
     "direction": "1",
@@ -77,14 +80,32 @@ class Case(eqx.Module):
         """The SI unit of a number, "1" for none."""
         parts = name.split(".")
         target = _Path(self, name).parent
-        if parts[0] == "base_tension" and type(target).__name__ in _TARGET_UNITS:
+        if stem_and_tendon(parts[0])[0] == "base_tension" and type(target).__name__ in _TARGET_UNITS:
             return "m" if parts[-1] == "arc_length" else _TARGET_UNITS[type(target).__name__]
         return unit_of_name(name)
 
 
 def unit_of_name(name: str) -> str:
     """The SI unit of a number or a profile by its name alone, "1" for none."""
-    return next((UNITS[part] for part in name.split(".") if part in UNITS), "1")
+    stem, _ = stem_and_tendon(name.split(".")[0])
+    return next((UNITS[part] for part in (stem, *name.split(".")) if part in UNITS), "1")
+
+
+def of_tendon(name: str, place: int) -> str:
+    """The name of what one of several tendons has: "base_tension_2" of the tendon at place 1."""
+    return f"{name}_{place + 1}"
+
+
+def holds(whole: str, part: str) -> bool:
+    """Whether a name stands for several numbers and another one for some of them."""
+    stem, tendon = stem_and_tendon(part.split(".")[0])
+    return part.startswith(f"{whole}.") or (tendon is not None and stem == whole)
+
+
+def stem_and_tendon(name: str) -> tuple[str, int | None]:
+    """ "base_tension" and 1, the place of the tendon, of "base_tension_2"; None for what is not of one tendon."""
+    found = _OF_ONE_TENDON.fullmatch(name)
+    return (found[1], int(found[2]) - 1) if found else (name, None)
 
 
 class _Path:
@@ -92,8 +113,13 @@ class _Path:
 
     def __init__(self, case: Case, name: str):
         self.case, self.name = case, name
-        self.steps = name.split(".")
-        if self.steps[0] not in OWN:
+        first, *rest = name.split(".")
+        stem, tendon = stem_and_tendon(first)
+        if first in ("base_tension", "direction") and rest and rest[0].isdigit():
+            instead = ".".join([of_tendon(first, int(rest[0])), *rest[1:]])
+            raise InputError(f"{name!r} is no number of a case: tendons count from 1; write {instead!r}")
+        self.steps = [stem, *([] if tendon is None else [str(tendon)]), *rest]
+        if stem not in OWN:
             self.steps = ["manipulator", *self.steps]
         node: Any = case
         self.parent: Any = case
@@ -113,7 +139,9 @@ class _Path:
         self.number = node
         whole = self.steps[-1] in ("base_tension", "direction")  # one number for all tendons
         if not whole and node is not None and (not isinstance(node, jax.Array | np.ndarray | float) or np.ndim(node)):
-            inside = ", ".join(f"{name}.{part}" for part in _parts(node))
+            of_tendons = name in ("base_tension", "direction")
+            parts = _parts(node)
+            inside = ", ".join(of_tendon(name, int(part)) if of_tendons else f"{name}.{part}" for part in parts)
             raise InputError(f"{name} is not one number; name a number of it: {inside or 'it has none'}")
 
     @staticmethod
@@ -122,6 +150,11 @@ class _Path:
 
     def _unknown(self, depth: int, node: Any) -> str:
         step, known = self.steps[depth], sorted(_parts(node))
+        stem, tendon = stem_and_tendon(self.name.split(".")[0])
+        if depth == 1 and tendon is not None:
+            count = self.case.manipulator.num_tendons
+            why = f"the manipulator has {count} tendon(s)" if known else f"{stem} is one for all tendons; give one each"
+            return f"{self.name!r} is no number of a case: {why}"
         if node is self.case.manipulator:
             known += OWN
         close = get_close_matches(step, known, 1)

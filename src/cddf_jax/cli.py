@@ -148,7 +148,7 @@ Over = Annotated[
     typer.Option(
         help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list, "kinematics=published,exact" '
         'or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. Any number has a name: outer_radius.tip, '
-        "tendons.0.offset, loads.tip_force.1, base_tension.1, of a target base_tension.value. "
+        "tendons.0.offset, loads.tip_force.1, base_tension_2, of a target base_tension.value. "
         "With the length everything along the body varies in proportion.",
         show_default=False,
     ),

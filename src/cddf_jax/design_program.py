@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .case import Case
+from .case import Case, of_tendon
 from .constrained import Point, Weights
 from .design_problem import Evaluation, Problem, Values
 from .equilibrium import RESULTS
@@ -126,7 +126,8 @@ def fixed_numbers(problem: Problem) -> dict[str, float]:
 
 def _acting(body: Manipulator, used: LoadCase) -> dict[str, float]:
     case = Case(body, used.base_tension, used.loads, used.direction)
-    names = ["base_tension", *(f"base_tension{part}" for part in (".value", ".0", ".1", ".0.value", ".1.value"))]
+    actuated = ["base_tension", *(of_tendon("base_tension", i) for i in range(body.num_tendons))]
+    names = [name + part for name in actuated for part in ("", ".value")]
     names += ["loads.tip_force.0", "loads.tip_force.1", "loads.tip_moment"] if used.loads is not None else []
     return {name: value for name in names if (value := _number(case, name)) is not None}
 

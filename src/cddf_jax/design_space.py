@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .case import Case
+from .case import Case, stem_and_tendon
 from .errors import InputError
 from .load_cases import LoadCase
 from .manipulator import Manipulator
@@ -62,7 +62,7 @@ def space_of(case: Case, free: Sequence[str], bounds: Mapping[str, tuple[Any, An
     Raises:
         InputError: names what is unknown, without effect, or out of its bounds.
     """
-    if any(str(name).split(".")[0] == "direction" for name in free):
+    if any(stem_and_tendon(str(name))[0] == "direction" for name in free):
         raise InputError("design: a direction cannot be free; it is 1 or -1")
     if isinstance(free, str) or not free or not all(isinstance(name, str) for name in free):
         raise InputError('design: free must list one name or more, as in free=("outer_radius",)')

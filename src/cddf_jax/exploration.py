@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .along_figure import stations
 from .bench import experiment_of
-from .case import Case
+from .case import Case, of_tendon
 from .equilibrium import RESULTS, Equilibrium, Fields
 from .errors import InputError
 from .explorer_taper import tapered
@@ -150,7 +150,7 @@ class Exploration:
         measured = [float(table["base_tension"].max()) for table in self.tables if "base_tension" in table]
         high = _above(max([most, *measured]))
         label = "Base tension" if body.num_tendons == 1 else "Base tension {}"
-        names = [(f"base_tension.{i}", label.format(i + 1)) for i in range(body.num_tendons)]
+        names = [(of_tendon("base_tension", i), label.format(i + 1)) for i in range(body.num_tendons)]
         return [
             Control(n, text, "N", 0, 0.0 if i else 0.75 * high, 0.0, high, 0.0) for i, (n, text) in enumerate(names)
         ]
@@ -203,7 +203,7 @@ class Exploration:
         body = replace(self.manipulator, outer_radius=wall, kinematics=settings.kinematics, **material)
         force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
         loads = Loads(force, number["tip_moment"], gravity) if any((*force, number["tip_moment"], *gravity)) else None
-        pulls = np.array([number[f"base_tension.{i}"] for i in range(body.num_tendons)])
+        pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
         return Case(body, pulls, loads, np.array(settings.direction, float))
 
     def _wall(self, base: float, tip: float) -> Profile:

@@ -174,10 +174,10 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, told: dict[str
 
 def _target(work: Sweep, name: str) -> str:
     """What is to be reached, in words, where a number is that of a target."""
-    found = re.fullmatch(r"base_tension(?:\.(\d+))?\.value", name)
+    found = re.fullmatch(r"base_tension(?:_(\d+))?\.value", name)
     if not found:
         return ""
-    target = work.base_tension if found[1] is None else work.base_tension[int(found[1])]
+    target = work.base_tension if found[1] is None else work.base_tension[int(found[1]) - 1]
     return next(f"Target {plain_words(kind)}" for kind, known in TARGETS.items() if isinstance(target, known.make))
 
 

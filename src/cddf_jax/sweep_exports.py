@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .case import of_tendon
 from .chunks import Layout, even_chunks
 from .errors import InputError
 from .store import needed
@@ -84,8 +85,9 @@ def _output_columns(layout: Layout, block: "xarray.Dataset") -> dict[str, Any]:
             continue
         values, own = block[name].values, variable.dims[len(layout.shape) :]
         for place in np.ndindex(values.shape[len(layout.shape) :]):
-            parts = zip(own, place, values.shape[len(layout.shape) :], strict=True)  # tendons from 0, as in all names
-            label = ".".join([name, *(COMPONENTS[i] if d == "component" else str(i) for d, i, n in parts if n > 1)])
+            parts = zip(own, place, values.shape[len(layout.shape) :], strict=True)
+            ends = (f".{COMPONENTS[i]}" if d == "component" else of_tendon("", i) for d, i, n in parts if n > 1)
+            label = "".join([name, *ends])
             found[_head(label, variable.attrs)] = values[(..., *place)].ravel()
     return found | {RESULT: np.array(RESULT_NAMES)[block[RESULT].values.ravel()]}
 

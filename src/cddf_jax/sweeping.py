@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from .axes import RESERVED, Dimension, check_names, dimensions_of
-from .case import Case
+from .case import Case, holds, of_tendon
 from .chunks import Index, Layout, Variable, bytes_each, even_chunks
 from .equilibrium import Equilibrium
 from .errors import InputError
@@ -59,7 +59,7 @@ def sweep(
         axes: by dimension of the answer. Either the name of a number and its values, {"base_tension": values}, or any
             other name and several numbers that vary together along it, {"sample": latin_hypercube(...)}. The dimensions
             are combined with each other. A name is the path to a number: "base_tension", "youngs_modulus",
-            "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension.1", and the options "nodes",
+            "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension_2", and the options "nodes",
             "method", "kinematics". SI units.
         base_tension, loads, direction, nodes, method: as `solve` takes them, where no axis names them.
         outputs: attributes of `Equilibrium`, each an array of the answer.
@@ -152,10 +152,10 @@ class Sweep:
         if loads is None and any(name.startswith("loads.") for name in names):
             loads = Loads()
         tension, count = self.base_tension, self.manipulator.num_tendons
-        if tension is None and {f"base_tension.{i}" for i in range(count)} <= set(names):
+        if tension is None and {of_tendon("base_tension", i) for i in range(count)} <= set(names):
             tension = np.zeros(count)
         tension = tuple(tension) if isinstance(tension, list) else tension
-        if any(name.startswith("base_tension.") for name in names) and isinstance(tension, int | float):
+        if any(holds("base_tension", name) for name in names) and isinstance(tension, int | float):
             tension = np.full(count, float(tension))
         return Case(self.manipulator, tension, loads, np.asarray(self.direction, float))
 
