@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cddf_jax.bootstrap import Bootstrap
 from cddf_jax.errors import InputError
 from cddf_jax.least_squares import least_squares_fit
 
@@ -149,6 +150,32 @@ def test_whole_clusters_are_kept_together(known):
     chance = [stats.multinomial.pmf([draw.count(k) for k in range(3)], 3, [1 / 3] * 3) for draw in draws]
     counts = np.bincount(which, minlength=10)
     assert stats.chisquare(counts, 1000 * np.array(chance)).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("count", [3, 6])
+def test_how_often_few_cases_hold_the_truth(count):
+    """20,000 means of a few normal cases: over all draws a bootstrap scatters by their deviation / sqrt n."""
+    draws = np.random.default_rng(12).normal(size=(20_000, count))
+    held = np.mean(np.abs(draws.mean(axis=1)) < 1.959964 * draws.std(axis=1) / np.sqrt(count))
+    told = Bootstrap("cases", ("a",), np.zeros((9, 1)), np.zeros(1), 0, 0, num_cases=count)
+    assert told.coverage == pytest.approx(held, abs=4 * np.sqrt(0.15 / 20_000))
+    assert (
+        f"drawn from {count} case(s) only: even of a plain mean such 95 % intervals hold the truth in " in told.remark
+    )
+
+
+def test_how_often_drawn_noise_holds_the_truth():
+    """Noise told by 2 degrees of freedom: z for t, whose distribution then is t / sqrt(2 + t^2)."""
+    told = Bootstrap("parametric", ("a",), np.zeros((9, 1)), np.zeros(1), 0, 0, noise_freedom=2.0)
+    assert told.coverage == pytest.approx(1.959964 / np.sqrt(2 + 1.959964**2), rel=1e-6)
+    assert told._replace(noise_freedom=np.inf).remark == ""
+
+
+def test_the_fewest_cases_are_told(known):
+    found = known.bootstrap("cases", 2, clusters={"data": ("trial", TRIALS)})
+    assert found.num_cases == 3
+    assert known.bootstrap("cases", 2).num_cases == 30
+    assert known.bootstrap("parametric", 2)[-2:] == (0, np.inf)  # its noise was given
 
 
 @pytest.mark.parametrize("common", [True, False])

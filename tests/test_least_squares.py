@@ -761,7 +761,7 @@ def test_too_few_steps_are_a_failure():
         ({"sigma": -1.0}, "sigma of data must be > 0"),
         ({"sigma": np.nan}, "sigma of data must be > 0"),
         ({"sigma": [1.0, 2.0]}, r"sigma has 2 entries for 1 groups of data \(data\)"),
-        ({"observed": np.where(X > 2.9, np.nan, NOISY)}, "data: entry 29 is not finite; leave it out"),
+        ({"observed": np.where(X > 2.9, np.nan, NOISY)}, "data: entry 30 is not finite; leave it out"),
         ({"observed": np.zeros(0)}, "there are no data to fit"),
         ({"observed": {}}, "there are no data to fit"),
         ({"start": {"a": np.nan, "b": 1.0}}, "a starts at nan"),
@@ -833,6 +833,25 @@ def test_an_outlier_is_pointed_out(sigma):
     assert f"entry 8 of data lies {distance:.2g} standard deviations off the model" in remark
 
 
+def test_an_outlier_that_bends_the_model():
+    """Of a log(1 + b x) one reading is five times too large: the distance is that from SciPy's fit to all others."""
+    x = np.linspace(0.1, 3.0, 26)
+    data = np.log1p(2.0 * x) + 0.002 * np.random.default_rng(3).normal(size=26)
+    data[5] *= 5
+
+    def model(x, a, b):
+        return a * np.log1p(b * x)
+
+    left = np.delete(np.arange(26), 5)
+    (a, b), covariance = optimize.curve_fit(model, x[left], data[left], p0=[1.0, 2.0])
+    scatter = np.sqrt(np.sum((data[left] - model(x[left], a, b)) ** 2) / 23)  # 25 data, 2 parameters
+    slope = np.array([np.log1p(b * x[5]), a * x[5] / (1 + b * x[5])])
+    distance = (data[5] - model(x[5], a, b)) / np.hypot(scatter, np.sqrt(slope @ covariance @ slope))
+    start, bounds = {"a": 1.5, "b": 1.0}, {"b": (0.0, None)}
+    fit = least_squares_fit(lambda p: p["a"] * jnp.log1p(p["b"] * x), start, data, bounds=bounds)
+    assert any(f"entry 6 of data lies {distance:.0f} standard deviations off" in remark for remark in fit.remarks)
+
+
 @pytest.mark.parametrize("sigma", [SIGMA, None])
 def test_honest_noise_has_hardly_ever_an_outlier(sigma):
     """One experiment in a hundred; of 200, more than 7 one time in a thousand."""
@@ -854,7 +873,18 @@ def test_a_wrong_minimum_that_explains_nothing():
     x = np.linspace(0.0, 1.0, 30)
     fit = least_squares_fit(lambda p: jnp.sin(p["w"] * x), {"w": 5.0}, np.sin(25 * x), 0.01)
     assert abs(fit.value["w"] - 25) > 1
+    assert (fit.success, fit.status) == (False, {"w": "not identified"})
+    assert fit.standard_error == {"w": np.inf}
+    assert fit.result.startswith("hardly anything of data is explained")
     assert any("hardly explained at all; search from another start" in remark for remark in fit.remarks)
+
+
+def test_repeats_of_one_level_are_explained():
+    """Their scatter is noise and nothing else, and their mean is told by it."""
+    data = 5.0 + 0.1 * np.random.default_rng(1).normal(size=30)
+    fit = least_squares_fit(lambda p: p["a"] + 0 * X, {"a": 1.0}, data)
+    assert (fit.success, fit.status) == (True, {"a": "identified"})
+    assert fit.value["a"] == pytest.approx(data.mean(), rel=1e-9)
 
 
 def test_few_degrees_of_freedom_are_named():

@@ -280,6 +280,10 @@ def test_from_columns_refuses(columns, message):
 ONE_LEVEL_AT_50 = (
     "base_tension hardly varies from 50 N, so that nothing can be told of a slope; measure at other levels"
 )
+STICKS = (
+    "each counts as sliding in. Where the tension was lowered without a release to 0 N, write direction -1 for rows in "
+    "which all of the tendon slides out, and leave out those right after the turn, where part of it still sticks"
+)
 DEGREES = "rows with wrap_angle beyond 5 turn(s): 2 of 2 (row 1:"
 WHICH = "are these degrees under a unit of rad?"
 
@@ -305,6 +309,16 @@ WHICH = "are these degrees under a unit of rad?"
             ("trials of one row only: 1 of 2 (trial b, row 3); is the rest missing?",),
         ),
         ({"base_tension": [9, 5, 9], "trial": ["a", "b", "c"]}, ()),  # labels of rows
+        (
+            {"base_tension": [10, 20, 75, 30, 20, 10], "tip_angle": [0.1, 0.2, 0.7, 0.6, 0.4, 0.2]},
+            (
+                "rows with base_tension below that of the row before, while no direction is stated: 2 of 6 "
+                f"(row 4: 30 N after 75 N); {STICKS}",
+            ),
+        ),
+        ({"base_tension": [10, 75, 30, 10], "direction": [1, 1, -1, -1]}, ()),  # stated
+        ({"base_tension": [10, 75.1, 75, 75.2, 10.1, 75.3]}, ()),  # noise at a level, a fresh start at the lowest
+        ({"base_tension": [10, 75, 30, 40], "trial": ["a", "a", "b", "b"]}, ()),  # another trial
         ({"base_tension": [9, 5, 9, 5, 7], "trial": ["a", "a", "b", "b", "b"]}, ()),  # trials of different length
         ({"base_tension": [10, 20], "tip_tension": [10.4, 19]}, ()),  # noise
         ({"base_tension": [0, 0.1, 20], "tip_tension": [0.05, 0.15, 19]}, ()),  # noise about 0

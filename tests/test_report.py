@@ -397,6 +397,9 @@ def test_the_bootstrap_in_the_report(drum, drum_report):
     markdown = report.as_markdown(drum_report)
     assert f"| friction_coefficient | {np.std(drawn, ddof=1):.2g} | {low:.5g} to {high:.5g} |" in markdown
     assert "Parametric (new noise about the model): 40 refits, seed 0." in markdown
+    assert markdown.count("**Too narrow:** drawn from 3 case(s) only: ") == 1  # trials of the pulley
+    told = [bootstrap["coverage"] for bootstrap in fit_results.as_dict(drum_report)["bootstraps"]]
+    assert told == [bootstrap.coverage for bootstrap in drum_report.bootstraps]
     for name, figure in figures.items():
         assert np.ptp(imread(BytesIO(plotting.render(figure, name)[f"{name}.png"]))) > 0.5
 

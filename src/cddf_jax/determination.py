@@ -65,6 +65,7 @@ class Evidence:
     products: bool = True  # whether combinations of what is not identified may be written as products of powers
     bounded_above: tuple[int, ...] = ()  # parameters that the data, though not told from their lower bound, limit above
     random: tuple[int, ...] = ()  # parameters that are draws about 0, with a spread that was estimated from them
+    failed: bool = False  # whether the fit failed, so that nothing is identified
 
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
         rows = {name: self.rows[name] for name in groups}
@@ -129,6 +130,7 @@ def determine(evidence: Evidence) -> Determination:
     spread = np.sqrt(np.diag(spectrum.covariance))
     sloppy = spectrum.directions[-1] / max(np.abs(spectrum.directions[-1]).max(), 1e-300)
     sloppy = sloppy * np.sign(sloppy[np.argmax(np.abs(sloppy) > 0.02)])  # the first one that matters counts as up
+    powers_told = evidence.products and noise_told and not evidence.failed
 
     def by_name(values: Any) -> dict[str, Any]:
         return dict(zip(names, values, strict=True))
@@ -139,7 +141,7 @@ def determine(evidence: Evidence) -> Determination:
         standard_error=by_name(np.where(open_ended, np.inf, error).tolist()),
         confidence_interval=by_name(zip(low.tolist(), high.tolist(), strict=True)),
         status=by_name(status),
-        combinations=_combinations(names, value, lost, jacobian) if evidence.products and noise_told else {},
+        combinations=_combinations(names, value, lost, jacobian) if powers_told else {},
         covariance=spectrum.covariance * np.outer(size, size),
         correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), 1e-300),
         singular_values=spectrum.values,
@@ -169,7 +171,8 @@ def quantiles(evidence: Evidence, spectrum: Spectrum, directions: np.ndarray) ->
 
 
 def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> list[str]:
-    """By the rule: an interval that closes inside the bounds, and a relative standard error below 0.5."""
+    """By the rule: an interval that closes inside the bounds, and a relative standard error below 0.5; where the fit
+    failed, none."""
     value = evidence.value
     # what may well be 0 is measured by its scale too
     scale = np.where(np.isfinite(evidence.lower), 0.0, evidence.scale)
@@ -190,7 +193,8 @@ def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> li
         elif prior_only:
             result.append(PRIOR_ONLY)
         else:
-            result.append(IDENTIFIED if known[i] and closed[i] and not evidence.open_profile[i] else NOT_IDENTIFIED)
+            told = known[i] and closed[i] and not evidence.open_profile[i] and not evidence.failed
+            result.append(IDENTIFIED if told else NOT_IDENTIFIED)
     return result
 
 

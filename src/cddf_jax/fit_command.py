@@ -10,12 +10,13 @@ from .bootstrap import Bootstrap
 from .errors import InputError
 from .fit_figures import moving_names
 from .fit_results import Report
-from .identification import SHOWN, Fit
+from .identification import Fit
 from .measurements import dimension_of
 from .observations import Noise
 from .parameter_space import Prior, Uniform
 from .report import in_words
 from .units import quantity
+from .verdict import SHOWN
 
 LEAST_TRIALS = 3  # to draw from with replacement
 
@@ -108,6 +109,7 @@ def report_in_words(report: Report) -> str:
     for bootstrap in report.bootstraps:
         lines += ["", f"bootstrap, {bootstrap.kind}, {len(bootstrap.estimates)} refits:"]
         lines += [f"  {_interval(name, bootstrap)}" for name in moving_names(fit)]
+        lines += [f"  too narrow: {bootstrap.remark}"] if bootstrap.remark else []
     if len(fit.tables) > 1:
         lines += ["", "alone, each table would have told:"]
         lines += [f"  {name}: {in_words(told)}" for name, told in fit.alone.items()]

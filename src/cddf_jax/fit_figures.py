@@ -13,12 +13,13 @@ from . import plotting as draw
 from .bench import TRIALS, Bench, parameter_named
 from .determination import AT_BOUND
 from .errors import InputError
-from .identification import SHOWN, Fit
+from .identification import Fit
 from .measurements import Measurements
 from .pulley import pulling_tension
 from .readings import READINGS, kind_of
 from .readings_drawing import draw_about_zero, draw_band, draw_levels
 from .units import preferred
+from .verdict import SHOWN
 
 DEGREE = np.degrees(1.0)
 SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds

@@ -1,11 +1,10 @@
 """`fit`: friction, modulus and the errors of the bench from measurements, and what the measurements do not hold."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import f_oneway
 
 from .bench import (
     TRIALS,
@@ -17,28 +16,18 @@ from .bench import (
     with_parameters,
 )
 from .bootstrap import Bootstrap
-from .determination import FIXED, IDENTIFIED, NOT_IDENTIFIED, Determination, Estimate
-from .equilibrium import NOTEWORTHY, RESULTS
+from .determination import FIXED, Determination, Estimate
 from .errors import InputError
 from .friction_by_trial import fit_trials
 from .least_squares import LeastSquaresFit, least_squares_fit
 from .manipulator import Manipulator
-from .measurements import Measurements, repeated_tables
-from .readings import OF_SHAPE
-from .remarks import EXACT
+from .measurements import Measurements
+from .verdict import doubt, fit_warnings, looks_at, verdict_of
 
 POSITIVE = (0.0, None)
-LARGEST_FRICTION = 2.0  # that is taken without a word
-CHANCE = 1e-3  # below which residuals are said not to scatter as they should
-# what to multiply SI by, and the unit that then holds
-SHOWN = {
-    "dimensionless": (1.0, ""),
-    "pressure": (1e-6, " MPa"),
-    "length": (1e3, " mm"),
-    "force": (1.0, " N"),
-    "force per length": (1.0, " N/m"),
-    "angle": (np.degrees(1.0), " deg"),
-}
+MOST = (
+    0.5  # of a table's rows: where the model has no body for more, what fits the rest is not the body that was measured
+)
 
 
 class Prediction(NamedTuple):
@@ -64,7 +53,7 @@ class Fit(LeastSquaresFit):
     @property
     def verdict(self) -> tuple[str, ...]:
         """In words: what was determined, what was not, and what measurement would help."""
-        return tuple(_verdict(self))
+        return tuple(verdict_of(self, self.tables, self.trial_spread))
 
     @property
     def mean_relative_error(self) -> float:
@@ -120,6 +109,19 @@ class Fit(LeastSquaresFit):
         if kind == "cases" and "clusters" not in options:
             options["clusters"] = self.clusters
         return super().bootstrap(kind, replicates, **options)
+
+    def place(self, group: str, k: int) -> str:
+        """In words, by the row of the file (1, 2, ... where there is none)."""
+        return f"row {self.rows[group][k]} of {group}"
+
+    @property
+    def rows(self) -> dict[str, np.ndarray]:
+        """By group of data, the row of each datum in its file."""
+        return {
+            f"{name}: {column}": table.rows
+            for name, table, experiment in zip(self.alone, self.tables, self.model.experiments, strict=True)
+            for column in experiment.columns
+        }
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
@@ -277,6 +279,9 @@ def _groups(tables: tuple[Measurements, ...], model: BenchModel) -> list[_Group]
 
 def _conclude(statistics: LeastSquaresFit, tables, model: BenchModel, trial_spread: float) -> Fit:
     body = model.manipulator
+    looks = list(looks_at(statistics.parameters, tables, model))
+    if statistics.success and (reason := next(filter(None, map(doubt, looks)), "")):
+        statistics = statistics.doubted(reason)
     fixed = {
         n: float(getattr(body, n)) for n in ("friction_coefficient", "youngs_modulus") if n not in statistics.names
     }
@@ -293,7 +298,7 @@ def _conclude(statistics: LeastSquaresFit, tables, model: BenchModel, trial_spre
     spread = np.sqrt(np.diag(statistics.covariance))
     effects = [Estimate(statistics.value[n], float(spread[i])) for i, n in enumerate(statistics.names) if n not in own]
     kept = [name for name in statistics.names if name not in own]
-    return Fit(
+    fit = Fit(
         **told,
         manipulator=with_parameters(body, statistics.parameters),
         tables=tables,
@@ -301,117 +306,6 @@ def _conclude(statistics: LeastSquaresFit, tables, model: BenchModel, trial_spre
         alone={name: statistics.told_by(*labels[name], with_priors_of=kept) for name in model.names},
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
-        warnings=tuple(_warnings(statistics, tables, model)),
+        warnings=(),
     )
-
-
-def _warnings(statistics: LeastSquaresFit, tables, model: BenchModel) -> list[str]:
-    """What the tables, the statistics and the solver have to say at the estimate."""
-    body = model.manipulator
-    found = [f"{table.name}: {warning}" for table in tables for warning in table.warnings]
-    found += repeated_tables(tables)
-    if body.kinematics == "published" and any(column in table for table in tables for column in OF_SHAPE):
-        found.append(
-            "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
-            "use the exact one for a real body"
-        )
-    found += [remark for remark in statistics.remarks if not remark.startswith(TRIALS)]
-    found += [f"{label} {remark}" for label, remark in _of_readings(statistics, tables, model)]
-    mu = statistics.value.get("friction_coefficient", 0.0)
-    if mu > LARGEST_FRICTION and statistics.status["friction_coefficient"] == IDENTIFIED:
-        found.append(
-            f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
-            "radians under a head of degrees among them"
-        )
-    for name, experiment in zip(model.names, model.experiments, strict=True):
-        if isinstance(experiment, Bench):
-            codes = experiment.evaluate(body, statistics.parameters, model.nodes)[2]
-            for code in NOTEWORTHY:
-                rows = int(np.sum(codes._value == code._value))
-                found += [f"{name}: {rows} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if rows else []
-    return found
-
-
-def _of_readings(statistics: LeastSquaresFit, tables, model: BenchModel) -> Iterator[tuple[str, str]]:
-    """Columns of the wrong sign, and columns that differ from trial to trial."""
-    for table, name, experiment in zip(tables, model.names, model.experiments, strict=True):
-        for column in experiment.columns:
-            label, observed = f"{name}: {column}", table[column]
-            residual = statistics.residuals[label]
-            by_trial = "trial" in table and TRIALS not in statistics.parameters
-            lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
-            if lost and column in OF_SHAPE and isinstance(experiment, Bench):
-                if np.sum(observed * _at_start(statistics, model, experiment)[column]) >= 0:
-                    continue
-                yield label, "has the sign opposite to the model's; check the side of the tendon and the column's sign"
-            elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"]):
-                yield label, "differs from trial to trial by more than its scatter; try per_trial"
-
-
-def _at_start(statistics: LeastSquaresFit, model: BenchModel, experiment: Bench) -> dict[str, np.ndarray]:
-    """What the body would show as it was given."""
-    body = model.manipulator
-    start = {
-        name: value if name.startswith(TRIALS) else starting_value(body, name)
-        for name, value in statistics.parameters.items()
-    }
-    return experiment.evaluate(body, start, model.nodes)[0]
-
-
-def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
-    """Whether means over trials differ, by an analysis of variance."""
-    groups = [residual[trial == label] for label in np.unique(trial)]
-    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * size  # what is left is rounding
-    if exact or len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
-        return False
-    return bool(f_oneway(*groups).pvalue < CHANCE)
-
-
-def shown(told: Determination, name: str) -> tuple[float, float, float, float, str]:
-    """Value, standard error and interval of a parameter in the unit in which engineers write it, and that unit."""
-    scale, unit = SHOWN[parameter_named(name).dimension]
-    numbers = told.value[name], told.standard_error[name], *told.confidence_interval[name]
-    value, error, low, high = (scale * number for number in numbers)
-    return value, error, low, high, unit
-
-
-def _verdict(fit: Fit) -> list[str]:
-    lines = [] if fit.success else [f"The fit failed: {fit.result}."]
-    for name, status in fit.status.items():
-        value, error, low, high, unit = shown(fit, name)
-        if status == IDENTIFIED:
-            lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
-        elif status != NOT_IDENTIFIED:
-            limit = f", at most {high:.4g}{unit} (95 %)" if name in fit.bounded_above else ""
-            lines.append(f"{name} = {value:.4g}{unit}: {status}{limit}")
-        elif name in fit.bounded_above:
-            lines.append(f"{name}: at most {high:.4g}{unit} (95 %), not told from {low:.4g}{unit}: not identified")
-        else:
-            lines.append(f"{name}: not identified")
-    for name, (value, error) in fit.combinations.items():
-        lines.append(f"{name} = {value:.4g} +- {error:.2g} (SI): identified, though its factors are not")
-    if fit.trial_effects:
-        lines.append(f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)")
-    lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
-    return lines + [_advice(fit, lost)] * bool(lost)
-
-
-def _advice(fit: Fit, lost: set[str]) -> str:
-    """What would separate the parameters that these data leave together."""
-    if any(column in table for table in fit.tables for column in OF_SHAPE):
-        return (
-            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "
-            "the warnings. A pulley test or a prior would help."
-        )
-    if lost == {"friction_coefficient", "youngs_modulus"} and fit.combinations:
-        return (
-            "Tensions of one tendon hold only friction_coefficient / youngs_modulus. To separate the two, add a pulley "
-            "test (friction alone), tip angles or tip positions measured with the tensions, or a prior on either."
-        )
-    if lost == {"youngs_modulus"} and all("pulling_tension" in table for table in fit.tables):
-        return (
-            "A pulley test holds the friction alone. Add tip tensions, tip angles or tip positions of the manipulator."
-        )
-    return (
-        f"The data do not determine {', '.join(sorted(lost))}. Add tip angles or positions, a pulley test, or a prior."
-    )
+    return replace(fit, warnings=tuple(fit_warnings(fit, tables, model, looks)))

@@ -27,7 +27,7 @@ from .levenberg_marquardt import LeastSquaresProblem, Outcome, Search, minimise,
 from .observations import Noise, Observations, group_observations
 from .parameter_space import Prior, Space, bounds_of, lay_out_parameters, priors_of, with_uniform_priors
 from .profile_likelihood import Profile, profile_likelihood
-from .remarks import remarks_on_parameters, remarks_on_residuals
+from .remarks import remarks_on_parameters, remarks_on_residuals, unexplained_groups
 from .robust_loss import loss_of
 from .valleys import Profiles, are_products, nearest_to_start, profiles_of
 
@@ -82,9 +82,13 @@ class LeastSquaresFit(Determination):
     def remarks(self) -> tuple[str, ...]:
         """Parameters on a bound, without effect or hanging on one datum; outliers; residuals that tell too little."""
         return (
-            *remarks_on_parameters(self.evidence),
-            *remarks_on_residuals(self.evidence, self.search, self.degrees_of_freedom),
+            *remarks_on_parameters(self.evidence, self.place),
+            *remarks_on_residuals(self.evidence, self.search, self.degrees_of_freedom, self.place),
         )
+
+    def place(self, group: str, k: int) -> str:
+        """In words, where the k-th datum of a group is, k from 0."""
+        return f"entry {k + 1} of {group}"
 
     def profile(self, name: str) -> Profile:
         """The likelihood with one parameter held at value after value and all others fitted again.
@@ -114,7 +118,8 @@ class LeastSquaresFit(Determination):
     ) -> Bootstrap:
         """Refits to data drawn anew; see `bootstrap.bootstrap`."""
         search, groups = self.search, tuple(self.evidence.rows)
-        options = {"clusters": clusters, "seed": seed, "progress": progress, "out": out}
+        freedom = float(self.degrees_of_freedom) if self.noise_estimated else np.inf
+        options = {"clusters": clusters, "noise_freedom": freedom, "seed": seed, "progress": progress, "out": out}
         return bootstrap(search.problem, search.noise, search.outcome, self.names, groups, kind, replicates, **options)
 
     def refits(self, observed: Mapping[str, Any], *, progress: bool = False, out: Any = None) -> Refits:
@@ -130,6 +135,11 @@ class LeastSquaresFit(Determination):
         """
         search, groups = self.search, tuple(self.evidence.rows)
         return refits(search.problem, search.noise, search.outcome, self.names, groups, observed, progress, out)
+
+    def doubted(self, reason: str) -> "LeastSquaresFit":
+        """The same search as a fit that failed for a reason that its sum of squares does not know."""
+        evidence = _of_failed(self.evidence)
+        return replace(self, **vars(determine(evidence)), evidence=evidence, success=False, result=reason)
 
     def told_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
         """What some groups of the data alone, without priors but those named, would determine, were this the truth."""
@@ -220,14 +230,15 @@ def least_squares_fit(
     evidence = _evidence(names, problem, data, outcome)
     told = determine(evidence)
     profiles = profiles_of(problem, noise, outcome, evidence, told, max_steps)
-    result = _verdict(problem, outcome, evidence, settled, profiles)
+    result = _verdict(Search(problem, noise, outcome), evidence, settled, profiles)
     if prefer_start and np.any(profiles.open):
         outcome = nearest_to_start(problem, noise, outcome, profiles.open, told.quantile, max_steps)
         evidence = _evidence(names, problem, data, outcome)
-    doubtful = profiles.open | (result != SUCCESSFUL)  # a failed fit has identified nothing
-    limited = profiles.bounded_above if result == SUCCESSFUL else ()
-    evidence = replace(evidence, open_profile=doubtful, bounded_above=limited)
-    evidence = replace(evidence, products=are_products(problem, noise, outcome, determine(evidence), max_steps))
+    evidence = replace(evidence, open_profile=profiles.open, bounded_above=profiles.bounded_above)
+    if result != SUCCESSFUL:
+        evidence = _of_failed(evidence)
+    else:
+        evidence = replace(evidence, products=are_products(problem, noise, outcome, determine(evidence), max_steps))
     return _conclude(evidence, data, Search(problem, noise, outcome), result, tried.cost, seed)
 
 
@@ -298,6 +309,10 @@ def _evidence(names, problem: LeastSquaresProblem, data: Observations, outcome: 
     )
 
 
+def _of_failed(evidence: Evidence) -> Evidence:
+    return replace(evidence, failed=True, bounded_above=())
+
+
 def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
     """What a robust loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)."""
     kind = loss_of(loss)
@@ -305,9 +320,8 @@ def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
     return float(np.mean(kind.slope(residual)) / np.sqrt(max(spread, 1e-300)))
 
 
-def _verdict(
-    problem: LeastSquaresProblem, outcome: Outcome, evidence: Evidence, settled: bool, profiles: Profiles
-) -> str:
+def _verdict(search: Search, evidence: Evidence, settled: bool, profiles: Profiles) -> str:
+    problem, _, outcome = search
     if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
         return "the model gave no number at the estimate; start closer, or leave out data beyond its reach"
     if not settled:
@@ -320,6 +334,11 @@ def _verdict(
         return "the optimiser stopped short of a minimum; start closer, search from many starts, or allow more steps"
     if profiles.least_rise < -0.01:
         return "a better minimum lies elsewhere; start closer, or search from many starts"
+    if unexplained := unexplained_groups(evidence, search):
+        return (
+            f"hardly anything of {', '.join(unexplained)} is explained (most of what the readings are, and more than "
+            "80 % of their scatter, is left); check units and signs, start closer, or search from many starts"
+        )
     return SUCCESSFUL
 
 

@@ -180,7 +180,7 @@ def group_observations(observed: Any, sigma: Any) -> Observations:
         raise InputError("there are no data to fit")
     for name, v in zip(names, values, strict=True):
         if not np.all(np.isfinite(v)):
-            raise InputError(f"{name}: entry {int(np.argmin(np.isfinite(v.ravel())))} is not finite; leave it out")
+            raise InputError(f"{name}: entry {int(np.argmin(np.isfinite(v.ravel()))) + 1} is not finite; leave it out")
     given = _per_group(sigma, names, observed)
     return Observations(names, values, tuple(map(_checked, given, names, values)), structure)
 

@@ -15,11 +15,12 @@ from .determination import NOT_IDENTIFIED, Determination
 from .estimate_figures import bootstrap_figure, correlated_names, correlation_figure
 from .fit_figures import moving_names, residuals_figure, table_figures, tables_without_numbers
 from .fit_results import Report, as_dict, make_report, trial_rows
-from .identification import SHOWN, Fit, shown
+from .identification import Fit
 from .measurements import dimension_of
 from .observations import Noise
 from .profile_figures import profiles_figure
 from .units import preferred
+from .verdict import SHOWN, shown
 
 
 def write_fit(
@@ -187,6 +188,7 @@ def _bootstrap_section(report: Report) -> list[str]:
         count = len(bootstrap.estimates) + bootstrap.num_failed
         lines += ["", f"{bootstrap.kind.capitalize()} ({drawn}): {count} refits{lost}, seed {bootstrap.seed}.", ""]
         lines += _table(["parameter", "standard error", "95 % interval", "bias"], bootstrap_rows(report.fit, bootstrap))
+        lines += ["", f"**Too narrow:** {bootstrap.remark}."] if bootstrap.remark else []
     return ["## Bootstrap", *lines] if lines else []
 
 

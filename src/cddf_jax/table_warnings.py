@@ -26,7 +26,7 @@ class Table(Protocol):
 
 def warnings_of(table: Table) -> tuple[str, ...]:
     """One line each, for the report."""
-    looks = (_too_few_rows, _repeated_rows, _one_level, _tip_above_base, _large_angles)
+    looks = (_too_few_rows, _repeated_rows, _one_level, _tip_above_base, _coming_down, _large_angles)
     return tuple(warning for look in looks if (warning := look(table)))
 
 
@@ -83,6 +83,30 @@ def _tip_above_base(table: Table) -> str:
                 remedy = "are the cells swapped or off zero, or does the tendon slide out (direction -1)?"
                 first = int(np.argmax(above))
                 return _rows_with(table, above, what, f"{tip[first]:.6g} N over {base[first]:.6g} N", remedy)
+    return ""
+
+
+def _coming_down(table: Table) -> str:
+    """Rows below the one before them in the file that are no fresh start at the lowest level of their trial."""
+    trial = table.columns.get("trial", np.zeros(len(table)))
+    for column in table.columns:
+        if column.startswith("base_tension") and column.replace("base_tension", "direction") not in table.columns:
+            base = table[column]
+            least = (
+                np.array([base[trial == label].min() for label in trial]) if "trial" in table.columns else base.min()
+            )
+            slack = ONE_LEVEL * base.max()
+            down = np.append(False, (np.diff(base) < -slack) & (np.diff(trial) == 0)) & (base > least + slack)
+            if np.any(down):
+                first = int(np.argmax(down))
+                stated = column.replace("base_tension", "direction")
+                what = f"{column} below that of the row before, while no {stated} is stated"
+                remedy = (
+                    "each counts as sliding in. Where the tension was lowered without a release to 0 N, write "
+                    f"{stated} -1 for rows in which all of the tendon slides out, and leave out those right after the "
+                    "turn, where part of it still sticks"
+                )
+                return _rows_with(table, down, what, f"{base[first]:.6g} N after {base[first - 1]:.6g} N", remedy)
     return ""
 
 

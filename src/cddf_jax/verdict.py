@@ -1,0 +1,189 @@
+"""What a fit says in words: what was determined and what was not, why it is to be doubted, and what deserves a look."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import f_oneway
+
+from .bench import TRIALS, Bench, BenchModel, parameter_named, starting_value
+from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
+from .equilibrium import NOTEWORTHY, RESULTS
+from .least_squares import LeastSquaresFit
+from .measurements import Measurements, repeated_tables
+from .readings import OF_SHAPE
+from .remarks import EXACT
+
+LARGEST_FRICTION = 2.0  # that is taken without a word
+CHANCE = 1e-3  # below which residuals are said not to scatter as they should
+# of a table's rows: where the model has no body for more, what fits the rest is not the body that was measured
+MOST = 0.5
+OUTSIDE = {  # results of rows for which there is no body, and how they are called
+    "not physical": RESULTS.unphysical,
+    "locked": RESULTS.locked,
+    "not converged": RESULTS.not_converged,
+    "load limit": RESULTS.load_limit,
+    "crossing": RESULTS.crossing,
+    "unstable": RESULTS.unstable,
+}
+# what to multiply SI by, and the unit that then holds
+SHOWN = {
+    "dimensionless": (1.0, ""),
+    "pressure": (1e-6, " MPa"),
+    "length": (1e3, " mm"),
+    "force": (1.0, " N"),
+    "force per length": (1.0, " N/m"),
+    "angle": (np.degrees(1.0), " deg"),
+}
+
+
+class Look(NamedTuple):
+    """How the solves of a table's rows went at the estimate."""
+
+    name: str
+    table: Measurements
+    results: RESULTS
+    stated: bool  # whether the table says how the tendons slide; a measured row is believed
+
+    def rows(self, *codes: RESULTS) -> np.ndarray:
+        """The rows of the file whose solve ended so."""
+        return self.table.rows[np.isin(np.asarray(self.results._value), [int(code._value) for code in codes])]
+
+
+def looks_at(parameters: Any, tables: Sequence[Measurements], model: BenchModel) -> Iterator[Look]:
+    """One for each table of the manipulator."""
+    for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
+        if isinstance(experiment, Bench):
+            results = experiment.evaluate(model.manipulator, parameters, model.nodes)[2]
+            yield Look(name, table, results, "direction" in table)
+
+
+def doubt(look: Look) -> str:
+    """Why these rows cannot have told a parameter; "" where they can."""
+    rows, count = look.rows(*OUTSIDE.values()), len(look.table)
+    if len(rows) > MOST * count:
+        kinds = ", ".join(words for words, code in OUTSIDE.items() if len(look.rows(code)))
+        return (
+            f"most rows of {look.name} have no body in the model ({len(rows)} of {count}, the first is row {rows[0]}: "
+            f"{kinds}); check the units of the table and the dimensions of the body"
+        )
+    rows = look.rows(RESULTS.direction_contradicted)
+    if len(rows) and not look.stated:
+        return (
+            f"tendons travel against the direction taken for them in {len(rows)} of {count} rows of {look.name} (the "
+            f"first is row {rows[0]}); state it in columns direction, direction_2, ..., or leave these rows out"
+        )
+    return ""
+
+
+def fit_warnings(
+    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, looks: Sequence[Look]
+) -> list[str]:
+    """What the tables, the statistics and the solver have to say at the estimate."""
+    found = [f"{table.name}: {warning}" for table in tables for warning in table.warnings]
+    found += repeated_tables(tables)
+    if model.manipulator.kinematics == "published" and any(c in table for table in tables for c in OF_SHAPE):
+        found.append(
+            "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
+            "use the exact one for a real body"
+        )
+    found += [remark for remark in fit.remarks if not remark.startswith(TRIALS)]
+    found += [f"{label} {remark}" for label, remark in _of_readings(fit, tables, model)]
+    mu = fit.value.get("friction_coefficient", 0.0)
+    if mu > LARGEST_FRICTION and fit.status["friction_coefficient"] == IDENTIFIED:
+        found.append(
+            f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
+            "radians under a head of degrees among them"
+        )
+    for look in looks:
+        for code in NOTEWORTHY:
+            rows = look.rows(code)
+            if len(rows) and not (look.stated and code is RESULTS.direction_contradicted):
+                where = f"{len(rows)} of {len(look.table)} rows (the first is row {rows[0]})"
+                found.append(f"{look.name}: {where}: {RESULTS[code]}")
+    return found
+
+
+def _of_readings(fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel) -> Iterator[tuple[str, str]]:
+    """Columns of the wrong sign, and columns that differ from trial to trial."""
+    for table, name, experiment in zip(tables, model.names, model.experiments, strict=True):
+        for column in experiment.columns:
+            label, observed = f"{name}: {column}", table[column]
+            residual = fit.residuals[label]
+            by_trial = "trial" in table and TRIALS not in fit.parameters
+            lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
+            if lost and column in OF_SHAPE and isinstance(experiment, Bench):
+                if np.sum(observed * _at_start(fit.parameters, model, experiment)[column]) >= 0:
+                    continue
+                yield label, "has the sign opposite to the model's; check the side of the tendon and the column's sign"
+            elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"]):
+                yield label, "differs from trial to trial by more than its scatter; try per_trial"
+
+
+def _at_start(parameters: Any, model: BenchModel, experiment: Bench) -> dict[str, np.ndarray]:
+    """What the body would show as it was given."""
+    body = model.manipulator
+    start = {
+        name: value if name.startswith(TRIALS) else starting_value(body, name) for name, value in parameters.items()
+    }
+    return experiment.evaluate(body, start, model.nodes)[0]
+
+
+def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
+    """Whether means over trials differ, by an analysis of variance."""
+    groups = [residual[trial == label] for label in np.unique(trial)]
+    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * size  # what is left is rounding
+    if exact or len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
+        return False
+    return bool(f_oneway(*groups).pvalue < CHANCE)
+
+
+def shown(told: Determination, name: str) -> tuple[float, float, float, float, str]:
+    """Value, standard error and interval of a parameter in the unit in which engineers write it, and that unit."""
+    scale, unit = SHOWN[parameter_named(name).dimension]
+    numbers = told.value[name], told.standard_error[name], *told.confidence_interval[name]
+    value, error, low, high = (scale * number for number in numbers)
+    return value, error, low, high, unit
+
+
+def verdict_of(fit: LeastSquaresFit, tables: Sequence[Measurements], trial_spread: float) -> list[str]:
+    """What was determined, what was not, and what measurement would help."""
+    lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
+    for name, status in fit.status.items():
+        value, error, low, high, unit = shown(fit, name)
+        if status == IDENTIFIED:
+            lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
+        elif status != NOT_IDENTIFIED:
+            limit = f", at most {high:.4g}{unit} (95 %)" if name in fit.bounded_above else ""
+            lines.append(f"{name} = {value:.4g}{unit}: {status}{limit}")
+        elif name in fit.bounded_above:
+            lines.append(f"{name}: at most {high:.4g}{unit} (95 %), not told from {low:.4g}{unit}: not identified")
+        else:
+            lines.append(f"{name}: not identified")
+    for name, (value, error) in fit.combinations.items():
+        lines.append(f"{name} = {value:.4g} +- {error:.2g} (SI): identified, though its factors are not")
+    if TRIALS in fit.parameters:
+        lines.append(f"friction differs from trial to trial by {100 * trial_spread:.2g} % (standard deviation)")
+    lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
+    return lines + [_advice(fit, tables, lost)] * bool(lost and fit.success)
+
+
+def _advice(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
+    """What would separate the parameters that these data leave together."""
+    if any(column in table for table in tables for column in OF_SHAPE):
+        return (
+            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "
+            "the warnings. A pulley test or a prior would help."
+        )
+    if lost == {"friction_coefficient", "youngs_modulus"} and fit.combinations:
+        return (
+            "Tensions of one tendon hold only friction_coefficient / youngs_modulus. To separate the two, add a pulley "
+            "test (friction alone), tip angles or tip positions measured with the tensions, or a prior on either."
+        )
+    if lost == {"youngs_modulus"} and all("pulling_tension" in table for table in tables):
+        return (
+            "A pulley test holds the friction alone. Add tip tensions, tip angles or tip positions of the manipulator."
+        )
+    return (
+        f"The data do not determine {', '.join(sorted(lost))}. Add tip angles or positions, a pulley test, or a prior."
+    )
