@@ -14,7 +14,8 @@ import pytest
 from bodies import PAPER, paper_body, paper_plain, straight
 
 import cddf_jax as cddf
-from cddf_jax.exploration import NUM_PULLS, Exploration, in_si, shown
+from cddf_jax.exploration import NUM_PULLS, Exploration, Rows, in_si, rounded, shown
+from cddf_jax.explorer_plots import TensionPlots
 from cddf_jax.explorer_taper import tapered
 from cddf_jax.interchange import fields_csv
 from cddf_jax.profiles import Constant, Linear, Piecewise, Spline
@@ -92,6 +93,52 @@ def test_what_is_shown_and_set_is_the_same_number():
     assert in_si(12.7, 3) == 0.0127
     assert in_si(1.395, -6) == 1395000.0
     assert shown(0.0127, 3) == 12.7
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "told"),
+    [
+        (1.398237, 1.385, 1.412, 1.398),  # known to 0.0135
+        (0.420345, 0.40, 0.44, 0.42),
+        (0.4203449, 0.4201, 0.4205, 0.42034),
+        (1234.5, 1000.0, 1400.0, 1230.0),
+        (1.398237, -np.inf, np.inf, 1.398237),  # nothing is known: nothing is cut
+        (1.398237, 1.398237, 1.398237, 1.398237),
+    ],
+)
+def test_numbers_are_rounded_to_what_the_interval_tells(value, low, high, told):
+    """Two digits of the half-width of the interval."""
+    assert rounded(value, low, high) == told
+
+
+def test_rows_that_no_curve_holds_are_solved_as_they_were_measured():
+    """In: T / (1 + m T G), out: T / (1 - m T G), design.md section 3, the body as it is set."""
+    base, way = np.array([20.0, 40.0, 40.0, 20.0]), np.array([1.0, 1.0, -1.0, -1.0])
+    read = {"tip_tension": base, "tip_angle": 0.01 * base}
+    table = cddf.Measurements.from_columns("bench", base_tension=base, direction=way, **read)
+    pulled_in = cddf.Measurements.from_columns("loading", base_tension=base, tip_tension=base)
+    (rows,) = Exploration(paper_body("exact"), (pulled_in, table)).in_rows(paper_body("exact", youngs_modulus=2e6))
+    assert rows.table is table
+    loss = 0.42 / 2e6 * base * paper_plain("exact").compliance(PAPER["length"])
+    np.testing.assert_allclose(rows.model["tip_tension"], base / (1 + way * loss), rtol=1e-9)
+    np.testing.assert_allclose(rows.model["tip_angle"], np.log1p(way * loss) / (way * 0.42), rtol=1e-9)
+
+
+def test_data_of_two_tendons_lie_over_their_own_tensions():
+    columns = {"base_tension": [20.0, 40.0], "base_tension_2": [5.0, 10.0]}
+    read = {"tip_tension": [16.0, 30.0], "tip_tension_2": [6.0, 12.0], "tip_angle": [0.1, 0.2]}
+    table = cddf.Measurements.from_columns("pair", **columns, **read)
+    plots = TensionPlots(2)
+    plots.show_data([table])
+    plots.show_rows([Rows(table, {name: np.array(values) + 1.0 for name, values in read.items()})])
+    tension, angle = plots.points["tension"], plots.points["angle"]
+    for kind, more in (("data", 0.0), ("rows", 1.0)):
+        np.testing.assert_array_equal(tension[kind].data["base"], [20.0, 40.0, 5.0, 10.0])
+        np.testing.assert_array_equal(tension[kind].data["value"], np.array([16.0, 30.0, 6.0, 12.0]) + more)
+        assert len(set(tension[kind].data["color"])) == 2
+        np.testing.assert_allclose(angle[kind].data["value"], np.degrees([0.1 + more, 0.2 + more]))
+    plots.show_data([])
+    assert [fig.select_one({"name": "data"}).visible for fig in plots.figures.values()] == [False, False]
 
 
 PROFILES = {
@@ -187,14 +234,14 @@ def test_without_panel_the_remedy_is_said(cddf_command, monkeypatch):
 
 @pytest.fixture(scope="module")
 def server():
-    """`cddf explore` in a process of its own, ended as a person ends it."""
-    program = "from cddf_jax.cli import main; main()"
+    """`cddf explore` twice in one process, each ended as a person ends it: its output, and the first address."""
+    program = "from cddf_jax.cli import app; [app(standalone_mode=False) for _ in range(2)]"
     arguments = [ROBOT, ANGLES, "--kinematics", "exact", "--no-browser"]
     command = [sys.executable, "-u", "-c", program, "explore", *map(str, arguments)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         line = process.stdout.readline()
         if line:
-            yield line.split()[0]
+            yield process, line.split()[0]
             process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=60)
     assert line.startswith("http://localhost:"), error
@@ -221,8 +268,10 @@ def opened(browser, server):
     page.on("request", lambda request: asked.append(request.url))
     page.on("websocket", lambda socket: asked.append(socket.url))
     page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.goto(server)
+    page.goto(server[1])
+    page.locator(".computing").first.wait_for()  # while there is no answer yet
     wait_for(page, "new_base_tension")
+    page.locator(".computing").first.wait_for(state="detached")
     yield page, asked, wrong
     page.close()
 
@@ -269,6 +318,19 @@ def follows(page, base_tension, **changes):
 def test_the_page_shows_what_solve_finds(page):
     assert follows(page, 75.0)
     assert page.get_by_role("alert").count() == 0
+
+
+def test_every_field_has_a_name_for_screen_readers(page):
+    for control in Exploration(paper_body("exact")).controls:
+        label = f"{control.label} ({control.unit})" if control.unit else control.label
+        field = page.get_by_role("textbox", name=label, exact=True)
+        assert float(field.input_value()) == pytest.approx(control.value)
+
+
+def test_what_is_computed_loses_its_mark(page):
+    type_number(page, "base_tension_1", "64")
+    assert follows(page, 64.0)
+    page.locator(".computing").first.wait_for(state="detached")
 
 
 def test_keys_move_a_slider(page):
@@ -382,7 +444,13 @@ def test_the_data_are_fitted_and_the_sliders_set(page):
     for line in fit.verdict:
         assert line in told
     page.get_by_role("button", name="Set the sliders to the fit").click()
-    assert follows(page, 75.0, **fit.value)
+    # half-widths of 0.001 to 0.01, and of 1 to 10 kPa: in the units shown, four digits behind the point
+    ends = fit.confidence_interval
+    assert 0.002 < np.ptp(ends["friction_coefficient"]) < 0.02
+    assert 2e3 < np.ptp(ends["youngs_modulus"]) < 2e4
+    set_to = {"friction_coefficient": round(fit.value["friction_coefficient"], 4)}
+    set_to["youngs_modulus"] = 1e6 * round(1e-6 * fit.value["youngs_modulus"], 4)
+    assert follows(page, 75.0, **set_to)
 
 
 def test_a_bad_file_changes_nothing(page, tmp_path):
@@ -425,3 +493,16 @@ def test_nothing_is_asked_of_the_network(opened):
     hosts = {re.match(r"\w+://([^:/]*)", url)[1] for url in asked if not url.startswith(("data:", "blob:"))}
     assert hosts == {"localhost"}
     assert wrong == []
+
+
+def test_a_second_page_in_one_process(browser, server, opened):
+    """After the first was ended; it comes last, as that ends the page of all the others."""
+    process, first = server
+    process.send_signal(signal.SIGINT)
+    second = process.stdout.readline().split()[0]
+    assert second != first
+    page = browser.new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(second)
+    assert follows(page, 75.0)
+    page.close()

@@ -154,3 +154,19 @@ def test_every_public_name_is_there_and_no_module_bears_it():
         assert getattr(cddf, name) is getattr(cddf, name)
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = cddf.nothing
+
+
+def test_no_module_starts_threads_when_it_is_imported():
+    """Nor keeps a pool of them, which would be shut down with the first that uses it."""
+    program = """
+import importlib, pkgutil, threading
+from concurrent.futures import Executor
+before = threading.enumerate()
+import cddf_jax
+for module in pkgutil.iter_modules(cddf_jax.__path__):
+    names = vars(importlib.import_module(f"cddf_jax.{module.name}"))
+    kept = [item for value in names.values() for item in (value if isinstance(value, (list, tuple)) else [value])]
+    assert not any(isinstance(item, (Executor, threading.Thread)) for item in kept), module.name
+    assert set(threading.enumerate()) <= set(before), module.name
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=600)

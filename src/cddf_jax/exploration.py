@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .along_figure import stations
-from .bench import experiment_of
+from .bench import Bench, experiment_of, reading
 from .case import Case, of_tendon
 from .equilibrium import RESULTS, Equilibrium, Fields
 from .errors import InputError
@@ -31,6 +31,7 @@ from .targets import TipAngle
 
 GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
 NUM_PULLS = 17  # on the curve over the base tension
+NODES = 16  # of the solves in the rows of tables, as `fit` has them
 FITTED = ("friction_coefficient", "youngs_modulus")
 RADII = ("outer_radius.base", "outer_radius.tip")
 
@@ -99,6 +100,13 @@ class Curve(NamedTuple):
     base_tension: np.ndarray
     tip_tension: np.ndarray
     tip_angle: np.ndarray
+
+
+class Rows(NamedTuple):
+    """A table that no single curve holds, and what the body as it is set would show in its rows; SI."""
+
+    table: Measurements
+    model: dict[str, np.ndarray]  # by column that was read; NaN where a solve is not good
 
 
 class Taper(NamedTuple):
@@ -235,6 +243,12 @@ class Exploration:
         pulls = np.linspace(0.0, self.controls[0].high, NUM_PULLS)
         return Curve(pulls, *map(np.asarray, _over_tension(case, pulls)))
 
+    def in_rows(self, body: Manipulator) -> list[Rows]:
+        """A body in every row of the tables of several tendons, under forces or of tendons that slide out."""
+        experiments = ((table, experiment_of(table, body)) for table in self.tables)
+        apart = [(table, rows) for table, rows in experiments if isinstance(rows, Bench) and not rows.on_one_curve]
+        return [Rows(table, jax.tree.map(np.asarray, _in_rows(rows, body))) for table, rows in apart]
+
     def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:
         """The taper of the manipulator itself and that of the settings, all else as it is set.
 
@@ -303,6 +317,13 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     return *_where_good(given, numbers), *_where_good(reached, there)
 
 
+@eqx.filter_jit
+def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
+    equilibrium = rows.solve(body, {}, NODES)
+    readings = tuple(reading(equilibrium, column, {}) for column in rows.columns)
+    return dict(zip(rows.columns, _where_good(equilibrium, readings), strict=True))
+
+
 def _where_good(equilibrium: Equilibrium, numbers: tuple) -> tuple:
     good = (equilibrium.result == GOOD[0]) | (equilibrium.result == GOOD[1])
     return tuple(jnp.where(good, number, jnp.nan) for number in numbers)
@@ -319,6 +340,14 @@ def in_si(value: float, exponent: int) -> float:
 def shown(value: Any, exponent: int) -> float:
     """The other way round."""
     return in_si(float(value), -exponent)
+
+
+def rounded(value: float, low: float, high: float) -> float:
+    """To what the 95 % interval from low to high tells: two digits of its half-width."""
+    half_width = 0.5 * (high - low)
+    if not 0 < half_width < np.inf:
+        return value
+    return round(value, 1 - int(np.floor(np.log10(half_width))))
 
 
 def _above(value: float) -> float:

@@ -12,7 +12,7 @@ from panel.io.server import get_server
 
 from .errors import InputError
 from .exploration import Exploration
-from .explorer_view import THREADS, View
+from .explorer_view import Threads, View
 from .manipulator import Manipulator, conical
 from .manipulator_file import read_manipulator
 from .measurements import Measurements, read_measurements
@@ -56,8 +56,8 @@ def papers_manipulator() -> Manipulator:
 class Page:
     """One browser's page: files are loaded here, and the view of a manipulator is renewed with each."""
 
-    def __init__(self, manipulator: Manipulator, tables: Sequence[Measurements], source: str):
-        self.manipulator, self.tables, self.source = manipulator, tuple(tables), source
+    def __init__(self, manipulator: Manipulator, tables: Sequence[Measurements], source: str, threads: Threads):
+        self.manipulator, self.tables, self.source, self.threads = manipulator, tuple(tables), source, threads
         self.notice = pn.pane.HTML("", stylesheets=[NOTICE], sizing_mode="stretch_width", css_classes=["notice"])
         self.head = pn.pane.HTML("", stylesheets=[HEAD], margin=(0, 8))
         self.robot_file = pn.widgets.FileInput(accept=".toml", name="Manipulator (TOML)", width=175, margin=(0, 4))
@@ -83,7 +83,7 @@ class Page:
     def _renew(self, exploration: Exploration) -> None:
         if self.view is not None:
             self.view.close()
-        view = View(exploration, self.say)
+        view = View(exploration, self.say, self.threads)
         parts = view.parts
         for name, part in parts.items():
             part.css_classes = [name]
@@ -153,15 +153,18 @@ def serve(
     """
     Exploration(manipulator, tuple(tables))
     pn.extension(respect_explicit_sizing=True)
-    try:
-        server = get_server(lambda: Page(manipulator, tables, source).layout, port=port, address=ADDRESS, title=TITLE)
-    except OSError as error:
-        raise InputError(f"--port {port}: {error.strerror}; give another, or leave it out for a free one") from None
-    url = f"http://localhost:{server.port}/"
-    say(f"{url}  (Ctrl-C ends it)")
-    if browser:
-        server.io_loop.add_callback(webbrowser.open, url)
-    server.start()
-    server.io_loop.start()  # Panel ends it on Ctrl-C
-    for threads in THREADS:
-        threads.shutdown(cancel_futures=True)
+    with Threads() as threads:
+
+        def layout() -> pn.Column:
+            return Page(manipulator, tables, source, threads).layout
+
+        try:
+            server = get_server(layout, port=port, address=ADDRESS, title=TITLE)
+        except OSError as error:
+            raise InputError(f"--port {port}: {error.strerror}; give another, or leave it out for a free one") from None
+        url = f"http://localhost:{server.port}/"
+        say(f"{url}  (Ctrl-C ends it)")
+        if browser:
+            server.io_loop.add_callback(webbrowser.open, url)
+        server.start()
+        server.io_loop.start()  # Panel ends it on Ctrl-C

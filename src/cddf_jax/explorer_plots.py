@@ -1,23 +1,25 @@
 """The figures of the explorer: Bokeh, each redrawn by new data alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalHead, VeeHead
 from bokeh.plotting import figure
 
-from .exploration import Curve, Picture, Sections, sections_at
+from .exploration import Curve, Picture, Rows, Sections, sections_at
 from .loads import Loads
 from .manipulator import Manipulator
 from .measurements import Measurements
 from .plotting import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION, Body
+from .readings import kind_of, tendon_number
 
 NUM_ARROWS = 11  # along each tendon
 LONGEST_ARROW = 0.2  # of the length of the body
 DASHES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
 NORMAL, FRICTION = GREEN, VERMILION
 NONE = np.zeros((0, 2))  # points
+NO_POINTS: dict[str, Any] = {"base": [], "value": [], "color": []}
 
 
 def tendon_look(number: int) -> dict[str, Any]:
@@ -244,50 +246,90 @@ class AlongPlots:
 
 
 class TensionPlots:
-    """Tip tension and tip angle over the base tension of tendon 1: model, where it stands, and data."""
+    """Tip tension and tip angle over base tension: model, where it stands, data, and the model in their rows.
 
-    def __init__(self, several: bool):
-        which = " of tendon 1" if several else ""
+    Tip tensions are drawn over the base tension of the same tendon, the rest over that of tendon 1.
+    """
+
+    def __init__(self, num_tendons: int):
+        self.looks = [tendon_look(i)["line_color"] if num_tendons > 1 else BLACK for i in range(num_tendons)]
+        which = "" if num_tendons == 1 else " of tendon 1"
         at_rest: dict[str, Any] = {name: [0.0] for name in ("base", "tension", "angle")}
-        self.curve, self.now, self.data = (ColumnDataSource(dict(at_rest)) for _ in range(3))
-        labels = {"tension": f"Tip tension{which} (N)", "angle": "Tip angle (deg)"}
-        self.figures = {
-            name: _figure(f"Base tension{which} (N)", label, height=255, name=f"tip_{name}")
-            for name, label in labels.items()
+        self.curve = ColumnDataSource(at_rest)
+        labels = {
+            "tension": ("Base tension (N)", "Tip tension (N)", f"model{which.replace('of', 'for')}"),
+            "angle": (f"Base tension{which} (N)", "Tip angle (deg)", "model"),
         }
+        self.points = {name: {kind: ColumnDataSource(NO_POINTS) for kind in ("data", "rows", "now")} for name in labels}
+        self.figures = {name: _figure(x, y, height=255, name=f"tip_{name}") for name, (x, y, _) in labels.items()}
         free = {"color": GREY, "line_dash": "dotted", "legend_label": "without loss"}
         self.figures["tension"].line("base", "base", source=self.curve, **free)
-        for name, fig in self.figures.items():
-            self._draw(fig, name)
+        for name, (_, _, model) in labels.items():
+            self._draw(self.figures[name], name, model)
 
-    def _draw(self, fig: Any, name: str) -> None:
-        ring = {"fill_color": "white", "line_color": BLACK}
-        fig.line("base", name, source=self.curve, line_width=2, color=BLUE, legend_label="model")
-        fig.scatter("base", name, source=self.data, size=6, name="data", legend_label="data", **ring)
-        fig.scatter("base", name, source=self.now, size=12, color=VERMILION, marker="diamond", legend_label="now")
+    def _draw(self, fig: Any, name: str, model: str) -> None:
+        points = self.points[name]
+        fig.line("base", name, source=self.curve, line_width=2, color=BLUE, legend_label=model)
+        marks = {
+            "data": {"size": 6, "fill_color": "white", "line_color": "color", "legend_label": "data"},
+            "rows": {"size": 7, "marker": "x", "line_color": "color", "legend_label": "model at the data"},
+            "now": {"size": 12, "marker": "diamond", "color": VERMILION, "legend_label": "now"},
+        }
+        for kind, look in marks.items():
+            fig.scatter("base", "value", source=points[kind], name=kind, **look)
         _look_of_legend(fig)
+        for kind in ("data", "rows"):
+            self._show_kind(fig, kind, False)
 
     def show_data(self, tables: Sequence[Measurements]) -> None:
-        """Every reading of tip tension 1 and tip angle."""
-        rows = [table for table in tables if "base_tension" in table]
+        """Every reading of tip tensions and tip angle."""
+        self._show_points("data", [(table, table.columns) for table in tables if "base_tension" in table])
 
-        def column(name: str, scale: float = 1.0) -> np.ndarray:
-            none = [np.full(len(table), np.nan) for table in rows]
-            parts = [scale * table.columns.get(name, nan) for table, nan in zip(rows, none, strict=True)]
-            return np.concatenate(parts) if parts else np.zeros(0)
+    def show_rows(self, rows: Sequence[Rows]) -> None:
+        """What the body as set shows in the rows of the data."""
+        self._show_points("rows", [(row.table, row.model) for row in rows])
 
-        angle = column("tip_angle", np.degrees(1.0))
-        for fig in self.figures.values():
-            fig.select_one({"name": "data"}).visible = bool(rows)
-        self.data.data = {"base": column("base_tension"), "tension": column("tip_tension"), "angle": angle}
+    def _show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, Any]]]) -> None:
+        """Readings, or what the model says of them, over the tensions that were set."""
+        found: dict[str, list[tuple[Any, Any, str]]] = {name: [] for name in self.points}
+        for table, columns in tables:
+            for column, values in columns.items():
+                if kind_of(column) == "tip_tension":
+                    base = table[column.replace("tip_tension", "base_tension")]
+                    found["tension"].append((base, values, self.looks[tendon_number(column) - 1]))
+                elif column == "tip_angle":
+                    found["angle"].append((table["base_tension"], np.degrees(values), BLACK))
+        for name, parts in found.items():
+            self.points[name][kind].data = _points(parts)
+            self._show_kind(self.figures[name], kind, bool(parts))
+
+    def _show_kind(self, fig: Any, kind: str, there: bool) -> None:
+        """Points of one kind and their line of the legend."""
+        points = fig.select_one({"name": kind})
+        points.visible = there
+        for item in fig.legend[0].items:
+            if points in item.renderers:
+                item.visible = there
 
     def show_now(self, picture: Picture) -> None:
         """Where the sliders stand."""
         found = picture.equilibrium
-        numbers = found.base_tension[0], found.tip_tension[0], np.degrees(found.tip_angle)
-        self.now.data = {name: [float(x)] for name, x in zip(("base", "tension", "angle"), numbers, strict=True)}
+        now = {
+            "tension": (found.base_tension, found.tip_tension, BLACK),
+            "angle": (found.base_tension[:1], np.degrees([found.tip_angle]), BLACK),
+        }
+        for name, part in now.items():
+            self.points[name]["now"].data = _points([part])
 
     def show_curve(self, curve: Curve) -> None:
         """The model over the whole range."""
         angle = np.degrees(curve.tip_angle)
         self.curve.data = {"base": curve.base_tension, "tension": curve.tip_tension, "angle": angle}
+
+
+def _points(parts: Sequence[tuple[Any, Any, str]]) -> dict[str, Any]:
+    """The data of a source from places, values and one colour for each part."""
+    if not parts:
+        return NO_POINTS
+    base, value = (np.concatenate([np.asarray(part[i], float) for part in parts]) for i in range(2))
+    return {"base": base, "value": value, "color": [color for x, _, color in parts for _ in x]}

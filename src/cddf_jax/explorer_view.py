@@ -2,7 +2,7 @@
 
 import io
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -13,7 +13,7 @@ import panel as pn
 from .determination import IDENTIFIED
 from .equilibrium import SolveError
 from .errors import InputError
-from .exploration import Control, Exploration, Picture, Settings, shown
+from .exploration import Control, Exploration, Picture, Settings, rounded, shown
 from .explorer_plots import AlongPlots, BodyPlot, TensionPlots
 from .explorer_words import lines_html, numbers_html, tapers_html
 from .fit_command import report_in_words
@@ -25,8 +25,6 @@ from .plotting import render
 from .solve_figure import equilibrium_figure
 
 SLIDES = {"slides in": 1, "slides out": -1}
-# what is quick never waits for what may take long, least of all for a compiler
-PICTURES, COMPARISONS, FITS = THREADS = [ThreadPoolExecutor(1) for _ in range(3)]
 COMPILED: set[Any] = set()  # kinds of cases
 COMPILING = "Compiling for this kind of body and load, some seconds ..."
 WORDS = """
@@ -46,7 +44,14 @@ GRID = """
 :host { display: grid !important; gap: 4px 16px; }
 :host { grid-template-columns: repeat(auto-fit, minmax(min(100%%, %dpx), 1fr)); }
 """
-STALE = ":host(.stale) { opacity: 0.35; filter: grayscale(1); }"
+# no picture is good (stale); a newer one is being computed, which is said where it takes more than a moment
+MARKS = """
+:host(.stale) { opacity: 0.35; filter: grayscale(1); }
+:host(.computing)::after { content: "computing ..."; position: absolute; top: 0; right: 8px; z-index: 4;
+  padding: 1px 8px; background: #eaf4fb; color: #0072b2; font-size: 13px; animation: appear 0.2s 0.3s both; }
+@keyframes appear { from { opacity: 0; } to { opacity: 1; } }
+"""
+UNSEEN = "label { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }"
 
 Say = Callable[[str, str], None]  # a line of text and its kind, "error", "busy" or "" for none
 
@@ -64,6 +69,20 @@ def words(name: str) -> pn.pane.HTML:
     return pn.pane.HTML("", stylesheets=[WORDS], sizing_mode="stretch_width", margin=(4, 8), css_classes=[name])
 
 
+class Threads:
+    """Three, so that what is quick never waits for what may take long, least of all for a compiler."""
+
+    def __init__(self):
+        self.pictures, self.comparisons, self.fits = self.all = [ThreadPoolExecutor(1) for _ in range(3)]
+
+    def __enter__(self) -> "Threads":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        for threads in self.all:
+            threads.shutdown(cancel_futures=True)
+
+
 def plot(figure: Any) -> pn.pane.Bokeh:
     return pn.pane.Bokeh(figure, sizing_mode="stretch_width", margin=0)
 
@@ -75,20 +94,27 @@ class View:
     overtaken is left out.
     """
 
-    def __init__(self, exploration: Exploration, say: Say):
-        self.exploration, self.say = exploration, say
+    def __init__(self, exploration: Exploration, say: Say, threads: Threads):
+        self.exploration, self.say, self.threads = exploration, say, threads
         assert pn.state.curdoc is not None
         self.document = pn.state.curdoc
         self.settings: Settings = exploration.start
         self.picture: Picture | None = None
         self.fitted: Fit | None = None
         body, s = exploration.manipulator, exploration.arc_length
-        self.drawn: list[pn.Column] = []
         self.several = body.num_tendons > 1
-        self.body, self.along, self.tension = BodyPlot(body, s), AlongPlots(body, s), TensionPlots(self.several)
+        self.body, self.along, self.tension = BodyPlot(body, s), AlongPlots(body, s), TensionPlots(body.num_tendons)
         self.tension.show_data(exploration.tables)
         self._make_controls()
         self._make_words()
+        parts = {
+            "body": plot(self.body.figure),
+            "numbers": self.numbers,
+            "along": grid(*map(plot, self.along.figures.values()), least=230),
+            "tension": grid(*map(plot, self.tension.figures.values()), least=330),
+            "what_if": self.what_if,
+        }
+        self.drawn = {name: column(part, stylesheets=[MARKS]) for name, part in parts.items()}
         self.closed = False
         pn.state.on_session_destroyed(lambda _: self.close())
         pn.state.onload(self.change)
@@ -159,23 +185,18 @@ class View:
     @property
     def parts(self) -> dict[str, pn.Column]:
         """What stands where on the page, by the names of `explorer.PAGE`."""
-        compared = column(_title("What if the taper were another"), self.angle, self.what_if)
+        compared = column(_title("What if the taper were another"), self.angle, self.drawn["what_if"])
         buttons = pn.FlexBox(self.fit_button, self.take_over)
         fit = column(_title("What the data tell"), buttons, self.verdict)
         files = column(_title("Save"), pn.FlexBox(*self._downloads()))
         return {
-            "body": self._drawn(plot(self.body.figure)),
-            "numbers": self._drawn(self.numbers),
+            "body": self.drawn["body"],
+            "numbers": self.drawn["numbers"],
             "side": self.sidebar,
-            "tension": self._drawn(grid(*map(plot, self.tension.figures.values()), least=330)),
-            "along": self._drawn(grid(*map(plot, self.along.figures.values()), least=230)),
+            "tension": self.drawn["tension"],
+            "along": self.drawn["along"],
             "rest": column(grid(compared, fit, least=400), files),
         }
-
-    def _drawn(self, part: Any) -> pn.Column:
-        """A part that turns grey while there is no good picture."""
-        self.drawn.append(column(part, stylesheets=[STALE]))
-        return self.drawn[-1]
 
     # --- changes ---------------------------------------------------------------------------------
 
@@ -193,7 +214,8 @@ class View:
         numbers = {name: float(slider.value) for name, slider in self.sliders.items()}
         directions = tuple(widget.value for widget in self.directions)
         self.settings = Settings(numbers, directions, self.kinematics.value)
-        PICTURES.submit(self._guarded, self._draw, self.settings, float(self.angle.value or 0.0))
+        self._mark("computing", True, self.drawn)
+        self.threads.pictures.submit(self._guarded, self._draw, self.settings, float(self.angle.value or 0.0))
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: Any) -> None:
         """On a thread: unless something newer is wanted; what goes wrong is said on the page."""
@@ -214,16 +236,20 @@ class View:
         if kind not in COMPILED:
             self._on_page(self.say, COMPILING, "busy")
         picture = self.exploration.picture(case)
-        self._on_page(self._show, picture)
+        self._on_page(self._show, settings, picture)
         if picture.good:
-            COMPARISONS.submit(self._guarded, self._compare, settings, angle, picture)
+            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture)
         COMPILED.add(kind)
 
     def _compare(self, settings: Settings, angle: float, picture: Picture) -> None:
         curve = self.exploration.curve(picture.case)
         self._on_page(self.tension.show_curve, curve)
+        rows = self.exploration.in_rows(picture.case.manipulator)
+        self._on_page(self.tension.show_rows, rows)
+        self._on_page(self._done, settings, ["tension"])
         tapers = self.exploration.tapers(settings, np.radians(angle))
         self._on_page(setattr, self.what_if, "object", tapers_html(tapers, angle, self.several))
+        self._on_page(self._done, settings, ["what_if"])
 
     def _on_page(self, function: Callable[..., None], *arguments: Any) -> None:
         """Call on the thread of the page, everything that changes sent together."""
@@ -235,25 +261,32 @@ class View:
         if not self.closed:
             self.document.add_next_tick_callback(call)
 
-    def _show(self, picture: Picture) -> None:
+    def _show(self, settings: Settings, picture: Picture) -> None:
         if not picture.good:
             self._refuse(picture.message)
             return
         self.picture = picture
-        self._mark([])
+        self._mark("stale", False, self.drawn)
+        self._done(settings, ["body", "numbers", "along"])
         self.body.show(picture)
         self.along.show(picture)
         self.tension.show_now(picture)
         self.numbers.object = numbers_html(picture)
         self.say(picture.message, "error")
 
-    def _mark(self, classes: list[str]) -> None:
-        for part in self.drawn:
-            part.css_classes = [name for name in part.css_classes if name != "stale"] + classes
+    def _done(self, settings: Settings, parts: Iterable[str]) -> None:
+        """Parts are computed, unless something newer is wanted."""
+        if settings is self.settings:
+            self._mark("computing", False, parts)
+
+    def _mark(self, mark: str, on: bool, parts: Iterable[str]) -> None:
+        for part in map(self.drawn.__getitem__, parts):
+            part.css_classes = [name for name in part.css_classes if name != mark] + [mark] * on
 
     def _refuse(self, message: str) -> None:
         """Say what is wrong; the last good picture stays, in grey."""
-        self._mark(["stale"])
+        self._mark("computing", False, self.drawn)
+        self._mark("stale", True, self.drawn)
         self.say(message, "error")
 
     # --- the fit ---------------------------------------------------------------------------------
@@ -263,7 +296,7 @@ class View:
         self.fit_button.loading = True
         self.take_over.visible = False
         self.verdict.object = '<p role="status">Fitting, some seconds ...</p>'
-        FITS.submit(self._fit, self.settings.kinematics)
+        self.threads.fits.submit(self._fit, self.settings.kinematics)
 
     def _fit(self, kinematics: Kinematics) -> None:
         try:
@@ -283,16 +316,21 @@ class View:
         self.verdict.object = lines_html(text)
         self.take_over.visible = bool(self._identified())
 
-    def _identified(self) -> dict[str, float]:
-        """What the data determine, SI; nothing else is ever taken over."""
+    def _identified(self) -> dict[str, tuple[float, tuple[float, float]]]:
+        """What the data determine with its 95 % interval, SI; nothing else is ever taken over."""
         fitted = self.fitted
         if fitted is None or not fitted.success:
             return {}
-        return {name: fitted.value[name] for name in fitted.names if fitted.status[name] == IDENTIFIED}
+        known = [name for name in fitted.names if fitted.status[name] == IDENTIFIED]
+        return {name: (fitted.value[name], fitted.confidence_interval[name]) for name in known}
 
     def _take_over(self) -> None:
+        """Set the sliders, to as many digits as the intervals tell."""
         exponent = {control.name: control.exponent for control in self.exploration.controls}
-        found = {name: shown(value, exponent[name]) for name, value in self._identified().items()}
+        found = {}
+        for name, (value, (low, high)) in self._identified().items():
+            number, *interval = (shown(x, exponent[name]) for x in (value, low, high))
+            found[name] = rounded(number, *interval)
         self.move_to(self.settings._replace(numbers={**self.settings.numbers, **found}))
 
     # --- files -----------------------------------------------------------------------------------
@@ -307,7 +345,7 @@ class View:
 
 def _slider(control: Control) -> pn.widgets.EditableFloatSlider:
     unit = f" ({control.unit})" if control.unit else ""
-    return pn.widgets.EditableFloatSlider(
+    slider = pn.widgets.EditableFloatSlider(
         name=f"{control.label}{unit}",
         value=control.value,
         start=control.low,
@@ -318,6 +356,9 @@ def _slider(control: Control) -> pn.widgets.EditableFloatSlider:
         format="0[.][0000000000]",
         margin=(4, 12),
     )
+    for field in slider.select(pn.widgets.FloatInput):  # a label of its own, for those who do not see the slider's
+        field.name, field.stylesheets = slider.name, [*field.stylesheets, UNSEEN]
+    return slider
 
 
 def _title(text: str) -> pn.pane.HTML:
