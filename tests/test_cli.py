@@ -102,11 +102,14 @@ def test_two_tendons_and_their_directions(answer_of, two_tendons):
     assert np.degrees(answer["tip_angle"]) == pytest.approx(45.9, abs=0.05)
     assert answer["tip_tension"][1] == pytest.approx(28.0, abs=0.05)
     assert answer["direction_contradicted"] == [False, False]
-    both_in = answer_of("solve", two_tendons, *tensions)
+    found = answer_of("solve", two_tendons, *tensions)
+    assert found["direction"] == [1, -1]
+    assert found["tip_tension"] == pytest.approx(answer["tip_tension"], rel=1e-10)
+    both_in = answer_of("solve", two_tendons, *tensions, "--direction", "1")
     assert np.degrees(both_in["tip_angle"]) == pytest.approx(54.0, abs=0.05)
     assert both_in["tip_tension"][1] == pytest.approx(13.5, abs=0.05)
     assert both_in["direction_contradicted"] == [False, True]
-    assert both_in["result"].startswith("A tendon travels against its stated direction")
+    assert both_in["result"].startswith("A tendon travels against its direction")
 
 
 def test_one_tension_for_all_tendons(answer_of, two_tendons):
@@ -129,12 +132,12 @@ def test_solve_writes_files(answer_of, tmp_path):
 
 
 def test_a_warning_in_words(cddf_command, two_tendons):
-    code, out, _ = cddf_command("solve", two_tendons, "-t", "75 N", "-t", "20 N")
+    code, out, _ = cddf_command("solve", two_tendons, "-t", "75 N", "-t", "20 N", "--direction", "1")
     assert code == 0
     *_, last, warning = out.splitlines()
     assert last.startswith("error estimate ")
     assert "successful" not in last
-    assert warning.startswith("warning: tendon 2: A tendon travels against its stated direction")
+    assert warning.startswith("warning: tendon 2: A tendon travels against its direction")
 
 
 def test_a_tendon_without_tension(cddf_command, two_tendons):

@@ -19,7 +19,7 @@ FLOW = [
     {"quadrature", "fixed_point", "trigonometry"},
     {"problem"},
     {"solver", "tendon_travel", "sign_changes"},
-    {"load_path"},
+    {"load_path", "directions"},
     {"balance"},
     {"targets"},
     {"tension_search"},

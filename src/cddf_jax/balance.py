@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .directions import find_directions, travel_under_tension
 from .friction import PerTendon
 from .implicit import Unknowns, implicit, without_derivative
 from .load_path import LoadedBody, LoadPath, Trial, by_moment, follow_loads, moment_left_at_tip, start_from
@@ -44,15 +45,17 @@ class Setup(eqx.Module):
     """A manipulator, its loads, and how it is to be solved."""
 
     manipulator: Manipulator
-    direction: PerTendon
+    direction: PerTendon  # any where it is to be found
     loads: Loads | None
     method: Method
     nodes: int = eqx.field(static=True)
+    to_find: tuple[int, ...] = eqx.field(default=(), static=True)  # the tendons whose direction is not stated
 
 
 class Settled(NamedTuple):
-    """What belongs to given base tensions: the base moment at the end of the path of loads, the sign changes."""
+    """What belongs to given base tensions: directions, base moment at the end of the path of loads, sign changes."""
 
+    direction: PerTendon
     load_path: LoadPath
     splits: Splits
     trial: Trial | None  # the values at the nodes; None without loads
@@ -75,7 +78,7 @@ class Balance(NamedTuple):
 
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
     """The problem that one pass solves; where the path of the loads ended early, under the loads of its end."""
-    problem = _lay_out(setup, base_tension, settled.splits)
+    problem = _lay_out(_sliding(setup, settled.direction), base_tension, settled.splits)
     if setup.loads is None:
         return problem
     found = settled.load_path
@@ -112,19 +115,19 @@ class _LeftOpen(eqx.Module):
 
     def start(self) -> Unknowns:
         """The unknowns as they were found."""
-        load_path, splits, _ = self.settled
+        load_path, splits = self.settled.load_path, self.settled.splits
         moment = [] if self.setup.loads is None else [load_path.base_moment[None]]
         return jnp.concatenate([*[self.base_tension[i, None] for i in self.unknown], *moment, splits.arc_length])
 
     def put(self, unknowns: Unknowns) -> tuple[Problem, Splits]:
         """The body with them."""
-        load_path, splits, trial = self.settled
+        load_path, splits = self.settled.load_path, self.settled.splits
         tensions, rest = jnp.split(unknowns, [len(self.unknown)])
         if self.setup.loads is not None:
             load_path, rest = load_path._replace(base_moment=rest[0]), rest[1:]
         splits = splits._replace(arc_length=rest)
         tension = self.base_tension.at[jnp.asarray(self.unknown)].set(tensions) if self.unknown else self.base_tension
-        return place(self.setup, tension, Settled(load_path, splits, trial)), splits
+        return place(self.setup, tension, self.settled._replace(load_path=load_path, splits=splits)), splits
 
     def __call__(self, unknowns: Unknowns) -> Unknowns:
         """What vanishes."""
@@ -155,17 +158,27 @@ def balance(
     path = setup.method(problem, settled.guess)
     found = settled.load_path
     found = found._replace(converged=found.converged & path.converged)
+    travel = _travel(setup, problem, path, settled)
     if settled.trial is None:
-        return Balance(problem, path, found, tendon_displacement(problem, path), jnp.ones_like(path.residual))
+        return Balance(problem, path, found, travel, jnp.ones_like(path.residual))
     changes = path.residual, settled.trial.change, jnp.abs(moment_left_at_tip(problem, path))
     path = path._replace(residual=largest(jnp.stack(changes)))
-    body, whole = LoadedBody(without_derivative(problem), setup.method), jnp.ones_like(found.fraction)
     leverage = jnp.where(found.converged, settled.trial.leverage, 1.0)
-    return Balance(problem, path, found, body.travel(settled.trial, whole), leverage)
+    return Balance(problem, path, found, travel, leverage)
+
+
+def _travel(setup: Setup, problem: Problem, path: Path, settled: Settled) -> PerTendon:
+    if settled.trial is None:
+        travel = tendon_displacement(problem, path)
+    else:
+        body = LoadedBody(without_derivative(problem), setup.method)
+        travel = body.travel(settled.trial, jnp.ones_like(settled.load_path.fraction))
+    return travel_under_tension(problem, path, travel)
 
 
 class _Round(NamedTuple):
     settled: Settled
+    travel: PerTendon | None  # None where nobody asks
     moved: Number
     num_rounds: Number
 
@@ -184,10 +197,11 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     splits = jax.tree.map(lambda x: x + zero.astype(x.dtype), unsplit(setup.manipulator, setup.loads))
     fraction = zero + 1.0 if setup.loads is None else zero
     load_path = LoadPath(zero, fraction, zero, zero == 0, zero == 0, zero == 0)
+    direction = setup.direction + zero
     if setup.loads is None:
-        return Settled(load_path, splits, None)
+        return Settled(direction, load_path, splits, None)
     guess = everywhere(_cut(setup, splits), Nodal(jnp.ones_like(base_tension), zero))
-    return Settled(load_path, splits, start_from(guess, zero, 1))
+    return Settled(direction, load_path, splits, start_from(guess, zero, 1))
 
 
 def _cut(setup: Setup, splits: Splits) -> Panels:
@@ -200,26 +214,51 @@ def _lay_out(setup: Setup, base_tension: PerTendon, splits: Splits | None) -> Pr
 
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
-    """Base moment and sign changes, until the sign changes stay where they are. No derivatives."""
+    """Directions that are not stated, base moment, and sign changes until they stay where they are. No derivatives."""
+    if not setup.to_find:
+        return _settle_as_stated(setup, base_tension)[0]
+
+    def attempt(direction: PerTendon) -> tuple[Settled, PerTendon, Bool[Array, ""]]:
+        there = _sliding(setup, direction)
+        settled, travel = _settle_as_stated(there, base_tension)
+        if settled.trial is not None:
+            problem = place(there, base_tension, settled)
+            travel = _travel(there, problem, there.method.improve(problem, settled.trial.nodal), settled)
+        assert travel is not None
+        return settled, travel, settled.load_path.converged
+
+    blank = unsettled(setup, base_tension)
+    return find_directions(setup.manipulator, base_tension, blank.direction, setup.to_find, attempt, blank)
+
+
+def _sliding(setup: Setup, direction: PerTendon) -> Setup:
+    return eqx.tree_at(lambda setup: setup.direction, setup, direction)
+
+
+def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> tuple[Settled, PerTendon | None]:
+    """With the directions of the setup; and the travel of each tendon, where it is asked for and at hand."""
     start = unsettled(setup, base_tension)
     if setup.loads is not None:
-        return _put_loads_on(setup, base_tension, start.load_path.fraction)
+        return _put_loads_on(setup, base_tension, start.load_path.fraction), None
     if num_splits(setup.manipulator, None) == 0:
-        return start
+        return start, None
 
     def once(state: _Round) -> _Round:
-        found, splits, _ = state.settled
-        problem = _lay_out(setup, base_tension, splits)
+        old = state.settled
+        problem = _lay_out(setup, base_tension, old.splits)
         path = setup.method(problem)
-        new = Settled(found._replace(converged=path.converged), locate(problem, path), None)
-        return _Round(new, _distance(new.splits, splits, problem.panels), state.num_rounds + 1.0)
+        new = old._replace(load_path=old.load_path._replace(converged=path.converged), splits=locate(problem, path))
+        travel = _travel(setup, problem, path, new) if setup.to_find else None
+        return _Round(new, travel, _distance(new.splits, old.splits, problem.panels), state.num_rounds + 1.0)
 
     def goes_on(state: _Round) -> Bool[Array, ""]:
         converged = state.settled.load_path.converged
         return (state.moved > SETTLED) & (state.num_rounds < MAX_ROUNDS) & converged
 
     zero = start.load_path.num_steps
-    return jax.lax.while_loop(goes_on, once, _Round(start, zero + jnp.inf, zero)).settled
+    travel = base_tension + zero if setup.to_find else None
+    end = jax.lax.while_loop(goes_on, once, _Round(start, travel, zero + jnp.inf, zero))
+    return end.settled, end.travel
 
 
 def _distance(new: Splits, old: Splits, cut: Panels) -> Number:
@@ -275,7 +314,7 @@ def _put_loads_on(setup: Setup, base_tension: PerTendon, zero: Number) -> Settle
         stable=jnp.where(trial.num_sweeps > 0, trial.stable, found.stable),
         resolved=found.resolved & trial.sane,
     )
-    return Settled(found, splits, trial)
+    return Settled(setup.direction + zero, found, splits, trial)
 
 
 def _on_other_panels(trial: Trial, problem: Problem, path: Path, moved: Callable[[Any, Any], Any]) -> Trial:

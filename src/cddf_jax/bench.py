@@ -91,7 +91,7 @@ class Bench(eqx.Module):
     """Rows of one table of a manipulator, or of levels to predict at."""
 
     base_tension: Float[np.ndarray | Array, "rows tendons"]  # as read
-    direction: Float[np.ndarray | Array, "rows tendons"]
+    direction: tuple[Float[np.ndarray | Array, " rows"] | None, ...]  # one per tendon, None where it is to be found
     tip_force: Float[np.ndarray | Array, "rows 2"] | None = None
     trial: Int[np.ndarray | Array, " rows"] | None = None  # which of the trial deviations holds
     columns: tuple[str, ...] = eqx.field(default=(), static=True)
@@ -121,7 +121,7 @@ class Bench(eqx.Module):
 
         deviation = None if self.trial is None or TRIALS not in parameters else parameters[TRIALS][self.trial]
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)
-        return jax.vmap(one)(tension, jnp.asarray(self.direction), force, deviation)
+        return jax.vmap(one)(tension, jax.tree.map(jnp.asarray, self.direction), force, deviation)
 
     def predict(self, manipulator: Manipulator, parameters: Mapping[str, Any], nodes: int) -> dict[str, Array]:
         """What the instruments read."""
@@ -233,8 +233,9 @@ def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: in
         if column not in READINGS and column != "trial" and tendon_number(column) > count:
             raise InputError(f"{table.name}: column {column!r}, but the manipulator has {count} tendon(s)")
     tension = np.stack([table[column] for column in pulled], axis=1)
-    common = table.columns.get("direction", np.ones(len(table)))
-    direction = np.stack([common, *(table.columns.get(f"direction_{i}", common) for i in range(2, count + 1))], axis=1)
+    direction = tuple(
+        table.columns.get(column) for column in ("direction", *(f"direction_{i}" for i in range(2, count + 1)))
+    )
     none = np.zeros(len(table))
     force = np.stack([table.columns.get(column, none) for column in ("tip_force_x", "tip_force_y")], axis=1)
     return Bench(

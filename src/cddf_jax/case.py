@@ -57,7 +57,7 @@ class Case(eqx.Module):
     manipulator: Manipulator
     base_tension: Any  # a number, one per tendon, or targets; None where it is swept
     loads: Loads | None
-    direction: Any
+    direction: Any  # numbers, or one entry per tendon with None where it is to be found
 
     def number(self, name: str) -> Any:
         """The number of a name.

@@ -74,7 +74,10 @@ Pull = Annotated[
 ]
 Direction = Annotated[
     list[int] | None,
-    typer.Option(help="+1 slides in (pulled), -1 slides out; once, or once per tendon.", show_default="+1"),
+    typer.Option(
+        help="+1 slides in (pulled), -1 slides out; once, or once per tendon.",
+        show_default="found from the travel; +1 for a single tendon",
+    ),
 ]
 TipForce = Annotated[str | None, typer.Option(help='Dead load (X, Y) on the tip, "0 N, -5 N".', show_default=False)]
 TipMoment = Annotated[str | None, typer.Option(help='On the tip, positive from X to Y, "0.1 N m".', show_default=False)]
@@ -551,13 +554,13 @@ def _read(robot: Path, kinematics: Kinematics | None, configure: Callable[[], No
     return manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
 
 
-def _directions(direction: list[int] | None, manipulator: "Manipulator") -> list[int]:
+def _directions(direction: list[int] | None, manipulator: "Manipulator") -> list[int] | None:
     from .solve_command import per_tendon
 
     for value in direction or []:
         if value not in (+1, -1):
             raise InputError(f"--direction {value}: give +1 for a tendon that slides in, -1 for one that slides out")
-    return per_tendon("--direction", list(direction or [1]), manipulator.num_tendons)
+    return per_tendon("--direction", list(direction), manipulator.num_tendons) if direction else None
 
 
 def _say(as_json: bool, answer: dict[str, Any], text: str) -> None:

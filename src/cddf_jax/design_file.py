@@ -225,8 +225,8 @@ def _case(where: str, table: Mapping[str, Any], body: Manipulator) -> LoadCase:
         for option in ("base-tension", "tip-force", "tip-moment", "gravity"):
             text = text.replace(f"--{option}", option.replace("-", "_"))
         raise InputError(f"{where}: {text}") from None
-    direction = table.get("direction", 1)
-    each = direction if isinstance(direction, list) else [direction]
+    direction = table.get("direction")
+    each = direction if isinstance(direction, list) else [] if direction is None else [direction]
     if any(isinstance(value, bool) or value not in (1, -1) for value in each):
         raise InputError(f"{where}: direction must be 1 for sliding in or -1 for sliding out, got {direction!r}")
     if isinstance(direction, list) and len(direction) != body.num_tendons:
@@ -238,7 +238,7 @@ def _case(where: str, table: Mapping[str, Any], body: Manipulator) -> LoadCase:
     if not weight > 0:
         raise InputError(f"{where}: weight must be above 0, got {weight:g}")
     name = str(table.get("name", where))
-    return LoadCase(actuation, loads, np.asarray(direction, float), numbers, weight, name)
+    return LoadCase(actuation, loads, direction, numbers, weight, name)
 
 
 def _case_numbers(where: str, table: Any, body: Manipulator) -> dict[str, float]:

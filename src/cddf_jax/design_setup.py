@@ -53,7 +53,7 @@ def ask(
     cases: LoadCase | Sequence[LoadCase] | None = None,
     base_tension: Any = None,
     loads: Loads | None = None,
-    direction: Any = +1,
+    direction: Any = None,
     worst: bool = False,
     offsets_outside_wall: bool = False,
     nodes: int = 16,

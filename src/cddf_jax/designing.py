@@ -28,7 +28,7 @@ def design(
     cases: LoadCase | Sequence[LoadCase] | None = None,
     base_tension: Any = None,
     loads: Loads | None = None,
-    direction: Any = +1,
+    direction: Any = None,
     worst: bool = False,
     choices: Mapping[str, Sequence[float]] | None = None,
     offsets_outside_wall: bool = False,

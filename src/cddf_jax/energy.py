@@ -42,7 +42,7 @@ def energy_balance(
     base_tension: Any,
     loads: Loads | None = None,
     *,
-    direction: Any = +1,
+    direction: Any = None,
     method: Method = FixedPoint(),
     nodes: int = 16,
     num_steps: int = 16,

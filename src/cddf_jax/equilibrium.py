@@ -23,8 +23,9 @@ class RESULTS(eqx.Enumeration):
 
     successful = ""
     direction_contradicted = (
-        "A tendon travels against its stated direction: the model holds, its friction has the wrong sign. "
-        "Flip its direction: +1 slides in at the base, -1 slides out."
+        "A tendon travels against its direction, so its friction has the wrong sign. Where the direction was stated, "
+        "flip it or leave it out: +1 slides in at the base, -1 slides out. Where it was found, both directions are "
+        "contradicted: part of the tendon sticks, and the model cannot tell its tension."
     )
     inaccurate = "The error estimate exceeds 1e-5: the body is too rough for its nodes. Raise nodes=."
     crossing = (
@@ -134,6 +135,7 @@ class Equilibrium(eqx.Module):
     load_fraction: Float[Array, ""]  # of the loads, up to which there is an equilibrium: 1, or the limit load
     num_load_steps: Int[Array, ""]  # in which the loads were put on; 1 where one step would do, 0 without loads
     stable: Bool[Array, ""]  # at constant base tensions and dead loads, sliding as stated
+    direction: Float[Array, " tendons"]  # +1 slides in at the base, -1 out; found where it was not stated
     # True where a tendon travels against its direction: since the straight body, or under loads as all tensions rise
     direction_contradicted: Bool[Array, " tendons"]
     error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)

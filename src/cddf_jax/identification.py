@@ -86,14 +86,15 @@ class Fit(LeastSquaresFit):
     def __str__(self) -> str:
         return "\n".join(self.verdict)
 
-    def predict(self, column: str, base_tension: Any, tip_force: Any = (0.0, 0.0), direction: Any = 1.0) -> Prediction:
+    def predict(self, column: str, base_tension: Any, tip_force: Any = (0.0, 0.0), direction: Any = None) -> Prediction:
         """A reading with its 95 % band.
 
         Args:
             column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x" or "tip_y".
             base_tension: N, (rows,) where every tendon is pulled alike, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2).
-            direction: 1 where tendons slide in and -1 where they slide out; broadcast to (rows, tendons).
+            direction: 1 where tendons slide in and -1 where they slide out, broadcast to (rows, tendons); None where
+                it is to be found, as in `solve`.
 
         Raises:
             InputError: for another column, or conditions of other shapes.
@@ -135,7 +136,8 @@ class Fit(LeastSquaresFit):
 
 def _conditions(base_tension: Any, tip_force: Any, direction: Any, tendons: int) -> Bench:
     tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
-    for name, numbers in (("base_tension", tension), ("tip_force", tip_force), ("direction", direction)):
+    stated = {} if direction is None else {"direction": direction}
+    for name, numbers in {"base_tension": tension, "tip_force": tip_force, **stated}.items():
         if not np.all(np.isfinite(np.asarray(numbers, np.float64))):
             raise InputError(f"predict: {name} must hold finite numbers")
     if np.any(tension < 0):
@@ -144,14 +146,14 @@ def _conditions(base_tension: Any, tip_force: Any, direction: Any, tendons: int)
     rows = len(tension)
     try:
         pulled = np.broadcast_to(tension, (rows, tendons))
-        way = np.broadcast_to(np.asarray(direction, np.float64), (rows, tendons))
+        way = np.broadcast_to(np.asarray(direction, np.float64), (rows, tendons)).T if stated else (None,) * tendons
         force = np.broadcast_to(np.asarray(tip_force, np.float64), (rows, 2))
     except ValueError:
         raise InputError(
             f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), and direction "
-            f"that fits; got {np.shape(base_tension)}, {np.shape(tip_force)} and {np.shape(direction)}"
+            f"that fits; got {', '.join(str(np.shape(given)) for given in (base_tension, tip_force, *stated.values()))}"
         ) from None
-    return Bench(pulled, way, force if np.any(force) else None)
+    return Bench(pulled, tuple(way), force if np.any(force) else None)
 
 
 def _beyond(wanted: Bench, model: BenchModel) -> np.ndarray:

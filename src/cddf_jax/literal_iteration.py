@@ -9,6 +9,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, Int
 
 from . import mechanics
+from .directions import not_stated
 from .fixed_point import fixed_point
 from .friction import Pull
 from .implicit import without_derivative
@@ -16,7 +17,7 @@ from .manipulator import Manipulator
 from .problem import Nodal, Path, Problem, State, curvature_along, lay_out
 from .quadrature import Panels
 from .solver import integrate_shape
-from .statics import check_nodes, one_precision, per_tendon
+from .statics import check_nodes, one_precision, per_tendon, solve
 
 
 class LiteralIteration(eqx.Module):
@@ -130,7 +131,7 @@ def iteration_history(
     manipulator: Manipulator,
     base_tension: Any,
     *,
-    direction: Any = +1,
+    direction: Any = None,
     tip_tolerance: float = 1e-4,
     max_updates: int = 30,
     nodes: int = 16,
@@ -138,13 +139,16 @@ def iteration_history(
     """Run the algorithm of Liu et al. (2020), section III, and keep every shape.
 
     Args:
-        base_tension, direction, nodes: as in `solve`.
+        base_tension, nodes: as in `solve`.
+        direction: as in `solve`; where it is to be found, it is that of the equilibrium.
         tip_tolerance: e_tip,th, m.
         max_updates: how many updates are made, whatever the threshold.
     """
     check_nodes(nodes)
     _refuse_drag(manipulator)
     given = per_tendon(manipulator, base_tension, direction)
+    if not_stated(given[1]):
+        given = given[0], solve(manipulator, given[0], direction=given[1], nodes=nodes).direction
     manipulator, base_tension, direction, _ = one_precision(manipulator, *given)
     problem = lay_out(manipulator, base_tension, direction, nodes)
     cut = problem.panels

@@ -11,6 +11,7 @@ from scipy.stats import norm, qmc
 
 from .case import Case
 from .determination import IDENTIFIED, PRIOR_ONLY
+from .directions import as_directions
 from .equilibrium import Equilibrium
 from .errors import InputError
 from .loads import Loads
@@ -30,7 +31,7 @@ class LoadCase(eqx.Module):
     Args:
         base_tension: as in `solve`: T_base, N, or what is to be reached, such as `TipAngle(1.57)`.
         loads: dead loads, or None.
-        direction: +1 slides in, -1 slides out; one for all tendons or one each.
+        direction: as in `solve`: +1 slides in, -1 slides out; None where it is to be found.
         numbers: of the body that are other ones in this case, by name, e.g. {"youngs_modulus": 1.5e6}.
         weight: in sums over the cases.
         name: in tables and messages.
@@ -38,7 +39,7 @@ class LoadCase(eqx.Module):
 
     base_tension: Any = eqx.field(converter=lambda given: jax.tree.map(as_number, given))
     loads: Loads | None = None
-    direction: Any = eqx.field(default=+1, converter=as_number)
+    direction: Any = eqx.field(default=None, converter=as_directions)
     numbers: Mapping[str, Scalar] = eqx.field(
         default_factory=dict, converter=lambda given: {name: as_number(x) for name, x in given.items()}
     )

@@ -11,7 +11,7 @@
 | tip_angle | angle | phi(L) |
 | tip_x, tip_y | length | u(L) in the frame at the base |
 | tip_force_x, tip_force_y | force | known dead load on the tip |
-| direction, direction_2, ... | none | +1 where the tendon slides in (pulled), -1 out; tendons without: as tendon 1 |
+| direction, direction_2, ... | none | +1 where the tendon slides in (pulled), -1 out; without it: as `solve` finds it |
 | wrap_angle | angle | pulley test: angle of contact |
 | weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |
 | trial | none | any label |

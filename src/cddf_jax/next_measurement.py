@@ -258,6 +258,6 @@ def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candid
         ),
     ]
     if manipulator.num_tendons > 1:
-        pulled = {"base_tension": levels, "base_tension_2": 0.3 * levels, "direction": 1.0, "direction_2": -1.0}
+        pulled = {"base_tension": levels, "base_tension_2": 0.3 * levels}
         found.append(Candidate("tip tensions, second tendon pulled as well", pulled, {"tip_tension": cell}))
     return found

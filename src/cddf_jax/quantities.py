@@ -165,7 +165,7 @@ def _stiffness(direction: Callable[[Equilibrium], Any]) -> Callable[[View], Any]
         def tip(force: Array) -> Array:  # at constant base tensions, as in `tip_compliance`
             pushed = replace(loads, tip_force=force)
             there = solve(
-                view.body, found.base_tension, pushed, direction=case.direction, nodes=view.nodes, throw=False
+                view.body, found.base_tension, pushed, direction=found.direction, nodes=view.nodes, throw=False
             )
             return there.tip_position
 

@@ -182,8 +182,8 @@ def as_dict(equilibrium: Equilibrium, actuation: list[Any], loads: Loads | None)
     names = (
         *("tip_tension", "tension_loss", "tip_position", "tip_angle", "tendon_displacement", "base_tension"),
         *("target_miss", "base_moment", "load_fraction", "num_load_steps", "stable", "error_estimate"),
-        *("num_iterations", "direction_contradicted", "arc_length", "curvature", "heading", "position", "tension"),
-        *("wrap_angle", "normal_force", "friction_force"),
+        *("num_iterations", "direction", "direction_contradicted", "arc_length", "curvature", "heading", "position"),
+        *("tension", "wrap_angle", "normal_force", "friction_force"),
     )
     asked: dict[str, Any] = {"result": RESULTS[equilibrium.result] or "successful", "remarks": equilibrium.remarks}
     if any(isinstance(entry, Target) for entry in actuation):

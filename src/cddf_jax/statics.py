@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from .balance import Balance, Setup, equilibrate, inside_of_bend
+from .directions import is_contradicted, not_stated, stated_directions
 from .equilibrium import RESULTS, Dense, Equilibrium, Fields, Result, SolveError, fields_at, nan_unless, tendons_first
 from .friction import unspent
 from .loads import Loads
@@ -32,7 +33,7 @@ def solve(
     base_tension: Any,
     loads: Loads | None = None,
     *,
-    direction: Any = +1,
+    direction: Any = None,
     method: Method = FixedPoint(),
     nodes: int = 16,
     throw: bool = True,
@@ -48,7 +49,9 @@ def solve(
             `CurvatureAt`, `TotalTension`, `TipStiffness`; as many targets as unknown tensions.
         loads: dead loads on the tip and gravity; None for none.
         direction: +1 for a tendon that slides in at the base (pulled, as in the paper), -1 for one that
-            slides out; a number or one per tendon.
+            slides out; a number, or one per tendon. None, for all or in the place of one tendon, for the direction
+            of its travel: the length pulled in since the straight body, under loads the rate of that while all
+            tensions rise in proportion. A single tendon has +1. Derivatives hold the directions that were found.
         method: `FixedPoint()`, `Marching()` or, without loads, `LiteralIteration()`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. The default is accurate to
             1e-8 of the tip tension and 1e-7 of the length.
@@ -140,22 +143,30 @@ def _checked(loads: Any) -> Loads | None:
 
 
 def per_tendon(manipulator: Manipulator, base_tension: Any, direction: Any) -> tuple[Any, Any]:
-    """Tensions and directions as arrays.
+    """Tensions and directions as arrays; directions as a tuple, with None in some places, where some are to be found.
 
     Raises:
         ValueError: when there is neither one for all nor one per tendon.
     """
     count, precision = manipulator.num_tendons, _precision(manipulator)
 
-    def checked(name, value):
+    def checked(name, value, shapes=((), (count,))):
         traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
         value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision)
         value = value.astype(value.dtype)  # a weakly typed number would be compiled for anew
-        if value.shape not in ((), (count,)):
+        if value.shape not in shapes:
             raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got shape {value.shape}")
         return value
 
-    return checked("base_tension", base_tension), checked("direction", direction)
+    try:
+        direction = stated_directions(direction, count)
+    except ValueError as error:
+        raise ValueError(f"solve: {error}") from None
+    if not_stated(direction):
+        direction = tuple(None if x is None else checked("direction", x, ((),)) for x in direction)
+    else:
+        direction = checked("direction", direction)
+    return checked("base_tension", base_tension), direction
 
 
 _GOOD = tuple(int(code._value) for code in (RESULTS.successful, RESULTS.direction_contradicted))
@@ -206,23 +217,23 @@ def _solve(
     method: Method,
     nodes: int,
 ) -> Equilibrium:
+    to_find = not_stated(direction)
     asked = one_precision(manipulator, given, direction, (targets, loads))
     numbers = jax.tree.leaves(eqx.filter(asked, eqx.is_inexact_array))
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in numbers]))
     manipulator, given, direction, (targets, loads) = _harmless(*asked)
-    setup = Setup(manipulator, direction, loads, method, nodes)
+    setup = Setup(manipulator, direction, loads, method, nodes, to_find)
     balance, found = _equilibrium(setup, given, targets)
     problem, path = balance.problem, balance.path
 
     physical = finite & _is_physical(asked[0], asked[1], asked[2], problem) & _is_on_the_body(targets, problem)
     solved = physical & balance.load_path.converged
     at_tip = unspent(problem.base_tension, path.tip.pull) / path.tip.ratio
-    slides = jnp.where(_pulls(problem, at_tip), setup.direction * balance.travel, 0.0)
-    contradicted = solved & (slides < -1e-6 * problem.panels.edges[-1])
+    contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.panels.edges[-1])
     truncation = balance.leverage * truncation_error(problem, path)
     crossing = largest(inside_of_bend(problem, path)) >= 1.0
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
-    dense = Dense(manipulator, problem.base_tension, direction, problem.panels, path.starts, path.nodes, solved)
+    dense = Dense(manipulator, problem.base_tension, problem.direction, problem.panels, path.starts, path.nodes, solved)
 
     return Equilibrium(
         along=nan_unless(solved, _along(setup, balance, dense)),
@@ -237,6 +248,7 @@ def _solve(
         load_fraction=balance.load_path.fraction,
         num_load_steps=balance.load_path.num_steps.astype(int),
         stable=solved & balance.load_path.stable,
+        direction=problem.direction,
         direction_contradicted=contradicted,
         error_estimate=nan_unless(solved, truncation + balance.leverage * (path.residual + round_off)),
         num_iterations=path.num_iterations.astype(int),
@@ -255,12 +267,6 @@ def _solve(
         ),
         _dense=dense,
     )
-
-
-def _pulls(problem: Problem, tip_tension: PerTendon) -> Bool[Array, " tendons"]:
-    """Whether a tendon has tension anywhere: drag gives one that slides out more and more of it."""
-    at_base = problem.base_tension > 0
-    return at_base if problem.base.drag is None else at_base | (tip_tension > 0)
 
 
 def _fraction_left(problem: Problem, path: Path) -> PerTendon | float:
@@ -317,6 +323,8 @@ def one_precision(
         return eqx.combine(jax.tree.map(lambda x: jnp.asarray(x, dtype), arrays), rest)
 
     def one_each(value):
+        if isinstance(value, tuple):  # directions, of which some are to be found; they get the stand-in +1
+            value = jnp.stack([jnp.asarray(1.0 if x is None else x, dtype) for x in value])
         return jnp.broadcast_to(jnp.asarray(value, dtype), (manipulator.num_tendons,))
 
     return cast(manipulator), one_each(base_tension), one_each(direction), cast(others)

@@ -21,7 +21,7 @@ def tip_compliance(
     base_tension: Any,
     loads: Loads | None = None,
     *,
-    direction: Any = +1,
+    direction: Any = None,
     method: Method = FixedPoint(),
     nodes: int = 16,
 ) -> Float[Array, "3 3"]:
@@ -62,7 +62,7 @@ def tip_jacobian(
     base_tension: Any,
     loads: Loads | None = None,
     *,
-    direction: Any = +1,
+    direction: Any = None,
     method: Method = FixedPoint(),
     nodes: int = 16,
 ) -> TipJacobian:

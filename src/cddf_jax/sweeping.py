@@ -12,6 +12,7 @@ import numpy as np
 from .axes import RESERVED, Dimension, check_names, dimensions_of
 from .case import Case, holds, of_tendon
 from .chunks import Index, Layout, Variable, bytes_each, even_chunks
+from .directions import as_directions, stated_directions
 from .equilibrium import Equilibrium
 from .errors import InputError
 from .fingerprint import code_of, numbers_of, told
@@ -40,7 +41,7 @@ def sweep(
     base_tension: Any = None,
     loads: Loads | None = None,
     *,
-    direction: Any = +1,
+    direction: Any = None,
     outputs: Sequence[str] = DEFAULT_OUTPUTS,
     observables: Mapping[str, Callable[[Equilibrium], Any]] | None = None,
     sensitivities: Sequence[str] = (),
@@ -132,7 +133,7 @@ class Sweep:
     dimensions: tuple[Dimension, ...]
     base_tension: Any = None
     loads: Loads | None = None
-    direction: Any = +1
+    direction: Any = None
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
     observables: dict[str, Callable[[Equilibrium], Any]] = field(default_factory=dict)
     sensitivities: tuple[str, ...] = ()
@@ -157,7 +158,11 @@ class Sweep:
         tension = tuple(tension) if isinstance(tension, list) else tension
         if any(holds("base_tension", name) for name in names) and isinstance(tension, int | float):
             tension = np.full(count, float(tension))
-        return Case(self.manipulator, tension, loads, np.asarray(self.direction, float))
+        try:
+            direction = as_directions(stated_directions(self.direction, count))
+        except ValueError as error:
+            raise InputError(f"sweep: {error}") from None
+        return Case(self.manipulator, tension, loads, direction)
 
     @cached_property
     def dtype(self) -> np.dtype:
@@ -198,7 +203,7 @@ class Sweep:
             raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
         if self.chunk_size is not None and (not isinstance(self.chunk_size, int) or self.chunk_size < 1):
             raise InputError(f"sweep: chunk must be a whole number of 1 or more, got {self.chunk_size!r}")
-        if not np.all(np.abs(np.asarray(self.case.direction)) == 1):
+        if not all(np.all(np.abs(stated) == 1) for stated in jax.tree.leaves(self.case.direction)):
             raise InputError(f"sweep: direction is 1 for sliding in and -1 for sliding out, got {self.direction!r}")
         try:
             check_nodes(self.nodes)
