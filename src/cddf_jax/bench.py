@@ -100,7 +100,8 @@ class Bench(eqx.Module):
     @property
     def on_one_curve(self) -> bool:
         """Whether the rows lie on the curve of a free body of one tendon that is pulled in."""
-        return self.base_tension.shape[1] == 1 and self.tip_force is None and bool(np.all(self.direction > 0))
+        slides_out = any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
+        return self.base_tension.shape[1] == 1 and self.tip_force is None and not slides_out
 
     def solve(self, manipulator: Manipulator, parameters: Mapping[str, Any], nodes: int) -> Equilibrium:
         """The rows, in equilibrium."""
