@@ -192,6 +192,11 @@ class Equilibrium(eqx.Module):
 
         return equilibrium_in_words(self)
 
+    @property
+    def panels(self) -> Panels:
+        """Those on which it was solved: they end where the body is not smooth and where curvature changes its sign."""
+        return self._dense.panels
+
     def at(self, arc_length: Any) -> Fields:
         """The same fields anywhere along the body.
 

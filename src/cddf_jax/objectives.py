@@ -7,14 +7,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.polynomial import legendre
 
 from .errors import InputError
 from .profiles import as_number
 from .quantities import View, check_fits, name_of, quantity_named
 from .units import Dimension
-
-GRID, WEIGHTS = legendre.leggauss(32)  # for means along the body
 
 
 class Objective(eqx.Module):
@@ -83,7 +80,7 @@ class Most(Objective):
 class Even(Objective):
     """A quantity as even along the body as can be: its variance over its squared mean, zero where it is constant.
 
-    Told as the relative standard deviation, the root of that.
+    Told as the relative standard deviation, the root of that. What tendons have counts up to their anchors.
     """
 
     def __check_init__(self):
@@ -91,9 +88,9 @@ class Even(Objective):
             raise InputError(f"design: {name_of(self.quantity)} does not vary along the body; take Least or Most of it")
 
     def values(self, view: View) -> Array:
-        values = _on_grid(self.quantity, view)
-        mean = values @ (WEIGHTS / 2)
-        return jnp.mean(((values - mean[..., None]) ** 2) @ (WEIGHTS / 2) / mean**2)
+        values, shares = _on_panels(self.quantity, view)
+        mean = jnp.sum(values * shares, axis=-1, keepdims=True)
+        return jnp.mean(jnp.sum((values - mean) ** 2 * shares, axis=-1, keepdims=True) / mean**2)
 
     def told(self, value: float) -> float:
         return float(np.sqrt(max(value, 0.0)))
@@ -105,6 +102,8 @@ class Even(Objective):
 
 class Near(Objective):
     """A quantity near what is wanted: the mean of squared differences, told as its root.
+
+    What tendons have counts up to their anchors where it is compared all along.
 
     Args:
         quantity: a name of `QUANTITIES`, or a function of manipulator and equilibrium.
@@ -135,7 +134,8 @@ class Near(Objective):
                 raise InputError(
                     f"design: {name_of(self.quantity)} varies along the body; say where by Near(..., at=...)"
                 )
-            return jnp.mean((_on_grid(self.quantity, view) - value) ** 2 @ (WEIGHTS / 2))
+            values, shares = _on_panels(self.quantity, view)
+            return jnp.mean(jnp.sum((values - value) ** 2 * shares, axis=-1))
         found = quantity_named(self.quantity).of(view)
         check_fits(name_of(self.quantity), value, found)
         return jnp.mean((found - value) ** 2)
@@ -148,8 +148,14 @@ def _points_last(value: Array, found: Array) -> Array:
     return value.T if value.ndim == 2 and value.shape[::-1] == found.shape else value
 
 
-def _on_grid(quantity: Any, view: View) -> Float[Array, "*k points"]:
-    return quantity_named(quantity).of(view.moved((GRID + 1) / 2 * jnp.asarray(view.body.length)))
+def _on_panels(quantity: Any, view: View) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:
+    """A quantity at Gauss nodes between the places where it is not smooth, and their shares in a mean."""
+    nodes, shares = view.panels.nodes.ravel(), view.panels.shares.ravel()
+    there, known = view.moved(nodes), quantity_named(quantity)
+    if known.to_anchor:
+        shares = jnp.where(there.anchored, shares, 0.0)
+        shares /= jnp.sum(shares, axis=-1, keepdims=True)
+    return known.of(there), shares
 
 
 def _reduced(quantity: Any, values: Array, peak: bool) -> Array:

@@ -70,6 +70,11 @@ class Panels(eqx.Module):
     def nodes(self) -> Float[Array, "P p"]:
         return self.edges[:-1, None] + self.width[:, None] * self.constant("nodes")
 
+    @property
+    def shares(self) -> Float[Array, "P p"]:
+        """Of each node in a mean along the body; one in all."""
+        return self.width[:, None] * self.constant("weights") / self.edges[-1]
+
     def constant(self, name: str) -> Float[Array, "..."]:
         """A matrix of the rule in the precision of the edges."""
         return jnp.asarray(getattr(self.rule, name), self.edges.dtype)

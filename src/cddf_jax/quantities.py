@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.polynomial import legendre
 
 from .equilibrium import Equilibrium, Fields
 from .errors import InputError
@@ -17,10 +16,11 @@ from .load_cases import LoadCase
 from .loads import Loads
 from .manipulator import Manipulator
 from .profiles import Profile
+from .quadrature import Panels, panels
 from .statics import solve
 from .units import Dimension
 
-INTEGRATION_POINTS = 48  # of a volume
+BODY_NODES = 48  # of integrals over a body alone, in each of its smooth pieces
 
 
 class View:
@@ -70,6 +70,13 @@ class View:
         ends = [self.body.length if tendon.end is None else tendon.end for tendon in self.body.tendons]
         return self.arc_length <= jnp.stack([jnp.asarray(end) for end in ends])[:, None] * (1 + 1e-12)
 
+    @cached_property
+    def panels(self) -> Panels:
+        """Panels that end where what is looked at is not smooth: those of the equilibrium, else between the joints."""
+        if self._equilibrium is not None:
+            return self._equilibrium.panels
+        return panels(jnp.asarray(self.body.length), self.body.breakpoints, BODY_NODES)
+
     def moved(self, arc_length: Any) -> "View":
         """The same at other places."""
         return View(self.body, arc_length, self.case, self._equilibrium, self.nodes)
@@ -83,6 +90,7 @@ class Quantity(NamedTuple):
     bent: bool = True  # whether an equilibrium is needed for it
     along: bool = False  # whether its last axis runs along the body
     per_tendon: bool = False  # whether it is one number for each tendon
+    to_anchor: bool = False  # whether its last axis but one is that of the tendons, each there up to its anchor
 
 
 def quantity_named(name: Any) -> Quantity:
@@ -137,11 +145,8 @@ def _slopes(view: View) -> Array:
 
 def _volume(view: View) -> Array:
     """By Gauss's rule between the places where the radii are not smooth."""
-    body, (x, weights) = view.body, legendre.leggauss(INTEGRATION_POINTS)
-    length = jnp.asarray(body.length)
-    edges = jnp.concatenate([0 * length[None], jnp.sort(jnp.clip(body.breakpoints, 0.0, length)), length[None]])
-    width = jnp.diff(edges)[:, None]
-    return jnp.sum(body.area(edges[:-1, None] + width * (x + 1) / 2) * width * weights / 2)
+    pieces = panels(jnp.asarray(view.body.length), view.body.breakpoints, BODY_NODES)
+    return jnp.sum(pieces.gain(view.body.area(pieces.nodes)))
 
 
 # --- of an equilibrium ---------------------------------------------------------------------------
@@ -154,6 +159,11 @@ def _strain(view: View) -> Array:
 
 def _crossing(view: View) -> Array:
     return jnp.where(view.anchored, view.sides * view.body.offset(view.arc_length) * view.along.curvature, 0.0)
+
+
+def _tension(view: View) -> Array:
+    """Beyond its anchor that at the anchor: what is least or largest along a tendon stays so."""
+    return jnp.where(view.anchored, view.along.tension, view.equilibrium.tip_tension[:, None])
 
 
 def _stiffness(direction: Callable[[Equilibrium], Any]) -> Callable[[View], Any]:
@@ -190,15 +200,15 @@ QUANTITIES: dict[str, Quantity] = {
     "outer_radius": Quantity(lambda v: v.body.outer_radius(v.arc_length), "length", False, True),
     "inner_radius": Quantity(lambda v: v.body.inner_radius(v.arc_length), "length", False, True),
     "wall_thickness": Quantity(_wall, "length", False, True),
-    "clearance": Quantity(_clearance, "length", False, True),
+    "clearance": Quantity(_clearance, "length", False, True, to_anchor=True),
     "taper": Quantity(lambda v: -_slope(v.body.outer_radius, v.arc_length), "dimensionless", False, True),
     "slope": Quantity(_slopes, "dimensionless", False, True),
     "curvature": Quantity(lambda v: v.along.curvature, "curvature", along=True),
     "heading": Quantity(lambda v: v.along.heading, "angle", along=True),
     "position": Quantity(lambda v: v.along.position.T, "length", along=True),
     "strain": Quantity(_strain, "dimensionless", along=True),
-    "crossing": Quantity(_crossing, "dimensionless", along=True),
-    "tension": Quantity(lambda v: v.along.tension, "force", along=True),
+    "crossing": Quantity(_crossing, "dimensionless", along=True, to_anchor=True),
+    "tension": Quantity(_tension, "force", along=True, to_anchor=True),
     "base_tension": Quantity(lambda v: v.equilibrium.base_tension, "force", per_tendon=True),
     "tip_tension": Quantity(lambda v: v.equilibrium.tip_tension, "force", per_tendon=True),
     "tension_loss": Quantity(lambda v: v.equilibrium.tension_loss, "dimensionless", per_tendon=True),
