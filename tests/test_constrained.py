@@ -284,3 +284,17 @@ def test_relaxed_limits_have_the_derivatives_of_their_values():
     )
     expected = (lagrangian_slope(x + h * along) - lagrangian_slope(x - h * along)) / (2 * h)
     assert relaxed.curvature(x, weights, along) == pytest.approx(expected, rel=1e-7, abs=1e-7)
+
+
+def test_a_bound_and_a_limit_at_one_place_share_their_price():
+    """The least x with x >= 0 twice, as a bound and as a limit: any shares of 1 meet the conditions, giving way of one
+    is worth nothing. Behind them 2 y with y >= 0, whose bound alone holds it, at the price 2."""
+    problem = Written(lambda x: x[0] + 2 * x[1], lambda x: (x[0],))
+    held = optimality(problem(np.zeros(2)), *on_both_sides(2, 0.0, np.inf))
+    assert held.residual < TOLERANCE
+    first, second = np.eye(2)
+    assert held.range_of(lower=first) == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert held.range_of(1.0) == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert held.range_of(1.0, lower=first) == pytest.approx((1.0, 1.0), abs=1e-9)
+    assert held.range_of(lower=second) == pytest.approx((2.0, 2.0), abs=1e-9)
+    assert held.range_of(upper=1.0) == pytest.approx((0.0, 0.0), abs=1e-9)

@@ -60,21 +60,22 @@ class Optimality:
     at_lower: np.ndarray  # and of the bounds
     at_upper: np.ndarray
 
-    def range_of(self, inequality: np.ndarray, equality: np.ndarray) -> tuple[float, float]:
+    def range_of(
+        self, inequality: Any = 0.0, equality: Any = 0.0, *, lower: Any = 0.0, upper: Any = 0.0
+    ) -> tuple[float, float]:
         """The least and the largest of a weighted sum of multipliers that meet the conditions equally well.
 
         They differ where limits bind at one place: by the theory of the optimal value under a perturbation, giving way
         is then worth the least and tightening costs the largest.
 
         Args:
-            inequality, equality: weights of their multipliers.
+            inequality, equality, lower, upper: weights of the multipliers of limits and bounds, one each or for all.
         """
-        count = self.columns.shape[1]
-        if count == 0:
+        if self.columns.shape[1] == 0:
             return 0.0, 0.0
-        cost = np.zeros(count)
-        cost[: self.active.size] = inequality[self.active]
-        cost[count - self.equality.size :] = equality
+        held = (inequality, self.inequality, self.active), (lower, self.lower, self.at_lower)
+        held = *held, (upper, self.upper, self.at_upper), (equality, self.equality, slice(None))
+        cost = np.concatenate([np.broadcast_to(weights, each.shape)[active] for weights, each, active in held])
         own = np.concatenate([self.inequality[self.active], self.bound_multipliers, self.equality])
         bounds = [(None if np.isinf(low) else low, None) for low in self.least]
         ends = []

@@ -7,19 +7,18 @@ from typing import Any
 import numpy as np
 
 from .artifacts import as_json, write_all
-from .case import unit_of_name
 from .constrained import TOLERANCE
 from .cross_sections import cross_sections_csv
 from .design_figure import design_figure, pareto_figure
 from .design_file import DesignTask
 from .design_program import fixed_numbers
-from .design_results import Design, LimitReport
+from .design_results import Design, FreeNumber, LimitReport, in_unit, number_in_words
 from .designing import design
 from .errors import InputError
 from .manipulator_file import manipulator_text
 from .pareto import ParetoFront, pareto_front
 from .plotting import render
-from .units import DIMENSION_OF, Dimension, preferred, shown
+from .units import Dimension, preferred, shown
 
 LARGEST = 12  # sensitivities that are told
 
@@ -74,36 +73,49 @@ def _head(found: Design) -> Iterator[str]:
     yield f"# Design: {found.result}"
     yield ""
     for each in found.objectives:
-        yield f"- {each.name}: {_text(each.start, each.dimension)} -> {_text(each.end, each.dimension)}"
+        yield f"- {each.name}: {in_unit(each.start, each.dimension)} -> {in_unit(each.end, each.dimension)}"
     for name in found.blocking:
         yield f"- in the way: {name}"
     if found.blocking:
         yield "- no body nearby keeps to all of these; relax one of them, or start elsewhere"
     for name, value in found.chosen.items():
-        yield f"- chosen: {name} = {_number(name, value)}"
+        yield f"- chosen: {name} = {number_in_words(name, value)}"
     for values, objective in found.choices:
-        told = ", ".join(f"{name} = {_number(name, value)}" for name, value in values.items())
+        told = ", ".join(f"{name} = {number_in_words(name, value)}" for name, value in values.items())
         yield f"- with {told}: {_objective(found, objective)}"
     for remark in found.remarks:
         yield f"- {remark}"
-    at_bounds = [f"{name} {free.status}" for name, free in found.free.items() if free.status != "inside"]
-    if at_bounds and found.feasible:
-        yield f"- {', '.join(at_bounds)}: the best body lies there or beyond"
+    yield from _at_bounds(found)
     yield ""
+
+
+def _at_bounds(found: Design) -> Iterator[str]:
+    """What the multipliers tell of the bounds that are reached, and no more."""
+    reached = {name: free for name, free in found.free.items() if free.status != "inside"}
+    if not found.success or not reached:
+        return
+
+    def listed(some: dict[str, FreeNumber]) -> str:
+        return ", ".join(f"{name} {free.status}" for name, free in some.items())
+
+    if held := {name: free for name, free in reached.items() if free.multiplier > 0}:
+        yield f"- {listed(held)}: a wider bound would make the objective better"
+    if others := {name: free for name, free in reached.items() if name not in held}:
+        yield f"- {listed(others)}: a multiplier of 0, which does not tell whether another value is better"
 
 
 def _objective(found: Design, value: float) -> str:
     """The objective in words: of one its value, of several their weighted sum."""
     if not np.isfinite(value):
         return "not feasible"
-    return _text(value, found.objectives[0].dimension) if len(found.objectives) == 1 else f"{value:.5g}"
+    return in_unit(value, found.objectives[0].dimension) if len(found.objectives) == 1 else f"{value:.5g}"
 
 
 def _numbers(found: Design) -> Iterator[str]:
     yield "| free number | start | design | bounds | |"
     yield "| --- | ---: | ---: | --- | --- |"
     for name, free in found.free.items():
-        values = [_number(name, value) for value in (free.start, free.value, free.lower, free.upper)]
+        values = [number_in_words(name, value) for value in (free.start, free.value, free.lower, free.upper)]
         yield f"| {name} | {values[0]} | {values[1]} | {values[2]} to {values[3]} | {free.status} |"
     yield ""
 
@@ -205,15 +217,7 @@ def _foot(found: Design) -> Iterator[str]:
 
 
 def _value(value: Any, dimension: Dimension) -> str:
-    return ", ".join(_text(each, dimension) for each in np.ravel(value))
-
-
-def _text(value: float, dimension: Dimension) -> str:
-    return f"{value:.5g}" if dimension == "dimensionless" else shown(value, dimension)
-
-
-def _number(name: str, value: float) -> str:
-    return _text(value, DIMENSION_OF[unit_of_name(name)])
+    return ", ".join(in_unit(each, dimension) for each in np.ravel(value))
 
 
 def as_dict(found: Design) -> dict[str, Any]:
@@ -248,8 +252,8 @@ def front_in_words(front: ParetoFront) -> str:
     lines.append(f"| {front.names[0]} | {front.names[1]} | {' | '.join(names)} | |")
     lines.append("| ---: | ---: |" + " ---: |" * len(names) + " --- |")
     for found in front.designs:
-        pair = " | ".join(_text(each.end, each.dimension) for each in found.objectives)
-        free = " | ".join(_number(name, value) for name, value in found.value.items())
+        pair = " | ".join(in_unit(each.end, each.dimension) for each in found.objectives)
+        free = " | ".join(number_in_words(name, value) for name, value in found.value.items())
         lines.append(f"| {pair} | {free} | {found.result} |")
     return "\n".join(lines)
 

@@ -7,16 +7,17 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from .case import unit_of_name
 from .constrained import ACTIVE, TOLERANCE, Local
 from .design_problem import Problem, split
 from .design_program import Program, fixed_numbers
-from .design_search import Outcome
+from .design_search import NOT_ZERO, Again, Outcome
 from .design_setup import Asked
 from .equilibrium import RESULTS, Equilibrium, result_of
 from .load_cases import LoadCase
 from .manipulator import Manipulator
 from .quantities import name_of, quantity_named
-from .units import Dimension
+from .units import DIMENSION_OF, Dimension, shown
 
 KINK = 1e-5  # relative: multipliers that differ by less are the same
 
@@ -39,7 +40,7 @@ class FreeNumber(NamedTuple):
     lower: float
     upper: float
     status: str  # "inside", "at lower bound" or "at upper bound"
-    multiplier: float  # how much better the objective would be per unit by which the bound gave way; 0 inside
+    multiplier: float  # how much better the objective gets per unit by which the bound gives way; NaN if infeasible
 
 
 class LimitReport(NamedTuple):
@@ -147,7 +148,10 @@ def answered(
         choices=choices,
         chosen=chosen or {},
         cases=problem.cases,
-        remarks=tuple(remarks_on(outcome.evaluation.codes, [case.name for case in problem.cases])),
+        remarks=(
+            *remarks_on(outcome.evaluation.codes, [case.name for case in problem.cases]),
+            *(again_in_words(problem, again) for again in outcome.again),
+        ),
         outcome=outcome,
     )
 
@@ -174,15 +178,23 @@ def free_numbers(problem: Problem, local: Local, unit: float) -> dict[str, FreeN
     space, found = problem.space, {}
     n = len(space.names)
     numbers = space.numbers(local.point.x[:n])
-    at_lower, at_upper = local.optimality.lower, local.optimality.upper
     for i in range(n):
         low = abs(numbers[i] - space.lower[i]) <= ACTIVE * space.size[i]
         high = abs(numbers[i] - space.upper[i]) <= ACTIVE * space.size[i]
         status = "at lower bound" if low else "at upper bound" if high else "inside"
-        cost = (at_lower[i] + at_upper[i]) * abs(unit) / float(space.size[i])
+        worth = _worth_of_bounds(local, i) * abs(unit) / float(space.size[i]) if low or high else 0.0
         ends = float(space.lower[i]), float(space.upper[i])
-        found[space.label(i)] = FreeNumber(float(space.start[i]), float(numbers[i]), *ends, status, float(cost))
+        found[space.label(i)] = FreeNumber(float(space.start[i]), float(numbers[i]), *ends, status, worth)
     return found
+
+
+def _worth_of_bounds(local: Local, i: int) -> float:
+    """The least that the multipliers tell, scaled; zero where it is none but for rounding."""
+    if not local.feasible:
+        return np.nan
+    own = np.arange(local.point.x.size) == i
+    worth, _ = local.optimality.range_of(lower=1.0 * own, upper=1.0 * own)
+    return worth if worth > NOT_ZERO else 0.0
 
 
 def achieved(problem: Problem, at_start: Any, at_end: Any) -> tuple[Achieved, ...]:
@@ -306,3 +318,24 @@ def remarks_on(codes: Any, names: list[str]) -> list[str]:
     """What the solves say that a designer must know."""
     said = [(name, result_of(code)) for name, code in zip(names, np.asarray(codes), strict=False)]
     return [f"{name or 'the load case'}: {RESULTS[result]}" for name, result in said if result != RESULTS.successful]
+
+
+def again_in_words(problem: Problem, again: Again) -> str:
+    """Why the search began again, and what came of it."""
+    labels = [problem.space.label(int(i)) for i in again.numbers]
+
+    def told(numbers: np.ndarray) -> str:
+        named = zip(labels, numbers, strict=True)
+        return ", ".join(f"{label} = {number_in_words(label, float(number))}" for label, number in named)
+
+    came = "found a better body" if again.better else "found no better body"
+    return f"{told(again.old)}: the objective has no slope there; a search from {told(again.new)} {came}"
+
+
+def number_in_words(name: str, value: float) -> str:
+    """A number of a body or a case with the unit that its name tells."""
+    return in_unit(value, DIMENSION_OF[unit_of_name(name)])
+
+
+def in_unit(value: float, dimension: Dimension) -> str:
+    return f"{value:.5g}" if dimension == "dimensionless" else shown(value, dimension)

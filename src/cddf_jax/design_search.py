@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from .constrained import TOLERANCE, Local, Point, least_violation, minimise, optimality
+from .constrained import ACTIVE, TOLERANCE, Local, Point, least_violation, minimise, optimality
 from .design_problem import Evaluation, Problem, split
 from .design_program import Program
 from .lanes import Lanes
@@ -21,9 +21,22 @@ SEARCHES = 4  # from the best of many starts
 NEAR = 1e-2  # a margin that may be used up between the points of the grid
 NOT_ZERO = 1e-6  # a multiplier
 BROKEN = 10.0  # what a violation counts beside the objective when starts are compared
+MUTE = 1e-4  # of the objective, or of a limit: what a number that tells nothing would change over its whole range
+AWAY = tuple(0.25**k for k in range(1, 7))  # of its range, how far such a number is moved, the first that can be
+GAIN = 10 * TOLERANCE  # of the objective, by which a body is better and not only nearer to its limits
+NOTHING = 1e-12  # of the objective at the start
 
 Watch = Callable[[str], None]
 History = list[tuple[float, float]]
+
+
+class Again(NamedTuple):
+    """Another search, because at the end of one no first derivative told whether some numbers should change."""
+
+    numbers: np.ndarray  # their places among the free numbers
+    old: np.ndarray  # where they stood
+    new: np.ndarray  # where the other search put them at first
+    better: bool  # whether it led to a better body
 
 
 class Outcome(NamedTuple):
@@ -35,7 +48,8 @@ class Outcome(NamedTuple):
     blocking: tuple[str, ...]  # limits in one another's way, where it is not feasible
     history: History
     evaluations: int
-    starts: tuple[float, ...]
+    starts: tuple[float, ...] = ()
+    again: tuple[Again, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -99,6 +113,55 @@ class Search:
         return np.append(z, [np.max(found.aims[i]) / float(terms[i].reference) for i in self.problem.peaks])
 
     def from_start(self, z: Any) -> Outcome:
+        """The best from one start, and from elsewhere where first derivatives tell nothing of some numbers.
+
+        So it is with a bore of radius 0: area and second moment grow with its square and its fourth power.
+        """
+        found = self._from(z)
+        for _ in range(LOOKS):
+            mute = self._mute(found.local.point, z)
+            away = self._moved_away(found, mute)
+            if away is None:
+                break
+            other = self._from(away)
+            old, new = (np.asarray(self.problem.space.numbers(x[: len(z)]))[mute] for x in (found.local.point.x, away))
+            best, rest = (other, found) if (better := _is_better(other, found)) else (found, other)
+            found = best._replace(
+                history=rest.history + best.history,
+                evaluations=rest.evaluations + best.evaluations,
+                again=(*found.again, Again(mute, old, new, better)),
+            )
+            if not better:
+                break
+        return found
+
+    def _mute(self, point: Point, start: np.ndarray) -> np.ndarray:
+        """Numbers at a bound or where they began, of which neither the objective nor what holds it back has a slope."""
+        count = len(start)
+        x, range_ = point.x[:count], self.upper[:count]
+        held = point.inequality_slopes[point.inequality <= ACTIVE]
+        slopes = np.concatenate([point.gradient[None], held, point.equality_slopes])[:, :count]
+        flat = np.max(np.abs(slopes), axis=0) * range_ <= MUTE
+        still = (x <= ACTIVE) | (x >= range_ - ACTIVE) | (np.abs(x - start) <= MUTE * range_)
+        return np.flatnonzero(flat & still)
+
+    def _moved_away(self, found: Outcome, mute: np.ndarray) -> np.ndarray | None:
+        """The free numbers with the mute ones off their places, within the limits if that can be; None if it cannot."""
+        if mute.size == 0:
+            return None
+        point, away = found.local.point, None
+        x, range_ = point.x[: len(self.problem.space.names)], self.upper[: len(self.problem.space.names)]
+        broken = max(TOLERANCE, -float(np.min(point.inequality, initial=0.0)))
+        for part in AWAY:
+            z = x.copy()
+            z[mute] += part * (range_ * np.where(x > range_ / 2, -1.0, 1.0))[mute]
+            there = self.program(self.with_heights(z))
+            away = z if there.usable else away
+            if there.usable and np.min(there.inequality, initial=0.0) >= -broken:
+                return z
+        return away
+
+    def _from(self, z: Any) -> Outcome:
         """The search from one start, again where limits turn out to be broken between the stations."""
         program, history = self.program, []
         local, blocking = self._search(program, self.with_heights(z), history)
@@ -111,7 +174,7 @@ class Search:
             local, blocking = self._search(program, local.point.x, history)
             violation, places = broken_between(program, local)
             evaluations += local.evaluations
-        return Outcome(local, program, violation, blocking, history, evaluations, ())
+        return Outcome(local, program, violation, blocking, history, evaluations)
 
     def _search(self, program: Program, x: np.ndarray, history: History) -> tuple[Local, tuple[str, ...]]:
         """From where the limits are broken least where the first search ends outside of them."""
@@ -149,6 +212,13 @@ class Search:
         for side, ends in (("lower", held.lower), ("upper", held.upper)):
             names += [f"{side} bound of {space.label(int(i))}" for i in np.flatnonzero(ends[:n] > NOT_ZERO)]
         return tuple(dict.fromkeys(names))
+
+
+def _is_better(one: Outcome, other: Outcome) -> bool:
+    """By more than tolerances: keeping to the limits where the other does not, or the smaller objective."""
+    if not (one.feasible and other.feasible):
+        return one.feasible or (not other.feasible and one.violation < other.violation - TOLERANCE)
+    return one.value < other.value - max(GAIN * abs(other.value), NOTHING)
 
 
 class _Merit(eqx.Module):
