@@ -185,6 +185,16 @@ def test_the_example_of_uniform_curvature_is_the_analytic_body(run, tmp_path):
     np.testing.assert_allclose(body.outer_radius(s), radius, rtol=1e-7)  # asked for: 1e-4; nine knots give 2e-9
 
 
+def test_tendons_may_run_where_the_robot_has_them(task, tmp_path):
+    """As the robot's file says, unless the task does; a manipulator without the key keeps them in its wall."""
+    assert not read_task(task()).offsets_outside_wall
+    outside = PAPER.read_text().replace("[[tendons]]", "offsets_outside_wall = true\n\n[[tendons]]", 1)
+    (tmp_path / "outside.toml").write_text(outside)
+    text = TASK.replace(str(PAPER), "outside.toml")
+    assert read_task(task(text)).offsets_outside_wall
+    assert not read_task(task("offsets_outside_wall = false\n" + text)).offsets_outside_wall
+
+
 REFUSED = {
     "an unknown key": (lambda t: "colour = 1\n" + t, "unknown key 'colour'"),
     "no robot": (lambda t: t.replace("robot =", "nodes_ ="), "unknown key 'nodes_'; did you mean nodes?"),

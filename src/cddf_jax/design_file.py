@@ -4,7 +4,7 @@ robot = "smooth_sil_940.toml"        # the start, beside this file
 kinematics = "exact"                 # optional, instead of the robot's
 worst = true                         # optional: the worst case counts, not the weighted mean
 starts = 64                          # optional, 1 unless given
-offsets_outside_wall = true          # optional, as in the robot's file
+offsets_outside_wall = true          # optional, what the robot's file says unless given
 
 [free]                               # by name, as in cddf sweep; bounds a tenth to ten times the start unless given
 outer_radius = { knots = 9, bounds = ["8 mm", "25 mm"] }     # a spline through so many points
@@ -51,7 +51,7 @@ from .errors import InputError
 from .limits import Limit
 from .load_cases import LoadCase, uncertain_cases
 from .manipulator import KINEMATICS, Manipulator
-from .manipulator_file import check_keys, read_manipulator
+from .manipulator_file import allows_offsets_outside_wall, check_keys, read_manipulator
 from .objectives import Even, Least, Most, Near, Objective
 from .profiles import Linear, Spline
 from .quantities import QUANTITIES
@@ -116,7 +116,8 @@ def read_task(path: Path) -> DesignTask:
 def _task(table: Mapping[str, Any], path: Path) -> DesignTask:
     folder = path.parent
     check_keys("", table, ("robot", "free", "case", "objective"), _OPTIONAL)
-    body = read_manipulator(folder / _text(table, "robot"))
+    robot = folder / _text(table, "robot")
+    body = read_manipulator(robot)
     if "kinematics" in table:
         if table["kinematics"] not in KINEMATICS:
             raise InputError(f"kinematics must be one of {KINEMATICS}, got {table['kinematics']!r}")
@@ -126,7 +127,8 @@ def _task(table: Mapping[str, Any], path: Path) -> DesignTask:
     if "uncertain" in table:
         cases = _uncertain(cases, body, _entries(table, "uncertain"), folder)
     limits = _list(table, "limit") if "limit" in table else []
-    options: dict[str, Any] = {key: table[key] for key in ("worst", "offsets_outside_wall") if key in table}
+    options: dict[str, Any] = {"offsets_outside_wall": allows_offsets_outside_wall(robot)}
+    options |= {key: table[key] for key in ("worst", "offsets_outside_wall") if key in table}
     for key, value in options.items():
         if not isinstance(value, bool):
             raise InputError(f"{key} must be true or false, got {value!r}")

@@ -101,6 +101,12 @@ def read_manipulator(path: str | os.PathLike[str]) -> Manipulator:
         raise InputError(f"{path}: {error}") from None
 
 
+def allows_offsets_outside_wall(path: str | os.PathLike[str]) -> bool:
+    """What a file that `read_manipulator` reads says of tendons in the bore or outside the body."""
+    table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    return table.get("offsets_outside_wall", False)
+
+
 def write_manipulator(
     manipulator: Manipulator, path: str | os.PathLike[str], *, offsets_outside_wall: bool = False
 ) -> None:
