@@ -1,7 +1,8 @@
 """Figures of a design: the body before and after, to scale; and the trade-off between two objectives."""
 
 import re
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,11 +14,13 @@ from .body_drawing import bent_body, straight_body, tendon_paths
 from .design_results import Design
 from .manipulator import Manipulator
 from .pareto import ParetoFront
+from .plotting import Body
 from .units import preferred
 
 START: dict[str, Any] = {"color": draw.GREY, "linestyle": (0, (4, 2)), "label": "before"}
 END: dict[str, Any] = {"color": draw.BLUE, "linestyle": "-", "label": "after"}
 HEIGHT, FRONT_HEIGHT = 3.5, 2.6  # inches
+LINE = 10.0  # points, of a line of text
 
 
 def design_figure(design: Design) -> Figure:
@@ -56,40 +59,92 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
 
 def _draw_bodies(axes: Axes, design: Design) -> None:
     before, after = design.start, design.manipulator
-    radius = 1e3 * max(np.max(np.asarray(body.outer_radius(stations(body)))) for body in (before, after))
     s = stations(after)
     bent = bent_body(after, fields_along(design.equilibria[0], s))
-    top = max(float(np.max(bent.outline[:, 1])), radius)
-    _draw_straight(axes, before, top + 5.4 * radius, "before (numbers: outer/inner diameter, mm)")
-    _draw_straight(axes, after, top + 2.2 * radius, "after")
-    draw.draw_clamp(axes, 1.3 * radius, 0.4 * radius)
-    draw.draw_body(axes, bent)
+    paths = tendon_paths(after, bent, s)
     old = bent_body(before, fields_along(design.equilibria_at_start[0], stations(before)))
+    drawn = np.concatenate([bent.outline, old.outline, paths.reshape(-1, 2)])
+    rows = [_Row.of(after, "after"), _Row.of(before, "before (numbers: outer/inner diameter, mm)")]
+    point = _size_of_point(axes, drawn, rows)
+    level = top = float(np.nanmax(drawn[:, 1]))
+    for row in rows:
+        level += 1.5 * LINE * point + row.reach_below(point)
+        _draw_straight(axes, row, level, point)
+        level += row.reach_above(point) + 1.3 * LINE * point
+    draw.draw_clamp(axes, 1.2 * max(row.reach_at_base for row in rows), 0.6 * LINE * point)
+    draw.draw_body(axes, bent)
     axes.plot(*old.outline.T, color=draw.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
     axes.plot(*bent.outline.T, color=draw.BLUE, linewidth=0.7)
-    for path in tendon_paths(after, bent, s):
+    for path in paths:
         axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
     axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
     draw.to_scale(axes)
-    axes.update_datalim([(0.0, top + 7.4 * radius)])  # room for what is written above
+    left, right = (max(row.width_of_text(end) for row in rows) * point for end in (0, -1))
+    axes.update_datalim([(-left, level), (1e3 * s[-1] + right, level)])  # room for what is written
     axes.autoscale_view()
-    axes.set_yticks([tick for tick in axes.get_yticks() if tick <= top + 1e-9])
+    bottom = axes.get_ylim()[0]  # ticks beyond it would move it
+    axes.set_yticks([tick for tick in axes.get_yticks() if bottom <= tick <= top + 1e-9])
 
 
-def _draw_straight(axes: Axes, body: Manipulator, level: float, label: str) -> None:
-    """A body at rest, its axis at the height `level`, with its radii at both ends."""
-    s = stations(body)
-    drawn = straight_body(body, s, level)
-    midline, outer, inner = drawn.midline, drawn.outer_radius, drawn.inner_radius
-    draw.draw_body(axes, drawn)
-    for path in tendon_paths(body, drawn, s):
-        axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
-    for end, align, gap in ((0, "right", -2.0), (-1, "left", 2.0)):
-        text = f"{2 * outer[end]:.3g}/{2 * inner[end]:.3g}"
-        axes.annotate(text, midline[end] + [gap, 0.0], ha=align, va="center", fontsize=7)
-    axes.annotate(
-        label, (midline[len(s) // 2, 0], level + 1.05 * np.max(outer)), ha="center", va="bottom", fontsize=7.5
-    )
+class _Row(NamedTuple):
+    """A straight body above the bent one, its axis at the height 0, mm."""
+
+    label: str
+    body: Body
+    tendons: np.ndarray  # (tendons, points, 2)
+
+    @classmethod
+    def of(cls, manipulator: Manipulator, label: str) -> "_Row":
+        s = stations(manipulator)
+        body = straight_body(manipulator, s)
+        return cls(label, body, tendon_paths(manipulator, body, s))
+
+    @property
+    def heights(self) -> np.ndarray:
+        """Of all that is drawn."""
+        return np.concatenate([self.body.outline[:, 1], self.tendons[..., 1].ravel()])
+
+    @property
+    def reach_at_base(self) -> float:
+        return float(max(self.body.outer_radius[0], np.max(np.abs(self.tendons[:, 0, 1]))))
+
+    def reach_above(self, point: float) -> float:
+        """From the axis up, mm: body and tendons, or half a line of text."""
+        return max(float(np.nanmax(self.heights)), LINE * point / 2)
+
+    def reach_below(self, point: float) -> float:
+        return max(-float(np.nanmin(self.heights)), LINE * point / 2)
+
+    def text(self, end: int) -> str:
+        return f"{2 * self.body.outer_radius[end]:.3g}/{2 * self.body.inner_radius[end]:.3g}"
+
+    def width_of_text(self, end: int) -> float:
+        """Beside the body, points."""
+        return 4.0 * len(self.text(end)) + 6.0
+
+
+def _size_of_point(axes: Axes, drawn: np.ndarray, rows: Sequence[_Row]) -> float:
+    """How many mm a point of the figure is when all fits: what is drawn has a size in mm, what is written in points."""
+    width, height = np.array(axes.get_window_extent().size) * 72 / draw.figure_of(axes).dpi
+    length = max(row.body.midline[-1, 0] for row in rows)
+    beside = sum(max(row.width_of_text(end) for row in rows) for end in (0, -1))
+    across = max(length, np.nanmax(drawn[:, 0])) - min(0.0, np.nanmin(drawn[:, 0]))
+    high = np.ptp(drawn[np.isfinite(drawn[:, 1]), 1]) + sum(np.ptp(row.heights) for row in rows)
+    wide, tall = max(0.3 * width, 0.9 * width - beside), max(0.3 * height, 0.9 * height - 3.8 * LINE * len(rows))
+    return float(max(across / wide, high / tall))
+
+
+def _draw_straight(axes: Axes, row: _Row, level: float, point: float) -> None:
+    """A body at rest with its axis at a height, its diameters at both ends, what it is above it."""
+    body = row.body._replace(midline=row.body.midline + np.array([0.0, level]))
+    draw.draw_body(axes, body)
+    for path in row.tendons:
+        axes.plot(path[:, 0], path[:, 1] + level, color=draw.BLACK, linewidth=0.6)
+    for end, align, gap in ((0, "right", -3.0), (-1, "left", 3.0)):
+        look: dict[str, Any] = {"textcoords": "offset points", "ha": align, "va": "center", "fontsize": 7}
+        axes.annotate(row.text(end), tuple(body.midline[end]), (gap, 0.0), **look)
+    middle = (float(np.mean(body.midline[[0, -1], 0])), level + row.reach_above(point))
+    axes.annotate(row.label, middle, (0.0, 1.5), textcoords="offset points", ha="center", va="bottom", fontsize=7.5)
 
 
 def pareto_figure(front: ParetoFront) -> Figure:
