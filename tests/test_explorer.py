@@ -17,6 +17,7 @@ import cddf_jax as cddf
 from cddf_jax.exploration import NUM_PULLS, Exploration, Rows, in_si, rounded, shown
 from cddf_jax.explorer_plots import TensionPlots
 from cddf_jax.explorer_taper import tapered
+from cddf_jax.explorer_words import numbers_html
 from cddf_jax.interchange import fields_csv
 from cddf_jax.profiles import Constant, Linear, Piecewise, Spline
 
@@ -166,6 +167,19 @@ def test_loads_and_directions_reach_the_solver(explored):
     assert case.direction.tolist() == [-1.0]
     assert case.manipulator.kinematics == "published"
     assert explored.case(explored.start).loads is None
+
+
+def test_directions_are_found_unless_they_are_stated():
+    """design.md section 2: the antagonist at 20 N slides out, 45.9 degrees and 28.0 N; both in would give 54.0."""
+    explored = Exploration(paper_body("exact", num_tendons=2))
+    numbers = {**explored.start.numbers, "base_tension_1": 75.0, "base_tension_2": 20.0}
+    found = explored.picture(explored.case(explored.start._replace(numbers=numbers)))
+    assert found.equilibrium.direction.tolist() == [1.0, -1.0]
+    assert np.degrees(found.equilibrium.tip_angle) == pytest.approx(45.9, abs=0.05)
+    assert found.equilibrium.tip_tension[1] == pytest.approx(28.0, abs=0.05)
+    assert '<b data-name="direction_2">out</b>' in numbers_html(found)
+    stated = explored.case(explored.start._replace(direction=(1, None)))
+    assert (float(stated.direction[0]), stated.direction[1]) == (1.0, None)
 
 
 def test_ranges_hold_the_numbers_of_the_file():

@@ -260,7 +260,7 @@ def test_rows_that_lie_apart_are_drawn_over_their_prediction(paper, load_cells):
 def test_two_tendons_are_drawn_over_their_predictions():
     """Rows of the model itself, with noise; the prediction and its interval are those of `Fit.predict`."""
     pair, pulls = paper_body(num_tendons=2), np.array([[20.0, 5.0], [40.0, 5.0], [60.0, 10.0], [30.0, 8.0]] * 2)
-    read = Bench(pulls, np.tile([1.0, -1.0], (8, 1))).evaluate(pair, {"friction_coefficient": 0.42}, 16)[0]
+    read = Bench(pulls, (np.ones(8), -np.ones(8))).evaluate(pair, {"friction_coefficient": 0.42}, 16)[0]
     noise = np.random.default_rng(0).normal(0, 0.01, (8, 2))
     columns = {"base_tension": pulls[:, 0], "base_tension_2": pulls[:, 1], "direction_2": -np.ones(8)}
     columns |= {name: read[name] + noise[:, i] for i, name in enumerate(("tip_tension", "tip_tension_2"))}

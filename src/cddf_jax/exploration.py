@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike, Float
 from .along_figure import stations
 from .bench import Bench, experiment_of, reading
 from .case import Case, of_tendon
+from .directions import as_directions
 from .equilibrium import RESULTS, Equilibrium, Fields
 from .errors import InputError
 from .explorer_taper import tapered
@@ -57,7 +58,7 @@ class Settings(NamedTuple):
     """Where the controls stand: numbers in shown units by name of the control, and what is chosen beside them."""
 
     numbers: Mapping[str, float]
-    direction: tuple[int, ...]
+    direction: tuple[int | None, ...]  # None where it is found from the travel of the tendon
     kinematics: Kinematics
 
 
@@ -187,7 +188,8 @@ class Exploration:
     def start(self) -> Settings:
         """The manipulator as it is, tendon 1 pulled."""
         numbers = {control.name: control.value for control in self.controls}
-        return Settings(numbers, (1,) * self.manipulator.num_tendons, self.manipulator.kinematics)
+        count = self.manipulator.num_tendons
+        return Settings(numbers, (1,) if count == 1 else (None,) * count, self.manipulator.kinematics)
 
     @cached_property
     def offsets_outside_wall(self) -> bool:
@@ -212,7 +214,7 @@ class Exploration:
         force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
         loads = Loads(force, number["tip_moment"], gravity) if any((*force, number["tip_moment"], *gravity)) else None
         pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
-        return Case(body, pulls, loads, np.array(settings.direction, float))
+        return Case(body, pulls, loads, as_directions(settings.direction))
 
     def _wall(self, base: float, tip: float) -> Profile:
         """The outer radius; whether tendons lie within it is asked once for each."""

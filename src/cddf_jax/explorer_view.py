@@ -24,7 +24,7 @@ from .manipulator import KINEMATICS, Kinematics
 from .plotting import render
 from .solve_figure import equilibrium_figure
 
-SLIDES = {"slides in": 1, "slides out": -1}
+SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 COMPILED: set[Any] = set()  # kinds of cases
 COMPILING = "Compiling for this kind of body and load, some seconds ..."
 WORDS = """
@@ -128,8 +128,8 @@ class View:
     def _make_controls(self) -> None:
         self.sliders = {control.name: _slider(control) for control in self.exploration.controls}
         self.directions = [
-            pn.widgets.Select(name=f"Tendon {i + 1}", options=SLIDES, width=105)
-            for i in range(self.exploration.manipulator.num_tendons)
+            pn.widgets.Select(name=f"Tendon {i}", options=SLIDES, value=direction or 0, width=105)
+            for i, direction in enumerate(self.settings.direction, 1)
         ]
         kinematics = self.settings.kinematics
         self.kinematics = pn.widgets.Select(name="Kinematics", options=list(KINEMATICS), value=kinematics, width=105)
@@ -206,13 +206,13 @@ class View:
             slider = self.sliders[name]
             slider.param.update(start=min(slider.start, value), end=max(slider.end, value), value=value)
         for widget, direction in zip(self.directions, settings.direction, strict=True):
-            widget.value = direction
+            widget.value = direction or 0
         self.kinematics.value = settings.kinematics
 
     def change(self) -> None:
         """Solve for where the sliders stand now."""
         numbers = {name: float(slider.value) for name, slider in self.sliders.items()}
-        directions = tuple(widget.value for widget in self.directions)
+        directions = tuple(widget.value or None for widget in self.directions)
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
         self.threads.pictures.submit(self._guarded, self._draw, self.settings, float(self.angle.value or 0.0))

@@ -28,13 +28,16 @@ def numbers_html(picture: Picture) -> str:
         ("peak_strain", "peak strain", f"{100 * picture.peak_strain:.3f}", "%"),
         ("error_estimate", "error estimate", f"{float(found.error_estimate):.1e}", ""),
     ]
-    head = "".join(f"<th>{words}</th>" for words in ("tendon", "base tension", "tip tension", "loss", "pulled in"))
+    several = len(found.direction) > 1
+    titles = ("tendon", *["slides"] * several, "base tension", "tip tension", "loss", "pulled in")
+    head = "".join(f"<th>{words}</th>" for words in titles)
     rows = []
     for i, travel in enumerate(np.asarray(found.tendon_displacement), 1):
         base, tip, loss = (
             float(number[i - 1]) for number in (found.base_tension, found.tip_tension, found.tension_loss)
         )
-        cells = [
+        cells = [_cell(f"direction_{i}", "in" if found.direction[i - 1] > 0 else "out", "")] * several
+        cells += [
             _cell(f"base_tension_{i}", f"{base:.4g}", "N"),
             _cell(f"tip_tension_{i}", f"{tip:.4f}", "N"),
             _cell(f"tension_loss_{i}", f"{100 * loss:.3f}", "%") if base > 0 else "<td>no tension</td>",
