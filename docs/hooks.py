@@ -25,47 +25,79 @@ from unittest import mock
 import ziamath
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
+from run_notebooks import NOTEBOOKS, kept  # MkDocs finds what lies beside this file while it loads it
 
 from cddf_jax.application import configure_jax
 
 ROOT = Path(__file__).resolve().parents[1]
 WORK = Path(tempfile.mkdtemp(prefix="cddf_docs_"))
-NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+RUNS = ROOT / "out" / "notebooks"  # pictures of the notebooks, kept from build to build
 FONT = Path(ziamath.__file__).parent / "fonts" / "STIXTwoMath-Regular.ttf"  # for formulas, where none is installed
 PAGES = {"changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
 log = logging.getLogger("mkdocs.hooks")
-drawing: list[subprocess.Popen] = []
+drawing: dict[str, subprocess.Popen] = {}  # by script
 sys.modules["hooks"] = sys.modules[__name__]  # pages import from here
 
 
 def on_pre_build(config: Any, **_: Any) -> None:
-    """One process runs all examples: what is compiled for one page serves the next. Another draws the gallery."""
-    sys.path.insert(0, str(ROOT / "docs"))  # where the gallery is
+    """One process runs all examples: what is compiled for one page serves the next. Two others draw meanwhile."""
+    sys.path.insert(0, str(ROOT / "docs"))  # where the scripts that draw are
     configure_jax()
     for folder in ("data", "fitting"):
         shutil.copytree(ROOT / folder, WORK / folder, ignore=shutil.ignore_patterns("__pycache__"))
     if config.extra["gallery"]:
-        command = [sys.executable, ROOT / "docs" / "make_gallery.py", WORK / "gallery"]
-        drawing.append(subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
+        for script, folder in (("make_gallery", WORK / "gallery"), ("run_notebooks", RUNS)):
+            command = [sys.executable, ROOT / "docs" / f"{script}.py", folder]
+            output: dict[str, Any] = {"text": True, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+            drawing[script] = subprocess.Popen(command, cwd=ROOT, **output)
 
 
 def on_build_error(**_: Any) -> None:
     """Let nobody draw on."""
-    for process in drawing:
+    for process in drawing.values():
         process.kill()
 
 
+def _wait_for(script: str) -> bool:
+    """Until a script has drawn; whether it has, and well."""
+    drawn = drawing.pop(script, None)
+    if drawn is None:
+        return False
+    output, _ = drawn.communicate()
+    if drawn.returncode:
+        log.warning("docs/%s.py failed: %s", script, output)
+    return drawn.returncode == 0
+
+
+def on_env(env: Any, files: Any, **_: Any) -> Any:
+    """When all pages are read: what the notebooks have drawn goes into theirs."""
+    page = files.get_file_from_path("notebooks.md").page
+    if _wait_for("run_notebooks"):
+        page.content = re.sub(r'<div data-notebook="(\w+)"></div>', lambda m: _notebook_pictures(m[1]), page.content)
+    return env
+
+
+def _notebook_pictures(name: str) -> str:
+    place, shown = RUNS / name, []
+    for picture in kept(place)["pictures"]:
+        copied = shutil.copy(place / picture["file"], _folder(WORK / "notebooks" / name))
+        source, words = f"notebooks/{name}/{Path(copied).name}", html.escape(picture["heading"], quote=True)
+        image = f'<img class="figure" src="{source}" alt="{words}" width="{picture["width"]}">'
+        shown.append(f"<p>{image}<br><em>{words}</em></p>")
+    return "\n".join(shown)
+
+
+def _folder(path: Path) -> Path:
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
 def on_post_build(config: Any, **_: Any) -> None:
-    """Add the pictures of the gallery, drawn meanwhile by a process of their own, and leave nothing behind."""
-    while drawing:
-        drawn = drawing.pop()
-        output, _ = drawn.communicate()
-        if drawn.returncode:
-            log.warning("docs/make_gallery.py failed: %s", output)
-    for picture in (WORK / "gallery").glob("*.png"):
-        target = Path(config.site_dir, "gallery", picture.name)
-        target.parent.mkdir(exist_ok=True)
-        shutil.copy(picture, target)
+    """Add the pictures of gallery and notebooks, and leave nothing behind."""
+    _wait_for("make_gallery")
+    for folder in ("gallery", "notebooks"):
+        for picture in (WORK / folder).rglob("*.png"):
+            shutil.copy(picture, _folder(Path(config.site_dir, picture.relative_to(WORK).parent)))
     shutil.rmtree(WORK, ignore_errors=True)
 
 
@@ -73,11 +105,13 @@ def on_post_build(config: Any, **_: Any) -> None:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """The changelog, how to contribute, the gallery, and a font for formulas."""
+    """The changelog, how to contribute, the gallery, the notebooks themselves, and a font for formulas."""
     for page, source in PAGES.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
     files.append(File.generated(config, "gallery.md", content=_gallery(config.extra["gallery"])))
-    files.append(File.generated(config, f"fonts/{FONT.name}", abs_src_path=str(FONT)))
+    for path in (*NOTEBOOKS, FONT):
+        folder = "fonts" if path == FONT else "notebooks"
+        files.append(File.generated(config, f"{folder}/{path.name}", abs_src_path=str(path)))
     return files
 
 
@@ -96,15 +130,17 @@ def _shown(code: str) -> str:
     return f"```py\n{code.strip()}\n```"
 
 
-def notebook_table() -> str:
-    """Each notebook with its title and the first sentence below it."""
-    rows = ["| notebook | what it tells |", "| --- | --- |"]
+def notebook_sections() -> str:
+    """Each notebook with its title, the first sentence below it, and a place for its pictures."""
+    parts = []
     for path in NOTEBOOKS:
         text = "".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"])
         title, _, rest = text.partition("\n")
         sentence = re.split(r"(?<=[.?])\s", " ".join(rest.split()), maxsplit=1)[0]
-        rows.append(f"| `{path.name}` | **{title.lstrip('# 0123456789')}.** {sentence} |")
-    return "\n".join(rows)
+        link = f'<a href="notebooks/{path.name}" download><code>{path.name}</code></a>'
+        parts += [f"## {title.lstrip('# 0123456789')}", f"{sentence} {link}"]
+        parts.append(f'<div data-notebook="{path.stem}"></div>')
+    return "\n\n".join(parts)
 
 
 def benchmark_tables() -> str:
