@@ -40,6 +40,7 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/methods.py
 	$(BIN)/python benchmarks/loads.py
 	$(BIN)/python benchmarks/interval_coverage.py
+	$(BIN)/python benchmarks/held_samples.py
 	$(BIN)/python benchmarks/standard_errors.py
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[benchmark]"
 	$(BIN)/python benchmarks/fits.py

@@ -379,6 +379,17 @@ def test_options_of_a_fit(answer_of):
     }
 
 
+def test_averaged_holds(answer_of, tmp_path):
+    """Two weights, five samples each: two readings, whose ln(T / W) / pi scatters by nothing."""
+    pull = np.array([5.0, 10.0]) * np.exp(0.42 * np.pi)
+    rows = [f"{weight},180,{p + e:.9f}" for weight, p in zip((5, 10), pull, strict=True) for e in (-2, 1, 0, 2, -1)]
+    (tmp_path / "drum.csv").write_text("weight [N],wrap_angle [deg],pulling_tension [N]\n" + "\n".join(rows))
+    options = ("--free", "friction_coefficient", "--average-holds", "--noise", "pulling_tension=0.1 N")
+    answer = answer_of("fit", PAPER, tmp_path / "drum.csv", *options)
+    assert [(table["rows"], table["holds_averaged"]) for table in answer["data"]] == [(2, True)]
+    assert answer["value"]["friction_coefficient"] == pytest.approx(0.42, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_trials_and_bootstrap_of_the_shipped_data(cddf_command, tmp_path):
     """The truth: mu 0.42, E 1.4 MPa, friction that scatters by 1 % from trial to trial (data/README.md)."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .energy import EnergyBalance, energy_balance
     from .equilibrium import RESULTS, Equilibrium, Fields, SolveError
     from .errors import InputError
+    from .holds import SerialCorrelation, average_holds
     from .identification import Fit, fit
     from .interchange import as_dataset, as_frame
     from .least_squares import LeastSquaresFit, least_squares_fit
@@ -57,6 +58,7 @@ _HOME = {
     "energy": "EnergyBalance, energy_balance",
     "equilibrium": "RESULTS, Equilibrium, Fields, SolveError",
     "errors": "InputError",
+    "holds": "SerialCorrelation, average_holds",
     "identification": "Fit, fit",
     "interchange": "as_dataset, as_frame",
     "least_squares": "LeastSquaresFit, least_squares_fit",
@@ -126,6 +128,7 @@ __all__ = [
     "Piecewise",
     "Plan",
     "Profile",
+    "SerialCorrelation",
     "SolveError",
     "Spline",
     "Tendon",
@@ -137,6 +140,7 @@ __all__ = [
     "Uniform",
     "as_dataset",
     "as_frame",
+    "average_holds",
     "closed_form_tension",
     "compare",
     "conical",

@@ -339,6 +339,10 @@ def fit(
     starts: Annotated[int, typer.Option(help="From how many points to search.", min=1)] = 1,
     seed: Annotated[int, typer.Option(help="Of further starts and of the bootstrap.", min=0)] = 0,
     per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
+    average_holds: Annotated[
+        bool,
+        typer.Option("--average-holds", help="One reading for each hold: consecutive rows of a trial at one level."),
+    ] = False,
     bootstrap: Annotated[int, typer.Option(help="Refits to data drawn anew; 0 for none.", min=0)] = 0,
     kinematics: KinematicsOption = None,
     nodes: Nodes = 16,
@@ -354,14 +358,16 @@ def fit(
     manipulator = _read(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
     from . import fit_command as command
     from .fit_results import as_dict, make_report
+    from .holds import average_holds as averaged
     from .identification import fit
     from .measurements import read_measurements
     from .report import write_report
 
     known = command.read_all(noise, command.read_noise, "--noise")
+    tables = [read_measurements(path) for path in data]
     found = fit(
         manipulator,
-        [read_measurements(path) for path in data],
+        [averaged(table) for table in tables] if average_holds else tables,
         free or ("friction_coefficient", "youngs_modulus"),
         command.read_all(prior, command.read_prior, "--prior"),
         bounds=command.read_all(bound, command.read_bound, "--bound"),

@@ -16,6 +16,7 @@ from .fit_figures import Normality, normality, own_names
 from .identification import Fit
 from .manipulator import Manipulator
 from .manipulator_file import write_manipulator
+from .measurements import Measurements
 from .profile_likelihood import Profile
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ def as_dict(report: Report) -> dict[str, Any]:
         "noise": fit.noise,
         "noise_model": {name: model._asdict() for name, model in fit.noise_model.items()},
         "noise_estimated": fit.noise_estimated,
+        "serial_correlation": {name: found._asdict() for name, found in fit.serial_correlation.items()},
         "normality": {name: test._asdict() for name, test in report.normality.items()},
         "trial_effects": {name: {"value": effect, "standard_error": error} for name, effect, error in trial_rows(fit)},
         "trial_spread": fit.trial_spread,
@@ -112,12 +114,17 @@ def as_dict(report: Report) -> dict[str, Any]:
         "profiles": {name: _profile(profile) for name, profile in report.profiles.items()},
         "bootstraps": [_bootstrap(bootstrap) for bootstrap in report.bootstraps],
         "model_free_friction": {name: _without_model(found) for name, found in report.model_free.items()},
-        "data": [{"name": t.name, "rows": len(t), "sha256": t.checksum, "simulated": t.simulated} for t in fit.tables],
+        "data": [_of_table(table) for table in fit.tables],
         "manipulator": _as_toml(fit.model.manipulator),
         "kinematics": fit.manipulator.kinematics,
         "options": report.options,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
     }
+
+
+def _of_table(table: Measurements) -> dict[str, Any]:
+    named = {"name": table.name, "rows": len(table), "sha256": table.checksum, "simulated": table.simulated}
+    return named | {"holds_averaged": table.spread is not None}
 
 
 def _determination(told: Determination) -> dict[str, Any]:
@@ -197,7 +204,9 @@ def _given_noise(fit: Fit) -> dict[str, Any]:
     for label, deviation in zip(fit.evidence.rows, fit.search.noise, strict=True):
         if not fit.evidence.noise_estimated[label]:
             model = fit.noise_model.get(label)
-            noise[label.rpartition(": ")[2]] = _plain_option(model or float(np.ravel(deviation)[0]))
+            known = np.ravel(deviation)
+            one_for_all = float(known[0]) if np.ptp(known) == 0 else known.tolist()
+            noise[label.rpartition(": ")[2]] = _plain_option(model or one_for_all)
     return noise
 
 

@@ -16,9 +16,10 @@ from .bench import (
     with_parameters,
 )
 from .bootstrap import Bootstrap
-from .determination import FIXED, Determination, Estimate
+from .determination import FIXED, Determination, Estimate, spectrum_of
 from .errors import InputError
 from .friction_by_trial import fit_trials
+from .holds import SerialCorrelation, holds_of, serial_correlation
 from .least_squares import LeastSquaresFit, least_squares_fit
 from .manipulator import Manipulator
 from .measurements import Measurements
@@ -123,6 +124,25 @@ class Fit(LeastSquaresFit):
             for name, table, experiment in zip(self.alone, self.tables, self.model.experiments, strict=True)
             for column in experiment.columns
         }
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Those of any fit, and where samples of one hold are no independent readings."""
+        alike = ((label, one.remark) for label, one in self.serial_correlation.items())
+        return (*super().remarks, *(f"{label}: {remark}" for label, remark in alike if remark))
+
+    @property
+    def serial_correlation(self) -> dict[str, SerialCorrelation]:
+        """By group of data, how alike the residuals within holds are: consecutive rows at one level."""
+        covariance, found = spectrum_of(self.evidence.jacobian).covariance, {}
+        noise = dict(zip(self.evidence.rows, self.search.noise, strict=True))
+        for name, table, experiment in zip(self.alone, self.tables, self.model.experiments, strict=True):
+            holds = holds_of(table)
+            for label in (f"{name}: {column}" for column in experiment.columns):
+                rows = self.evidence.rows[label]
+                taken = float(np.einsum("ki,ij,kj->", rows, covariance, rows))
+                found[label] = serial_correlation(self.residuals[label] / noise[label], holds, taken)
+        return found
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:

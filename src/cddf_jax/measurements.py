@@ -66,6 +66,7 @@ class Measurements:
         trial_labels: as written, in the order of their first appearance.
         notes: the text above the header.
         simulated: whether name or notes say so.
+        spread: of means by `average_holds`, by column, the standard deviation of the rows behind each; else None.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Measurements:
     trial_labels: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     simulated: bool = False
+    spread: Mapping[str, np.ndarray] | None = None
 
     @classmethod
     def from_columns(cls, name: str = "measurements", *, notes: Sequence[str] = (), **columns: Any) -> "Measurements":

@@ -118,7 +118,8 @@ def as_markdown(report: Report, figures: Sequence[str] | None = None) -> str:
 def _in_short(report: Report) -> list[str]:
     fit = report.fit
     lines = ["# What the measurements tell", "", *(f"- {line}" for line in fit.verdict)]
-    lines += [f"- {warning}" for warning in fit.warnings if warning in fit.remarks]
+    remarks = fit.remarks
+    lines += [f"- {warning}" for warning in fit.warnings if warning in remarks]
     if any(table.simulated for table in fit.tables):
         names = ", ".join(table.name for table in fit.tables if table.simulated)
         lines += ["", f"The data are simulated: {names}."]
@@ -229,15 +230,24 @@ def _trial_section(fit: Fit) -> list[str]:
 
 def _noise_section(report: Report) -> list[str]:
     fit, rows = report.fit, []
+    alike = fit.serial_correlation
     for label, deviation in fit.noise.items():
         scale, unit = preferred(dimension_of(label.rpartition(": ")[2]) or "dimensionless")
         p_value = report.normality[label].p_value
         model = _noise_in_words(fit.noise_model.get(label), scale, unit)
         rows.append(
-            [label, f"{scale * deviation:.3g} {unit}", model, f"{p_value:.2g}" if np.isfinite(p_value) else "-"]
+            [
+                label,
+                f"{scale * deviation:.3g} {unit}",
+                model,
+                f"{p_value:.2g}" if np.isfinite(p_value) else "-",
+                f"{alike[label].lag_one:.2f}" if np.isfinite(alike[label].lag_one) else "-",
+                f"{alike[label].num_effective:.0f} of {alike[label].num_readings}",
+            ]
         )
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     head = ["data", "standard deviation", "made of", "normal: Shapiro-Wilk p"]
+    head += ["correlation from row to row of a hold", "count as independent"]
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
     return ["## Noise", "", *_table(head, rows), "", text]
 
@@ -261,7 +271,8 @@ def _model_free_section(report: Report) -> list[str]:
 
 def _warning_section(fit: Fit) -> list[str]:
     """What the first lines have not said already."""
-    lines = [f"- {warning}" for warning in fit.warnings if warning not in fit.remarks]
+    remarks = fit.remarks
+    lines = [f"- {warning}" for warning in fit.warnings if warning not in remarks]
     return ["## Warnings", "", *lines] if lines else []
 
 
@@ -280,4 +291,5 @@ def _repeat_section(report: Report) -> list[str]:
     text = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
     starts, seed, nodes = (report.options[name] for name in ("starts", "seed", "nodes"))
     options = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
+    options += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
     return ["## To repeat it", "", *_table(["data", "rows", "SHA-256, first digits"], rows), "", f"{options} {text}"]

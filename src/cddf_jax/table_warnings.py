@@ -102,7 +102,7 @@ def _coming_down(table: Table) -> str:
                 stated = column.replace("base_tension", "direction")
                 what = f"{column} below that of the row before, while no {stated} is stated"
                 remedy = (
-                    "each counts as sliding in. Where the tension was lowered without a release to 0 N, write "
+                    "each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write "
                     f"{stated} -1 for rows in which all of the tendon slides out, and leave out those right after the "
                     "turn, where part of it still sticks"
                 )

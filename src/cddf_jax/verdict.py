@@ -43,7 +43,7 @@ class Look(NamedTuple):
     name: str
     table: Measurements
     results: RESULTS
-    stated: bool  # whether the table says how the tendons slide; a measured row is believed
+    stated: bool  # whether the table says how every tendon slides; a measured row is believed
 
     def rows(self, *codes: RESULTS) -> np.ndarray:
         """The rows of the file whose solve ended so."""
@@ -55,7 +55,7 @@ def looks_at(parameters: Any, tables: Sequence[Measurements], model: BenchModel)
     for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
         if isinstance(experiment, Bench):
             results = experiment.evaluate(model.manipulator, parameters, model.nodes)[2]
-            yield Look(name, table, results, "direction" in table)
+            yield Look(name, table, results, all(way is not None for way in experiment.direction))
 
 
 def doubt(look: Look) -> str:
