@@ -414,6 +414,7 @@ def test_two_tendons_and_a_direction():
         first,
         base_tension_2=second,
         direction=direction,
+        direction_2=direction,
         tip_tension=np.array([s.tip_tension[0] for s in solved]),
         tip_tension_2=np.array([s.tip_tension[1] for s in solved]),
         tip_angle=np.array([s.tip_angle for s in solved]),

@@ -281,8 +281,9 @@ ONE_LEVEL_AT_50 = (
     "base_tension hardly varies from 50 N, so that nothing can be told of a slope; measure at other levels"
 )
 STICKS = (
-    "each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write direction -1 for rows in "
-    "which all of the tendon slides out, and leave out those right after the turn, where part of it still sticks"
+    "each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write direction -1 for "
+    "rows in which all of the tendon slides out, and leave out those right after the turn, where part of it still "
+    "sticks"
 )
 DEGREES = "rows with wrap_angle beyond 5 turn(s): 2 of 2 (row 1:"
 WHICH = "are these degrees under a unit of rad?"
