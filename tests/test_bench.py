@@ -7,7 +7,7 @@ from scipy import stats
 from test_identification import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
-from cddf_jax.bench import PARAMETERS, experiment_of, with_parameters
+from cddf_jax.bench import PARAMETERS, experiment_of, unit_of, with_parameters
 from cddf_jax.errors import InputError
 from cddf_jax.measurements import Measurements
 
@@ -257,3 +257,19 @@ def test_which_rows_lie_on_one_curve(paper):
     assert experiment_of(Measurements.from_columns("bench", **columns), paper).on_one_curve
     for body, extra in others.values():
         assert not experiment_of(Measurements.from_columns("bench", **columns, **extra), body).on_one_curve
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [  # by hand
+        ("youngs_modulus", "Pa"),
+        ("tip_zero_2", "N"),
+        ("friction_coefficient", "1"),
+        ("friction_coefficient / youngs_modulus", "1/Pa"),
+        ("drag * length^2 / youngs_modulus^0.5", "N/m m^2/Pa^0.5"),
+        ("1 / drag / youngs_modulus", "1/(N/m)/Pa"),
+        ("c * d", ""),
+    ],
+)
+def test_units_of_parameters_and_of_their_products(name, unit):
+    assert unit_of(name) == unit

@@ -36,6 +36,7 @@ def test_a_tube_that_has_not_come_round_is_clear_of_itself(angle):
 def test_a_tube_touches_itself_from_a_full_circle_on(angle):
     """Two places of a circle of radius rho that lie on each other are 2 pi rho apart, or a multiple."""
     found = cddf.self_contact(bent(angle))
+    assert found is not None
     turns = (found.other - found.arc_length) / (360.0 / angle * LENGTH)
     assert turns == pytest.approx(round(turns), abs=0.01)  # a station is 1/400 of the length
     assert found.distance < 2 * RADIUS

@@ -153,6 +153,11 @@ def test_a_trade_off(run, task, tmp_path):
     np.testing.assert_allclose(drawn, front.values * [1e6, 1.0])
 
 
+def test_print_shows_the_report(found):
+    assert str(found).startswith("# Design: successful")
+    assert "| outer_radius.base | 20 mm |" in str(found)
+
+
 def test_the_figure_is_to_scale_and_shows_both_bodies(found):
     shape, curvature, strain = design_figure(found).axes
     given = Figure().subplots()

@@ -31,7 +31,10 @@ FLOW = [
 CORE = [name for stage in FLOW for name in sorted(stage)]
 STAGE = {name: i for i, stage in enumerate(FLOW) for name in stage}
 # `Manipulator.validate` and `print` ask for the host's checks and words when they are called, not on import
-ON_DEMAND = {("manipulator", "validation"), ("manipulator", "printing"), ("equilibrium", "printing")}
+ON_DEMAND = {
+    *(("manipulator", "validation"), ("manipulator", "printing"), ("equilibrium", "printing")),
+    *(("design_results", "design_command"), ("pareto", "design_command")),
+}
 HEAVY = {"matplotlib", "typer", "rich", "pint", "pandas", "xarray", "zarr", "scipy", "optimistix"}
 
 

@@ -79,3 +79,12 @@ def test_tendons_and_profiles():
         "tendon 3: offset 10 mm at the base, 10 mm at s = 100 mm (from 10 mm to 11 mm), side -1, "
         "friction_coefficient 0.3, end 100 mm"
     )
+
+
+def test_a_fit_of_any_function():
+    """A line through the origin: sum x y / sum x^2, its error sigma / sqrt(sum x^2), 95 % within 1.96 of them."""
+    x, y = np.array([1.0, 2.0, 3.0]), np.array([2.1, 3.9, 6.0])
+    found = cddf.least_squares_fit(lambda p: p["a"] * x, {"a": 1.0}, y, sigma=0.1)
+    value, error = np.sum(x * y) / np.sum(x**2), 0.1 / np.sqrt(np.sum(x**2))
+    ends = f"{value - 1.959964 * error:.4g} to {value + 1.959964 * error:.4g}"
+    assert str(found) == f"a = {value:.4g} +- {error:.2g} (95 %: {ends}): identified"

@@ -97,8 +97,10 @@ def test_what_is_not_identified_has_no_number(tensions_only):
 def test_the_combination_has_its_row(tensions_only):
     value, error, interval, status = row_of(words_of(tensions_only), RATIO)
     estimate = tensions_only.combinations[RATIO]
-    assert value == f"{estimate.value:.5g} (SI)"
-    assert float(error) == pytest.approx(estimate.standard_error, rel=0.05)  # two digits
+    assert value == f"{estimate.value:.5g} 1/Pa"
+    number, unit = error.split()
+    assert float(number) == pytest.approx(estimate.standard_error, rel=0.05)  # two digits
+    assert unit == "1/Pa"
     assert (interval, status) == ("-", "identified")
 
 
@@ -108,7 +110,8 @@ def test_identified_parameters_carry_units(paper_route):
     number, unit = value.split()
     assert float(number) == pytest.approx(paper_route.value["youngs_modulus"] / 1e6, rel=1e-4)
     assert (unit, status) == ("MPa", "identified")
-    low, high = (float(limit) for limit in interval.split(" to "))
+    assert interval.endswith(" MPa")
+    low, high = (float(limit) for limit in interval.removesuffix(" MPa").split(" to "))
     assert low < 1.4 < high  # data/README.md: the truth
     assert row_of(markdown, "friction_coefficient")[3] == "identified"
 
@@ -162,6 +165,7 @@ def test_what_is_infinite_is_null(tensions_only):
     assert answer["confidence_interval"] == {name: [0.0, None] for name in BOTH}
     assert answer["condition_number"] is None
     assert answer["status"] == dict.fromkeys(BOTH, "not identified")
+    assert answer["unit"] == {"friction_coefficient": "1", "youngs_modulus": "Pa", RATIO: "1/Pa"}
     assert answer["combinations"][RATIO]["value"] == tensions_only.combinations[RATIO].value
     assert answer["combinations"][RATIO]["standard_error"] == tensions_only.combinations[RATIO].standard_error
 

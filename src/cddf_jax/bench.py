@@ -23,7 +23,7 @@ from .profiles import shifted
 from .pulley import pulling_tension
 from .readings import READINGS, columns_of, kind_of, tendon_number
 from .statics import solve
-from .units import Dimension
+from .units import Dimension, si_unit
 
 TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
 
@@ -172,6 +172,27 @@ def reading(equilibrium: Equilibrium, column: str, parameters: Mapping[str, Any]
     if kind.zero:
         values = values + parameters.get(kind.zero, 0.0)
     return values[..., tendon_number(column) - 1] if kind.per_tendon else values
+
+
+def unit_of(name: str) -> str:
+    """The SI unit of a parameter, or of a product of powers of some, such as "1/Pa".
+
+    "1" for a plain number, as the friction of a trial over that of all; "" for what is no parameter of a bench.
+    """
+    above, below, place = [], [], 0
+    for word in name.split(" "):
+        if word in ("*", "/"):
+            place = int(word == "/")
+            continue
+        stem, _, power = word.partition("^")
+        try:
+            unit = "1" if stem == "1" or stem.startswith(TRIALS) else si_unit(parameter_named(stem).dimension)
+        except InputError:
+            return ""
+        if unit != "1":
+            whole = f"({unit})" if "/" in unit or " " in unit else unit
+            (below if place else above).append(f"{whole}^{power}" if power else whole if place else unit)
+    return "".join([" ".join(above) or "1", *(f"/{unit}" for unit in below)])
 
 
 def parameter_named(name: str) -> Parameter:

@@ -86,6 +86,11 @@ class Design:
     remarks: tuple[str, ...]  # in words, what else should be known
     outcome: Outcome = field(repr=False)
 
+    def __str__(self) -> str:
+        from .design_command import in_words
+
+        return in_words(self)
+
     @cached_property
     def sensitivity(self) -> dict[str, float]:
         """Derivatives of the best objective by numbers that are not free, per SI unit, limits and load cases included.

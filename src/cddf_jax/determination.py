@@ -45,6 +45,20 @@ class Determination:
     sloppy_direction: dict[str, float]  # powers of the parameters in the least determined combination
     quantile: float  # half-width of a 95 % interval over its standard error, where the noise of the data makes it
 
+    def __str__(self) -> str:
+        lines = []
+        for name, status in self.status.items():
+            low, high = self.confidence_interval[name]
+            reach = (
+                f" +- {self.standard_error[name]:.2g} (95 %: {low:.4g} to {high:.4g})" if status == IDENTIFIED else ""
+            )
+            number = "" if status == NOT_IDENTIFIED else f" = {self.value[name]:.4g}"
+            lines.append(f"{name}{number}{reach}: {status}")
+        lines += [
+            f"{name} = {e.value:.4g} +- {e.standard_error:.2g}: identified" for name, e in self.combinations.items()
+        ]
+        return "\n".join(lines)
+
 
 @dataclass(frozen=True)
 class Evidence:

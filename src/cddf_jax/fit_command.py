@@ -122,4 +122,4 @@ def report_in_words(report: Report) -> str:
 def _interval(name: str, bootstrap: Bootstrap) -> str:
     scale, unit = SHOWN[parameter_named(name).dimension]
     low, high = (scale * end for end in bootstrap.confidence_interval[name])
-    return f"{name} +- {scale * bootstrap.standard_error[name]:.2g} (95 %: {low:.4g} to {high:.4g}{unit})"
+    return f"{name} +- {scale * bootstrap.standard_error[name]:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit})"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from .bench import unit_of
 from .bootstrap import Bootstrap
 from .determination import Determination
 from .errors import InputError
@@ -130,6 +131,7 @@ def _of_table(table: Measurements) -> dict[str, Any]:
 def _determination(told: Determination) -> dict[str, Any]:
     return {
         "names": told.names,
+        "unit": {name: unit_of(name) for name in (*told.names, *told.combinations)},
         "value": told.value,
         "standard_error": told.standard_error,
         "confidence_interval": told.confidence_interval,
@@ -144,9 +146,12 @@ def _determination(told: Determination) -> dict[str, Any]:
 
 def _profile(profile: Profile) -> dict[str, Any]:
     others = dict(zip(profile.names, profile.others.T, strict=True))
-    return {name: value for name, value in profile._asdict().items() if name not in ("name", "names")} | {
-        "others": {name: values for name, values in others.items() if name != profile.name}
-    }
+    own = {name: value for name, value in profile._asdict().items() if name not in ("name", "names")}
+    return (
+        {"unit": unit_of(profile.name)}
+        | own
+        | {"others": {name: values for name, values in others.items() if name != profile.name}}
+    )
 
 
 def _bootstrap(bootstrap: Bootstrap) -> dict[str, Any]:
@@ -159,6 +164,7 @@ def _bootstrap(bootstrap: Bootstrap) -> dict[str, Any]:
         "coverage": bootstrap.coverage,
         "remark": bootstrap.remark,
         "names": bootstrap.names,
+        "unit": {name: unit_of(name) for name in bootstrap.names},
         "standard_error": bootstrap.standard_error,
         "confidence_interval": bootstrap.confidence_interval,
         "bias": bootstrap.bias,
@@ -170,6 +176,7 @@ def _bootstrap(bootstrap: Bootstrap) -> dict[str, Any]:
 def _without_model(found: ModelFree) -> dict[str, Any]:
     friction, compared = found
     return {
+        "unit": "1",
         "value": friction.value,
         "standard_error": friction.standard_error,
         "confidence_interval": friction.confidence_interval,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .bench import parameter_named
+from .bench import unit_of
 from .csv_table import table_csv
 from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from .equilibrium import Equilibrium, Fields, fields_on
@@ -139,17 +139,17 @@ def _parameters(told: Determination) -> list[dict[str, Any]]:
         lost = status == NOT_IDENTIFIED
         lower, upper = told.confidence_interval[name]
         value = np.nan if lost else told.value[name]
-        rows.append(_row(name, value, told.standard_error[name], lower, upper, _unit(name), status))
+        rows.append(_row(name, value, told.standard_error[name], lower, upper, unit_of(name), status))
     for name, (value, error) in told.combinations.items():
         reach = told.quantile * error
-        rows.append(_row(name, value, error, value - reach, value + reach, "SI", IDENTIFIED))
+        rows.append(_row(name, value, error, value - reach, value + reach, unit_of(name), IDENTIFIED))
     return rows
 
 
 def _candidates(plan: Plan) -> list[dict[str, Any]]:
     return [
         {"candidate": ranked.candidate.name, "gain": ranked.gain, "cost": ranked.candidate.cost}
-        | {f"{name} [{_unit(name)}]": ranked.expected.standard_error[name] for name in plan.now.names}
+        | {f"{name} [{unit_of(name)}]": ranked.expected.standard_error[name] for name in plan.now.names}
         for ranked in plan.ranking
     ]
 
@@ -157,14 +157,6 @@ def _candidates(plan: Plan) -> list[dict[str, Any]]:
 def _row(*cells: Any) -> dict[str, Any]:
     heads = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")
     return dict(zip(heads, cells, strict=True))
-
-
-def _unit(parameter: str) -> str:
-    """Of a parameter of a bench; none of those of another `predict`."""
-    try:
-        return si_unit(parameter_named(parameter).dimension)
-    except InputError:
-        return ""
 
 
 def _head(column: str) -> str:

@@ -71,6 +71,9 @@ class ModelFreeFriction:
         """In words: the value, and what speaks for and against one mu in all rows."""
         return tuple(_verdict(self))
 
+    def __str__(self) -> str:
+        return "\n".join(self.verdict)
+
 
 def model_free_friction(table: Measurements, noise: Mapping[str, Any] | None = None) -> ModelFreeFriction:
     """The friction coefficient of every row and of all, mu = ln(T_base / T_tip) / theta_tip.

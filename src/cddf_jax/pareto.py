@@ -41,6 +41,11 @@ class ParetoFront:
         """Whether every point was found."""
         return all(design.success for design in self.designs)
 
+    def __str__(self) -> str:
+        from .design_command import front_in_words
+
+        return front_in_words(self)
+
 
 def pareto_front(
     manipulator: Manipulator,

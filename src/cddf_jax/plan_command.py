@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .bench import parameter_named
+from .bench import parameter_named, unit_of
 from .determination import NOT_IDENTIFIED, Determination
 from .errors import InputError
 from .fit_command import noise_of
@@ -143,6 +143,7 @@ def as_dict(plan: Plan) -> dict[str, Any]:
             "name": ranked.candidate.name,
             "cost": ranked.candidate.cost,
             "gain": ranked.gain,
+            "unit": {name: unit_of(name) for name in (*expected.names, *expected.combinations)},
             "standard_error": expected.standard_error,
             "status": expected.status,
             "combinations": {name: estimate._asdict() for name, estimate in expected.combinations.items()},

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from . import plotting as draw
 from .artifacts import as_json, write_all
-from .bench import TRIALS, parameter_named
+from .bench import TRIALS, parameter_named, unit_of
 from .bootstrap import Bootstrap
 from .determination import NOT_IDENTIFIED, Determination
 from .estimate_figures import bootstrap_figure, correlated_names, correlation_figure
@@ -142,10 +142,11 @@ def parameter_rows(told: Determination) -> list[list[str]]:
             rows.append([name, "-", "-", "-", status])
             continue
         value, error, low, high, unit = shown(told, name)
-        spread = [f"{error:.2g}", f"{low:.5g} to {high:.5g}"] if np.isfinite(error) else ["-", "-"]
+        spread = [f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}"] if np.isfinite(error) else ["-", "-"]
         rows.append([name, f"{value:.5g}{unit}", *spread, status])
     for name, (value, error) in told.combinations.items():
-        rows.append([name, f"{value:.5g} (SI)", f"{error:.2g}", "-", "identified"])
+        unit = unit_of(name)
+        rows.append([name, f"{value:.5g} {unit}", f"{error:.2g} {unit}", "-", "identified"])
     return rows
 
 
@@ -217,7 +218,8 @@ def _alone_section(fit: Fit) -> list[str]:
 def in_words(told: Determination) -> str:
     """One line."""
     parts = [f"{name} {status}" for name, status in told.status.items() if not name.startswith(TRIALS)]
-    parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} (SI)" for name, e in told.combinations.items()]
+    products = told.combinations.items()
+    parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} {unit_of(name)}" for name, e in products]
     return "; ".join(parts)
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import f_oneway
 
-from .bench import TRIALS, Bench, BenchModel, parameter_named, starting_value
+from .bench import TRIALS, Bench, BenchModel, parameter_named, starting_value, unit_of
 from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from .equilibrium import NOTEWORTHY, RESULTS
 from .least_squares import LeastSquaresFit
@@ -161,7 +161,7 @@ def verdict_of(fit: LeastSquaresFit, tables: Sequence[Measurements], trial_sprea
         else:
             lines.append(f"{name}: not identified")
     for name, (value, error) in fit.combinations.items():
-        lines.append(f"{name} = {value:.4g} +- {error:.2g} (SI): identified, though its factors are not")
+        lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, though its factors are not")
     if TRIALS in fit.parameters:
         lines.append(f"friction differs from trial to trial by {100 * trial_spread:.2g} % (standard deviation)")
     lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
