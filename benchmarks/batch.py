@@ -108,7 +108,7 @@ def runge_kutta(tension, friction, modulus, length, outer, inner, offset, steps,
 def numba_loop(robot: cddf.Manipulator, steps: int) -> Callable[..., np.ndarray]:
     """The loop over given samples."""
     ends = np.array([0.0, float(robot.length)])
-    outer, inner = np.asarray(robot.outer_radius(ends)), np.asarray(robot.inner_radius(ends))
+    outer, inner = map(np.asarray, robot.radii(ends))
     offset = float(robot.tendons[0].offset(0.0))
 
     def run(tension, mu, modulus):

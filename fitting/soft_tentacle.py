@@ -211,7 +211,7 @@ def shape_figure(poses: Poses, kinematics: str, youngs_modulus: float) -> Figure
         return jax.vmap(lambda equilibrium: (equilibrium.at(s), markers(equilibrium)))(equilibria)
 
     fields, predicted = jax.device_get(along({"youngs_modulus": youngs_modulus}))
-    radius = 1e3 * np.asarray(body(1.0, 0.0, kinematics).outer_radius(s))
+    radius = 1e3 * np.asarray(body(1.0, 0.0, kinematics).radii(s)[0])
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.9)
         panels = figure.subplots(1, chosen.size, sharex=True, sharey=True)

@@ -250,7 +250,7 @@ BEST_SAG = 0.013
 def sag(body: cddf.Manipulator, equilibrium: cddf.Equilibrium) -> Any:
     """Of the straight body's tip per newton across it: int (L - s)^2 / (E J) ds."""
     s = (NODES + 1) / 2 * jnp.asarray(body.length)
-    return jnp.sum(WEIGHTS / 2 * (body.length - s) ** 2 / body.bending_stiffness(s)) * body.length
+    return jnp.sum(WEIGHTS / 2 * (body.length - s) ** 2 / body.stiffness(s)) * body.length
 
 
 def pulled_two(numbers=None, second=SECOND, most_sag=BEST_SAG, angle=ANGLE, **limits):

@@ -25,7 +25,7 @@ def test_area_and_second_moment_are_integrals_over_the_section(s):
     second_moment = over_the_annulus(lambda r, a: (r * np.sin(a)) ** 2, outer, inner)  # eq. (12)
     np.testing.assert_allclose(body.area(s), area, rtol=1e-10)
     np.testing.assert_allclose(body.second_moment(s), second_moment, rtol=1e-10)
-    np.testing.assert_allclose(body.bending_stiffness(s), 1.4e6 * second_moment, rtol=1e-10)
+    np.testing.assert_allclose(body.stiffness(s), 1.4e6 * second_moment, rtol=1e-10)
 
 
 def test_conical_tapers_linearly():
@@ -77,13 +77,13 @@ def test_a_cross_section_has_the_derivatives_of_the_profiles():
     np.testing.assert_allclose(section.offset_slope, [np.polyval(np.polyder(cubic), s)], rtol=1e-10)
     np.testing.assert_allclose(section.offset_bend, [np.polyval(np.polyder(cubic, 2), s)], rtol=1e-10)
     np.testing.assert_array_equal(section.side, [-1])
-    change = (body.bending_stiffness(s + h) - body.bending_stiffness(s - h)) / (2 * h)
+    change = (body.stiffness(s + h) - body.stiffness(s - h)) / (2 * h)
     np.testing.assert_allclose(section.stiffness_rate, change, rtol=1e-5)  # central difference, h^2
 
 
 def test_numbers_can_be_traced_and_mapped():
     def tip_stiffness(radius, modulus):
-        return paper_body(outer_radius=(0.02, radius), youngs_modulus=modulus).bending_stiffness(0.14)
+        return paper_body(outer_radius=(0.02, radius), youngs_modulus=modulus).stiffness(0.14)
 
     radii = jnp.array([0.010, 0.013, 0.016])
     expected = 1.4e6 * np.pi / 4 * (np.asarray(radii) ** 4 - 0.007**4)  # eq. (12)

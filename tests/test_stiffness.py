@@ -25,7 +25,7 @@ def compliance_of(case, **changes):
 def test_a_uniform_cantilever():
     """Straight and without tension: L^3 / (3 E J), L^2 / (2 E J), L / (E J); nothing along the axis."""
     body = paper_body("exact", outer_radius=(0.015, 0.015))
-    stiffness = float(body.bending_stiffness(0.0))
+    stiffness = float(body.stiffness(0.0))
     y, phi, both = LENGTH**3 / (3 * stiffness), LENGTH / stiffness, LENGTH**2 / (2 * stiffness)
     expected = [[0, 0, 0], [0, y, both], [0, both, phi]]
     np.testing.assert_allclose(cddf.tip_compliance(body, 0.0), expected, rtol=1e-9, atol=1e-15)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .literal_iteration import IterationHistory, LiteralIteration, iteration_history
     from .load_cases import LoadCase, uncertain_cases
     from .loads import Loads
-    from .manipulator import Manipulator, Tendon, conical
+    from .manipulator import Manipulator, PointMass, Tendon, conical
     from .manipulator_file import read_manipulator, write_manipulator
     from .marching import Marching
     from .measurements import Measurements, read_measurements
@@ -66,7 +66,7 @@ _HOME = {
     "literal_iteration": "IterationHistory, LiteralIteration, iteration_history",
     "load_cases": "LoadCase, uncertain_cases",
     "loads": "Loads",
-    "manipulator": "Manipulator, Tendon, conical",
+    "manipulator": "Manipulator, PointMass, Tendon, conical",
     "manipulator_file": "read_manipulator, write_manipulator",
     "marching": "Marching",
     "measurements": "Measurements, read_measurements",
@@ -127,6 +127,7 @@ __all__ = [
     "ParetoFront",
     "Piecewise",
     "Plan",
+    "PointMass",
     "Profile",
     "SerialCorrelation",
     "SolveError",

@@ -12,6 +12,7 @@ from .errors import InputError
 from .manipulator import KINEMATICS
 from .problem import Method
 from .statics import check_nodes
+from .validation import check_weight
 
 OPTIONS = ("nodes", "method", "kinematics")  # each value is a program of its own
 RESERVED = ("tendon", "point", "component", "result", "successful")
@@ -144,8 +145,11 @@ def _idle(swept: set[str], case: Case) -> dict[str, str]:
             found[name] = f"every tendon has its own; let 'tendons.0.{name}' vary"
     gravity = swept & {"loads.gravity.0", "loads.gravity.1"}
     weightless = loads is None or not np.any(np.asarray(loads.gravity))
-    if "density" in swept and not gravity and weightless:
-        found["density"] = "there is no gravity; give loads=Loads(gravity=(0.0, -9.81))"
-    if gravity and "density" not in swept and not np.any(np.asarray(body.density)):
+    masses = {name for name in swept if name.split(".")[0] in ("density", "mass_per_length", "point_masses")}
+    if masses and not gravity and weightless:
+        found[min(masses)] = "there is no gravity; give loads=Loads(gravity=(0.0, -9.81))"
+    if gravity and not masses and not body.has_mass:
         found[min(gravity)] = "the body has no density; give it one, or let 'density' vary too"
+    if not masses and not gravity:
+        check_weight(body, loads)
     return found

@@ -4,7 +4,7 @@ The parameters of a bench are those of the manipulator and the errors of its ins
 reads gain * tension + zero; what it reads is counted from a tendon that is already under `pretension`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -40,6 +40,7 @@ class Parameter(NamedTuple):
 PARAMETERS = {
     "friction_coefficient": Parameter("dimensionless", None, True, 1.0),
     "youngs_modulus": Parameter("pressure", None, True, 1.0),
+    "stiffness_factor": Parameter("dimensionless", 1.0, True, 1.0),  # of a body without a single modulus
     "length": Parameter("length", None, True, 1.0),
     "drag": Parameter("force per length", 1.0, True, 1.0),
     "outer_radius_error": Parameter("length", 0.0, False, 1e-4),  # true less stated, all along the body
@@ -51,6 +52,29 @@ PARAMETERS = {
     "pretension": Parameter("force", 1.0, True, 0.5),  # of every tendon, not read by the cells
     "angle_zero": Parameter("angle", 0.0, False, 0.02),
 }
+
+
+def stiffness_parameter(manipulator: Manipulator) -> str:
+    """What tells how stiff the body is: its modulus where that is one number, else the factor on its stiffness."""
+    modulus = manipulator.youngs_modulus
+    return "stiffness_factor" if modulus is None or callable(modulus) else "youngs_modulus"
+
+
+def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) -> tuple[str, ...]:
+    """The names that were asked for, or else those of friction and stiffness.
+
+    Raises:
+        InputError: for a name that is no parameter, or none of this body.
+    """
+    names = ("friction_coefficient", stiffness_parameter(manipulator)) if free is None else free
+    names = (names,) if isinstance(names, str) else tuple(names)
+    for name in names:
+        parameter_named(name)
+    if "youngs_modulus" in names and stiffness_parameter(manipulator) != "youngs_modulus":
+        raise InputError("the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness")
+    if "outer_radius_error" in names and manipulator.bending_stiffness is not None:
+        raise InputError("outer_radius_error changes no body whose bending_stiffness is given; fit stiffness_factor")
+    return names
 
 
 def starting_value(manipulator: Manipulator, name: str) -> float:

@@ -1,5 +1,8 @@
 """Bodies and tendons as they are drawn: from a manipulator, in mm."""
 
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 
 from .along_figure import reached
@@ -27,7 +30,15 @@ def tendon_paths(manipulator: Manipulator, body: Body, arc_length: np.ndarray) -
     return np.stack([body.at_distance(d) for d in distance])
 
 
+def drawn_radii(manipulator: Manipulator, arc_length: Any) -> tuple[Any, Any]:
+    """Outer and inner radius as they are drawn, m; of a body without, the offset of its outermost tendon and 0."""
+    if manipulator.has_radii:
+        return manipulator.radii(arc_length)
+    outer = jnp.max(manipulator.offset(arc_length), axis=0)
+    return outer, jnp.zeros_like(outer)
+
+
 def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:
     """From m."""
-    outer, inner = (np.asarray(radius(arc_length)) for radius in (manipulator.outer_radius, manipulator.inner_radius))
+    outer, inner = map(np.asarray, drawn_radii(manipulator, arc_length))
     return Body(1e3 * midline, heading, 1e3 * outer, 1e3 * inner)

@@ -40,7 +40,11 @@ UNITS = {
     "friction_coefficient": "1",
     "drag": "N/m",
     "density": "kg/m^3",
+    "mass_per_length": "kg/m",
+    "bending_stiffness": "N m^2",
+    "mass": "kg",
 }
+_NOT_OF_NOTHING = ("outer_radius", "inner_radius", "youngs_modulus", "bending_stiffness", "mass_per_length")
 _TARGET_UNITS = {
     "Displacement": "m",
     "TipAngle": "rad",
@@ -87,8 +91,9 @@ class Case(eqx.Module):
 
 def unit_of_name(name: str) -> str:
     """The SI unit of a number or a profile by its name alone, "1" for none."""
-    stem, _ = stem_and_tendon(name.split(".")[0])
-    return next((UNITS[part] for part in (stem, *name.split(".")) if part in UNITS), "1")
+    stem, *rest = stem_and_tendon(name.split(".")[0])[0], *name.split(".")
+    place = len(rest) > 1 and rest[-2 if rest[-1].isdigit() else -1] in ("arc_length", "ends", "length")
+    return "m" if place else next((UNITS[part] for part in (stem, *rest) if part in UNITS), "1")
 
 
 def of_tendon(name: str, place: int) -> str:
@@ -136,6 +141,8 @@ class _Path:
         if isinstance(node, Constant):
             self.steps.append("value")
             self.parent, node = node, node.value
+        if node is None and self.steps[-1] in _NOT_OF_NOTHING:
+            raise InputError(f"{name}: the body has none, and what it has in its place would stay; give it one first")
         self.number = node
         whole = self.steps[-1] in ("base_tension", "direction")  # one number for all tendons
         if not whole and node is not None and (not isinstance(node, jax.Array | np.ndarray | float) or np.ndim(node)):

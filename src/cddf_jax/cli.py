@@ -82,7 +82,8 @@ Direction = Annotated[
 TipForce = Annotated[str | None, typer.Option(help='Dead load (X, Y) on the tip, "0 N, -5 N".', show_default=False)]
 TipMoment = Annotated[str | None, typer.Option(help='On the tip, positive from X to Y, "0.1 N m".', show_default=False)]
 Gravity = Annotated[
-    str | None, typer.Option(help='Acceleration (X, Y), "0, -9.81 m/s^2"; needs a density.', show_default=False)
+    str | None,
+    typer.Option(help='Acceleration (X, Y), "0, -9.81 m/s^2"; needs a body with a mass.', show_default=False),
 ]
 
 
@@ -108,7 +109,7 @@ def solve(
     from .equilibrium import RESULTS
 
     actuation = solve_command.read_actuation(base_tension, manipulator)
-    loads = solve_command.read_loads(tip_force, tip_moment, gravity, bool(manipulator.density))
+    loads = solve_command.read_loads(tip_force, tip_moment, gravity, manipulator.has_mass)
     directions = _directions(direction, manipulator)
     equilibrium = solve_command.solve_or_explain(
         manipulator, actuation, loads, base_tension, direction=directions, nodes=nodes
@@ -240,7 +241,7 @@ def sweep(
     from . import sweep_command as command
 
     varied = {text.partition("=")[0].strip() for text in (*(over or []), *(sample or []))}
-    has_weight = bool(manipulator.density) or "density" in varied
+    has_weight = manipulator.has_mass or "density" in varied
     work = sweep_options.read_sweep(
         manipulator,
         over or [],
@@ -368,7 +369,7 @@ def fit(
     found = fit(
         manipulator,
         [averaged(table) for table in tables] if average_holds else tables,
-        free or ("friction_coefficient", "youngs_modulus"),
+        free or None,
         command.read_all(prior, command.read_prior, "--prior"),
         bounds=command.read_all(bound, command.read_bound, "--bound"),
         noise=known,
@@ -482,7 +483,7 @@ def plan(
     from .next_measurement import plan, standard_candidates
     from .units import quantity
 
-    names = tuple(free or ("friction_coefficient", "youngs_modulus"))
+    names = tuple(free) if free else None
     largest = quantity(tension, "force", "--tension")
     if not largest > 0:
         raise InputError(f"--tension {tension}: give a tension above 0 N")

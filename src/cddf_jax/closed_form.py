@@ -15,7 +15,7 @@ from .quadrature import Panels, panels
 def closed_form_tension(
     manipulator: Manipulator, base_tension: Any, arc_length: Any, *, nodes: int = 32
 ) -> Float[Array, "*points"]:
-    """T(s) = T_base / (1 + (mu / E) T_base G(s)) with G(s) = integral of d / J from 0 to s.
+    """T(s) = T_base / (1 + mu T_base G(s)) with G(s) = integral of d / (E J) from 0 to s.
 
     Holds for one tendon that slides in, without external load and drag: in the published kinematics with any
     offset, in the exact kinematics with a constant one while d kappa < 1 (not checked). Then
@@ -47,8 +47,8 @@ def closed_form_tension(
     length = jnp.asarray(manipulator.length, s.dtype)
     whole = panels(length, jnp.asarray(manipulator.breakpoints, s.dtype), nodes)
     reach = s if tendon.end is None else jnp.minimum(s, tendon.end)
-    compliance = _integral_up_to(whole, lambda x: manipulator.offset(x)[0] / manipulator.second_moment(x), reach)
-    ratio = 1.0 + manipulator.tendon_friction[0] / manipulator.youngs_modulus * base_tension * compliance
+    compliance = _integral_up_to(whole, lambda x: manipulator.offset(x)[0] / manipulator.stiffness(x), reach)
+    ratio = 1.0 + manipulator.tendon_friction[0] * base_tension * compliance
     return jnp.where((s >= 0) & (s <= length), base_tension / ratio, jnp.nan)
 
 

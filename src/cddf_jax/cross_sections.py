@@ -64,7 +64,7 @@ def cross_sections_csv(manipulator: Manipulator) -> str:
     length = float(manipulator.length)
     joints = np.asarray(manipulator.breakpoints, float)
     s = np.unique(np.concatenate([np.linspace(0.0, length, ROWS), joints[(joints > 0) & (joints < length)]]))
-    outer, inner = (np.asarray(radius(s)) for radius in (manipulator.outer_radius, manipulator.inner_radius))
+    outer, inner = map(np.asarray, manipulator.radii(s))
     columns = {"arc_length [mm]": 1e3 * s, "outer_radius [mm]": 1e3 * outer, "inner_radius [mm]": 1e3 * inner}
     for i, tendon in enumerate(manipulator.tendons, 1):
         end = length if tendon.end is None else float(tendon.end)

@@ -221,7 +221,7 @@ def _case(where: str, table: Mapping[str, Any], body: Manipulator) -> LoadCase:
         for key, value in (("tip_force", force), ("tip_moment", moment), ("gravity", gravity)):
             if value is not None and not isinstance(value, str):
                 raise InputError(f'{key} must be text such as "0 N, -5 N", got {value!r}')
-        loads = read_loads(force, moment, gravity, bool(body.density))
+        loads = read_loads(force, moment, gravity, body.has_mass)
     except InputError as error:
         text = str(error)
         for option in ("base-tension", "tip-force", "tip-moment", "gravity"):

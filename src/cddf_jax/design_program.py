@@ -107,8 +107,9 @@ def fixed_numbers(problem: Problem) -> dict[str, float]:
     free = {name for names in problem.space.names for name in names}
     body = problem.manipulator
     names = ["length", "youngs_modulus", "friction_coefficient", *(["density"] if np.any(body.density) else [])]
-    names += [] if body.drag is None else ["drag"]
-    profiles = ["outer_radius", "inner_radius", *(f"tendons.{i}.offset" for i in range(body.num_tendons))]
+    names += [name for name in ("drag", "stiffness_factor") if getattr(body, name) is not None]
+    names += [f"point_masses.{i}.{part}" for i in range(len(body.point_masses)) for part in ("mass", "arc_length")]
+    profiles = list(body.profiles)
     case = Case(body, None, None, None)
     own = {name for used in problem.cases for name in used.numbers}
     found = {}

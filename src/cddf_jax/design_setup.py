@@ -20,7 +20,8 @@ from .load_cases import LoadCase
 from .loads import Loads
 from .manipulator import Manipulator
 from .objectives import Least, Objective
-from .quantities import name_of
+from .quantities import OF_RADII, name_of
+from .validation import check_weight
 
 STATIONS = 33  # at which limits along the body are looked at, evenly
 CROSSING = 0.99  # kappa d at most, short of 1 where fibres cross
@@ -76,8 +77,10 @@ def ask(
     used = _cases(cases, base_tension, loads, direction)
     start_case = Case(manipulator, used[0].base_tension, used[0].loads, used[0].direction)
     space = space_of(start_case, free, bounds or {})
-    _check_weight(manipulator, [name_of(part.quantity) for part in (*constraints, *(aim for _, aim in objectives))])
+    _check_body(manipulator, [name_of(part.quantity) for part in (*constraints, *(aim for _, aim in objectives))])
     _check_overlap(space, used)
+    for case in used:
+        check_weight(case.body(manipulator), case.loads)
     _check_places(manipulator, [aim for _, aim in objectives])
     limits = [*constraints, *_implied(manipulator, constraints, offsets_outside_wall)]
     one = jnp.ones(())
@@ -140,10 +143,11 @@ def _cases(cases: Any, base_tension: Any, loads: Any, direction: Any) -> tuple[L
 
 def _implied(body: Manipulator, limits: Sequence[Limit], outside: bool) -> list[Limit]:
     """What no body can do without, unless the user has a limit of the same."""
-    thinnest = THINNEST * float(np.max(np.asarray(body.outer_radius(jnp.asarray([0.0, float(body.length)])))))
     own = {name_of(limit.quantity) for limit in limits}
-    always = [Limit("crossing", most=CROSSING), Limit("wall_thickness", least=thinnest)]
-    always += [] if outside else [Limit("clearance", least=0.0)]
+    always = [Limit("crossing", most=CROSSING)]
+    if body.outer_radius is not None:
+        thinnest = THINNEST * float(np.max(np.asarray(body.outer_radius(jnp.asarray([0.0, float(body.length)])))))
+        always += [Limit("wall_thickness", least=thinnest), *([] if outside else [Limit("clearance", least=0.0)])]
     return [limit for limit in always if name_of(limit.quantity) not in own]
 
 
@@ -155,9 +159,12 @@ def _stations(body: Manipulator) -> np.ndarray:
     return np.concatenate([np.linspace(0.0, 1.0, STATIONS), joints - 1e-9, joints + 1e-9, wandering])
 
 
-def _check_weight(body: Manipulator, names: Sequence[str]) -> None:
-    if "mass" in names and not float(np.asarray(body.density)) > 0:
+def _check_body(body: Manipulator, names: Sequence[str]) -> None:
+    if "mass" in names and not body.has_mass:
         raise InputError('design: the body has no mass, since its density is 0; give it one, or take "volume"')
+    of_radii = [name for name in names if name in OF_RADII]
+    if of_radii and not body.has_radii:
+        raise InputError(f"design: {of_radii[0]!r} needs radii; give the body outer_radius and inner_radius")
 
 
 def _check_places(body: Manipulator, aims: Sequence[Objective]) -> None:

@@ -135,7 +135,9 @@ def _load_energy(problem: Problem, path: Path) -> Number:
         return jnp.zeros_like(path.tip.heading)
     rate = load_rate(problem.manipulator, problem.panels.nodes, loads)
     lifted = jnp.sum(problem.panels.gain(jnp.sum(rate * path.nodes.position, axis=-1)))
-    return -(problem.outboard.tip @ path.tip.position + loads.tip_moment * path.tip.heading + lifted)
+    if problem.outboard.drops is not None:
+        lifted = lifted + jnp.sum(problem.outboard.drops * path.starts.position)
+    return -(jnp.asarray(loads.tip_force) @ path.tip.position + loads.tip_moment * path.tip.heading + lifted)
 
 
 def _dissipation(stage: _Stage, rate: _Stage) -> PerTendon:

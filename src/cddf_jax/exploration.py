@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .along_figure import stations
-from .bench import Bench, experiment_of, reading
+from .bench import Bench, experiment_of, reading, starting_value, stiffness_parameter
+from .body_drawing import drawn_radii
 from .case import Case, of_tendon
 from .directions import as_directions
 from .equilibrium import RESULTS, Equilibrium, Fields
@@ -33,7 +34,7 @@ from .targets import TipAngle
 GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
 NUM_PULLS = 17  # on the curve over the base tension
 NODES = 16  # of the solves in the rows of tables, as `fit` has them
-FITTED = ("friction_coefficient", "youngs_modulus")
+FITTED = ("friction_coefficient", "youngs_modulus", "stiffness_factor")  # the last two in each other's place
 RADII = ("outer_radius.base", "outer_radius.tip")
 
 
@@ -142,18 +143,23 @@ class Exploration:
         """Everything that can be changed, with ranges about the numbers of the manipulator."""
         body = self.manipulator
         own = [tendon.friction_coefficient is not None for tendon in body.tendons]
-        mu, modulus = float(body.friction_coefficient), shown(body.youngs_modulus, -6)
+        mu = float(body.friction_coefficient)
         friction = [Control(FITTED[0], "Friction coefficient", "", 0, mu, 0.0, max(1.0, _above(2 * mu)), 0.0)]
-        stiff = Control(
-            FITTED[1], "Young's modulus", "MPa", -6, modulus, round_number(0.2 * modulus), _above(2.5 * modulus), 1e-6
-        )
-        return (*self._tensions, *([] if all(own) else friction), stiff, *self._radii, *self._loads)
+        return (*self._tensions, *([] if all(own) else friction), self._stiffness, *self._radii, *self._loads)
+
+    @cached_property
+    def _stiffness(self) -> Control:
+        name = stiffness_parameter(self.manipulator)
+        own = starting_value(self.manipulator, name)
+        label, unit, exponent = ("Stiffness factor", "", 0) if name == FITTED[2] else ("Young's modulus", "MPa", -6)
+        value = shown(own, exponent)
+        return Control(name, label, unit, exponent, value, round_number(0.2 * value), _above(2.5 * value), 1e-6)
 
     @cached_property
     def _tensions(self) -> list[Control]:
         body = self.manipulator
         s, length = self.arc_length, float(body.length)
-        stiffness, offset = np.asarray(body.bending_stiffness(s)), np.maximum(np.asarray(body.offset(s)), 1e-3 * length)
+        stiffness, offset = np.asarray(body.stiffness(s)), np.maximum(np.asarray(body.offset(s)), 1e-3 * length)
         turn = np.max(np.trapezoid(offset / stiffness, s))  # of the tip per tension, without friction
         most = min(2.0 / turn, 0.3 * float(np.min(stiffness / offset**2)))
         measured = [float(table["base_tension"].max()) for table in self.tables if "base_tension" in table]
@@ -166,7 +172,10 @@ class Exploration:
 
     @cached_property
     def _radii(self) -> list[Control]:
-        ends = [shown(self.manipulator.outer_radius(s), 3) for s in (0.0, self.manipulator.length)]
+        radius = self.manipulator.outer_radius
+        if radius is None:
+            return []
+        ends = [shown(radius(s), 3) for s in (0.0, self.manipulator.length)]
         labels = ("Outer radius at the base", "Outer radius at the tip")
         return [
             Control(name, label, "mm", 3, r, 0.5 * r, 1.5 * r, 0.0)
@@ -176,11 +185,11 @@ class Exploration:
     @cached_property
     def _loads(self) -> list[Control]:
         body, length = self.manipulator, float(self.manipulator.length)
-        stiffness = float(np.median(np.asarray(body.bending_stiffness(self.arc_length))))
+        stiffness = float(np.median(np.asarray(body.stiffness(self.arc_length))))
         force, moment = _above(0.6 * stiffness / length**2), _above(0.3 * stiffness / length)
         found = [Control(f"tip_force.{i}", f"Tip force {a}", "N", 0, 0.0, -force, force) for i, a in enumerate("XY")]
         found.append(Control("tip_moment", "Tip moment", "N m", 0, 0.0, -moment, moment))
-        if body.density > 0:
+        if body.has_mass:
             found += [Control(f"gravity.{i}", f"Gravity {a}", "m/s²", 0, 0.0, -10.0, 10.0) for i, a in enumerate("XY")]
         return found
 
@@ -208,9 +217,10 @@ class Exploration:
             InputError: for a body that is none, such as a tendon outside its wall.
         """
         number = {c.name: in_si(settings.numbers[c.name], c.exponent) for c in self.controls}
-        material = {name: number[name] for name in FITTED if name in number}
-        wall = self._wall(*(number[name] for name in RADII))
-        body = replace(self.manipulator, outer_radius=wall, kinematics=settings.kinematics, **material)
+        material: dict[str, Any] = {name: number[name] for name in FITTED if name in number}
+        if self.manipulator.has_radii:
+            material["outer_radius"] = self._wall(*(number[name] for name in RADII))
+        body = replace(self.manipulator, kinematics=settings.kinematics, **material)
         force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
         loads = Loads(force, number["tip_moment"], gravity) if any((*force, number["tip_moment"], *gravity)) else None
         pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
@@ -219,6 +229,7 @@ class Exploration:
     def _wall(self, base: float, tip: float) -> Profile:
         """The outer radius; whether tendons lie within it is asked once for each."""
         if (base, tip) not in self._walls:
+            assert self.manipulator.outer_radius is not None
             wall = tapered(self.manipulator.outer_radius, base, tip, self.manipulator.length)
             body = replace(self.manipulator, outer_radius=wall)
             body.validate(offsets_outside_wall=self.offsets_outside_wall)
@@ -286,12 +297,16 @@ class Exploration:
 def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Sections, Array]:
     equilibrium = _solve(case)
     sections = sections_at(case.manipulator, arc_length)
-    return equilibrium, equilibrium.at(arc_length), sections, equilibrium.peak_strain
+    return equilibrium, equilibrium.at(arc_length), sections, _peak_strain(equilibrium)
+
+
+def _peak_strain(equilibrium: Equilibrium) -> Array:
+    return equilibrium.peak_strain if equilibrium.has_wall else jnp.full((), jnp.nan)
 
 
 def sections_at(body: Manipulator, arc_length: Any) -> Sections:
     """The body at some places."""
-    return Sections(body.outer_radius(arc_length), body.inner_radius(arc_length), body.offset(arc_length))
+    return Sections(*drawn_radii(body, arc_length), body.offset(arc_length))
 
 
 def _solve(case: Case) -> Equilibrium:
@@ -314,8 +329,8 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     others = [case.base_tension[i] for i in range(1, case.manipulator.num_tendons)]
     asked = eqx.tree_at(lambda c: c.base_tension, case, [TipAngle(angle), *others], is_leaf=lambda x: x is None)
     reached = _solve(asked)
-    numbers = given.tension_loss[0], given.tip_angle, given.peak_strain
-    there = reached.base_tension[0], reached.peak_strain
+    numbers = given.tension_loss[0], given.tip_angle, _peak_strain(given)
+    there = reached.base_tension[0], _peak_strain(reached)
     return *_where_good(given, numbers), *_where_good(reached, there)
 
 

@@ -3,10 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalHead, VeeHead
 from bokeh.plotting import figure
 
+from .body_drawing import drawn_radii
 from .exploration import Curve, Picture, Rows, Sections, sections_at
 from .loads import Loads
 from .manipulator import Manipulator
@@ -167,7 +169,7 @@ def _frame(manipulator: Manipulator) -> dict[str, Any]:
 
 
 def _clamp(manipulator: Manipulator) -> dict[str, Any]:
-    length, radius = 1e3 * float(manipulator.length), 1e3 * float(manipulator.outer_radius(0.0))
+    length, radius = 1e3 * float(manipulator.length), 1e3 * float(drawn_radii(manipulator, jnp.zeros(()))[0])
     half = radius + 0.06 * length
     return {"left": [-0.05 * length], "right": [0.0], "bottom": [-half], "top": [half]}
 

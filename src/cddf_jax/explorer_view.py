@@ -247,6 +247,10 @@ class View:
         rows = self.exploration.in_rows(picture.case.manipulator)
         self._on_page(self.tension.show_rows, rows)
         self._on_page(self._done, settings, ["tension"])
+        if not self.exploration.manipulator.has_radii:
+            self._on_page(setattr, self.what_if, "object", "The body has no radii that could taper.")
+            self._on_page(self._done, settings, ["what_if"])
+            return
         tapers = self.exploration.tapers(settings, np.radians(angle))
         self._on_page(setattr, self.what_if, "object", tapers_html(tapers, angle, self.several))
         self._on_page(self._done, settings, ["what_if"])

@@ -25,7 +25,7 @@ def numbers_html(picture: Picture) -> str:
         ("tip_x", "tip X", f"{x:.3f}", "mm"),
         ("tip_y", "tip Y", f"{y:.3f}", "mm"),
         ("peak_curvature", "peak curvature", f"{picture.peak_curvature:.4g}", "1/m"),
-        ("peak_strain", "peak strain", f"{100 * picture.peak_strain:.3f}", "%"),
+        *_strain_tile(picture),
         ("error_estimate", "error estimate", f"{float(found.error_estimate):.1e}", ""),
     ]
     several = len(found.direction) > 1
@@ -49,6 +49,12 @@ def numbers_html(picture: Picture) -> str:
         f'<div class="tiles" role="status" data-name="result" data-result="{escape(result, quote=True)}">'
         f"{_tiles(tiles)}</div><table><tr>{head}</tr>{''.join(rows)}</table>"
     )
+
+
+def _strain_tile(picture: Picture) -> list[Row]:
+    """Nothing for a body without radii."""
+    known = np.isfinite(picture.peak_strain)
+    return [("peak_strain", "peak strain", f"{100 * picture.peak_strain:.3f}", "%")] if known else []
 
 
 def _line(tendon: int) -> str:

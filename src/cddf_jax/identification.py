@@ -11,8 +11,10 @@ from .bench import (
     Bench,
     BenchModel,
     experiment_of,
+    free_parameters,
     parameter_named,
     starting_value,
+    stiffness_parameter,
     with_parameters,
 )
 from .bootstrap import Bootstrap
@@ -196,7 +198,7 @@ def _beyond(wanted: Bench, model: BenchModel) -> np.ndarray:
 def fit(
     manipulator: Manipulator,
     data: Measurements | Sequence[Measurements],
-    free: Sequence[str] = ("friction_coefficient", "youngs_modulus"),
+    free: Sequence[str] | None = None,
     priors: Mapping[str, Any] | None = None,
     *,
     bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
@@ -217,7 +219,8 @@ def fit(
     Args:
         manipulator: the body; its numbers are the start.
         data: a table or several.
-        free: what is fitted, of `bench.PARAMETERS`: friction and modulus, but also the constant drag per length,
+        free: what is fitted, of `bench.PARAMETERS`; None for friction and modulus, of a body without a single modulus
+            friction and `stiffness_factor`. It may also be the constant drag per length,
             gain and zero of the cells (`tip_gain`, `base_zero`, `tip_gain_2` for the cell of tendon 2),
             `pretension`, `angle_zero`, and errors of dimensions (`outer_radius_error`), best with priors.
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
@@ -235,7 +238,10 @@ def fit(
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"fit: the first argument must be a Manipulator, got {type(manipulator).__name__}")
     tables = (data,) if isinstance(data, Measurements) else tuple(data)
-    free = (free,) if isinstance(free, str) else tuple(free)
+    try:
+        free = free_parameters(manipulator, free)
+    except InputError as error:
+        raise InputError(f"fit: {error}") from None
     if not all(isinstance(table, Measurements) for table in tables):
         raise InputError("fit: data must be tables as read_measurements gives them, one or several")
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
@@ -243,10 +249,7 @@ def fit(
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
-    try:
-        kinds = {name: parameter_named(name) for name in free}
-    except InputError as error:
-        raise InputError(f"fit: {error}") from None
+    kinds = {name: parameter_named(name) for name in free}
     before = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     experiments = (experiment_of(table, manipulator, int(first)) for table, first in zip(tables, before, strict=False))
     model = BenchModel(manipulator, tuple(experiments), nodes)
@@ -304,9 +307,8 @@ def _conclude(statistics: LeastSquaresFit, tables, model: BenchModel, trial_spre
     looks = list(looks_at(statistics.parameters, tables, model))
     if statistics.success and (reason := next(filter(None, map(doubt, looks)), "")):
         statistics = statistics.doubted(reason)
-    fixed = {
-        n: float(getattr(body, n)) for n in ("friction_coefficient", "youngs_modulus") if n not in statistics.names
-    }
+    both = "friction_coefficient", stiffness_parameter(body)
+    fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
     own = [name for name in statistics.names if not name.startswith(TRIALS)]
     told = vars(statistics) | {
         "value": {n: statistics.value[n] for n in own} | fixed,

@@ -22,7 +22,13 @@ from .statics import solve
 if TYPE_CHECKING:
     from .identification import Fit
 
-BODY_PARAMETERS = ("friction_coefficient", "youngs_modulus", "length", "drag")  # of what a fit may have estimated
+BODY_PARAMETERS = (
+    "friction_coefficient",
+    "youngs_modulus",
+    "length",
+    "drag",
+    "stiffness_factor",
+)  # of what a fit may have estimated
 
 
 class LoadCase(eqx.Module):

@@ -23,7 +23,8 @@ class Loads(eqx.Module):
     Args:
         tip_force: F, a force on the tip (X, Y), N.
         tip_moment: m, a moment on the tip, N m, positive from X to Y.
-        gravity: g, the acceleration of gravity (X, Y), m/s^2; the body's density makes a weight of it.
+        gravity: g, the acceleration of gravity (X, Y), m/s^2; density, mass_per_length and point masses of the body
+            make weights of it.
 
     Raises:
         ValueError: when tip_force or gravity has not two components.
@@ -41,15 +42,20 @@ class Loads(eqx.Module):
 
 
 def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> Float[Array, "*points 2"]:
-    """What all distributed dead loads together put on the body, N/m: its weight, rho A g.
+    """What all distributed dead loads together put on the body, N/m: its weight.
 
     A further distributed load is a field of `Loads` and a term here; the solver and its energy take it from here.
 
     Args:
         loads: on the body.
-        mass_per_length: rho A at each point, kg/m.
+        mass_per_length: at each point, kg/m.
     """
     return mass_per_length[..., None] * jnp.asarray(loads.gravity)
+
+
+def force_at_points(loads: Loads, mass: Float[Array, " masses"]) -> Float[Array, "masses 2"]:
+    """The dead load of each point mass, N: its weight."""
+    return mass[:, None] * jnp.asarray(loads.gravity)
 
 
 def planar_cross(a: Float[Array, "*points 2"], b: Float[Array, "*points 2"]) -> Float[Array, "*points"]:

@@ -6,8 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from .errors import InputError
 from .profiles import Constant, Linear, Points, Profile, Scalar, as_number, as_profile, breakpoints
 
 Kinematics = Literal["published", "exact"]
@@ -16,6 +18,15 @@ KINEMATICS = ("published", "exact")
 
 def _as_optional_number(value: Any) -> Any:
     return None if value is None else as_number(value)
+
+
+def _as_optional_profile(value: Any) -> Any:
+    return None if value is None else as_profile(value)
+
+
+def _as_modulus(value: Any) -> Any:
+    """A number stays one, so that it has the name of the whole; what varies along the body is a profile."""
+    return _as_optional_profile(value) if callable(value) else _as_optional_number(value)
 
 
 class Tendon(eqx.Module):
@@ -47,6 +58,18 @@ class Tendon(eqx.Module):
             raise ValueError(f"Tendon: side must be +1 or -1, got {self.side!r}")
 
 
+class PointMass(eqx.Module):
+    """A mass on the neutral axis, such as a disc, a camera or a magnet; gravity makes a dead load of it.
+
+    Args:
+        arc_length: where it is fixed, s, m, above 0 and at most the length of the body.
+        mass: kg.
+    """
+
+    arc_length: Scalar = eqx.field(converter=as_number)
+    mass: Scalar = eqx.field(converter=as_number)
+
+
 class CrossSection(eqx.Module):
     """What the mechanics needs to know at one arc length; primes are derivatives along s."""
 
@@ -66,42 +89,78 @@ class CrossSection(eqx.Module):
 class Manipulator(eqx.Module):
     """A tendon-driven continuum manipulator in the plane; SI units.
 
+    How it bends is told by radii and modulus, E J with J of eq. (12), or by `bending_stiffness` alone. What it weighs
+    under gravity is the sum of density, `mass_per_length` and `point_masses`.
+
     Args:
         length: L of the neutral axis, m.
-        outer_radius, inner_radius: of the annular section, profiles or numbers, m.
+        outer_radius, inner_radius: of the annular section, profiles or numbers, m. Both may be left out where
+            bending_stiffness is given; if they are there all the same, they tell wall, strain and what density weighs.
         tendons: one or several `Tendon`.
-        youngs_modulus: E, Pa.
+        youngs_modulus: E, Pa, a number, or a profile where it varies along the body.
         friction_coefficient: mu between tendon and body, for every tendon without its own.
-        density: rho, kg/m^3; it matters under gravity only.
+        density: rho, kg/m^3, of the material between the radii; it matters under gravity only.
         kinematics: "exact" follows the tendon itself, "published" takes the paper as written; see `mechanics`.
         drag: w >= 0, N/m, friction per length of the neutral axis that is there without tension and curvature, as
             of a sheath that squeezes the tendon: T' = -direction (mu |psi'| T + w). For every tendon without its
             own; None for none. A tendon is slack, T = 0, from where drag has used its tension up.
         yield_strain: above 0, a fraction: the largest bending strain of the wall from which the body comes back. A
             solve is remarked on where its `peak_strain` is larger; nothing else follows from it. None where unknown.
+        mass_per_length: kg/m, profile or number, of what density does not weigh: many discs, a sleeve, cables.
+        point_masses: one or several `PointMass`.
+        bending_stiffness: E I, N m^2, profile or number, in place of the modulus.
+        stiffness_factor: by which the stiffness is multiplied, -; None for 1. It is what a fit finds of a body that
+            has no single modulus.
 
     Values are not checked here, as they may be traced: `validate` does that on the host.
 
     Raises:
-        ValueError: for unknown kinematics or no tendon.
+        ValueError: for unknown kinematics, no tendon, no friction coefficient, one radius without the other, and
+            unless either modulus (with radii) or bending_stiffness is given; for a density without radii.
     """
 
     length: Scalar = eqx.field(converter=as_number)
-    outer_radius: Profile = eqx.field(converter=as_profile)
-    inner_radius: Profile = eqx.field(converter=as_profile)
-    tendons: tuple[Tendon, ...] = eqx.field(converter=tuple)
-    youngs_modulus: Scalar = eqx.field(converter=as_number)
-    friction_coefficient: Scalar = eqx.field(converter=as_number)
+    outer_radius: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    inner_radius: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    tendons: tuple[Tendon, ...] = eqx.field(default=(), converter=tuple)
+    youngs_modulus: Any = eqx.field(default=None, converter=_as_modulus)  # Scalar | Profile | None
+    friction_coefficient: Scalar = eqx.field(default=None, converter=_as_optional_number)
     density: Scalar = eqx.field(default=0.0, converter=as_number)
     kinematics: Kinematics = eqx.field(default="exact", static=True)
     drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     yield_strain: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    mass_per_length: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    point_masses: tuple[PointMass, ...] = eqx.field(default=(), converter=tuple)
+    bending_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    stiffness_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
 
     def __check_init__(self):
         if self.kinematics not in KINEMATICS:
             raise ValueError(f"Manipulator: kinematics must be one of {KINEMATICS}, got {self.kinematics!r}")
         if not self.tendons or not all(isinstance(tendon, Tendon) for tendon in self.tendons):
             raise ValueError("Manipulator: tendons must hold one Tendon or more, e.g. (Tendon(offset=5e-3),)")
+        if not all(isinstance(mass, PointMass) for mass in self.point_masses):
+            raise ValueError(
+                "Manipulator: point_masses must hold PointMass, e.g. (PointMass(arc_length=0.1, mass=5e-3),)"
+            )
+        if self.friction_coefficient is None:
+            raise ValueError("Manipulator: friction_coefficient is missing; give mu, 0 for none")
+        self._check_stiffness()
+
+    def _check_stiffness(self):
+        if (self.outer_radius is None) != (self.inner_radius is None):
+            raise ValueError(
+                "Manipulator: outer_radius and inner_radius belong together; give both (inner_radius=0 for a solid "
+                "body), or neither with bending_stiffness"
+            )
+        if self.bending_stiffness is not None and self.youngs_modulus is not None:
+            raise ValueError("Manipulator: youngs_modulus and bending_stiffness are both given; leave one of them out")
+        if self.bending_stiffness is None and (self.youngs_modulus is None or self.outer_radius is None):
+            raise ValueError(
+                "Manipulator: give outer_radius, inner_radius and youngs_modulus, or bending_stiffness in their place"
+            )
+        if not self.has_radii and isinstance(self.density, np.ndarray) and np.any(self.density != 0):
+            raise ValueError("Manipulator: density needs outer_radius and inner_radius; give mass_per_length instead")
 
     def __str__(self) -> str:
         from .printing import manipulator_in_words
@@ -113,11 +172,35 @@ class Manipulator(eqx.Module):
         return len(self.tendons)
 
     @property
+    def profiles(self) -> dict[str, Profile]:
+        """What may vary along the body, as far as it is there, by name, such as "outer_radius", "tendons.0.offset"."""
+        offsets = {f"tendons.{i}.offset": tendon.offset for i, tendon in enumerate(self.tendons)}
+        modulus = self.youngs_modulus if callable(self.youngs_modulus) else None
+        found = {"outer_radius": self.outer_radius, "inner_radius": self.inner_radius, **offsets}
+        found |= {"youngs_modulus": modulus, "bending_stiffness": self.bending_stiffness}
+        found |= {"mass_per_length": self.mass_per_length}
+        return {name: profile for name, profile in found.items() if profile is not None}
+
+    @property
+    def has_radii(self) -> bool:
+        """Whether outer and inner radius are known."""
+        return self.outer_radius is not None
+
+    @property
+    def has_mass(self) -> bool:
+        """Whether gravity acts on the body; a density whose value is not known yet counts as a mass."""
+        if self.mass_per_length is not None or self.point_masses or isinstance(self.density, Tracer):
+            return True
+        return bool(np.any(np.asarray(self.density)))
+
+    @property
     def breakpoints(self) -> Float[Array, " n"]:
         """Arc lengths (m), unsorted, at which the body or a tendon is not smooth."""
-        profiles = [self.outer_radius, self.inner_radius, *(tendon.offset for tendon in self.tendons)]
         ends = [jnp.asarray(tendon.end)[None] for tendon in self.tendons if tendon.end is not None]
-        named = [points for points in (*map(breakpoints, profiles), *ends) if points.shape[0] > 0]
+        places = [jnp.asarray(mass.arc_length)[None] for mass in self.point_masses]  # the last, see `problem`
+        named = [
+            points for points in (*map(breakpoints, self.profiles.values()), *ends, *places) if points.shape[0] > 0
+        ]
         return jnp.concatenate(named) if named else jnp.zeros_like(jnp.asarray(self.length), shape=0)
 
     @property
@@ -156,20 +239,48 @@ class Manipulator(eqx.Module):
         """The offset d of each tendon, m."""
         return jnp.stack([tendon.offset(arc_length) for tendon in self.tendons])
 
+    def radii(self, arc_length: Points) -> tuple[Float[Array, "*points"], Float[Array, "*points"]]:
+        """R_outer and r_inner, m.
+
+        Raises:
+            InputError: for a body without.
+        """
+        if self.outer_radius is None or self.inner_radius is None:
+            raise InputError("the body has no radii; give it outer_radius and inner_radius")
+        return self.outer_radius(arc_length), self.inner_radius(arc_length)
+
     def area(self, arc_length: Points) -> Float[Array, "*points"]:
         """A = pi (R_outer^2 - r_inner^2), m^2."""
-        return jnp.pi * (self.outer_radius(arc_length) ** 2 - self.inner_radius(arc_length) ** 2)
+        outer, inner = self.radii(arc_length)
+        return jnp.pi * (outer**2 - inner**2)
 
     def second_moment(self, arc_length: Points) -> Float[Array, "*points"]:
         """J = pi/4 (R_outer^4 - r_inner^4), m^4. Liu et al. (2020), eq. (12)."""
-        return jnp.pi / 4 * (self.outer_radius(arc_length) ** 4 - self.inner_radius(arc_length) ** 4)
+        outer, inner = self.radii(arc_length)
+        return jnp.pi / 4 * (outer**4 - inner**4)
 
-    def bending_stiffness(self, arc_length: Points) -> Float[Array, "*points"]:
-        """E J, N m^2."""
-        return jnp.asarray(self.youngs_modulus) * self.second_moment(arc_length)
+    def stiffness(self, arc_length: Points) -> Float[Array, "*points"]:
+        """The bending stiffness, N m^2: E J, or what is given in its place, times the stiffness factor."""
+        if self.bending_stiffness is not None:
+            found = self.bending_stiffness(arc_length)
+        else:
+            E: Any = self.youngs_modulus
+            found = (E(arc_length) if callable(E) else jnp.asarray(E)) * self.second_moment(arc_length)
+        return found if self.stiffness_factor is None else jnp.asarray(self.stiffness_factor) * found
+
+    def distributed_mass(self, arc_length: Points) -> Float[Array, "*points"]:
+        """What the body weighs per length without its point masses, kg/m: rho A and mass_per_length together."""
+        parts = [jnp.asarray(self.density) * self.area(arc_length)] if self.has_radii else []
+        parts += [] if self.mass_per_length is None else [self.mass_per_length(arc_length)]
+        return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(jnp.asarray(arc_length))
 
     def outer_strain(self, arc_length: Points, curvature: Points) -> Float[Array, "*points"]:
-        """R_outer kappa, -: the bending strain of the outer surface, with the sign of the curvature (1/m)."""
+        """R_outer kappa, -: the bending strain of the outer surface, with the sign of the curvature (1/m).
+
+        NaN where the body has no radii.
+        """
+        if self.outer_radius is None:
+            return jnp.full_like(jnp.asarray(curvature), jnp.nan)
         return self.outer_radius(arc_length) * curvature
 
     def cross_section(self, arc_length: Scalar) -> CrossSection:
@@ -180,7 +291,7 @@ class Manipulator(eqx.Module):
         def slope(profile, s):
             return jax.jvp(profile, (s,), (one,))[1]
 
-        stiffness, stiffness_rate = jax.jvp(self.bending_stiffness, (s,), (one,))
+        stiffness, stiffness_rate = jax.jvp(self.stiffness, (s,), (one,))
         offset, offset_slope = jax.jvp(self.offset, (s,), (one,))
         reach = [jnp.inf if tendon.end is None else tendon.end for tendon in self.tendons]
         present, drag = jnp.stack([s <= jnp.asarray(end) for end in reach]), self.tendon_drag

@@ -11,6 +11,8 @@
     yield_strain = "0.8 %"               # optional, or 0.008: `cddf solve` warns where the wall is strained more
     kinematics = "published"             # optional, "exact" unless given
     offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
+    mass_per_length = "0.12 kg/m"        # optional: of what density does not weigh, such as many discs or cables
+    stiffness_factor = 0.93              # optional, 1 unless given: multiplies the bending stiffness, as a fit finds it
 
     [[tendons]]                          # one such table per tendon
     offset = "10 mm"
@@ -21,7 +23,14 @@
     axial_stiffness = "12 kN"            # optional, E A of the tendon, which does not stretch unless given
     free_length = "300 mm"               # optional, 0 unless given: outside the body, up to the actuator
 
-A profile (radius, offset) is written in one of these forms; arc lengths count from the base:
+    [[point_mass]]                       # one such table per disc, camera or magnet, if there are any
+    at = "140 mm"                        # arc length
+    mass = "25 g"
+
+Where E I is known, bending_stiffness = "0.02 N m^2" stands in place of youngs_modulus; both radii may then be left out.
+
+A profile (radius, offset, mass_per_length, bending_stiffness, youngs_modulus) is written in one of these forms, in its
+own unit; arc lengths count from the base:
 
     "7 mm"                                                               Constant
     { base = "20 mm", tip = "13 mm" }                                    Linear; length = "..." if not the body's
@@ -52,18 +61,18 @@ from typing import Any
 from .artifacts import write_all
 from .cross_sections import CrossSections, read_cross_sections
 from .errors import InputError
-from .manipulator import KINEMATICS, Manipulator, Tendon
-from .profiles import Constant, Linear, Piecewise, Profile, Spline
+from .manipulator import KINEMATICS, Manipulator, PointMass, Tendon
+from .profiles import Constant, Linear, Piecewise, Profile, Spline, as_profile
 from .units import Dimension, quantity, written
 
 _Table = Mapping[str, Any]
 _NUMBERS: dict[str, Dimension] = {
     "length": "length",
-    "youngs_modulus": "pressure",
     "friction_coefficient": "dimensionless",
     "density": "density",
     "drag": "force per length",
     "yield_strain": "strain",
+    "stiffness_factor": "dimensionless",
 }
 _TENDON_NUMBERS: dict[str, Dimension] = {
     "end": "length",
@@ -72,9 +81,19 @@ _TENDON_NUMBERS: dict[str, Dimension] = {
     "free_length": "length",
     "drag": "force per length",
 }
-_PROFILES = ("outer_radius", "inner_radius")
-_REQUIRED = ("length", *_PROFILES, "youngs_modulus", "friction_coefficient", "tendons")
-_OPTIONAL = ("density", "drag", "yield_strain", "kinematics", "offsets_outside_wall", "name", "description")
+_LENGTHS: dict[str, Dimension] = {"outer_radius": "length", "inner_radius": "length"}
+_RADII = tuple(_LENGTHS)
+_MORE_PROFILES: dict[str, Dimension] = {
+    "youngs_modulus": "pressure",
+    "bending_stiffness": "bending stiffness",
+    "mass_per_length": "mass per length",
+}
+_POINT_MASS: dict[str, Dimension] = {"at": "length", "mass": "mass"}
+_REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
+_OPTIONAL = (
+    *("density", "drag", "kinematics", "offsets_outside_wall", "name", "description"),
+    *("mass_per_length", "point_mass", "stiffness_factor", "yield_strain"),
+)
 _SECTIONS = "cross_sections"
 _FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
@@ -156,23 +175,55 @@ def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = F
 
 def _manipulator(table: _Table, folder: Path) -> Manipulator:
     if _SECTIONS in table:
-        sections = _with_tables(_read_sections(table, folder), table)
+        sections = _with_tables(_read_sections(table, folder), table)._asdict()
     else:
-        check_keys("", table, _REQUIRED, (*_OPTIONAL, _SECTIONS))
+        check_keys("", table, *_keys(table, _REQUIRED))
         sections = _sections(table)
     numbers: dict[str, Any] = {key: quantity(table[key], kind, key) for key, kind in _NUMBERS.items() if key in table}
+    for key in _MORE_PROFILES.keys() & table.keys():
+        numbers[key] = _number_or_profile(table[key], sections["length"], key)
+    numbers["point_masses"] = [_point_mass(mass, f"point_mass {i}") for i, mass in enumerate(_masses(table), 1)]
     kinematics = table.get("kinematics", "exact")
     if kinematics not in KINEMATICS:
         raise InputError(f"kinematics must be one of {KINEMATICS}, got {kinematics!r}")
-    return Manipulator(**numbers | sections._asdict(), kinematics=kinematics)
+    return Manipulator(**numbers | sections, kinematics=kinematics)
 
 
-def _sections(table: _Table) -> CrossSections:
+def _keys(table: _Table, required: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The keys that a file must have, and those that it may have."""
+    if "bending_stiffness" not in table:
+        return list(required), [*_OPTIONAL, "bending_stiffness", _SECTIONS]
+    if "youngs_modulus" in table:
+        raise InputError("youngs_modulus and bending_stiffness are both given; leave one of them out")
+    radii = [key for key in _RADII if key in required]
+    must = [key for key in required if key not in ("youngs_modulus", *radii)]
+    return must, [*_OPTIONAL, *radii, "bending_stiffness", _SECTIONS]
+
+
+def _number_or_profile(value: Any, length: float, key: str) -> Any:
+    """A plain modulus stays a number, which has the name of the whole."""
+    profile = _profile(value, length, key, _MORE_PROFILES[key])
+    return profile.value if key == "youngs_modulus" and isinstance(profile, Constant) else profile
+
+
+def _masses(table: _Table) -> list[_Table]:
+    masses = table.get("point_mass", [])
+    if not isinstance(masses, list) or not all(isinstance(mass, dict) for mass in masses):
+        raise InputError("point_mass must be one table per mass; write each below a line [[point_mass]]")
+    return masses
+
+
+def _point_mass(table: _Table, where: str) -> PointMass:
+    check_keys(f"{where}: ", table, list(_POINT_MASS), ())
+    return PointMass(*(quantity(table[key], kind, f"{where}: {key}") for key, kind in _POINT_MASS.items()))
+
+
+def _sections(table: _Table) -> dict[str, Any]:
     """The body as its keys say."""
     length = quantity(table["length"], "length", "length")
     tendons = [_tendon(tendon, length, f"tendon {number}") for number, tendon in enumerate(_tables(table), 1)]
-    outer, inner = (_profile(table[key], length, key) for key in _PROFILES)
-    return CrossSections(length, outer, inner, tuple(tendons))
+    radii = {key: _profile(table[key], length, key) for key in _RADII if key in table}
+    return {"length": length, "tendons": tendons, **radii}
 
 
 def _tables(table: _Table) -> list[_Table]:
@@ -184,11 +235,12 @@ def _tables(table: _Table) -> list[_Table]:
 
 def _read_sections(table: _Table, folder: Path) -> CrossSections:
     """The body in the CSV file that is named."""
-    for key in ("length", *_PROFILES):
+    for key in ("length", *_RADII):
         if key in table:
             raise InputError(f"{key} is in the table of {_SECTIONS} too; leave one of them out")
     required = [key for key in _REQUIRED if key not in CrossSections._fields]
-    check_keys("", table, required, (*_OPTIONAL, "tendons", _SECTIONS))
+    must, may = _keys(table, required)
+    check_keys("", table, must, [*may, "tendons"])
     match table[_SECTIONS]:
         case str(file):
             return read_cross_sections(folder / file)
@@ -226,29 +278,29 @@ def _tendon(table: _Table, length: float, where: str) -> Tendon:
     return Tendon(_profile(table["offset"], length, f"{where}: offset"), int(side), **optional)
 
 
-def _profile(value: Any, length: float, where: str) -> Profile:
+def _profile(value: Any, length: float, where: str, kind: Dimension = "length") -> Profile:
     match value:
         case str() | int() | float():
-            return Constant(quantity(value, "length", where))
+            return Constant(quantity(value, kind, where))
         case {"base": base, "tip": tip, **rest} if rest.keys() <= {"length"}:
-            ends = quantity(base, "length", f"{where}: base"), quantity(tip, "length", f"{where}: tip")
+            ends = quantity(base, kind, f"{where}: base"), quantity(tip, kind, f"{where}: tip")
             return Linear(*ends, length=quantity(rest["length"], "length", f"{where}: length") if rest else length)
         case {"ends": list(ends), "pieces": list(pieces), **rest} if not rest:
             joints = [quantity(end, "length", f"{where}: ends") for end in ends]
-            parts = [_profile(piece, length, f"{where}: piece {number}") for number, piece in enumerate(pieces, 1)]
+            parts = [_profile(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(pieces, 1)]
             return _built(where, Piecewise, joints, parts)
         case {"lines": list(points), **rest} if not rest:
-            return _built(where, Piecewise.linear, *_points(points, f"{where}: lines"))
+            return _built(where, Piecewise.linear, *_points(points, f"{where}: lines", kind))
         case {"spline": list(points), **rest} if not rest:
-            return _built(where, Spline, *_points(points, f"{where}: spline"))
+            return _built(where, Spline, *_points(points, f"{where}: spline", kind))
     raise InputError(f"{where} is no profile, got {value!r}; write {_FORMS}")
 
 
-def _points(points: Sequence[Any], where: str) -> tuple[list[float], list[float]]:
+def _points(points: Sequence[Any], where: str, kind: Dimension) -> tuple[list[float], list[float]]:
     for point in points:
         if not isinstance(point, list) or len(point) != 2:
             raise InputError(f'{where} holds pairs [arc length, value], got {point!r}; write ["60 mm", "15 mm"]')
-    knots, values = ([quantity(point[i], "length", where) for point in points] for i in (0, 1))
+    knots, values = ([quantity(point[i], ("length", kind)[i], where) for point in points] for i in (0, 1))
     for i in range(1, len(knots)):
         if knots[i] <= knots[i - 1]:
             raise InputError(f"{where}: arc lengths must increase, got {points[i][0]!r} after {points[i - 1][0]!r}")
@@ -285,19 +337,27 @@ def check_keys(where: str, table: _Table, required: Sequence[str], optional: Seq
 
 def _table(manipulator: Manipulator) -> dict[str, Any]:
     length = manipulator.length
+    kinds: dict[str, Dimension] = {**_LENGTHS, **_MORE_PROFILES}
+    own = {key: getattr(manipulator, key) for key in (*kinds, *_NUMBERS)}
+    own = {key: value for key, value in own.items() if value is not None}
+    masses = [
+        {"at": _text(point.arc_length), "mass": written(float(point.mass), "mass")}
+        for point in manipulator.point_masses
+    ]
     return {
         "length": _text(length),
-        **{key: _form(getattr(manipulator, key), length, key) for key in _PROFILES},
-        "youngs_modulus": written(float(manipulator.youngs_modulus), "pressure"),
-        "friction_coefficient": float(manipulator.friction_coefficient),
-        "density": written(float(manipulator.density), "density"),
-        **({} if manipulator.drag is None else {"drag": written(float(manipulator.drag), "force per length")}),
-        **({} if manipulator.yield_strain is None else {"yield_strain": float(manipulator.yield_strain)}),
+        **{key: _form(as_profile(own[key]), length, key, kind) for key, kind in kinds.items() if key in own},
+        **{key: _number(own[key], kind) for key, kind in _NUMBERS.items() if key in own},
         "kinematics": manipulator.kinematics,
+        **({"point_mass": masses} if masses else {}),
         "tendons": [
             _tendon_table(tendon, length, f"tendon {number}") for number, tendon in enumerate(manipulator.tendons, 1)
         ],
     }
+
+
+def _number(value: Any, kind: Dimension) -> float | str:
+    return float(value) if kind in ("dimensionless", "strain") else written(float(value), kind)
 
 
 def _tendon_table(tendon: Tendon, length: Any, where: str) -> dict[str, Any]:
@@ -305,23 +365,27 @@ def _tendon_table(tendon: Tendon, length: Any, where: str) -> dict[str, Any]:
     for key, kind in _TENDON_NUMBERS.items():
         value = getattr(tendon, key)
         if value is not None and not (key == "free_length" and value == 0):
-            table[key] = float(value) if kind == "dimensionless" else written(float(value), kind)
+            table[key] = _number(value, kind)
     return table
 
 
-def _form(profile: Profile, length: Any, where: str) -> Any:
+def _form(profile: Profile, length: Any, where: str, kind: Dimension = "length") -> Any:
     """A profile in one of the forms that `_profile` reads."""
+
+    def value(x: Any) -> str:
+        return written(float(x), kind)
+
     match profile:
         case Constant():
-            return _text(profile.value)
+            return value(profile.value)
         case Linear():
             own = {} if profile.length == length else {"length": _text(profile.length)}
-            return {"base": _text(profile.base), "tip": _text(profile.tip), **own}
+            return {"base": value(profile.base), "tip": value(profile.tip), **own}
         case Piecewise():
-            pieces = [_form(piece, length, f"{where}: piece {i}") for i, piece in enumerate(profile.pieces, 1)]
+            pieces = [_form(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(profile.pieces, 1)]
             return {"ends": [_text(end) for end in profile.ends], "pieces": pieces}
         case Spline():
-            return {"spline": [[_text(s), _text(v)] for s, v in zip(profile.arc_length, profile.values, strict=True)]}
+            return {"spline": [[_text(s), value(v)] for s, v in zip(profile.arc_length, profile.values, strict=True)]}
     raise InputError(
         f"{where}: a profile of type {type(profile).__name__} cannot be written to a file; "
         "sample it into a Spline or Piecewise.linear"

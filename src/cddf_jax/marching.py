@@ -83,9 +83,10 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
         return State(growth, jnp.abs(turning), kappa, axis_of(state.heading), moment_rate, force_rate)
 
     def panel(state, inputs):
-        joint, start, end, stops = inputs
+        joint, drop, start, end, stops = inputs
         turn, ratio = turn_at_joint(problem, joint, state.pull, state.moment)
         state = state._replace(pull=state.pull._replace(ratio=ratio), wrap_angle=state.wrap_angle + turn)
+        state = state if drop is None else state._replace(force=state.force - drop)
 
         def inside(state, arc_length):  # stay on this panel's side of its edges
             return rate(state, jnp.clip(arc_length, start + nudge, end - nudge))
@@ -105,7 +106,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
     pull = Pull(ones, None if problem.base.drag is None else jnp.zeros_like(ones))
     base = State(pull, jnp.zeros_like(ones), zero, jnp.zeros_like(force), problem.base_moment, force)
     base = jax.tree.map(lambda x: x + zero, base)
-    inputs = problem.joints, cut.edges[:-1], cut.edges[1:], stops
+    inputs = problem.joints, problem.outboard.drops, cut.edges[:-1], cut.edges[1:], stops
     return jax.lax.scan(panel, base, inputs)
 
 

@@ -14,7 +14,7 @@ import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 
-from .bench import Bench, Pulley, experiment_of, parameter_named, starting_value
+from .bench import Bench, Pulley, experiment_of, free_parameters, parameter_named, starting_value
 from .determination import Determination, Evidence, determine
 from .equilibrium import NOTEWORTHY, RESULTS
 from .errors import InputError
@@ -89,7 +89,7 @@ class Plan:
 def plan(
     known: Manipulator | Fit,
     candidates: Sequence[Candidate],
-    free: Sequence[str] = ("friction_coefficient", "youngs_modulus"),
+    free: Sequence[str] | None = None,
     *,
     priors: Mapping[str, tuple[float, float]] | None = None,
     criterion: str = "D",
@@ -101,7 +101,7 @@ def plan(
     Args:
         known: a fit, to whose data the candidates would be added; or a manipulator, before any data.
         candidates: what could be measured; one may be chosen more than once.
-        free: what is to be told, of `bench.PARAMETERS`; of a fit, what it fitted.
+        free: what is to be told, of `bench.PARAMETERS`; None as in `fit`; of a fit, what it fitted.
         priors: by parameter, mean and standard deviation, SI; of a fit, its own.
         criterion: "D" for all parameters together (the volume of their joint interval), or the name of the one
             whose standard error shall become least (c-optimal).
@@ -119,7 +119,7 @@ def plan(
         body, parameters, nodes = known.model.manipulator, known.parameters, known.model.nodes
         evidence = known.evidence
     else:
-        body, parameters = known, {name: starting_value(known, name) for name in free}
+        body, parameters = known, {name: starting_value(known, name) for name in free_parameters(known, free)}
         evidence = _nothing_measured(parameters, priors or {})
     if criterion != "D" and criterion not in evidence.names:
         raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.names)}")

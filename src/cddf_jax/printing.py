@@ -11,10 +11,17 @@ from jax.core import Tracer
 from .contact import self_contact
 from .equilibrium import RESULTS, Equilibrium
 from .manipulator import Manipulator
-from .profiles import Constant, Linear, Piecewise, Profile, Spline
+from .profiles import Constant, Linear, Piecewise, Profile, Spline, as_profile
 from .statics import in_words
 from .units import Dimension, shown
 
+_PROFILES: dict[str, Dimension] = {
+    "outer_radius": "length",
+    "inner_radius": "length",
+    "bending_stiffness": "bending stiffness",
+    "mass_per_length": "mass per length",
+    "youngs_modulus": "pressure",
+}
 # results whose numbers are there and to be doubted, beside those that `remarks_on` tells
 _DOUBTED = (RESULTS.crossing, RESULTS.inaccurate, RESULTS.slack, RESULTS.unreachable, RESULTS.undetermined)
 
@@ -129,18 +136,24 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
         return eqx.tree_pformat(manipulator)
     length = float(manipulator.length)
     numbers: dict[str, Dimension] = {"density": "density", "drag": "force per length", "yield_strain": "strain"}
-    material = [
-        f"youngs_modulus {shown(manipulator.youngs_modulus, 'pressure')}",
-        f"friction_coefficient {float(manipulator.friction_coefficient):.5g}",
-    ]
+    plain = [name for name in ("stiffness_factor", "friction_coefficient") if getattr(manipulator, name) is not None]
+    material = [f"{name} {float(getattr(manipulator, name)):.5g}" for name in plain]
     for name, dimension in numbers.items():
         if getattr(manipulator, name):
             material.append(f"{name} {shown(getattr(manipulator, name), dimension)}")
     return "\n".join(
         [
             f"Manipulator of {shown(length, 'length')}, {manipulator.kinematics} kinematics",
-            *(f"{name} {_profile(getattr(manipulator, name), length)}" for name in ("outer_radius", "inner_radius")),
+            *(
+                f"{name} {_profile(as_profile(getattr(manipulator, name)), length, kind)}"
+                for name, kind in _PROFILES.items()
+                if getattr(manipulator, name) is not None
+            ),
             ", ".join(material),
+            *(
+                f"point mass {i}: {shown(point.mass, 'mass')} at s = {shown(point.arc_length, 'length')}"
+                for i, point in enumerate(manipulator.point_masses, 1)
+            ),
             *(f"tendon {i}: {_tendon(tendon, length)}" for i, tendon in enumerate(manipulator.tendons, 1)),
         ]
     )
@@ -159,14 +172,14 @@ def _tendon(tendon: Any, length: float) -> str:
     return ", ".join(parts)
 
 
-def _profile(profile: Profile, length: float) -> str:
+def _profile(profile: Profile, length: float, kind: Dimension = "length") -> str:
     """A profile by its values at the base and the tip, and what lies between."""
     if isinstance(profile, Constant):
-        return shown(profile.value, "length")
+        return shown(profile.value, kind)
     s = np.linspace(0.0, length, 201)
     values = np.asarray(profile(s))
-    ends = f"{shown(values[0], 'length')} at the base, {shown(values[-1], 'length')} at s = {shown(length, 'length')}"
+    ends = f"{shown(values[0], kind)} at the base, {shown(values[-1], kind)} at s = {shown(length, 'length')}"
     if isinstance(profile, Linear):
         return ends
-    kind = f"{type(profile).__name__}, " if isinstance(profile, Piecewise | Spline) else ""
-    return f"{ends} ({kind}from {shown(values.min(), 'length')} to {shown(values.max(), 'length')})"
+    form = f"{type(profile).__name__}, " if isinstance(profile, Piecewise | Spline) else ""
+    return f"{ends} ({form}from {shown(values.min(), kind)} to {shown(values.max(), kind)})"

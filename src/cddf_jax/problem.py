@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float
 
 from . import mechanics
 from .friction import PerTendon, Pull, is_proportional, ratio_beyond, unspent
-from .loads import Loads, force_per_length, planar_cross
+from .loads import Loads, force_at_points, force_per_length, planar_cross
 from .manipulator import CrossSection, Manipulator
-from .quadrature import Panels, panels
+from .quadrature import Panels, panels, panels_between
 from .trigonometry import cos_sin
 from .varying import zero_as
 
@@ -32,11 +32,15 @@ class Joints(NamedTuple):
 
 
 class Outboard(NamedTuple):
-    """N = F + integral of rho A g from s to the tip, N: the sum of the dead loads outboard of a cross-section."""
+    """N, N: the sum of the dead loads outboard of a cross-section.
+
+    That is the force on the tip, the weight per length integrated from there to the tip, and the point masses beyond.
+    """
 
     starts: Float[Array, "P 2"]
     nodes: Float[Array, "P p 2"]
     tip: Float[Array, "2"]
+    drops: Float[Array, "P 2"] | None = None  # by which N falls at the start of a panel; None without point masses
 
 
 class Problem(eqx.Module):
@@ -145,29 +149,61 @@ def lay_out(
         tip=jax.tree.map(lambda x: x[-1], along),
         joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside)) if turns else None,
         loads=loads,
-        outboard=_outboard(manipulator, cut, loads),
+        outboard=_outboard(manipulator, cut, loads, splits),
         base_moment=jnp.zeros_like(cut.edges[-1]),
     )
 
 
 def cut_into_panels(manipulator: Manipulator, nodes: int, splits: Float[Array, " splits"] | None = None) -> Panels:
     """Panels that end where the body or a tendon is not smooth, and at `splits` as well."""
+    if manipulator.point_masses:
+        return panels_between(jnp.sort(_joints(manipulator, splits)), nodes)
     breaks = manipulator.breakpoints
     return panels(jnp.asarray(manipulator.length), breaks if splits is None else jnp.append(breaks, splits), nodes)
 
 
-def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None) -> Outboard:
+def _joints(manipulator: Manipulator, splits: Float[Array, " splits"] | None) -> Float[Array, " joints"]:
+    """Base, breakpoints, splits and tip, not in order; what lies at an end keeps the derivative by its own place."""
+    length = jnp.asarray(manipulator.length)
+    points = [manipulator.breakpoints.astype(length.dtype), *([] if splits is None else [splits])]
+    points = jnp.concatenate(points)
+    points = jnp.where(points > length, length, jnp.where(points < 0, 0.0, points))
+    return jnp.concatenate([jnp.zeros_like(length)[None], points, length[None]])
+
+
+def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None, splits: Array | None) -> Outboard:
     if loads is None:
         zero = jnp.zeros((*cut.nodes.shape, 2), cut.edges.dtype)
         return Outboard(zero[:, 0], zero, zero[0, 0])
     edges, nodes = cut.integrate(load_rate(manipulator, cut.nodes, loads))
     force = jnp.asarray(loads.tip_force)
-    return Outboard(force + edges[-1] - edges[:-1], force + edges[-1] - nodes, force)
+    along = Outboard(force + edges[-1] - edges[:-1], force + edges[-1] - nodes, force)
+    return _with_point_masses(along, manipulator, cut, loads, splits) if manipulator.point_masses else along
+
+
+def _with_point_masses(
+    along: Outboard, manipulator: Manipulator, cut: Panels, loads: Loads, splits: Array | None
+) -> Outboard:
+    """The same with the weights of the point masses, each of which lies where a panel starts.
+
+    Which panel that is their rank among the joints tells, also of joints at one place: so derivatives by a place hold
+    there. At the tip itself N is that just before it.
+    """
+    masses = manipulator.point_masses
+    weight = force_at_points(loads, jnp.stack([jnp.asarray(point.mass) for point in masses]))
+    joints = _joints(manipulator, splits)
+    last = manipulator.breakpoints.shape[0] + 1
+    rank = jnp.argsort(jnp.argsort(joints))[last - len(masses) : last]
+    panel, start = jnp.arange(cut.edges.shape[0] - 1)[:, None], rank * ((cut.edges.shape[0] - 1) // (joints.size - 1))
+    beyond = jnp.where(panel < start, 1.0, 0.0) @ weight
+    at_tip = jnp.where(joints[last - len(masses) : last] == cut.edges[-1], 1.0, 0.0) @ weight
+    drops = jnp.where(panel == start, 1.0, 0.0) @ weight
+    return Outboard(along.starts + beyond, along.nodes + beyond[:, None], along.tip + at_tip, drops)
 
 
 def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points 2"]:
     """What the distributed dead loads put on the body per length, N/m."""
-    return force_per_length(loads, jnp.asarray(manipulator.density) * manipulator.area(arc_length))
+    return force_per_length(loads, manipulator.distributed_mass(arc_length))
 
 
 def loaded_to(problem: Problem, fraction: Number, base_moment: Number) -> Problem:
@@ -181,7 +217,8 @@ def loaded_to(problem: Problem, fraction: Number, base_moment: Number) -> Proble
 def with_tip_force(problem: Problem, tip_force: Float[Array, "2"]) -> Problem:
     """The problem with another force on its tip."""
     more = tip_force - problem.outboard.tip
-    return eqx.tree_at(lambda problem: problem.outboard, problem, jax.tree.map(lambda x: x + more, problem.outboard))
+    starts, nodes, tip, drops = problem.outboard
+    return eqx.tree_at(lambda p: p.outboard, problem, Outboard(starts + more, nodes + more, tip + more, drops))
 
 
 def guarded_section(manipulator: Manipulator, arc_length: Number) -> CrossSection:

@@ -213,10 +213,14 @@ def panels(length: Float[Array, ""], breakpoints: Float[Array, " n"], nodes: int
 
     One panel of 16 nodes is far more accurate for a smooth body than two of 8.
     """
+    ends = jnp.zeros_like(length)[None], breakpoints.astype(length.dtype), length[None]
+    return panels_between(jnp.sort(jnp.clip(jnp.concatenate(ends), 0.0, length)), nodes)
+
+
+def panels_between(joints: Float[Array, " joints"], nodes: int) -> Panels:
+    """As `panels`, between joints in order, the first of which is the base and the last the tip."""
     per_piece = -(-nodes // LARGEST_ORDER)
     order = -(-nodes // per_piece)
-    ends = jnp.zeros_like(length)[None], breakpoints.astype(length.dtype), length[None]
-    joints = jnp.sort(jnp.clip(jnp.concatenate(ends), 0.0, length))
     fraction = jnp.arange(per_piece) / per_piece
-    starts = joints[:-1, None] + jnp.diff(joints)[:, None] * fraction.astype(length.dtype)
+    starts = joints[:-1, None] + jnp.diff(joints)[:, None] * fraction.astype(joints.dtype)
     return Panels(jnp.concatenate([starts.ravel(), joints[-1:]]), order)

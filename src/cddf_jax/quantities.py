@@ -21,6 +21,7 @@ from .statics import solve
 from .units import Dimension
 
 BODY_NODES = 48  # of integrals over a body alone, in each of its smooth pieces
+OF_RADII = ("volume", "outer_radius", "inner_radius", "wall_thickness", "clearance", "taper", "slope", "strain")
 
 
 class View:
@@ -124,29 +125,45 @@ def check_fits(name: str, wanted: Any, value: Any) -> None:
 # --- of the body alone ---------------------------------------------------------------------------
 
 
-def _slope(profile: Profile, s: Float[Array, " points"]) -> Float[Array, " points"]:
+def _slope(profile: Profile, s: Float[Array, " points"]) -> Any:
     return jax.jvp(profile, (s,), (jnp.ones_like(s),))[1]
 
 
+def _radius(view: View, which: int) -> Array:
+    return view.body.radii(view.arc_length)[which]
+
+
 def _wall(view: View) -> Array:
-    return view.body.outer_radius(view.arc_length) - view.body.inner_radius(view.arc_length)
+    outer, inner = view.body.radii(view.arc_length)
+    return outer - inner
 
 
 def _clearance(view: View) -> Array:
     offset, s = view.body.offset(view.arc_length), view.arc_length
-    to_walls = jnp.stack([view.body.outer_radius(s) - offset, offset - view.body.inner_radius(s)])
-    return jnp.where(view.anchored, to_walls, view.body.outer_radius(s))  # beyond its anchor it is in no one's way
+    outer, inner = view.body.radii(s)
+    return jnp.where(
+        view.anchored, jnp.stack([outer - offset, offset - inner]), outer
+    )  # beyond its anchor it is in no one's way
 
 
 def _slopes(view: View) -> Array:
-    slopes = jnp.stack([_slope(p, view.arc_length) for p in (view.body.outer_radius, view.body.inner_radius)])
+    slopes = jnp.stack(_slope(view.body.radii, view.arc_length))
     return jnp.stack([slopes, -slopes])
 
 
 def _volume(view: View) -> Array:
-    """By Gauss's rule between the places where the radii are not smooth."""
-    pieces = panels(jnp.asarray(view.body.length), view.body.breakpoints, BODY_NODES)
-    return jnp.sum(pieces.gain(view.body.area(pieces.nodes)))
+    return _integral(view.body, view.body.area)
+
+
+def _mass(view: View) -> Array:
+    points = jnp.asarray([0.0, *(point.mass for point in view.body.point_masses)])
+    return _integral(view.body, view.body.distributed_mass) + jnp.sum(points)
+
+
+def _integral(body: Manipulator, of: Callable[[Array], Array]) -> Array:
+    """By Gauss's rule between the places where the body is not smooth."""
+    pieces = panels(jnp.asarray(body.length), body.breakpoints, BODY_NODES)
+    return jnp.sum(pieces.gain(of(pieces.nodes)))
 
 
 # --- of an equilibrium ---------------------------------------------------------------------------
@@ -196,12 +213,12 @@ def _fixed(x: float, y: float) -> Callable[[Equilibrium], Any]:
 QUANTITIES: dict[str, Quantity] = {
     "length": Quantity(lambda v: jnp.asarray(v.body.length), "length", bent=False),
     "volume": Quantity(_volume, "volume", bent=False),
-    "mass": Quantity(lambda v: jnp.asarray(v.body.density) * _volume(v), "mass", bent=False),
-    "outer_radius": Quantity(lambda v: v.body.outer_radius(v.arc_length), "length", False, True),
-    "inner_radius": Quantity(lambda v: v.body.inner_radius(v.arc_length), "length", False, True),
+    "mass": Quantity(_mass, "mass", bent=False),
+    "outer_radius": Quantity(lambda v: _radius(v, 0), "length", False, True),
+    "inner_radius": Quantity(lambda v: _radius(v, 1), "length", False, True),
     "wall_thickness": Quantity(_wall, "length", False, True),
     "clearance": Quantity(_clearance, "length", False, True, to_anchor=True),
-    "taper": Quantity(lambda v: -_slope(v.body.outer_radius, v.arc_length), "dimensionless", False, True),
+    "taper": Quantity(lambda v: -_slope(v.body.radii, v.arc_length)[0], "dimensionless", False, True),
     "slope": Quantity(_slopes, "dimensionless", False, True),
     "curvature": Quantity(lambda v: v.along.curvature, "curvature", along=True),
     "heading": Quantity(lambda v: v.along.heading, "angle", along=True),

@@ -112,10 +112,10 @@ def read_loads(tip_force: str | None, tip_moment: str | None, gravity: str | Non
 
     Args:
         tip_force, tip_moment, gravity: as typed.
-        has_weight: whether the body has a density.
+        has_weight: whether the body has a mass.
 
     Raises:
-        InputError: for text that is none of that, and for gravity on a body without density.
+        InputError: for text that is none of that, and for gravity on a body without mass.
     """
     given: dict[str, Any] = {}
     if tip_force is not None:
@@ -127,7 +127,7 @@ def read_loads(tip_force: str | None, tip_moment: str | None, gravity: str | Non
         if any(given["gravity"]) and not has_weight:
             raise InputError(
                 f"--gravity {gravity!r}: the body has no weight, since its density is 0; "
-                'give the density in its file as in density = "1070 kg/m^3"'
+                'give in its file density = "1070 kg/m^3", mass_per_length = "0.12 kg/m" or a [[point_mass]]'
             )
     return Loads(**given) if given else None
 

@@ -82,7 +82,7 @@ def _unseen_turning(problem: Problem) -> Number:
     body, cut = problem.manipulator, problem.panels
 
     def bend(arc_length):
-        stiffness = body.bending_stiffness(arc_length)
+        stiffness = body.stiffness(arc_length)
         moments = problem.base_tension * body.offset(arc_length)
         if problem.loads is not None:
             moments = jnp.append(moments, problem.base_moment)

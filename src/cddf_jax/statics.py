@@ -23,7 +23,7 @@ from .solver import ACCURACY, FixedPoint, truncation_error
 from .targets import CurvatureAt, Displacement, Target, TipAngle, TipStiffness
 from .tendon_travel import tendon_displacement
 from .tension_search import Found, reach
-from .validation import describe_crossing
+from .validation import check_weight, describe_crossing
 
 PerTendon = Float[Array, " tendons"]
 
@@ -76,7 +76,8 @@ def solve(
 
     Raises:
         SolveError: with `throw`, when the result is neither successful nor `direction_contradicted`.
-        ValueError: for a wrong number of tensions, directions or components of a load, or nodes below 4.
+        ValueError: for a wrong number of tensions, directions or components of a load, nodes below 4, or gravity on
+            a body that is known to have no mass.
         TypeError: for a manipulator, tensions, a method or loads that are none.
     """
     if not isinstance(manipulator, Manipulator):
@@ -89,6 +90,7 @@ def solve(
     loads = _checked(loads)
     if loads is None and any(isinstance(target, TipStiffness) for target in targets):
         loads = Loads()
+    check_weight(manipulator, loads)
     equilibrium = _solve(manipulator, given, targets, loads, direction, method, nodes)
     if throw:
         _raise_if_failed(equilibrium, targets)
@@ -345,19 +347,29 @@ def _harmless(
 
 
 def _is_physical(manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, problem: Problem):
-    stiffness = jax.vmap(jax.vmap(problem.manipulator.bending_stiffness))(problem.panels.nodes)
+    stiffness = jax.vmap(jax.vmap(problem.manipulator.stiffness))(problem.panels.nodes)
     return (
         jnp.all(stiffness > 0)
         & (problem.panels.edges[-1] > 0)
         & jnp.all(manipulator.tendon_friction >= 0)
         & (True if manipulator.tendon_drag is None else jnp.all(manipulator.tendon_drag >= 0))
-        & (jnp.asarray(manipulator.density) >= 0)
+        & _has_physical_masses(manipulator, problem)
         & jnp.all(jnp.isfinite(manipulator.tendon_compliance) & (manipulator.tendon_compliance >= 0))
         & jnp.all(manipulator.tendon_free_length >= 0)
         & jnp.all((problem.nodes.offset >= 0) | ~problem.nodes.present)
         & jnp.all(base_tension >= 0)
         & jnp.all(jnp.abs(direction) == 1)
     )
+
+
+def _has_physical_masses(manipulator: Manipulator, problem: Problem) -> Bool[Array, ""]:
+    density, length = jnp.asarray(manipulator.density), problem.panels.edges[-1]
+    good = density >= 0 if manipulator.has_radii else density == 0
+    if problem.manipulator.mass_per_length is not None:
+        good = good & jnp.all(problem.manipulator.mass_per_length(problem.panels.nodes) >= 0)
+    for point in manipulator.point_masses:
+        good = good & (point.mass >= 0) & (point.arc_length > 0) & (point.arc_length <= length)
+    return good
 
 
 def _is_on_the_body(targets: tuple[Target | None, ...], problem: Problem) -> Bool[Array, ""]:

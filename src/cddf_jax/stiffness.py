@@ -14,6 +14,7 @@ from .problem import Method
 from .profiles import as_number
 from .solver import FixedPoint
 from .statics import solve
+from .validation import check_weight
 
 
 def tip_compliance(
@@ -70,7 +71,11 @@ def tip_jacobian(
 
     Args:
         manipulator, base_tension, loads, direction, method, nodes: as in `solve`.
+
+    Raises:
+        InputError: for gravity on a body without mass.
     """
+    check_weight(manipulator, loads)
     base_tension, direction = (jax.tree.map(as_number, x) for x in (base_tension, direction))
     return _tip_jacobian((manipulator, base_tension, loads), direction, method, nodes)
 

@@ -11,7 +11,7 @@ from .profiles import Constant, Linear, Piecewise, Profile, Spline
 
 
 def stretched(manipulator: Manipulator, length: Any) -> Manipulator:
-    """The body with another length, everything along it in proportion: tapers, knots, joints and anchors."""
+    """The body with another length, everything along it in proportion: tapers, knots, joints, anchors, places."""
     ratio = length / jnp.asarray(manipulator.length)
 
     def tendon(old: Tendon) -> Tendon:
@@ -20,9 +20,9 @@ def stretched(manipulator: Manipulator, length: Any) -> Manipulator:
     return replace(
         manipulator,
         length=length,
-        outer_radius=_stretched(manipulator.outer_radius, ratio),
-        inner_radius=_stretched(manipulator.inner_radius, ratio),
         tendons=tuple(tendon(old) for old in manipulator.tendons),
+        point_masses=tuple(replace(old, arc_length=old.arc_length * ratio) for old in manipulator.point_masses),
+        **{name: _stretched(old, ratio) for name, old in manipulator.profiles.items() if "." not in name},
     )
 
 

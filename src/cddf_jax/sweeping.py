@@ -265,7 +265,7 @@ class Sweep:
         """What makes this sweep, JSON."""
         body = self.case.manipulator
         along = np.linspace(0.0, float(np.asarray(body.length)), 101)  # a function as a profile has no leaves
-        profiles = [body.outer_radius, body.inner_radius, *(tendon.offset for tendon in body.tendons)]
+        profiles = body.profiles.values()
         axes = {f"axis {d.name}": {k: told(v) for k, v in (d.numbers | d.options).items()} for d in self.dimensions}
         return {
             **{name.removeprefix("manipulator."): value for name, value in numbers_of(self.case).items()},

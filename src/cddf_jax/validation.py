@@ -11,11 +11,13 @@ from jax.core import Tracer
 
 from .equilibrium import Equilibrium
 from .errors import InputError
+from .loads import Loads
 from .manipulator import Manipulator, Tendon
 from .profiles import Piecewise, Profile, Spline, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
 _POINTS = 1001
+_SI = {"youngs_modulus": "Pa", "bending_stiffness": "N m^2", "mass_per_length": "kg/m"}
 _FAR_TOO_MUCH = 10.0  # offset * curvature, which no change of a body explains, but another unit does
 
 
@@ -36,8 +38,24 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
     with jax.enable_x64(True):  # a profile is judged in float64, whatever the caller computes in
         s = _stations(manipulator)
         _check_wall(manipulator, s)
+        _check_stiffness_and_mass(manipulator, s)
         for number, tendon in enumerate(manipulator.tendons, 1):
             _check_tendon(f"tendon {number}", manipulator, tendon, s, offsets_outside_wall)
+
+
+def check_weight(manipulator: Manipulator, loads: Loads | None) -> None:
+    """Refuse gravity on a body without mass, where both are known; what is traced is not looked at.
+
+    Raises:
+        InputError: names what is missing and the remedy.
+    """
+    if loads is None or isinstance(loads.gravity, Tracer) or manipulator.has_mass:
+        return
+    if np.any(np.asarray(loads.gravity)):
+        raise InputError(
+            "loads.gravity: the body has no weight, since its density is 0; give it density, mass_per_length or "
+            "point_masses, or leave gravity out"
+        )
 
 
 def describe_crossing(equilibrium: Equilibrium) -> str:
@@ -69,13 +87,24 @@ def _check_leaves(manipulator: Manipulator) -> None:
 def _check_scalars(manipulator: Manipulator) -> None:
     length = manipulator.length
     _demand_number("length", length, above=0.0, unit="m")
-    _demand_number("youngs_modulus", manipulator.youngs_modulus, above=0.0, unit="Pa")
+    if manipulator.youngs_modulus is not None and not callable(manipulator.youngs_modulus):
+        _demand_number("youngs_modulus", manipulator.youngs_modulus, above=0.0, unit="Pa")
+    if manipulator.stiffness_factor is not None:
+        _demand_number("stiffness_factor", manipulator.stiffness_factor, above=0.0)
     _demand_number("friction_coefficient", manipulator.friction_coefficient, least=0.0)
     if manipulator.drag is not None:
         _demand_number("drag", manipulator.drag, least=0.0, unit="N/m")
     _demand_number("density", manipulator.density, least=0.0, unit="kg/m^3")
     if manipulator.yield_strain is not None:
         _demand_number("yield_strain", manipulator.yield_strain, above=0.0)
+    for number, point in enumerate(manipulator.point_masses, 1):
+        _demand_number(f"point mass {number}: mass", point.mass, least=0.0, unit="kg")
+        _demand_number(f"point mass {number}: arc_length", point.arc_length, above=0.0, unit="m")
+        if point.arc_length > length:
+            raise InputError(
+                f"point mass {number}: arc_length {_mm(point.arc_length)} lies beyond the tip at {_mm(length)}; "
+                "put it on the body"
+            )
     for number, tendon in enumerate(manipulator.tendons, 1):
         if tendon.friction_coefficient is not None:
             _demand_number(f"tendon {number}: friction_coefficient", tendon.friction_coefficient, least=0.0)
@@ -103,20 +132,21 @@ def _demand_number(name: str, value: Any, *, above: float = -np.inf, least: floa
 
 def _check_knots(manipulator: Manipulator) -> None:
     """Knots and joints increasing."""
-    for name, profile in _named_profiles(manipulator):
+    for name, profile in manipulator.profiles.items():
+        words = _in_words(name)
         for part in _parts(profile):
             knots = part.ends if isinstance(part, Piecewise) else part.arc_length if isinstance(part, Spline) else ()
             falls = np.flatnonzero(np.diff(knots) <= 0)
             if falls.size:
                 left, right = knots[falls[0]], knots[falls[0] + 1]
-                raise InputError(f"{name}: its knots must increase, got {_mm(left)} before {_mm(right)}; sort them")
+                raise InputError(f"{words}: its knots must increase, got {_mm(left)} before {_mm(right)}; sort them")
 
 
-def _named_profiles(manipulator: Manipulator) -> Iterator[tuple[str, Profile]]:
-    yield "outer_radius", manipulator.outer_radius
-    yield "inner_radius", manipulator.inner_radius
-    for number, tendon in enumerate(manipulator.tendons, 1):
-        yield f"tendon {number}: offset", tendon.offset
+def _in_words(name: str) -> str:
+    """ "tendon 1: offset" of "tendons.0.offset"."""
+    tendons, _, rest = name.partition(".")
+    number, _, own = rest.partition(".")
+    return f"tendon {int(number) + 1}: {own}" if own else tendons
 
 
 def _parts(profile: Profile) -> Iterator[Profile]:
@@ -143,7 +173,21 @@ def _sides(breakpoints: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(joints - nudge, 0.0, end - nudge), np.clip(joints + nudge, 0.0, end - nudge)
 
 
+def _check_stiffness_and_mass(manipulator: Manipulator, s: np.ndarray) -> None:
+    found = {name: _values(name, profile, s) for name, profile in manipulator.profiles.items() if name in _SI}
+    for name, values in found.items():
+        good, demand = (values >= 0, "0 or more") if name == "mass_per_length" else (values > 0, "above 0")
+        _demand(
+            good,
+            lambda i, name=name, values=values, demand=demand: (
+                f"{name} must be {demand}: at s = {_mm(s[i])} it is {values[i]:.6g} {_SI[name]}; correct it there"
+            ),
+        )
+
+
 def _check_wall(manipulator: Manipulator, s: np.ndarray) -> None:
+    if manipulator.outer_radius is None or manipulator.inner_radius is None:
+        return
     outer = _values("outer_radius", manipulator.outer_radius, s)
     inner = _values("inner_radius", manipulator.inner_radius, s)
     _demand(
@@ -173,9 +217,10 @@ def _check_tendon(
         ),
     )
     _check_jumps(name, tendon, reach)
-    if offsets_outside_wall:
+    if offsets_outside_wall or not manipulator.has_radii:
         return
-    outer, inner = _at(manipulator.outer_radius, s), _at(manipulator.inner_radius, s)
+    outer, inner = eqx.filter_jit(manipulator.radii)(jnp.asarray(s))
+    outer, inner = np.asarray(outer), np.asarray(inner)
     slack = _SLACK * float(manipulator.length)
     _demand(
         ((offset >= inner - slack) & (offset <= outer + slack)) | beyond,

@@ -175,12 +175,13 @@ def _advice(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]
             f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "
             "the warnings. A pulley test or a prior would help."
         )
-    if lost == {"friction_coefficient", "youngs_modulus"} and fit.combinations:
+    stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
+    if lost == {"friction_coefficient", stiffness} and fit.combinations:
         return (
-            "Tensions of one tendon hold only friction_coefficient / youngs_modulus. To separate the two, add a pulley "
+            f"Tensions of one tendon hold only friction_coefficient / {stiffness}. To separate the two, add a pulley "
             "test (friction alone), tip angles or tip positions measured with the tensions, or a prior on either."
         )
-    if lost == {"youngs_modulus"} and all("pulling_tension" in table for table in tables):
+    if lost == {stiffness} and all("pulling_tension" in table for table in tables):
         return (
             "A pulley test holds the friction alone. Add tip tensions, tip angles or tip positions of the manipulator."
         )
