@@ -264,8 +264,9 @@ class Manipulator(eqx.Module):
         if self.bending_stiffness is not None:
             found = self.bending_stiffness(arc_length)
         else:
-            E: Any = self.youngs_modulus
-            found = (E(arc_length) if callable(E) else jnp.asarray(E)) * self.second_moment(arc_length)
+            modulus: Any = self.youngs_modulus
+            E: Array = modulus(arc_length) if callable(modulus) else jnp.asarray(modulus)
+            found = E * self.second_moment(arc_length)
         return found if self.stiffness_factor is None else jnp.asarray(self.stiffness_factor) * found
 
     def distributed_mass(self, arc_length: Points) -> Float[Array, "*points"]:
