@@ -16,7 +16,7 @@ from cddf_jax import figures
 jax.config.update("jax_enable_x64", True)
 
 body = dict(length=0.140, outer_radius=(0.020, 0.013), inner_radius=0.007, tendon_offset=0.010,
-            youngs_modulus=1.4e6, friction_coefficient=0.42)
+            youngs_modulus=1.4e6, friction_coefficient=0.42, density=1070.0)
 robot, pair = cddf.conical(**body), cddf.conical(**body, num_tendons=2)
 loads = cddf.Loads(tip_force=(0.0, -2.0), gravity=(0.0, -9.81))
 bent, loaded = cddf.solve(robot, 75.0), cddf.solve(pair, [60.0, 10.0], loads)

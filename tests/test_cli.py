@@ -625,7 +625,7 @@ def test_wrong_numbers_of_targets(fails, two_tendons):
             "--gravity",
             "0, -1 g_0",
             "'0, -1 g_0': the body has no weight, since its density is 0; "
-            'give the density in its file as in density = "1070 kg/m^3"',
+            'give in its file density = "1070 kg/m^3", mass_per_length = "0.12 kg/m" or a [[point_mass]]',
         ),
     ],
 )

@@ -45,7 +45,7 @@ def self_contact(equilibrium: Equilibrium) -> Contact | None:
         return None
     s = _stations(float(body.length), np.asarray(body.breakpoints, float))
     along = jax.tree.map(np.asarray, _centre_line(equilibrium._dense, s))
-    radius = np.asarray(body.outer_radius(s))
+    radius = np.asarray(body.radii(s)[0])
     i, j = _far_pairs(s, along.position, radius)
     normal = np.stack([-np.sin(along.heading), np.cos(along.heading)], axis=-1)
     upper, lower = (along.position + sign * radius[:, None] * normal for sign in (+1, -1))

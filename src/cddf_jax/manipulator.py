@@ -264,8 +264,8 @@ class Manipulator(eqx.Module):
         if self.bending_stiffness is not None:
             found = self.bending_stiffness(arc_length)
         else:
-            modulus: Any = self.youngs_modulus
-            E: Array = modulus(arc_length) if callable(modulus) else jnp.asarray(modulus)
+            modulus = self.profiles.get("youngs_modulus")
+            E = jnp.asarray(self.youngs_modulus) if modulus is None else modulus(arc_length)
             found = E * self.second_moment(arc_length)
         return found if self.stiffness_factor is None else jnp.asarray(self.stiffness_factor) * found
 

@@ -137,7 +137,9 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
     length = float(manipulator.length)
     numbers: dict[str, Dimension] = {"density": "density", "drag": "force per length", "yield_strain": "strain"}
     plain = [name for name in ("stiffness_factor", "friction_coefficient") if getattr(manipulator, name) is not None]
-    material = [f"{name} {float(getattr(manipulator, name)):.5g}" for name in plain]
+    modulus = manipulator.youngs_modulus
+    material = [] if modulus is None or callable(modulus) else [f"youngs_modulus {shown(modulus, 'pressure')}"]
+    material += [f"{name} {float(getattr(manipulator, name)):.5g}" for name in plain]
     for name, dimension in numbers.items():
         if getattr(manipulator, name):
             material.append(f"{name} {shown(getattr(manipulator, name), dimension)}")
@@ -147,7 +149,7 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
             *(
                 f"{name} {_profile(as_profile(getattr(manipulator, name)), length, kind)}"
                 for name, kind in _PROFILES.items()
-                if getattr(manipulator, name) is not None
+                if getattr(manipulator, name) is not None and (name != "youngs_modulus" or callable(modulus))
             ),
             ", ".join(material),
             *(
