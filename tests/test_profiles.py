@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
 import cddf_jax as cddf
-from cddf_jax.profiles import breakpoints
+from cddf_jax.profiles import FEW, breakpoints
 
 KNOTS = np.array([0.0, 0.01, 0.035, 0.05, 0.09, 0.11, 0.14])
 HEIGHTS = np.array([0.010, 0.012, 0.009, 0.0085, 0.011, 0.008, 0.0075])
@@ -111,6 +111,16 @@ def test_piecewise_linear_is_that_of_numpy():
     line = cddf.Piecewise.linear(KNOTS, HEIGHTS)
     np.testing.assert_allclose(line(s), np.interp(s, KNOTS, HEIGHTS), rtol=ROUNDING)
     np.testing.assert_array_equal(breakpoints(line), KNOTS[1:-1])
+
+
+def test_many_lines_are_those_of_numpy():
+    """More points than are compared with one by one."""
+    knots, s = np.linspace(0, 0.14, FEW + 20), np.linspace(0, 0.14, 301)
+    heights = 0.01 + 0.001 * np.cos(5.0 * np.arange(knots.size))
+    line = cddf.Piecewise.linear(knots, heights)
+    np.testing.assert_allclose(line(s), np.interp(s, knots, heights), rtol=ROUNDING)
+    # the slope at a joint is that of the line behind it
+    np.testing.assert_allclose(jax.vmap(jax.grad(line))(knots[:-1]), np.diff(heights) / np.diff(knots), rtol=1e-9)
 
 
 def test_piecewise_knows_the_breaks_of_its_pieces():

@@ -14,7 +14,7 @@ from .case import Case, stem_and_tendon
 from .errors import InputError
 from .load_cases import LoadCase
 from .manipulator import Manipulator
-from .profiles import Constant, Linear, Piecewise, Profile, Spline
+from .profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline
 
 WIDE = 10.0  # times the start value, and its tenth: bounds that nobody gave
 Vector = Float[Array | np.ndarray, " n"]
@@ -133,7 +133,7 @@ def _within(case: Case, name: str) -> list[str]:
     for step in name.split("."):
         inside = isinstance(node, tuple) and step.isdigit() and int(step) < len(node)
         node = node[int(step)] if inside else getattr(node, step, None)
-    if isinstance(node, Linear | Spline | Piecewise):
+    if isinstance(node, Linear | Polyline | Spline | Piecewise):
         return [f"{name}.{inner}" for inner in _values_of(node)]
     if isinstance(node, np.ndarray | jax.Array) and np.ndim(node) == 1:
         return [f"{name}.{i}" for i in range(len(node))]
@@ -150,7 +150,7 @@ def _values_of(profile: Profile) -> list[str]:
             return ["value"]
         case Linear():
             return ["base", "tip"]
-        case Spline():
+        case Polyline() | Spline():
             return [f"values.{i}" for i in range(len(profile.values))]
         case Piecewise():
             pieces = enumerate(profile.pieces)

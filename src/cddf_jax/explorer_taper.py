@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
-from .profiles import Constant, Linear, Piecewise, Profile, Spline
+from .profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline
 
 
 def tapered(profile: Profile, base: float, tip: float, length: Any) -> Profile:
@@ -28,6 +28,6 @@ def _raised(profile: Profile, by: Linear) -> Profile:
             return Linear(profile.base + by.base, profile.tip + float(by(profile.length)), profile.length)
         case Piecewise():
             return Piecewise(profile.ends, [_raised(piece, by) for piece in profile.pieces])
-        case Spline():
-            return Spline(profile.arc_length, profile.values + np.asarray(by(profile.arc_length)))
+        case Polyline() | Spline():
+            return type(profile)(profile.arc_length, profile.values + np.asarray(by(profile.arc_length)))
     raise InputError(f"a profile of type {type(profile).__name__} cannot be tapered; give a Spline or Piecewise")

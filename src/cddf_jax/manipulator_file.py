@@ -62,7 +62,7 @@ from .artifacts import write_all
 from .cross_sections import CrossSections, read_cross_sections
 from .errors import InputError
 from .manipulator import KINEMATICS, Manipulator, PointMass, Tendon
-from .profiles import Constant, Linear, Piecewise, Profile, Spline, as_profile
+from .profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
 from .units import Dimension, quantity, written
 
 _Table = Mapping[str, Any]
@@ -384,8 +384,10 @@ def _form(profile: Profile, length: Any, where: str, kind: Dimension = "length")
         case Piecewise():
             pieces = [_form(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(profile.pieces, 1)]
             return {"ends": [_text(end) for end in profile.ends], "pieces": pieces}
-        case Spline():
-            return {"spline": [[_text(s), value(v)] for s, v in zip(profile.arc_length, profile.values, strict=True)]}
+        case Polyline() | Spline():
+            points = zip(profile.arc_length, profile.values, strict=True)
+            form = "lines" if isinstance(profile, Polyline) else "spline"
+            return {form: [[_text(s), value(v)] for s, v in points]}
     raise InputError(
         f"{where}: a profile of type {type(profile).__name__} cannot be written to a file; "
         "sample it into a Spline or Piecewise.linear"

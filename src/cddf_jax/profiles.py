@@ -18,6 +18,7 @@ Profile = Callable[[Any], Any]
 Number = Array | np.ndarray
 Scalar = Float[Number, ""]
 Points = Float[ArrayLike, "*points"]
+FEW = 64  # points among which comparing is faster than searching
 
 
 def as_number(value: Any) -> Any:
@@ -89,31 +90,61 @@ class Piecewise(eqx.Module):
                 f"got ends of shape {np.shape(self.ends)}"
             )
 
-    @classmethod
-    def linear(cls, arc_length: Any, values: Any) -> "Piecewise":
+    @staticmethod
+    def linear(arc_length: Any, values: Any) -> "Polyline":
         """Straight lines through the points (`arc_length`, `values`), the first at s = 0."""
-        knots, heights = as_number(arc_length), as_number(values)
-        if np.ndim(knots) != 1 or np.shape(knots) != np.shape(heights) or np.shape(knots)[0] < 2:
-            raise ValueError(
-                "Piecewise.linear: arc_length and values must be two lists of one length, 2 or more, "
-                f"got shapes {np.shape(knots)} and {np.shape(heights)}"
-            )
-        if isinstance(knots, np.ndarray) and not np.all(np.diff(knots) > 0):
-            raise ValueError(f"Piecewise.linear: arc_length must increase, got {knots.tolist()}")
-        lines = []
-        for i in range(np.shape(knots)[0] - 1):
-            slope = (heights[i + 1] - heights[i]) / (knots[i + 1] - knots[i])
-            lines.append(Linear(heights[i] - slope * knots[i], heights[i] + slope * (1.0 - knots[i]), 1.0))
-        return cls(knots[1:-1], lines)
+        return Polyline(arc_length, values)
 
     @property
     def breakpoints(self) -> Float[Array, " n"]:
         return jnp.concatenate([jnp.asarray(self.ends), *(breakpoints(piece) for piece in self.pieces)])
 
     def __call__(self, arc_length: Points) -> Float[Array, "*points"]:
-        index = jnp.sum(jnp.asarray(arc_length)[..., None] >= jnp.asarray(self.ends), axis=-1)
+        index = _count_up_to(jnp.asarray(self.ends), jnp.asarray(arc_length))
         values = jnp.stack([piece(arc_length) for piece in self.pieces], axis=-1)
         return jnp.take_along_axis(values, index[..., None], axis=-1)[..., 0]
+
+
+class Polyline(eqx.Module):
+    """Straight lines from point to point, what `Piecewise.linear` makes; the outer ones go on beyond the ends.
+
+    Args:
+        arc_length: of the points (m), increasing, two or more.
+        values: the profile there.
+
+    Raises:
+        ValueError: for fewer than two points, lists of different length, or arc lengths that do not increase.
+    """
+
+    arc_length: Float[Number, " knots"] = eqx.field(converter=as_number)
+    values: Float[Number, " knots"] = eqx.field(converter=as_number)
+
+    def __check_init__(self):
+        knots, shapes = self.arc_length, (np.shape(self.arc_length), np.shape(self.values))
+        if len(shapes[0]) != 1 or shapes[0] != shapes[1] or shapes[0][0] < 2:
+            raise ValueError(
+                "Piecewise.linear: arc_length and values must be two lists of one length, 2 or more, "
+                f"got shapes {shapes[0]} and {shapes[1]}"
+            )
+        if isinstance(knots, np.ndarray) and not np.all(np.diff(knots) > 0):
+            raise ValueError(f"Piecewise.linear: arc_length must increase, got {knots.tolist()}")
+
+    @property
+    def breakpoints(self) -> Float[Array, " inner"]:
+        return jnp.asarray(self.arc_length)[1:-1]
+
+    def __call__(self, arc_length: Points) -> Float[Array, "*points"]:
+        arc_length, knots, values = jnp.asarray(arc_length), jnp.asarray(self.arc_length), jnp.asarray(self.values)
+        i = _count_up_to(knots[1:-1], arc_length)
+        along = (arc_length - knots[i]) / (knots[i + 1] - knots[i])
+        return values[i] + along * (values[i + 1] - values[i])
+
+
+def _count_up_to(places: Float[Array, " n"], arc_length: Float[Array, "*points"]) -> Array:
+    """How many of some increasing places lie at or before each arc length; a few are compared with in less time."""
+    if places.shape[0] > FEW:
+        return jnp.searchsorted(places, arc_length, side="right")
+    return jnp.sum(arc_length[..., None] >= places, axis=-1)
 
 
 class Spline(eqx.Module):

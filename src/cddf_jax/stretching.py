@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from .errors import InputError
 from .manipulator import Manipulator, Tendon
-from .profiles import Constant, Linear, Piecewise, Profile, Spline
+from .profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline
 
 
 def stretched(manipulator: Manipulator, length: Any) -> Manipulator:
@@ -32,7 +32,7 @@ def _stretched(profile: Profile, ratio: Any) -> Profile:
             return profile
         case Linear():
             return replace(profile, length=profile.length * ratio)
-        case Spline():
+        case Polyline() | Spline():
             return replace(profile, arc_length=profile.arc_length * ratio)
         case Piecewise():
             return Piecewise(profile.ends * ratio, [_stretched(piece, ratio) for piece in profile.pieces])

@@ -13,7 +13,7 @@ from .equilibrium import Equilibrium
 from .errors import InputError
 from .loads import Loads
 from .manipulator import Manipulator, Tendon
-from .profiles import Piecewise, Profile, Spline, breakpoints
+from .profiles import Piecewise, Polyline, Profile, Spline, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
 _POINTS = 1001
@@ -135,7 +135,8 @@ def _check_knots(manipulator: Manipulator) -> None:
     for name, profile in manipulator.profiles.items():
         words = _in_words(name)
         for part in _parts(profile):
-            knots = part.ends if isinstance(part, Piecewise) else part.arc_length if isinstance(part, Spline) else ()
+            through = isinstance(part, Polyline | Spline)
+            knots = part.ends if isinstance(part, Piecewise) else part.arc_length if through else ()
             falls = np.flatnonzero(np.diff(knots) <= 0)
             if falls.size:
                 left, right = knots[falls[0]], knots[falls[0] + 1]
