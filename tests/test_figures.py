@@ -19,6 +19,8 @@ from matplotlib.quiver import Quiver
 
 import cddf_jax as cddf
 from cddf_jax import figures
+from cddf_jax.cross_sections import SectionColumn
+from cddf_jax.profiles import Constant
 from cddf_jax.sweep_outputs import RESULT_NAMES
 
 DATA = Path(__file__).resolve().parents[1] / "data"
@@ -70,6 +72,7 @@ def grid():
     )
 
 
+TABLE = SectionColumn("outer_radius", np.array([0.0, 0.07, 0.14]), np.full(3, 0.02), Constant(0.02), "constant", "")
 DRAWN = {
     "shape": lambda it, axes: figures.draw_shape(PAIR, it("bent"), axes=axes),
     "force_arrows": lambda it, axes: figures.draw_force_arrows(PAIR, it("bent"), axes),
@@ -82,6 +85,7 @@ DRAWN = {
     "map": lambda it, axes: figures.draw_map(
         it("grid"), "tip_tension", "base_tension", "friction_coefficient", axes, tendon=0
     ),
+    "section_column": lambda it, axes: figures.draw_section_column(TABLE, axes),
 }
 
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from .bootstrap import Bootstrap
     from .closed_form import closed_form_tension
     from .contact import Contact, self_contact
-    from .cross_sections import read_cross_sections
+    from .cross_sections import read_cross_sections, section_columns
     from .design_results import Design
     from .designing import design
     from .determination import Determination
@@ -51,7 +51,7 @@ _HOME = {
     "bootstrap": "Bootstrap",
     "closed_form": "closed_form_tension",
     "contact": "Contact, self_contact",
-    "cross_sections": "read_cross_sections",
+    "cross_sections": "read_cross_sections, section_columns",
     "design_results": "Design",
     "designing": "design",
     "determination": "Determination",
@@ -159,6 +159,7 @@ __all__ = [
     "read_cross_sections",
     "read_manipulator",
     "read_measurements",
+    "section_columns",
     "self_contact",
     "sobol",
     "solve",

@@ -104,9 +104,11 @@ def solve(
 
     X runs along the straight body from its base, Y to the side of a tendon with side = 1.
     """
-    manipulator = _read(robot, kinematics)
+    manipulator = _read(robot, kinematics, note_columns=False)
     from . import solve_command
+    from .cross_sections import in_one_line
     from .equilibrium import RESULTS
+    from .manipulator_file import columns_of
 
     actuation = solve_command.read_actuation(base_tension, manipulator)
     loads = solve_command.read_loads(tip_force, tip_moment, gravity, manipulator.has_mass)
@@ -115,17 +117,24 @@ def solve(
         manipulator, actuation, loads, base_tension, direction=directions, nodes=nodes
     )
     answer = solve_command.as_dict(equilibrium, actuation, loads)
+    text = solve_command.in_words(equilibrium, actuation, base_tension, loads)
+    if columns := columns_of(robot):
+        answer["cross_sections"] = {column.name: column.words for column in columns}
+        text += f"\n{in_one_line(columns)}"
     if out is not None:
         from .artifacts import as_json as json_text
         from .artifacts import write_all
         from .interchange import fields_csv, fields_on_grid
         from .plotting import render
+        from .sections_figure import sections_figure
         from .solve_figure import equilibrium_figure
 
-        figure = equilibrium_figure(manipulator, equilibrium, loads)
+        figures = render(equilibrium_figure(manipulator, equilibrium, loads), "solve")
+        if columns:
+            figures |= render(sections_figure(columns), "cross_sections")
         tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
-        write_all(out, render(figure, "solve") | tables)
-    _say(as_json, answer, solve_command.in_words(equilibrium, actuation, base_tension, loads))
+        write_all(out, figures | tables)
+    _say(as_json, answer, text)
     if equilibrium.result == RESULTS.unstable:
         _stop(RESULTS[equilibrium.result], 1)
 
@@ -548,16 +557,27 @@ def explore(
 # --- common --------------------------------------------------------------------------------------
 
 
-def _read(robot: Path, kinematics: Kinematics | None, configure: Callable[[], None] | None = None) -> "Manipulator":
-    """Set JAX up, by `configure_jax` where nothing else is given, and read the manipulator."""
+def _read(
+    robot: Path,
+    kinematics: Kinematics | None,
+    configure: Callable[[], None] | None = None,
+    note_columns: bool = True,
+) -> "Manipulator":
+    """Set JAX up, by `configure_jax` where nothing else is given, and read the manipulator.
+
+    How a table of cross-sections was read is noted on standard error, unless the command says so itself.
+    """
     from dataclasses import replace
 
     from . import application
 
     (configure or application.configure_jax)()
-    from .manipulator_file import read_manipulator
+    from .cross_sections import in_one_line
+    from .manipulator_file import columns_of, read_manipulator
 
     manipulator = read_manipulator(robot)
+    if note_columns and (columns := columns_of(robot)):
+        typer.echo(f"note: {in_one_line(columns)}", err=True)
     return manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
 
 

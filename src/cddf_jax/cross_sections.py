@@ -7,24 +7,32 @@
 
 `offset_1`, `offset_2`, ... (one alone may be called `offset`) are distances of the tendons from the neutral axis,
 negative for a tendon with side = -1; a tendon ends where its cells do. The first row is the base, the last the tip.
-`csv_table` tells which separators, decimal marks and encodings are understood.
+A step is written as two rows of one arc length, the body before it and behind it. `csv_table` tells which separators,
+decimal marks and encodings are understood.
+
+Between its points a table is read as straight lines, unless a smooth curve passes all of them at the tolerance, stays
+within the values of neighbouring points and does not turn back between them. What was taken is told by
+`section_columns`, drawn by `cddf_jax.figures.sections_figure`, and said by every command that reads the body.
 """
 
 import os
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from .csv_table import Kind, read_table, table_csv
 from .errors import InputError
 from .manipulator import Manipulator, Tendon
-from .profiles import Profile
+from .profiles import Polyline, Profile
 from .simplest_profile import simplest_profile
 from .units import Dimension, shown
 
 TOLERANCE = 1e-6  # m
 ROWS = 201  # that are written, besides those at joints
+ZIGZAG = 10  # times the range of its directions: a tendon that turns more in all goes to and fro
 _OFFSET = re.compile("offset(_[1-9][0-9]*)?")
 
 
@@ -37,11 +45,31 @@ class CrossSections(NamedTuple):
     tendons: tuple[Tendon, ...]
 
 
+class SectionColumn(NamedTuple):
+    """A column of a table of cross-sections as it was read; `print` tells which profile was taken, and why."""
+
+    name: str
+    arc_length: np.ndarray  # m, of the points in the table
+    values: np.ndarray  # m, radii, or distances of a tendon from the neutral axis
+    profile: Profile
+    taken: str  # the profile in words
+    reason: str  # why it is no smooth curve, "" where there is nothing to say
+
+    @property
+    def words(self) -> str:
+        """What was taken, and why."""
+        return f"{self.taken} ({self.reason})" if self.reason else self.taken
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.words}"
+
+
 def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLERANCE) -> CrossSections:
     """The body in a CSV file of cross-sections; the module's text shows the columns.
 
     Each column becomes the simplest profile that passes every point at `tolerance` or less: a number, a straight
-    line, a cubic spline of few knots, or a chain of straight lines.
+    line, a cubic spline of few knots that stays between neighbouring points, or straight lines from point to point.
+    `section_columns` tells which.
 
     Args:
         path: the file.
@@ -50,26 +78,49 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
     Raises:
         InputError: names the file, row (line), column, value and remedy.
     """
-    if not (np.isfinite(tolerance) and tolerance > 0):
-        raise InputError(f"tolerance must be a positive length in m, got {tolerance}")
-    table = read_table(path, _KIND)
-    try:
-        return _sections(table.columns, table.rows, tolerance)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    return _read(path, tolerance)[0]
+
+
+def section_columns(path: str | os.PathLike[str], *, tolerance: float = TOLERANCE) -> tuple[SectionColumn, ...]:
+    """What `read_cross_sections` makes of each column: its points, the profile that was taken, and why.
+
+    Args:
+        path: the file.
+        tolerance: as for `read_cross_sections`.
+
+    Raises:
+        InputError: as `read_cross_sections`.
+    """
+    return _read(path, tolerance)[1]
+
+
+def in_one_line(columns: Sequence[SectionColumn]) -> str:
+    """How a table was read."""
+    return f"cross-sections: {'; '.join(map(str, columns))}"
 
 
 def cross_sections_csv(manipulator: Manipulator) -> str:
-    """The text that `read_cross_sections` reads, in mm: a row at every joint of the body and on a grid."""
+    """The text that `read_cross_sections` reads, in mm: rows on a grid and at joints of the body, two at a step."""
+    with jax.enable_x64(True):  # the two sides of a step are told apart, whatever the caller computes in
+        return table_csv(_rows(manipulator))
+
+
+def _rows(manipulator: Manipulator) -> dict[str, np.ndarray]:
+    """The columns that are written; a step of a radius has two rows."""
     length = float(manipulator.length)
-    joints = np.asarray(manipulator.breakpoints, float)
-    s = np.unique(np.concatenate([np.linspace(0.0, length, ROWS), joints[(joints > 0) & (joints < length)]]))
-    outer, inner = map(np.asarray, manipulator.radii(s))
+    joints = np.unique(np.asarray(manipulator.breakpoints, float))
+    joints = joints[(joints > 0) & (joints < length)]
+    before = joints - 1e-9 * length
+    jumps = np.abs(np.subtract(manipulator.radii(joints), manipulator.radii(before))) > TOLERANCE
+    steps = joints[np.any(jumps, axis=0)]
+    s = np.sort(np.concatenate([np.union1d(np.linspace(0.0, length, ROWS), joints), steps]))
+    at = np.where(np.append(np.diff(s) == 0, False), s - 1e-9 * length, s)
+    outer, inner = map(np.asarray, manipulator.radii(at))
     columns = {"arc_length [mm]": 1e3 * s, "outer_radius [mm]": 1e3 * outer, "inner_radius [mm]": 1e3 * inner}
     for i, tendon in enumerate(manipulator.tendons, 1):
         end = length if tendon.end is None else float(tendon.end)
         columns[f"offset_{i} [mm]"] = np.where(s <= end, 1e3 * tendon.side * np.asarray(tendon.offset(s)), np.nan)
-    return table_csv(columns)
+    return columns
 
 
 # --- reading -------------------------------------------------------------------------------------
@@ -91,7 +142,20 @@ _KIND = Kind(
 )
 
 
-def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float) -> CrossSections:
+def _read(path: str | os.PathLike[str], tolerance: float) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
+    """The body, and its columns one by one."""
+    if not (np.isfinite(tolerance) and tolerance > 0):
+        raise InputError(f"tolerance must be a positive length in m, got {tolerance}")
+    table = read_table(path, _KIND)
+    try:
+        return _sections(table.columns, table.rows, tolerance)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _sections(
+    columns: dict[str, np.ndarray], rows: list[int], tolerance: float
+) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
     for column in ("arc_length", "outer_radius", "inner_radius"):
         if column not in columns:
             raise InputError(f"the column {column} is missing; add it")
@@ -100,9 +164,35 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
     for column, values in columns.items():
         if column not in names and not np.all(np.isfinite(values)):
             raise InputError(f"row {rows[int(np.argmin(np.isfinite(values)))]}, column {column}: must be finite")
-    outer, inner = (simplest_profile(s, columns[name], tolerance, name) for name in ("outer_radius", "inner_radius"))
-    tendons = tuple(_tendon(s, columns[name], rows, tolerance, name) for name in names)
-    return CrossSections(float(s[-1]), outer, inner, tendons)
+    outer, inner = (_column(name, s, columns[name], tolerance) for name in ("outer_radius", "inner_radius"))
+    told, tendons = [outer, inner], []
+    for name in names:
+        side, count = _side_and_count(columns[name], rows, name)
+        distance = side * columns[name][:count]
+        if s[count - 1] == s[count - 2] and abs(distance[-1] - distance[-2]) > tolerance:
+            remedy = "fill one of the two cells there"
+            raise InputError(f"row {rows[count - 1]}, column {name}: the tendon ends in a step; {remedy}")
+        offset = _column(name, s[:count], distance, tolerance)
+        told.append(_with_kinks(offset))
+        tendons.append(Tendon(offset.profile, side, end=None if s[count - 1] == s[-1] else float(s[count - 1])))
+    return CrossSections(float(s[-1]), outer.profile, inner.profile, tuple(tendons)), tuple(told)
+
+
+def _column(name: str, s: np.ndarray, values: np.ndarray, tolerance: float) -> SectionColumn:
+    return SectionColumn(name, s, values, *simplest_profile(s, values, tolerance, name))
+
+
+def _with_kinks(offset: SectionColumn) -> SectionColumn:
+    """The same, saying by how much straight lines turn a tendon, since that rubs."""
+    if not isinstance(offset.profile, Polyline):
+        return offset
+    s, d = np.asarray(offset.profile.arc_length), np.asarray(offset.profile.values)
+    angle = np.arctan(np.diff(d) / np.diff(s))
+    turned = np.sum(np.abs(np.diff(angle)))
+    taken = f"{offset.taken}, whose kinks turn the tendon by {np.degrees(turned):.3g} deg in all"
+    zigzag = "they zigzag, which rubs: a greater tolerance takes out what is noise"
+    reason = f"{offset.reason}; {zigzag}" if turned > ZIGZAG * np.ptp(angle) else offset.reason
+    return offset._replace(taken=taken, reason=reason)
 
 
 def _arc_length(s: np.ndarray, rows: list[int]) -> np.ndarray:
@@ -111,11 +201,17 @@ def _arc_length(s: np.ndarray, rows: list[int]) -> np.ndarray:
         raise InputError(f"row {rows[0]}, column arc_length: the first must be 0, the base, got {got}")
     if len(s) < 2:
         raise InputError("holds one cross-section; give at least those at base and tip")
-    good = np.diff(s) > 0
+    good = np.diff(s) >= 0
     if not np.all(good):
         at = int(np.argmin(good)) + 1
         got = shown(s[at], "length")
         raise InputError(f"row {rows[at]}, column arc_length: must increase, got {got}; sort the rows")
+    again = np.flatnonzero(np.diff(s) == 0)
+    crowded = [i + 1 for i in again if s[i] in (s[0], s[-1]) or s[i] == s[i - 1]]
+    if crowded:
+        got, remedy = shown(s[crowded[0]], "length"), "keep two rows for a step, before it and behind it, else one"
+        where = "at an end of the body" if s[crowded[0]] in (s[0], s[-1]) else "three times"
+        raise InputError(f"row {rows[crowded[0]]}, column arc_length: {got} is repeated {where}; {remedy}")
     return s
 
 
@@ -129,7 +225,8 @@ def _offset_columns(columns: dict[str, np.ndarray]) -> list[str]:
     return found
 
 
-def _tendon(s: np.ndarray, offset: np.ndarray, rows: list[int], tolerance: float, name: str) -> Tendon:
+def _side_and_count(offset: np.ndarray, rows: list[int], name: str) -> tuple[int, int]:
+    """The side of a tendon, and how many rows it reaches."""
     there = np.isfinite(offset)
     count = int(np.sum(there))
     if count < 2 or not np.all(there[:count]):
@@ -139,6 +236,4 @@ def _tendon(s: np.ndarray, offset: np.ndarray, rows: list[int], tolerance: float
     if np.any(own > 0) and np.any(own < 0):
         at = int(np.argmax(np.sign(own) != np.sign(own[0])))
         raise InputError(f"row {rows[at]}, column {name}: the tendon changes sides; keep one sign along it")
-    side = -1 if np.any(own < 0) else +1
-    end = None if count == len(s) else float(s[count - 1])
-    return Tendon(simplest_profile(s[:count], side * own, tolerance, name), side, end=end)
+    return (-1 if np.any(own < 0) else +1), count

@@ -15,6 +15,7 @@ from .force_figure import draw_force_arrows
 from .plan_figure import draw_plan, plan_figure
 from .plotting import DOUBLE_COLUMN, SINGLE_COLUMN, house_style, new_figure, render, save
 from .profile_figures import draw_profile, profiles_figure
+from .sections_figure import draw_section_column, sections_figure
 from .solve_figure import draw_shape, equilibrium_figure
 from .sweep_figure import sweep_figure
 from .sweep_lines import draw_lines
@@ -36,6 +37,7 @@ __all__ = [
     "draw_plan",
     "draw_profile",
     "draw_residuals",
+    "draw_section_column",
     "draw_shape",
     "draw_trade_off",
     "equilibrium_figure",
@@ -47,6 +49,7 @@ __all__ = [
     "render",
     "residuals_figure",
     "save",
+    "sections_figure",
     "sweep_figure",
     "table_figures",
 ]

@@ -59,7 +59,7 @@ from pathlib import Path
 from typing import Any
 
 from .artifacts import write_all
-from .cross_sections import CrossSections, read_cross_sections
+from .cross_sections import TOLERANCE, CrossSections, SectionColumn, read_cross_sections, section_columns
 from .errors import InputError
 from .manipulator import KINEMATICS, Manipulator, PointMass, Tendon
 from .profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
@@ -124,6 +124,19 @@ def allows_offsets_outside_wall(path: str | os.PathLike[str]) -> bool:
     """What a file that `read_manipulator` reads says of tendons in the bore or outside the body."""
     table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     return table.get("offsets_outside_wall", False)
+
+
+def columns_of(path: str | os.PathLike[str]) -> tuple[SectionColumn, ...]:
+    """The columns of the table of cross-sections that a manipulator's file names; none where it names none.
+
+    Args:
+        path: a file that `read_manipulator` has read without an error.
+    """
+    table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    if _SECTIONS not in table:
+        return ()
+    file, tolerance = _named(table[_SECTIONS], Path(path).parent)
+    return section_columns(file, tolerance=tolerance)
 
 
 def write_manipulator(
@@ -241,12 +254,17 @@ def _read_sections(table: _Table, folder: Path) -> CrossSections:
     required = [key for key in _REQUIRED if key not in CrossSections._fields]
     must, may = _keys(table, required)
     check_keys("", table, must, [*may, "tendons"])
-    match table[_SECTIONS]:
+    file, tolerance = _named(table[_SECTIONS], folder)
+    return read_cross_sections(file, tolerance=tolerance)
+
+
+def _named(value: Any, folder: Path) -> tuple[Path, float]:
+    """The CSV file that is named, and its tolerance, m."""
+    match value:
         case str(file):
-            return read_cross_sections(folder / file)
+            return folder / file, TOLERANCE
         case {"file": str(file), "tolerance": str(tolerance), **rest} if not rest:
-            size = quantity(tolerance, "length", f"{_SECTIONS}: tolerance")
-            return read_cross_sections(folder / file, tolerance=size)
+            return folder / file, quantity(tolerance, "length", f"{_SECTIONS}: tolerance")
     raise InputError(f'{_SECTIONS} must name a CSV file, "body.csv" or {{ file = "body.csv", tolerance = "10 um" }}')
 
 

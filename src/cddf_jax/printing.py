@@ -11,7 +11,7 @@ from jax.core import Tracer
 from .contact import self_contact
 from .equilibrium import RESULTS, Equilibrium
 from .manipulator import Manipulator
-from .profiles import Constant, Linear, Piecewise, Profile, Spline, as_profile
+from .profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
 from .statics import in_words
 from .units import Dimension, shown
 
@@ -183,5 +183,5 @@ def _profile(profile: Profile, length: float, kind: Dimension = "length") -> str
     ends = f"{shown(values[0], kind)} at the base, {shown(values[-1], kind)} at s = {shown(length, 'length')}"
     if isinstance(profile, Linear):
         return ends
-    form = f"{type(profile).__name__}, " if isinstance(profile, Piecewise | Spline) else ""
+    form = f"{type(profile).__name__}, " if isinstance(profile, Piecewise | Polyline | Spline) else ""
     return f"{ends} ({form}from {shown(values.min(), kind)} to {shown(values.max(), kind)})"
