@@ -40,7 +40,7 @@ def fit_at_truth(names: Sequence[str]) -> Fit:
     paper = cddf.read_manipulator(Path(__file__).parents[1] / "data" / "smooth_sil_940.toml")
     body = with_parameters(paper, {"drag": DRAG})
     truth = {name: starting_value(body, name) for name in names}
-    bench = Bench(LEVELS[:, None], np.ones((LEVELS.size, 1)))
+    bench = Bench(LEVELS[:, None], (None,))
     read, _, _ = bench.evaluate(body, truth, 16)
     columns = {name: read[name] for name in NOISE if name in read}
     pulled = WEIGHT * np.exp(float(paper.friction_coefficient) * WRAPS)

@@ -230,7 +230,7 @@ def test_every_parameter_reaches_the_readings(paper):
     """Each parameter of a bench with one tendon changes what is read, by a derivative that differences confirm."""
     from cddf_jax.bench import Bench, starting_value
 
-    bench = Bench(np.array([[30.0], [60.0]]), np.ones((2, 1)))
+    bench = Bench(np.array([[30.0], [60.0]]), (None,))
     parameters = {name: starting_value(paper, name) for name in PARAMETERS}
     value, slope, _ = bench.evaluate(paper, parameters, 16)
     for i, name in enumerate(sorted(parameters)):
