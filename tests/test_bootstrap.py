@@ -211,7 +211,7 @@ def test_labels_may_be_words(known):
 
 def test_refits_that_fail_are_counted():
     """A model without a number has no refit that ends: nothing is told, and nothing is raised."""
-    fit = least_squares_fit(lambda p: jnp.log(p["a"]) * X, {"a": -1.0}, NOISY, SIGMA)
+    fit = least_squares_fit(lambda p: jnp.log(-(p["a"] ** 2)) * X, {"a": -1.0}, NOISY, SIGMA)
     found = fit.bootstrap(replicates=5)
     assert found.num_failed == 5
     assert found.estimates.shape == (0, 1)

@@ -209,7 +209,7 @@ def test_a_search_that_creeps_goes_on_or_counts_for_nothing(monkeypatch):
 
 
 def test_a_fit_without_a_number_has_no_interval():
-    fit = least_squares_fit(lambda p: jnp.log(p["a"]) * X, {"a": -1.0}, NOISY, SIGMA)
+    fit = least_squares_fit(lambda p: jnp.log(-(p["a"] ** 2)) * X, {"a": -1.0}, NOISY, SIGMA)
     profile = fit.profile("a")
     assert not fit.success
     assert profile.confidence_interval == (-np.inf, np.inf)

@@ -346,7 +346,10 @@ def fit(
     bound: Bound = None,
     noise: Noise = None,
     loss: Annotated[Loss, typer.Option(help="Other than linear: outliers count less.")] = Loss.linear,
-    starts: Annotated[int, typer.Option(help="From how many points to search.", min=1)] = 1,
+    starts: Annotated[
+        int | None,
+        typer.Option(help="From how many points to search.", min=1, show_default="one, more where it fails"),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of further starts and of the bootstrap.", min=0)] = 0,
     per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
     average_holds: Annotated[

@@ -111,6 +111,7 @@ def as_dict(report: Report) -> dict[str, Any]:
         "log_likelihood": fit.log_likelihood,
         "information_criteria": fit.information_criteria,
         "cost_from_each_start": fit.starts,
+        "restarted": fit.restarted,
         "num_steps": fit.num_steps,
         "profiles": {name: _profile(profile) for name, profile in report.profiles.items()},
         "bootstraps": [_bootstrap(bootstrap) for bootstrap in report.bootstraps],
@@ -199,7 +200,7 @@ def _options(fit: Fit) -> dict[str, Any]:
         "noise": _given_noise(fit),
         "per_trial": not np.isnan(fit.trial_spread),
         "loss": fit.loss,
-        "starts": max(len(fit.starts), 1),
+        "starts": len(fit.starts) if len(fit.starts) and not fit.restarted else None,
         "seed": fit.seed,
         "nodes": fit.model.nodes,
     }

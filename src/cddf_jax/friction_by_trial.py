@@ -33,20 +33,21 @@ def fit_trials(
     start, spread = start | {TRIALS: np.zeros(count)}, FIRST_SPREAD
     names = [f"{TRIALS}[{k}]" for k in range(count)]
 
-    def fitted(start: Any, spread: float) -> LeastSquaresFit:
+    def fitted(start: Any, spread: float, starts: int | None) -> LeastSquaresFit:
         priors = given["priors"] | dict.fromkeys(names, (0.0, spread))
-        options = given | {"priors": priors, "scales": given["scales"] | dict.fromkeys(names, spread)}
+        options = given | {"priors": priors, "scales": given["scales"] | dict.fromkeys(names, spread), "starts": starts}
         return least_squares_fit(model, start, observed, sigma, bounds, prefer_start=True, **options)
 
-    statistics = fitted(start, spread)
+    statistics = first = fitted(start, spread, given["starts"])
     random = tuple(i for i, name in enumerate(statistics.names) if name in names)
     for _ in range(SPREAD_ROUNDS):
         last, spread = spread, _likeliest_spread(statistics, random)
-        statistics = fitted({name: np.asarray(value) for name, value in statistics.parameters.items()}, spread)
+        statistics = fitted({name: np.asarray(value) for name, value in statistics.parameters.items()}, spread, 1)
         if abs(spread - last) < 1e-3 * last:
             break
     evidence = replace(statistics.evidence, random=random)
-    statistics = replace(statistics, **vars(determine(evidence)), evidence=evidence)
+    searched = {"starts": first.starts, "restarted": first.restarted}
+    statistics = replace(statistics, **vars(determine(evidence)), evidence=evidence, **searched)
     return statistics, spread if spread > 1.01 * SPREADS[0] else 0.0
 
 

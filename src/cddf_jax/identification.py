@@ -205,7 +205,7 @@ def fit(
     noise: Mapping[str, Any] | None = None,
     per_trial: bool = False,
     loss: str = "linear",
-    starts: int = 1,
+    starts: int | None = None,
     seed: int = 0,
     nodes: int = 16,
 ) -> Fit:

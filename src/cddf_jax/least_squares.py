@@ -5,35 +5,24 @@ The optimiser sees dimensionless unknowns of order one. Noise that is not given 
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from .bootstrap import Bootstrap, Refits, bootstrap, refits
-from .determination import (
-    Determination,
-    Evidence,
-    determine,
-    quantiles,
-    spectrum_of,
-    without_nan,
-)
+from .determination import Determination, Evidence, determine, quantiles, spectrum_of
 from .errors import InputError
-from .levenberg_marquardt import LeastSquaresProblem, Outcome, Search, minimise, minimise_all
-from .observations import Noise, Observations, group_observations
+from .levenberg_marquardt import LeastSquaresProblem, Search
+from .observations import Noise, group_observations
 from .parameter_space import Prior, Space, bounds_of, lay_out_parameters, priors_of, with_uniform_priors
 from .profile_likelihood import Profile, profile_likelihood
-from .remarks import remarks_on_parameters, remarks_on_residuals, unexplained_groups
+from .remarks import remarks_on_parameters, remarks_on_residuals
+from .restarts import Searched, search_as_needed, search_many
 from .robust_loss import loss_of
-from .valleys import Profiles, are_products, nearest_to_start, profiles_of
+from .whole_search import SUCCESSFUL, FitProblem, of_failed
 
-SUCCESSFUL = "successful"
-NOISE_ROUNDS = 50
-START_SPREAD = 1.5  # of further starts about the first, in dimensionless unknowns
 UNDETERMINED = 1e-10  # of a prediction's squared derivative, along directions that the data leave open
 
 
@@ -52,6 +41,7 @@ class LeastSquaresFit(Determination):
     loss: str  # as it was given
     num_steps: int  # of the optimiser
     starts: np.ndarray  # the cost that the search from each start came down to, the best first
+    restarted: str  # why there were several starts though none were asked for, in words; "" where there were not
     seed: int  # of the further starts
     success: bool
     result: str  # "successful", or what went wrong
@@ -82,6 +72,7 @@ class LeastSquaresFit(Determination):
     def remarks(self) -> tuple[str, ...]:
         """Parameters on a bound, without effect or hanging on one datum; outliers; residuals that tell too little."""
         return (
+            *([self.restarted] if self.restarted else []),
             *remarks_on_parameters(self.evidence, self.place),
             *remarks_on_residuals(self.evidence, self.search, self.degrees_of_freedom, self.place),
         )
@@ -138,7 +129,7 @@ class LeastSquaresFit(Determination):
 
     def doubted(self, reason: str) -> "LeastSquaresFit":
         """The same search as a fit that failed for a reason that its sum of squares does not know."""
-        evidence = _of_failed(self.evidence)
+        evidence = of_failed(self.evidence)
         return replace(self, **vars(determine(evidence)), evidence=evidence, success=False, result=reason)
 
     def told_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
@@ -172,7 +163,7 @@ def least_squares_fit(
     shared: Mapping[str, str] | None = None,
     scales: Mapping[str, float] | None = None,
     loss: str = "linear",
-    starts: int = 1,
+    starts: int | None = None,
     seed: int = 0,
     prefer_start: bool = False,
     max_steps: int = 500,
@@ -195,8 +186,10 @@ def least_squares_fit(
             is smaller, the standard error of an identified parameter is judged.
         loss: "linear", "soft_l1", "huber" or "cauchy", in standard deviations of the noise, which is then
             estimated by the median.
-        starts: from how many points to search, the first being `start`; the others spread about it, by the
-            factor 4 where there is one bound, evenly between two.
+        starts: from how many points to search, the first being `start`. None: from `start` alone, and from up to 32
+            more where that search failed, hardly explains the data or ended where they hold nothing; then the
+            remarks say so. Further starts spread about the first, ever wider: by powers of ten, from the bounds on
+            where there are any; what has none takes the other sign in one start of four.
         seed: of the further starts.
         prefer_start: where the data leave a valley open, end at the place in it that holds the start of the first
             parameter along it, and not at the shallow minimum that noise put somewhere into it.
@@ -215,49 +208,9 @@ def least_squares_fit(
     space = Space(first, *limits, _scales(names, first, scales or {}, prior))
     problem = LeastSquaresProblem(predict, unravel, data.values, space, prior, loss_of(loss).name)
 
-    noise, settled = data.first_guess(), False
-    tried = _from_many_starts(problem, noise, starts, seed, max_steps)
-    outcome = minimise(problem, noise, tried.z[0], max_steps=max_steps)
-    for _ in range(NOISE_ROUNDS):  # weights from residuals, residuals from weights
-        improved = data.estimate_noise(noise, problem, outcome)
-        settled = all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
-        if settled and all(map(np.array_equal, noise, improved)):  # it was known
-            break
-        noise, outcome = improved, minimise(problem, improved, outcome.z, max_steps=max_steps)
-        if settled or not np.all(np.isfinite(outcome.residual)):
-            break
-
-    evidence = _evidence(names, problem, data, outcome)
-    told = determine(evidence)
-    profiles = profiles_of(problem, noise, outcome, evidence, told, max_steps)
-    result = _verdict(Search(problem, noise, outcome), evidence, settled, profiles)
-    if prefer_start and np.any(profiles.open):
-        outcome = nearest_to_start(problem, noise, outcome, profiles.open, told.quantile, max_steps)
-        evidence = _evidence(names, problem, data, outcome)
-    evidence = replace(evidence, open_profile=profiles.open, bounded_above=profiles.bounded_above)
-    if result != SUCCESSFUL:
-        evidence = _of_failed(evidence)
-    else:
-        evidence = replace(evidence, products=are_products(problem, noise, outcome, determine(evidence), max_steps))
-    return _conclude(evidence, data, Search(problem, noise, outcome), result, tried.cost, seed)
-
-
-class _Starts(NamedTuple):
-    z: np.ndarray  # where the searches from them ended, the best first
-    cost: np.ndarray
-
-
-def _from_many_starts(problem: LeastSquaresProblem, noise, starts: int, seed: int, max_steps: int) -> _Starts:
-    first = problem.space.first()
-    if starts <= 1:
-        return _Starts(first[None], np.empty(0))
-    draws = qmc.Sobol(len(first), rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(starts))))
-    z = first + START_SPREAD * ndtri(np.clip(draws[: starts - 1], 1e-6, 1 - 1e-6))
-    z = np.concatenate([first[None], z])
-    found = minimise_all(problem, noise, z, max_steps=max_steps)
-    cost = np.where(np.isfinite(found.cost), found.cost, np.inf)
-    order = np.argsort(cost, kind="stable")
-    return _Starts(found.z[order] if np.isfinite(cost[order[0]]) else z, cost[order])
+    fit = FitProblem(problem, data, names, prefer_start, max_steps)
+    searched = search_as_needed(fit, seed) if starts is None else search_many(fit, starts, seed)
+    return _conclude(fit, searched, seed)
 
 
 def _scales(names: tuple[str, ...], start: np.ndarray, scales: Mapping[str, float], prior: Mapping[int, Prior]):
@@ -278,75 +231,9 @@ def _refuse_single_precision() -> None:
         )
 
 
-# --- the conclusion -------------------------------------------------------------------------------
-
-
-def _evidence(names, problem: LeastSquaresProblem, data: Observations, outcome: Outcome) -> Evidence:
-    """The scaled Jacobian by groups; none of it where the model gave no number."""
-    space = problem.space
-    finite = np.all(np.isfinite(outcome.residual))
-    at_bound = space.at_bound(outcome.parameters)  # where the value is no measure of its own precision
-    size = np.where(at_bound, np.maximum(outcome.size, space.scale), outcome.size)
-    jacobian = without_nan(outcome.jacobian * (size / outcome.size)) if finite else np.zeros_like(outcome.jacobian)
-    ends = np.cumsum([v.size for v in data.values])
-    *rows, prior_rows = np.split(jacobian, ends)
-    if problem.loss != "linear":
-        residuals = np.split(outcome.residual, ends)[:-1]
-        rows = [row * _efficiency(problem.loss, r, len(names)) for row, r in zip(rows, residuals, strict=True)]
-    return Evidence(
-        names=names,
-        start=np.asarray(space.start),
-        scale=np.asarray(space.scale),
-        lower=np.asarray(space.lower),
-        upper=np.asarray(space.upper),
-        value=outcome.parameters,
-        size=size,
-        at_bound=at_bound,
-        open_profile=np.zeros(len(names), bool),
-        rows=dict(zip(data.names, rows, strict=True)),
-        prior_rows={i: row[None] for i, row in zip(problem.prior, prior_rows, strict=True)},
-        noise_estimated={name: not known for name, known in zip(data.names, data.known, strict=True)},
-    )
-
-
-def _of_failed(evidence: Evidence) -> Evidence:
-    return replace(evidence, failed=True, bounded_above=())
-
-
-def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
-    """What a robust loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)."""
-    kind = loss_of(loss)
-    spread = np.sum(kind.influence(residual) ** 2) / max(residual.size - num_parameters, 1)
-    return float(np.mean(kind.slope(residual)) / np.sqrt(max(spread, 1e-300)))
-
-
-def _verdict(search: Search, evidence: Evidence, settled: bool, profiles: Profiles) -> str:
-    problem, _, outcome = search
-    if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
-        return "the model gave no number at the estimate; start closer, or leave out data beyond its reach"
-    if not settled:
-        return "the noise estimates did not settle; give the noise of some data"
-    free = ~evidence.at_bound  # at a bound the sum of squares may well slope
-    column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
-    slope = np.abs(outcome.jacobian.T @ problem.influence(outcome.residual)) / np.maximum(column * total, 1e-300)
-    exact = total <= 1e-3 * np.sqrt(outcome.residual.size)
-    if not exact and np.any(slope[free] > (1e-4 if outcome.solved else 1e-6)):
-        return "the optimiser stopped short of a minimum; start closer, search from many starts, or allow more steps"
-    if profiles.least_rise < -0.01:
-        return "a better minimum lies elsewhere; start closer, or search from many starts"
-    if unexplained := unexplained_groups(evidence, search):
-        return (
-            f"hardly anything of {', '.join(unexplained)} is explained (most of what the readings are, and more than "
-            "80 % of their scatter, is left); check units and signs, start closer, or search from many starts"
-        )
-    return SUCCESSFUL
-
-
-def _conclude(
-    evidence: Evidence, data: Observations, search: Search, result: str, starts: np.ndarray, seed: int
-) -> LeastSquaresFit:
-    problem, noise, outcome = search
-    determined = determine(evidence)
+def _conclude(fit: FitProblem, searched: Searched, seed: int) -> LeastSquaresFit:
+    ending, (problem, data, *_) = searched.ending, fit
+    noise, outcome, evidence, determined = ending.noise, ending.outcome, ending.evidence, ending.told
     freedom = outcome.residual.size - determined.rank
     *residuals, _ = np.split(outcome.residual, np.cumsum([v.size for v in data.values]))
     observed_less_predicted = [-r.reshape(v.shape) * s for r, s, v in zip(residuals, noise, data.values, strict=True)]
@@ -365,11 +252,12 @@ def _conclude(
         log_likelihood=float(log_likelihood),
         loss=problem.loss,
         num_steps=int(outcome.num_steps),
-        starts=starts,
+        starts=searched.cost,
+        restarted=searched.remark,
         seed=seed,
-        success=result == SUCCESSFUL,
-        result=result,
+        success=ending.result == SUCCESSFUL,
+        result=ending.result,
         parameters=jax.tree.map(np.asarray, problem.unravel(jnp.asarray(outcome.parameters))),
         evidence=evidence,
-        search=search,
+        search=Search(problem, noise, outcome),
     )

@@ -13,6 +13,8 @@ from jaxtyping import Array, Float
 
 from .errors import InputError
 
+FLIPPED = 0.25  # of further starts: share in which a parameter without bounds has the other sign
+
 
 class Prior(NamedTuple):
     """A Gaussian prior."""
@@ -209,6 +211,50 @@ class Space(eqx.Module):
             return self.lower[i] + (self.upper[i] - self.lower[i]) * jax.nn.sigmoid(z[i])
 
         return jnp.stack([one(i, kind) for i, kind in enumerate(self.kinds)])
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which parameters have no bounds."""
+        return np.array([kind == "free" for kind in self.kinds])
+
+    def elsewhere(self, draw: np.ndarray, decades: float) -> "tuple[Space, np.ndarray]":
+        """Another start: a space about it, in which a search feels as though it were the given one, and its z.
+
+        What has a bound moves by up to so many powers of ten of its distance from it. Of what has none the size does,
+        and in one draw of four the sign changes.
+
+        Args:
+            draw: (n,), of the uniform distribution over (0, 1).
+            decades: how many powers of ten up and down.
+        """
+        same = draw >= FLIPPED
+        size = np.where(same, (draw - FLIPPED) / (1 - FLIPPED), draw / FLIPPED)
+        sign = np.where(same, 1.0, -1.0) * np.where(self.start < 0, -1.0, 1.0)
+        start = np.where(
+            self.free, sign * self.size(np.asarray(self.start)) * 10 ** (decades * (2 * size - 1)), self.start
+        )
+        given = np.where(self.least_size > 0, self.least_size, np.nan)
+        z = self.first() + np.where(self.free, 0.0, np.log(10) * decades * (2 * draw - 1))
+        return Space(start, np.asarray(self.lower), np.asarray(self.upper), given), z
+
+    def seen_from(self, other: "Space", z: np.ndarray) -> np.ndarray:
+        """The z here of what is z in a space that differs by the start of what has no bounds."""
+        return np.where(self.free, (other.start + other.scale * z - self.start) / self.scale, z)
+
+    def times_the_start(self, value: np.ndarray) -> np.ndarray:
+        """How many times its start a parameter has grown to, from its bound on; without bounds, shrunk to as well."""
+        size = self.size(np.asarray(self.start))
+
+        def one(i, kind):
+            start, lower, upper = self.start[i], self.lower[i], self.upper[i]
+            if kind == "free":
+                times = np.abs(value[i]) / size[i]
+                return times if start == 0 else max(times, 1 / max(times, 1e-300))
+            if kind == "between":
+                return 1.0
+            return (value[i] - lower) / (start - lower) if kind == "above" else (upper - value[i]) / (upper - start)
+
+        return np.array([one(i, kind) for i, kind in enumerate(self.kinds)])
 
     def at_bound(self, value: np.ndarray) -> np.ndarray:
         """Whether the optimiser pushed a parameter against a bound."""

@@ -64,7 +64,10 @@ def remarks_on_residuals(evidence: Evidence, search: Search, degrees_of_freedom:
             far = _far_off(residual, np.einsum("ki,ij,kj->k", rows, covariance, rows), estimated)
         of_one = far is not None and np.max(error**2) > 0.5 * np.sum(error**2)  # which alone makes it look so
         if values.size > 2 and np.std(error) > UNEXPLAINED * np.std(values) > 0 and not of_one:
-            found.append(f"{name} is hardly explained at all; search from another start, or from many (starts)")
+            found.append(
+                f"{name} is hardly explained at all, no better than by a constant; check its unit and sign, the model "
+                "and the start"
+            )
         elif problem.loss == "linear":
             found += _uneven(name, residual, values) if estimated and np.ptp(noise) == 0 else []
             found += _outlier(place, name, far, _distance(search, i, far[0], estimated)) if far else []

@@ -292,6 +292,7 @@ def _repeat_section(report: Report) -> list[str]:
     rows = [[table.name, str(len(table)), f"`{table.checksum[:16]}`"] for table in fit.tables]
     text = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
     starts, seed, nodes = (report.options[name] for name in ("starts", "seed", "nodes"))
+    starts = "as needed" if starts is None else starts
     options = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
     options += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
     return ["## To repeat it", "", *_table(["data", "rows", "SHA-256, first digits"], rows), "", f"{options} {text}"]

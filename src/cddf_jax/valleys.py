@@ -25,6 +25,7 @@ class Profiles(NamedTuple):
 
     open: np.ndarray  # by parameter: whether its 95 % interval is open on a side, for all that was tried
     least_rise: float  # of the sum of squares, over all that was tried
+    lower: np.ndarray | None  # z of the place where it rose least, had it fallen there
     bounded_above: tuple[int, ...]  # of those that are not told from their lower bound
 
 
@@ -36,14 +37,16 @@ def profiles_of(
     The curvature at a minimum can feign an interval where the valley is flat beyond. A side is closed where
     the sum of squares has risen by twice what ends a 95 % interval.
     """
-    opened, least = np.zeros(len(told.names), bool), 0.0
+    opened, least, lower = np.zeros(len(told.names), bool), 0.0, None
 
     def closed(i: int, error: float, places: list[float]) -> bool:
-        nonlocal least
+        nonlocal least, lower
         for place in places:
             held = np.where(np.arange(len(opened)) == i, place, np.nan)
-            rise = float(minimise(problem, noise, outcome.z, held, max_steps).cost - outcome.cost)
-            least = min(least, rise) if np.isfinite(rise) else least
+            moved = minimise(problem, noise, outcome.z, held, max_steps)
+            rise = float(moved.cost - outcome.cost)
+            if rise < least:
+                least, lower = rise, np.where(np.isnan(held), moved.z, problem.space.inverse(i, place))
             expected = ((place - outcome.parameters[i]) / error) ** 2
             if not rise <= min(CLOSING_RISE * told.quantile**2, 0.5 * expected):  # NaN: the model ends there
                 return True
@@ -62,7 +65,7 @@ def profiles_of(
         i for i in np.flatnonzero(near & np.isfinite(high) & (high < problem.space.upper)).tolist()
         if closed(i, error[i], [high[i], outcome.parameters[i] + 2 * told.quantile * error[i]])
     ]  # fmt: skip
-    return Profiles(opened, least, tuple(limited))
+    return Profiles(opened, least, lower, tuple(limited))
 
 
 def are_products(problem: LeastSquaresProblem, noise, outcome: Outcome, told: Determination, max_steps: int) -> bool:
