@@ -482,6 +482,29 @@ def test_an_error_in_a_process_of_its_own(tmp_path):
 # --- errors --------------------------------------------------------------------------------------
 
 
+def test_a_fit_says_how_its_files_were_read(cddf_command, tmp_path):
+    """The numbers are 10 exp(0.42 angle), Liu et al. (2020), eq. (5); a trial in each file, one without a reading."""
+    angles, files = (45.0, 90.0, 135.0), [tmp_path / "run_1.csv", tmp_path / "run_2.csv"]
+    for file, scatter in zip(files, (1.01, 0.99), strict=True):
+        rows = [f"{a},10,{scatter * 10 * np.exp(0.42 * np.radians(a)):.4f},{a}" for a in angles]
+        file.write_text("\n".join(["Wrap angle (deg),Weight_N,F1,t", *rows, "180,10,,0", ""]))
+    asked = ("--free", "friction_coefficient", "--column", "F1=pulling_tension [N]", "--json")
+    code, out, err = cddf_command("fit", PAPER, *files, *asked, "--out", tmp_path / "out")
+    answer = json.loads(out)
+    assert code == 0
+    assert answer["value"]["friction_coefficient"] == pytest.approx(0.42, rel=1e-3)  # the scatter is 1 %, both ways
+    read_as = [
+        "run_1.csv: read as: 'Wrap angle (deg)' wrap_angle [deg], 'Weight_N' weight [N], 'F1' pulling_tension [N]",
+        "run_1.csv: columns that are not used: 't'",
+        "run_1.csv: rows without a reading are left out: 1 of 4 rows (row 5 first)",
+    ]
+    assert err.splitlines()[:3] == [f"note: {line}" for line in read_as]
+    assert err.splitlines()[-1].startswith("note: run_1.csv, run_2.csv: the same columns and no column trial, so each")
+    assert answer["data"][0]["read_as"] == [line.removeprefix("note: ") for line in err.splitlines()]
+    report = (tmp_path / "out" / "report.md").read_text()
+    assert all(f"- {line}" in report for line in answer["data"][0]["read_as"])
+
+
 @pytest.fixture
 def fails(cddf_command, tmp_path, monkeypatch):
     """Run in an empty folder; the command must end in one line on standard error, and write nothing."""
@@ -676,6 +699,15 @@ def test_wrong_manipulators(fails, command, change, message):
     assert change[0] in text
     said = fails(command[0], "robot.toml", *command[1:], files={"robot.toml": text.replace(*change)})
     assert said.startswith(f"robot.toml: {message}")
+
+
+def test_columns_that_are_said_badly(fails):
+    said = fails("fit", PAPER, PULLEY, "--column", "wrap_angle")
+    assert said.startswith("--column 'wrap_angle': write the head of a column and what it is, as in")
+    twice = ("--column", "a=trial", "--column", "a=weight [N]")
+    assert fails("plan", PAPER, PULLEY, *twice) == "--column a is given twice; leave one out"
+    said = fails("reproduce", PAPER, LOAD_CELLS, "--column", "a=trial")
+    assert said.startswith("load_cells_simulated.csv: no column 'a'")
 
 
 def test_files_that_are_not_there(fails):

@@ -11,7 +11,8 @@ from hypothesis.extra import numpy as hnp
 
 from cddf_jax import conical, fit
 from cddf_jax.errors import InputError
-from cddf_jax.measurements import Measurements, read_measurements, repeated_tables
+from cddf_jax.measurements import Measurements, read_measurements
+from cddf_jax.trial_files import repeated_tables
 
 PAIRS = """base_tension [N], tip_tension [N]
 5, 4.79
@@ -173,36 +174,42 @@ CASES = [
     (PAIRS + "\n15, abc\n", "row 5, column tip_tension: 'abc' is not a number; give a number or remove the row"),
     (PAIRS + "1_5, 3\n", "row 4, column base_tension: '1_5' is not a number"),
     (PAIRS + "15, 13 N\n", "row 4, column tip_tension: '13 N' is not a number"),
-    (PAIRS + "15,\n", "row 4, column tip_tension: the cell is empty; give a number or remove the row"),
-    (PAIRS + "15, nan\n", "row 4, column tip_tension: must be finite, got nan; give a number or remove the row"),
+    (PAIRS + ", 13\n", "row 4, column base_tension: the cell is empty; give a number or remove the row"),
+    (PAIRS + "nan, 13\n", "row 4, column base_tension: must be finite, got nan; give a number or remove the row"),
+    (PAIRS + "15, inf\n", "row 4, column tip_tension: must be finite, got inf; give a number or remove the row"),
+    (_with("tip_x [mm]").replace("4.79", "").replace("9.19", "-"), "no row holds a reading (tip_x); add the"),
     (PAIRS + "inf, 5\n", "row 4, column base_tension: must be finite, got inf"),
     (PAIRS + "-15, 5\n", "row 4, column base_tension: must be 0 or more, got -15 N; check its sign and the zero of"),
-    (PAIRS.replace("[N]", "[kN]") + "3, -5e-3\n", "row 4, column tip_tension: must be 0 or more, got -5 N"),
+    (PAIRS.replace("[N]", "[kN]") + "3, -5\n", "row 4, column tip_tension: must be 0 or more, got -5000 N; check its"),
+    (PAIRS + "3, -0.201\n", "row 4, column tip_tension: must be 0 or more, got -0.201 N; check its sign and the zero"),
     (_with("tip_tension"), "row 1: the column tip_tension needs a unit of force, got none;"),
     (_with("tip_tension []"), "row 1: the column tip_tension needs a unit of force, got none;"),
     ("# a\n" + _with("tip_tension [mm]"), "row 2: the column tip_tension needs a unit of force"),
     (_with("tip_x [N]"), "tip_x needs a unit of length, got [N]; write for example [mm]"),
     (_with("tip_tension [Nn]"), "got [Nn] with the unknown unit 'Nn'; write for example [N]"),
-    (_with("tip_tensoin [N]"), "unknown column 'tip_tensoin'; did you mean tip_tension? Known"),
-    (_with("Tip tension [N]"), "unknown column 'Tip tension'; did you mean tip_tension?"),
-    (_with("base_tension_1 [N]"), "unknown column 'base_tension_1'; did you mean base_tension?"),
-    (_with("tip_x_2 [mm]"), "unknown column 'tip_x_2'; did you mean tip_x?"),
-    (_with("colour"), "unknown column 'colour'; known are trial, direction, base_tension,"),
+    (_with("tip_tensoin [N]"), "row 1: unknown column 'tip_tensoin'; did you mean tip_tension? Rename it or"),
+    (_with("directon"), "Rename it or give --column \"directon=direction\", or leave it out by --column \"directon=\""),
+    (_with("T_base_0 [N]"), "unknown column 'T_base_0'; did you mean base_tension?"),  # tendons count from 1
+    (_with("base_tension_1 [N]"), "row 1: 'base_tension [N]' and 'base_tension_1 [N]' both are the column"),
+    ("Pull [N], colour\n5, red\n", "the column base_tension is missing; say which of 'Pull [N]', 'colour' it is, by"),
+    (_with("tip_tension (raw)"), "row 1: the column tip_tension needs a unit of force, got [raw] with the unknown"),
+    (_with("tip_tension [g]"), "needs a unit of force, got [g]; write for example [N]; a mass is no force: did you"),
+    (_with("tip_tension_kg"), "got [kg]; write for example [N]; a mass is no force: did you mean gf or kgf, its"),
+    (_with("tip_tension [Gram]"), "got [Gram]; write for example [N]; a mass is no force: did you mean gf or kgf"),
+    (_with("tip_x [px]"), "got [px]; write for example [mm], converted by the scale of the camera"),
     (_with("direction [N]"), "row 1: the column direction has no unit, got [N]; leave it out"),
     (_with("direction"), "row 2, column direction: must be 1 or -1, got 4.79; write 1 where"),
     (PAIRS.replace("tip_tension", "base_tension"), "row 1: the column base_tension appears twice; remove one"),
-    ("base_tension [N],,tip_tension [N]\n5,,4", "row 1, column 2: '' is no column; write 'name [unit]'"),
     (_with(""), "row 2 has 2 cells, the header 1; with decimal commas separate the columns by semicolons, and name"),
-    ("base_tension [N]  tip_tension [N]\n5 4", "is no column; write 'name [unit]', and commas, semicolons or tabs"),
-    (" " * 10**6 + "a" + " " * 10**6 + "[", "row 1, column 1: 'a "),
-    ("a" * 10**6, "row 1, column 1: 'aaaaaaa"),
-    (_with("tip [N] [N]"), "row 1, column 2: 'tip [N] [N]' is no column"),
+    ("base_tension [N]  tip_tension [N]\n5 4", "is no column; write names and units such as 'base_tension [N], tip"),
+    (" " * 10**6 + "a" + " " * 10**6 + "[", "row 1: 'a "),
+    ("a" * 10**6, "row 1: 'aaaaaaa"),
     (PAIRS.replace("base_tension", "tip_tension_2"), "the column base_tension is missing; add it"),
     (PAIRS.replace("tip_tension", "tip_tension_3"), "the column base_tension_3 is missing; add it"),
     (PAIRS.replace("base_tension", "weight"), "the column tip_tension does not belong to a pulley test; put it into a"),
     ("weight [N], wrap_angle [rad]\n1, 1", "the column pulling_tension is missing; add it (a pulley test has wrap"),
     ("trial, base_tension [N]\n , 3", "row 2, column trial: the cell is empty; fill it"),
-    ("5, 4.79\n10, 9.19", "unknown column '5'; known are"),
+    ("5, 4.79\n10, 9.19", "row 1: there is no header above the numbers; write names and units such as 'base_tension"),
     (PAIRS.replace("10, 9.19", "10,5, 9,19"), "row 3 has 4 cells, the header 2; with decimal commas separate the"),
     (PAIRS.replace(", ", ";") + "5;4,79", "row 4, column tip_tension: '4,79' has a comma, but row 2, column"),
     (PAIRS.replace(", ", ";").replace("4.79", "1.234,5"), ", but row 2, column tip_tension: '1.234,5' a point"),
@@ -213,12 +220,13 @@ CASES = [
     (PAIRS + '"15, 5\n', "row 4: quotation marks are astray"),
     (PAIRS.replace("\n", "\n#"), "has a header but no rows; add the measurements below it (lines that begin with #"),
     (PAIRS + "9, " + "x" * 1000, "row 4, column tip_tension: 'xxxxx"),
-    (PAIRS.encode("utf-16-le"), "is not text in UTF-8 or UTF-16; save it as CSV UTF-8"),  # without its mark
-    (PAIRS.encode() + b"\xe9", "is not text in UTF-8 or UTF-16"),
-    (PAIRS.encode("utf-16")[:-1], "is not text in UTF-8 or UTF-16"),
-    (b"PK\x03\x04\x14\x00\x06\x00" + bytes(range(256)), "is not text in UTF-8 or UTF-16"),  # a spreadsheet itself
-    (np.random.default_rng(0).bytes(100_000), "is not text in UTF-8 or UTF-16"),
-    (b"\0" * 1000, "is not text in UTF-8 or UTF-16"),
+    (PAIRS.encode("utf-16-le"), "is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8"),  # without its mark
+    (PAIRS.encode() + b"\xe9, \x81", "is not text in UTF-8, UTF-16 or Latin-1"),
+    (PAIRS.encode("utf-16")[:-1], "is not text in UTF-8, UTF-16 or Latin-1"),
+    (b"PK\x03\x04\x14\x00\x06\x00" + bytes(range(256)), "is no spreadsheet in the format .xlsx (File is not a zip"),
+    (b"\xd0\xcf\x11\xe0" + bytes(range(256)), "is a spreadsheet in the old format .xls; save it as .xlsx or as CSV"),
+    (np.random.default_rng(0).bytes(100_000), "is not text in UTF-8, UTF-16 or Latin-1"),
+    (b"\0" * 1000, "is not text in UTF-8, UTF-16 or Latin-1"),
 ]  # fmt: skip
 
 
@@ -331,10 +339,22 @@ WHICH = "are these degrees under a unit of rad?"
             ),
         ),
         (
-            {"base_tension": [9, 8], "base_tension_2": [10, 20], "tip_tension_2": [12, 19]},
+            {"base_tension": [9, 8], "base_tension_2": [10, 20], "tip_tension_2": [12, 19], "direction_2": [1, 1]},
             (
                 "rows with tip_tension_2 more than 5 % above base_tension_2: 1 of 2 (row 1: 12 N over 10 N); "
-                "are the cells swapped or off zero, or does the tendon slide out (direction -1)?",
+                "are the cells swapped or off zero, or does the tendon slide out (direction_2 -1)?",
+            ),
+        ),
+        # sliding out the tip tension is the larger one, by the capstan law
+        ({"base_tension": [9, 8], "base_tension_2": [10, 20], "tip_tension_2": [12, 24], "direction_2": [-1, -1]}, ()),
+        # of several tendons an unstated direction is found with the equilibrium, and may be either
+        ({"base_tension": [9, 8], "base_tension_2": [10, 20], "tip_tension_2": [12, 19]}, ()),
+        ({"base_tension": [9, 8], "base_tension_2": [10, 20], "tip_tension": [12, 10], "direction_2": [1, 1]}, ()),
+        (
+            {"base_tension": [0, 10, 20], "tip_tension": [-0.1, 9, -0.2], "tip_angle": [0, np.nan, 0.3]},
+            (
+                "rows with tip_tension below 0: 2 of 3 (row 1: -0.1 N); has the zero of the cell drifted?; "
+                "if so let tip_zero be free too",
             ),
         ),
         (

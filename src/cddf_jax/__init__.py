@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from .stiffness import TipJacobian, tip_compliance, tip_jacobian
     from .sweeping import sweep
     from .targets import CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension
+    from .trial_files import read_tables
 
 _HOME = {
     "bootstrap": "Bootstrap",
@@ -87,6 +88,7 @@ _HOME = {
     "stiffness": "TipJacobian, tip_compliance, tip_jacobian",
     "sweeping": "sweep",
     "targets": "CurvatureAt, Displacement, TipAngle, TipStiffness, TipTension, TotalTension",
+    "trial_files": "read_tables",
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names.split(", ")}
 
@@ -159,6 +161,7 @@ __all__ = [
     "read_cross_sections",
     "read_manipulator",
     "read_measurements",
+    "read_tables",
     "section_columns",
     "self_contact",
     "sobol",

@@ -1,7 +1,7 @@
 """The command line: `cddf solve`, `sweep`, `fit`, `design` and others; each imports what is heavy when it runs."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -12,6 +12,7 @@ from .errors import InputError
 
 if TYPE_CHECKING:
     from .manipulator import Manipulator
+    from .measurements import Measurements
 
 app = typer.Typer(
     help="Friction in tendon-driven continuum manipulators: predict it, read it off measurements, design for it.",
@@ -321,6 +322,12 @@ class Loss(StrEnum):
     cauchy = "cauchy"
 
 
+Column = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='What a column of the data is, "Tbase_N=base_tension [N]"; "NAME=" to leave it out.', show_default=False
+    ),
+]
 Prior = Annotated[
     list[str] | None,
     typer.Option(
@@ -340,7 +347,14 @@ Noise = Annotated[
 @app.command()
 def fit(
     robot: Robot,
-    data: Annotated[list[Path], typer.Argument(help="CSV files with the unit in the header.", show_default=False)],
+    data: Annotated[
+        list[Path],
+        typer.Argument(
+            help="CSV or .xlsx files with the unit in the header; files of the same columns are trials.",
+            show_default=False,
+        ),
+    ],
+    column: Column = None,
     free: Annotated[list[str] | None, typer.Option(help="What is fitted.", show_default="friction and modulus")] = None,
     prior: Prior = None,
     bound: Bound = None,
@@ -373,11 +387,10 @@ def fit(
     from .fit_results import as_dict, make_report
     from .holds import average_holds as averaged
     from .identification import fit
-    from .measurements import read_measurements
     from .report import write_report
 
     known = command.read_all(noise, command.read_noise, "--noise")
-    tables = [read_measurements(path) for path in data]
+    tables = _tables(data, column)
     found = fit(
         manipulator,
         [averaged(table) for table in tables] if average_holds else tables,
@@ -430,6 +443,7 @@ def design(
     from .design_file import read_task
 
     read = read_task(task)
+    _note(read.read_as)
     watched = sys.stderr.isatty()
     if pareto is not None:
         from .design_command import trade_off
@@ -451,15 +465,15 @@ def design(
 def reproduce(
     robot: Robot,
     load_cells: Annotated[Path, typer.Argument(help="CSV of the load-cell trials.", show_default=False)],
+    column: Column = None,
     as_json: AsJson = False,
     out: Annotated[Path, typer.Option(help="Folder for figures and table.")] = Path("out/reproduce"),
 ) -> None:
     """The figures of Liu et al. (2020), and a table of its numbers beside ours."""
     manipulator = _read(robot, None)
-    from .measurements import read_measurements
     from .reproduction import reproduce
 
-    answer = reproduce(manipulator, read_measurements(load_cells), out)
+    answer = reproduce(manipulator, _tables([load_cells], column)[0], out)
     _say(as_json, answer, (out / "reproduction.md").read_text(encoding="utf-8"))
 
 
@@ -470,8 +484,9 @@ def reproduce(
 def plan(
     robot: Robot,
     data: Annotated[
-        list[Path] | None, typer.Argument(help="CSV files of what was measured already.", show_default=False)
+        list[Path] | None, typer.Argument(help="CSV or .xlsx files of what was measured already.", show_default=False)
     ] = None,
+    column: Column = None,
     candidates: Annotated[
         Path | None, typer.Option(help="TOML file of what could be measured; else the usual.", show_default=False)
     ] = None,
@@ -491,7 +506,6 @@ def plan(
     manipulator = _read(robot, kinematics)
     from . import plan_command
     from .identification import fit as fit_tables
-    from .measurements import read_measurements
     from .next_measurement import plan, standard_candidates
     from .units import quantity
 
@@ -502,7 +516,7 @@ def plan(
     choices = (
         standard_candidates(manipulator, largest) if candidates is None else plan_command.read_candidates(candidates)
     )
-    known = fit_tables(manipulator, [read_measurements(path) for path in data], names) if data else manipulator
+    known = fit_tables(manipulator, _tables(data, column), names) if data else manipulator
     answer = plan(known, choices, names, criterion=criterion, num=num)
     if out is not None:
         from .artifacts import as_json as json_text
@@ -524,8 +538,9 @@ def explore(
         Path | None, typer.Argument(help="TOML file of the manipulator; else the paper's.", show_default=False)
     ] = None,
     data: Annotated[
-        list[Path] | None, typer.Argument(help="CSV files with the unit in the header.", show_default=False)
+        list[Path] | None, typer.Argument(help="CSV or .xlsx files with the unit in the header.", show_default=False)
     ] = None,
+    column: Column = None,
     kinematics: KinematicsOption = None,
     port: Annotated[int, typer.Option(help="On this machine.", min=0, max=65535, show_default="a free one")] = 0,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")] = False,
@@ -546,15 +561,13 @@ def explore(
         if error.name not in ("panel", "bokeh"):
             raise
         raise InputError("explore needs the package panel; install it with pip install 'cddf-jax[explore]'") from None
-    from .measurements import read_measurements
 
     if manipulator is None:
         manipulator, source = explorer.papers_manipulator(), explorer.PAPER
         manipulator = manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
     else:
         source = str(robot)
-    tables = [read_measurements(path) for path in data or []]
-    explorer.serve(manipulator, tables, source, port=port, browser=not no_browser, say=typer.echo)
+    explorer.serve(manipulator, _tables(data or [], column), source, port=port, browser=not no_browser, say=typer.echo)
 
 
 # --- common --------------------------------------------------------------------------------------
@@ -582,6 +595,21 @@ def _read(
     if note_columns and (columns := columns_of(robot)):
         typer.echo(f"note: {in_one_line(columns)}", err=True)
     return manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
+
+
+def _tables(paths: list[Path], column: list[str] | None) -> "tuple[Measurements, ...]":
+    """The measurements in files; what was done to read them is said on standard error."""
+    from .fit_command import read_all, read_column
+    from .trial_files import read_tables
+
+    tables = read_tables(paths, read_all(column, read_column, "--column"))
+    _note(line for table in tables for line in table.read_as)
+    return tables
+
+
+def _note(lines: Iterable[str]) -> None:
+    for line in lines:
+        typer.echo(f"note: {line}", err=True)
 
 
 def _directions(direction: list[int] | None, manipulator: "Manipulator") -> list[int] | None:

@@ -7,8 +7,8 @@
 
 `offset_1`, `offset_2`, ... (one alone may be called `offset`) are distances of the tendons from the neutral axis,
 negative for a tendon with side = -1; a tendon ends where its cells do. The first row is the base, the last the tip.
-A step is written as two rows of one arc length, the body before it and behind it. `csv_table` tells which separators,
-decimal marks and encodings are understood.
+A step is written as two rows of one arc length, the body before it and behind it. `table_source` tells which
+separators, decimal marks and encodings are understood.
 
 Between its points a table is read as straight lines, unless a smooth curve passes all of them at the tolerance, stays
 within the values of neighbouring points and does not turn back between them. What was taken is told by
@@ -23,16 +23,18 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from .csv_table import Kind, read_table, table_csv
+from .csv_table import read_table, table_csv
 from .errors import InputError
 from .manipulator import Manipulator, Tendon
 from .profiles import Polyline, Profile
 from .simplest_profile import simplest_profile
+from .table_header import Kind, short
 from .units import Dimension, shown
 
 TOLERANCE = 1e-6  # m
 ROWS = 201  # that are written, besides those at joints
 ZIGZAG = 10  # times the range of its directions: a tendon that turns more in all goes to and fro
+_COLUMNS = "arc_length, outer_radius, inner_radius, offset_1, offset_2, ..."
 _OFFSET = re.compile("offset(_[1-9][0-9]*)?")
 
 
@@ -129,9 +131,11 @@ def _rows(manipulator: Manipulator) -> dict[str, np.ndarray]:
 def _dimension_of(column: str) -> Dimension:
     if column in ("arc_length", "outer_radius", "inner_radius") or _OFFSET.fullmatch(column):
         return "length"
-    raise InputError(
-        f"unknown column {column!r}; known are arc_length, outer_radius, inner_radius, offset_1, offset_2, ..."
-    )
+    raise InputError(_objection(column))
+
+
+def _objection(name: str) -> str:
+    return f"unknown column {short(name)}; known are {_COLUMNS}"
 
 
 _KIND = Kind(
@@ -139,6 +143,7 @@ _KIND = Kind(
     "cross-sections",
     "arc_length [mm], outer_radius [mm], inner_radius [mm], offset_1 [mm]",
     gaps=lambda column: column.startswith("offset"),
+    objection=_objection,
 )
 
 

@@ -1,60 +1,89 @@
-"""CSV tables with the unit in the header: text to columns of SI numbers, and columns to text.
+"""Tables with the unit in the header, or in a row below it: a file to columns of SI numbers, and columns to CSV.
 
-Separators are commas, or semicolons or tabs, and then decimal commas are understood too. Blank lines, lines
-with # between the rows and separators at the end of a line are passed over. UTF-8, or UTF-16 with its mark.
+`table_source` tells which separators, decimal marks, encodings and spreadsheets are understood.
 """
 
-import codecs
 import csv
 import io
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from itertools import islice
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain, islice
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .errors import InputError
-from .units import Dimension, to_si
+from .table_header import (
+    Heading,
+    Kind,
+    check_headings,
+    heading_of,
+    headings_of,
+    is_number,
+    number,
+    short,
+    units_below,
+    with_units,
+)
+from .table_source import Row, Source, open_table
+from .units import to_si
 
-_HEADER = re.compile(r"([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?")
-_BLANK = ' \t\r\n,;"'
-_BATCH = 50_000  # rows
+_BATCH = 50_000  # rows, so that the text of all cells need not be kept
+_MISSING = (
+    "",
+    "nan",
+    "na",
+    "n/a",
+    "#n/a",
+    "null",
+    "none",
+    "-",
+    "--",
+)  # what instruments write where there is no number
 
 
 class Table(NamedTuple):
     """What a file holds."""
 
     columns: dict[str, Any]  # float64 in SI by name, lists of text for labels
-    rows: list[int]  # the line of each row in the file
+    rows: list[int]  # the line of each row in the file, or its number in the sheet
     notes: tuple[str, ...]  # the text above the header
+    read_as: tuple[str, ...]  # what was done to read it, where the file is not plain
+    unused: tuple[str, ...]  # columns that are none of the kind
+    missing: tuple[str, ...]  # what was said of columns that are not there
 
 
-class Kind(NamedTuple):
-    """What the columns of a kind of table are."""
+def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str] | None = None) -> Table:
+    """The columns of a file.
 
-    dimension_of: Callable[[str], Dimension | None]  # of a column, None without; raises InputError for an unknown one
-    content: str  # of a row, in the plural
-    example: str  # of a header
-    labels: Collection[str] = ()  # columns of text
-    gaps: Callable[[str], bool] = lambda column: False  # whether cells of a column may be empty, which gives NaN
-
-
-def read_table(path: str | os.PathLike[str], kind: Kind) -> Table:
-    """The columns of a CSV file.
+    Args:
+        path: CSV or .xlsx.
+        kind: of table.
+        columns: by the head of a column in the file, what it is, such as "base_tension [N]"; "" to leave it out.
 
     Raises:
         InputError: names the file, row (line), column, value and remedy.
     """
+    empty = f"is empty; write a header such as {kind.example!r} and rows below it"
+    given = {" ".join(name.split()): text for name, text in (columns or {}).items()}
+
+    def recognised(cells: Sequence[str]) -> int:
+        return sum(heading_of(cell, kind, given).column is not None for cell in cells)
+
     try:
-        with open(path, "rb") as file, io.TextIOWrapper(file, _encoding(file.peek(2))) as text:
-            return _parse(text, kind)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not text in UTF-8 or UTF-16; save it as CSV UTF-8") from None
+        source = open_table(path, recognised, empty)
+        headings = headings_of(source.header, source.row, kind, given)
+        first = next(source.rows, None)
+        below = () if first is None else (first,)
+        if first is not None and (units := units_below(first[1], headings, kind)):
+            headings = with_units(headings, units, first[0])
+            source.read_as.append(f"row {first[0]} holds the units")
+            below = ()
+        check_headings(headings, source.row, kind)
+        names = {text for heading in headings for text in (heading.text, heading.name)}
+        return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -69,89 +98,68 @@ def table_csv(columns: Mapping[str, Any]) -> str:
     return text.getvalue()
 
 
-def _encoding(start: bytes) -> str:
-    """UTF-16 where a byte-order mark says so, as in "Unicode text" of spreadsheets."""
-    return "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+# --- the rows ------------------------------------------------------------------------------------
 
 
-def _parse(text: Iterable[str], kind: Kind) -> Table:
-    """A table from the lines of a file, read in batches so that their text need not be kept."""
-    lines = enumerate(text, 1)
-    notes, row, line = [], 0, ""
-    while not line.strip(_BLANK) or _is_comment(line):
-        notes += [line.strip(_BLANK).lstrip("#").strip()] if line.strip(_BLANK) else []
-        row, line = next(lines, (0, None))
-        if line is None:
-            raise InputError(f"is empty; write a header such as {kind.example!r} and rows below it")
-    if "\0" in line:
-        raise InputError("is not text in UTF-8 or UTF-16; save it as CSV UTF-8")
-    separator = next((mark for mark in ";,\t" if mark in line), ",")
-    header = _read_header(_cells(row, line, separator), row, kind)
-    columns: dict[str, list[Any]] = {column: [] for column in header}
-    rows, marks = [], {}
-    while batch := list(islice(lines, _BATCH)):
-        filled, texts_of_columns = _split(batch, separator, len(header))
-        for (column, unit), texts in zip(header.items(), texts_of_columns, strict=True):
+def _read(
+    rows: Iterator[Row], headings: Sequence[Heading], kind: Kind, source: Source, missing: tuple[str, ...]
+) -> Table:
+    """The columns, from rows that are read in batches."""
+    used = {heading.column: (i, heading.unit) for i, heading in enumerate(headings) if heading.column is not None}
+    columns: dict[str, list[Any]] = {column: [] for column in used}
+    numbers, filled, marks = [], np.zeros(len(headings), bool), {}
+    said: dict[str, str] = {}
+    while batch := list(islice(rows, _BATCH)):
+        at, texts_of_columns = _split(batch, headings)
+        for i, heading in enumerate(headings):
+            if heading.column is None and not filled[i]:
+                filled[i] = any(text.strip() for text in texts_of_columns[i])
+        for column, (i, unit) in used.items():
+            texts = texts_of_columns[i]
             if column in kind.labels:
-                columns[column] += _labels(column, filled, texts)
+                columns[column] += _labels(column, at, texts)
                 continue
-            if separator != ",":
-                texts = _with_points(column, filled, texts, marks)
-            columns[column].append(_numbers(column, filled, texts, unit, kind))
-        rows += filled
-    if not rows:
+            if words := kind.words(column):
+                texts = _in_numbers(texts, words, said)
+            if source.decimal_commas:
+                texts = _with_points(column, at, texts, marks)
+            columns[column].append(_numbers(column, at, texts, unit, kind))
+        numbers += at
+    if not numbers:
         raise InputError(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
         )
     joined = {column: parts if column in kind.labels else np.concatenate(parts) for column, parts in columns.items()}
-    return Table(joined, rows, tuple(notes))
+    unused = tuple(
+        heading.text or f"column {i} without a name"
+        for i, heading in enumerate(headings, 1)
+        if heading.column is None and (heading.text or filled[i - 1])
+    )
+    read_as = (*source.read_as, *_done(headings, unused, said))
+    return Table(joined, numbers, source.notes, read_as, unused, missing)
 
 
-def _is_comment(line: str) -> bool:
-    return line.lstrip(' \t"').startswith("#")
+def _done(headings: Sequence[Heading], unused: Sequence[str], said: Mapping[str, str]) -> Iterator[str]:
+    """In words, what the header and the words of the rows were taken for."""
+    renamed = [h for h in headings if h.column is not None and h.name != h.column]
+    if renamed:
+        yield "read as: " + ", ".join(f"{h.text!r} {h.column}" + (f" [{h.unit}]" if h.unit else "") for h in renamed)
+    if unused:
+        yield f"columns that are not used: {', '.join(map(short, unused))}"
+    if said:
+        yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in said.items())
 
 
-def _cells(row: int, line: str, separator: str) -> list[str]:
-    """The cells of a line; a separator within quotation marks separates nothing."""
-    if '"' not in line:
-        return line.rstrip("\n").split(separator)
-    try:
-        return next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True))
-    except csv.Error as error:
-        raise InputError(f"row {row}: quotation marks are astray ({error}); take them out") from None
-
-
-def _read_header(cells: list[str], row: int, kind: Kind) -> dict[str, str | None]:
-    """The unit of each column by name; None for a column without."""
-    header: dict[str, str | None] = {}
-    while len(cells) > 1 and not cells[-1].strip():  # spreadsheets leave separators at the end
-        cells.pop()
-    for number, cell in enumerate(cells, 1):
-        match = _HEADER.fullmatch(cell.strip()) if len(cell) < 200 else None
-        if match is None:
-            remedy = "write 'name [unit]', and commas, semicolons or tabs between columns"
-            raise InputError(f"row {row}, column {number}: {short(cell)} is no column; {remedy}")
-        column, unit = match.groups()
-        dimension, unit = kind.dimension_of(column), unit and unit.strip()
-        if column in header:
-            raise InputError(f"row {row}: the column {column} appears twice; remove one")
-        if dimension is None and unit is not None:
-            raise InputError(f"row {row}: the column {column} has no unit, got [{unit}]; leave it out")
-        if dimension is not None:
-            to_si(np.zeros(0), unit or "", dimension, f"row {row}: the column {column}")
-        header[column] = unit
-    return header
-
-
-def _split(lines: Sequence[tuple[int, str]], separator: str, width: int) -> tuple[list[int], list[list[str]]]:
-    """The line number of every row that is neither blank nor a note, and the text of its cells by column."""
+def _split(batch: Sequence[Row], headings: Sequence[Heading]) -> tuple[list[int], list[list[str]]]:
+    """The line number of every row, and the text of its cells by column."""
+    width = len(headings)
+    needed = max((i for i, heading in enumerate(headings, 1) if heading.column is not None), default=0)
     rows, texts = [], []
-    for row, line in lines:
-        if not line.strip(_BLANK) or ("#" in line and _is_comment(line)):
-            continue
-        cells = _cells(row, line, separator)
+    for row, cells in batch:
         while len(cells) > width and not cells[-1].strip():
             cells.pop()
+        if needed <= len(cells) < width:
+            cells = [*cells, *[""] * (width - len(cells))]
         if len(cells) != width:
             surplus = "with decimal commas separate the columns by semicolons, and name every column"
             remedy = "fill the row" if len(cells) < width else surplus
@@ -166,6 +174,17 @@ def _labels(column: str, rows: Sequence[int], texts: Sequence[str]) -> list[str]
     if "" in labels:
         raise InputError(f"row {rows[labels.index('')]}, column {column}: the cell is empty; fill it")
     return labels
+
+
+def _in_numbers(texts: Sequence[str], words: Mapping[str, str], said: dict[str, str]) -> list[str]:
+    """The texts with numbers for words; `said` keeps which."""
+    found = []
+    for text in texts:
+        number = words.get(text.strip().lower())
+        if number is not None:
+            said[text.strip()] = number
+        found.append(text if number is None else number)
+    return found
 
 
 def _with_points(column: str, rows: Sequence[int], texts: Sequence[str], marks: dict[str, str]) -> Sequence[str]:
@@ -183,35 +202,16 @@ def _with_points(column: str, rows: Sequence[int], texts: Sequence[str], marks: 
 def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str | None, kind: Kind) -> np.ndarray:
     """A column of text as SI numbers."""
     if kind.gaps(column):
-        texts = [text if text.strip() else "nan" for text in texts]
+        texts = ["nan" if text.strip().lower() in _MISSING else text for text in texts]
     try:
-        values = np.fromiter(map(_number, texts), float, len(texts))
+        values = np.fromiter(map(number, texts), float, len(texts))
     except ValueError:
-        bad = next(i for i, text in enumerate(texts) if not _is_number(text))
+        bad = next(i for i, text in enumerate(texts) if not is_number(text))
         text = texts[bad].strip()
         found = f"{short(text)} is not a number" if text else "the cell is empty"
-        remedy = "give a number or remove the row"
+        remedy = f"write {', '.join(kind.words(column))}" if kind.words(column) else "give a number or remove the row"
         if re.fullmatch(r"[+-]?\d+([,.'’\s]\d+)+", text):
             remedy = "write it with a decimal point and without thousands separators"
         raise InputError(f"row {rows[bad]}, column {column}: {found}; {remedy}") from None
     dimension = kind.dimension_of(column)
     return values if dimension is None or unit is None else to_si(values, unit, dimension, column)
-
-
-def _number(text: str) -> float:
-    """The number that a text is; unlike Python, no reader takes 1_000 for one."""
-    return float(text if "_" not in text else "")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        _number(text)
-    except ValueError:
-        return False
-    return True
-
-
-def short(text: str) -> str:
-    """A piece of a file for a message: quoted, on one line, not long."""
-    text = text.strip()
-    return repr(text if len(text) <= 60 else text[:57] + "...")

@@ -24,6 +24,7 @@ numbers = { youngs_modulus = "1.5 MPa" }                     # of the body, in t
 
 [uncertain]                          # optional: every case with what a fit of these data leaves uncertain
 data = ["load_cells.csv"]
+columns = { Tbase_N = "base_tension [N]" }                   # optional, as --column of cddf fit
 num = 16
 
 [[objective]]                        # one or more; each counts relative to its size at the start
@@ -79,6 +80,7 @@ class DesignTask:
     starts: int = 1
     seed: int = 0
     nodes: int = 16
+    read_as: tuple[str, ...] = ()  # what was done to read the data
     offsets_outside_wall: bool = False
 
     @contextmanager
@@ -124,8 +126,9 @@ def _task(table: Mapping[str, Any], path: Path) -> DesignTask:
         body = replace(body, kinematics=table["kinematics"])
     cases = tuple(_case(f"case {i}", each, body) for i, each in enumerate(_list(table, "case"), 1))
     body, bounds, choices = _free(body, cases[0], _entries(table, "free"))
+    read_as: tuple[str, ...] = ()
     if "uncertain" in table:
-        cases = _uncertain(cases, body, _entries(table, "uncertain"), folder)
+        cases, read_as = _uncertain(cases, body, _entries(table, "uncertain"), folder)
     limits = _list(table, "limit") if "limit" in table else []
     options: dict[str, Any] = {"offsets_outside_wall": allows_offsets_outside_wall(robot)}
     options |= {key: table[key] for key in ("worst", "offsets_outside_wall") if key in table}
@@ -146,6 +149,7 @@ def _task(table: Mapping[str, Any], path: Path) -> DesignTask:
         constraints=[_limit(f"limit {i}", each) for i, each in enumerate(limits, 1)],
         choices=choices,
         cases=cases,
+        read_as=read_as,
         **options,
     )
 
@@ -255,15 +259,19 @@ def _case_numbers(where: str, table: Any, body: Manipulator) -> dict[str, float]
 
 def _uncertain(
     cases: Sequence[LoadCase], body: Manipulator, table: Mapping[str, Any], folder: Path
-) -> tuple[LoadCase, ...]:
+) -> tuple[tuple[LoadCase, ...], tuple[str, ...]]:
+    """The cases with what a fit leaves uncertain, and what was done to read its data."""
     from .identification import fit
-    from .measurements import read_measurements
+    from .trial_files import read_tables
 
-    check_keys("uncertain: ", table, ("data",), ("num", "seed"))
+    check_keys("uncertain: ", table, ("data",), ("columns", "num", "seed"))
     files = table["data"] if isinstance(table["data"], list) else [table["data"]]
-    found = fit(body, [read_measurements(folder / str(file)) for file in files])
+    columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
+    tables = read_tables([folder / str(file) for file in files], columns)
+    found = fit(body, tables)
     num, seed = (_whole(f"uncertain: {key}", table.get(key, default)) for key, default in (("num", 16), ("seed", 0)))
-    return tuple(each for case in cases for each in uncertain_cases(case, found, num, seed))
+    every = tuple(each for case in cases for each in uncertain_cases(case, found, num, seed))
+    return every, tuple(line for table in tables for line in table.read_as)
 
 
 def _objective(where: str, table: Mapping[str, Any]) -> tuple[float, Objective]:

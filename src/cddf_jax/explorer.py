@@ -15,7 +15,8 @@ from .exploration import Exploration
 from .explorer_view import Threads, View
 from .manipulator import Manipulator, conical
 from .manipulator_file import read_manipulator
-from .measurements import Measurements, read_measurements
+from .measurements import Measurements
+from .trial_files import read_tables
 
 ADDRESS = "127.0.0.1"  # this machine alone
 TITLE = "cddf explorer"
@@ -62,7 +63,7 @@ class Page:
         self.head = pn.pane.HTML("", stylesheets=[HEAD], margin=(0, 8))
         self.robot_file = pn.widgets.FileInput(accept=".toml", name="Manipulator (TOML)", width=175, margin=(0, 4))
         self.data_files = pn.widgets.FileInput(
-            accept=".csv,.tsv,.txt", name="Data (CSV, one or several)", multiple=True, width=185
+            accept=".csv,.tsv,.txt,.lvm,.xlsx", name="Data (CSV or .xlsx, one or several)", multiple=True, width=185
         )
         self.robot_file.param.watch(lambda _: self._load(self._read_robot), "value")
         self.data_files.param.watch(lambda _: self._load(self._read_data), "value")
@@ -89,7 +90,8 @@ class Page:
             part.css_classes = [name]
         self.place[:] = list(parts.values())
         data = ", ".join(table.name for table in self.tables) or "no data loaded"
-        self.head.object = f"<h1>{TITLE}</h1><p>{_escaped(self.source)}; {_escaped(data)}</p>"
+        notes = [f"<p>{_escaped(line)}</p>" for table in self.tables for line in table.read_as]
+        self.head.object = f"<h1>{TITLE}</h1><p>{_escaped(self.source)}; {_escaped(data)}</p>{''.join(notes)}"
         self.view = view
 
     def _load(self, read: Any) -> None:
@@ -106,25 +108,25 @@ class Page:
 
     def _read_robot(self) -> tuple[Manipulator, tuple[Measurements, ...], str]:
         name = str(self.robot_file.filename)
-        return _read(read_manipulator, name, self.robot_file.value), self.tables, name
+        return _read(lambda paths: read_manipulator(paths[0]), {name: self.robot_file.value}), self.tables, name
 
     def _read_data(self) -> tuple[Manipulator, tuple[Measurements, ...], str]:
-        files = zip(self.data_files.filename, self.data_files.value, strict=True)
-        tables = tuple(_read(read_measurements, str(name), content) for name, content in files)
-        return self.manipulator, tables, self.source
+        files = zip(map(str, self.data_files.filename), self.data_files.value, strict=True)
+        return self.manipulator, _read(read_tables, dict(files)), self.source
 
 
 def _escaped(text: str) -> str:
     return escape(" ".join(text.split()))
 
 
-def _read(reader: Any, name: str, content: Any) -> Any:
-    """What `reader` makes of a file that was sent by the browser; its messages name the file alone."""
+def _read(reader: Any, files: dict[str, Any]) -> Any:
+    """What `reader` makes of files that were sent by the browser; its messages name the file alone."""
     with TemporaryDirectory() as folder:
-        path = Path(folder) / Path(name).name
-        path.write_bytes(content)
+        paths = [Path(folder) / Path(name).name for name in files]
+        for path, content in zip(paths, files.values(), strict=True):
+            path.write_bytes(content)
         try:
-            return reader(path)
+            return reader(paths)
         except InputError as error:
             raise InputError(str(error).replace(f"{folder}/", "")) from None
 

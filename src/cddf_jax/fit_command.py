@@ -11,7 +11,7 @@ from .errors import InputError
 from .fit_figures import moving_names
 from .fit_results import Report
 from .identification import Fit
-from .measurements import dimension_of
+from .measured_columns import dimension_of
 from .observations import Noise
 from .parameter_space import Prior, Uniform
 from .report import in_words
@@ -48,6 +48,16 @@ def read_prior(text: str) -> tuple[str, Prior | Uniform]:
             'or a range as in "friction_coefficient=0.1..0.6"'
         )
     return name, kind(*(_of_parameter(name, part, "--prior") for part in (first, second)))
+
+
+def read_column(text: str) -> tuple[str, str]:
+    """ "Tbase_N=base_tension [N]": the head of a column in a file, and what it is; nothing to leave it out."""
+    name, equals, meant = text.rpartition("=")
+    if not equals or not name.strip():
+        raise InputError(
+            f'--column {text!r}: write the head of a column and what it is, as in "Tbase_N=base_tension [N]"'
+        )
+    return name.strip(), meant.strip()
 
 
 def read_bound(text: str) -> tuple[str, tuple[float | None, float | None]]:

@@ -12,11 +12,11 @@ from .bench import unit_of
 from .csv_table import table_csv
 from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from .equilibrium import Equilibrium, Fields, fields_on
-from .errors import InputError
-from .measurements import Measurements, dimension_of
+from .errors import InputError, needed
+from .measured_columns import dimension_of
+from .measurements import Measurements
 from .next_measurement import Plan
 from .statics import in_words
-from .store import needed
 from .sweep_outputs import COMPONENTS, OUTPUTS
 from .units import si_unit
 

@@ -1,4 +1,4 @@
-"""Tables of measurements: CSV with the unit in the header, SI in memory.
+"""Tables of measurements: CSV or .xlsx with the unit in the header, SI in memory.
 
     # simulated, seed 1           lines with # before the header are notes
     trial, base_tension [N], tip_tension [N], tip_angle [deg], direction
@@ -18,41 +18,52 @@
 
 A pulley test holds its three columns and no other but trial;
 pulling_tension = weight exp(mu wrap_angle), Liu et al. (2020), eq. (5).
-`csv_table` tells which separators, decimal marks and encodings are understood.
+
+Files as laboratories have them are read too, and what was done is said in `Measurements.read_as`:
+
+- A name in capitals or with spaces, `T_base` and `T_tip`, a unit in parentheses, behind the name or in a row below
+  the header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
+- Columns that are none of the above are not used. A name that is nearly one of them is refused.
+- Text above the header, such as that of LabVIEW, is taken for notes.
+- Cells without a number where an instrument was to be read (empty, nan, n/a, -): that reading is left out, the others
+  of its row stay. What was set (tensions at the base, forces, directions) must be there.
+- `loading`, `in`, `up`, `pull` are direction 1; `unloading`, `out`, `down`, `release` are -1.
+- A tension below 0 by no more than 2 % of the largest: the zero of the cell has drifted.
+
+Rows are counted as the lines of the file, or as the rows of a sheet. `table_source` tells which separators, decimal
+marks and encodings are understood; .xlsx needs the extra `excel`.
 """
 
 import hashlib
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .csv_table import Kind, read_table, short
+from .csv_table import read_table
 from .errors import InputError
-from .readings import READINGS, kind_of
+from .measured_columns import (
+    DIRECTIONS,
+    PER_TENDON,
+    PULLEY,
+    column_meant,
+    column_resembled,
+    dimension_of,
+    is_direction,
+    is_reading,
+)
+from .readings import kind_of
+from .table_header import Kind, short
 from .table_warnings import warnings_of
-from .units import Dimension, written
+from .units import preferred, written
 
-_DIMENSIONS: dict[str, Dimension | None] = {
-    "trial": None,
-    "direction": None,
-    "base_tension": "force",
-    **{name: kind.dimension for name, kind in READINGS.items()},
-    "tip_force_x": "force",
-    "tip_force_y": "force",
-    "wrap_angle": "angle",
-    "weight": "force",
-    "pulling_tension": "force",
-}
-_PULLEY = ("wrap_angle", "weight", "pulling_tension")
-_PER_TENDON = ("base_tension", "direction", *(name for name, kind in READINGS.items() if kind.per_tendon))
-_NEVER_NEGATIVE = ("base_tension", "tip_tension", *_PULLEY)
+_FROM_CELLS = ("base_tension", "tip_tension", "pulling_tension")
+_NEVER_NEGATIVE = (*_FROM_CELLS, *PULLEY)
+_DRIFT = 0.02  # of the largest tension, by which a cell may read below 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +78,8 @@ class Measurements:
         notes: the text above the header.
         simulated: whether name or notes say so.
         spread: of means by `average_holds`, by column, the standard deviation of the rows behind each; else None.
+        read_as: what was done to read the file, one line each with its name; empty for a plain one.
+        files: where the trials are files, their names, in the order of `trial_labels`.
     """
 
     name: str
@@ -76,6 +89,8 @@ class Measurements:
     notes: tuple[str, ...] = ()
     simulated: bool = False
     spread: Mapping[str, np.ndarray] | None = None
+    read_as: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
 
     @classmethod
     def from_columns(cls, name: str = "measurements", *, notes: Sequence[str] = (), **columns: Any) -> "Measurements":
@@ -84,13 +99,13 @@ class Measurements:
         Args:
             name: of the table, for messages.
             notes: free text.
-            columns: as in the table at the head of the module; `trial` holds any labels.
+            columns: as in the table at the head of the module; `trial` holds any labels. NaN: a missing reading.
 
         Raises:
             InputError: names table, row, column, value and remedy.
         """
         try:
-            return _table(name, tuple(notes), None, columns)
+            return _table(name, columns, notes=tuple(notes))
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
 
@@ -104,7 +119,24 @@ class Measurements:
         return len(self.rows)
 
     def __str__(self) -> str:
-        return f"{self.name}: {len(self)} rows of {', '.join(self.columns)}"
+        return "\n".join([f"{self.name}: {len(self)} rows of {', '.join(self.columns)}", *self.read_as])
+
+    def has(self, column: str) -> np.ndarray:
+        """Which rows hold a number in a column; a reading may be missing."""
+        return np.isfinite(self.columns[column])
+
+    def read(self, column: str) -> np.ndarray:
+        """The numbers of a column, without the rows in which it is missing."""
+        return self.columns[column][self.has(column)]
+
+    def place(self, row: int) -> str:
+        """Where a row is found, in words: "row 7", counted as in the file, of several files "row 7 of run_2.csv".
+
+        Args:
+            row: 0, 1, ... as in the columns.
+        """
+        of = f" of {self.files[int(self.columns['trial'][row])]}" if self.files else ""
+        return f"row {self.rows[row]}{of}"
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -121,77 +153,122 @@ class Measurements:
         return digest.hexdigest()
 
 
-def read_measurements(path: str | os.PathLike[str]) -> Measurements:
-    """The measurements in a CSV file with the unit in the header; the module's text shows the columns.
+def read_measurements(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> Measurements:
+    """The measurements in a file with the unit in the header; the module's text shows the columns.
+
+    Args:
+        path: CSV, or .xlsx with one sheet that holds a table.
+        columns: by the head of a column in the file, what it is: {"Tbase_N": "base_tension [N]"}; "" to leave it out.
 
     Raises:
         InputError: names the file, row (line), column, value and remedy.
     """
-    found = read_table(path, _KIND)
+    table, missing = read_file(path, columns or {})
+    if missing:
+        raise InputError(f"{path}: has no column {missing[0]!r}; the heads are those of its row of names")
+    return table
+
+
+def read_file(path: str | os.PathLike[str], columns: Mapping[str, str]) -> tuple[Measurements, tuple[str, ...]]:
+    """The measurements in a file, and which of `columns` it does not have."""
+    found = read_table(path, _KIND, columns)
     try:
-        return _table(Path(path).name, found.notes, found.rows, found.columns)
+        _check_columns(found.columns, found.unused)
+        told = {"notes": found.notes, "rows": found.rows, "read_as": found.read_as}
+        return _table(Path(path).name, found.columns, **told), found.missing
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def repeated_tables(tables: Sequence[Measurements]) -> list[str]:
-    """A warning for each table of several that holds the same numbers as an earlier one."""
-    first: dict[str, tuple[int, str]] = {}
-    found = []
-    for number, table in enumerate(tables, 1):
-        earlier, name = first.setdefault(table.checksum, (number, table.name))
-        if earlier != number:
-            found.append(
-                f"{table.name}: table {number} holds the same numbers as table {earlier} ({name}), which thus "
-                "count twice and make standard errors too small; leave one out"
-            )
-    return found
+def _misspelt(name: str) -> str:
+    """What is said against a column whose name is nearly one of ours."""
+    meant = column_resembled(name)
+    if meant is None:
+        return ""
+    remedy = f'Rename it or give {_option(name, meant)}, or leave it out by --column "{name}="'
+    return f"unknown column {short(name)}; did you mean {meant}? {remedy}"
 
 
-def dimension_of(column: str) -> Dimension | None:
-    """What a column measures; None for labels and signs.
-
-    Raises:
-        InputError: for a column that is none.
-    """
-    stem, _, tendon = column.rpartition("_")
-    if stem in _PER_TENDON and re.fullmatch("[2-9]|[1-9][0-9]+", tendon):
-        column = stem
-    if column not in _DIMENSIONS:
-        close = get_close_matches(column.lower(), _DIMENSIONS, 1)
-        remedy = f"did you mean {close[0]}? Known are" if close else "known are"
-        known = ", ".join([*_DIMENSIONS, *(f"{stem}_2" for stem in _PER_TENDON)])
-        raise InputError(f"unknown column {short(column)}; {remedy} {known}, ...")
-    return _DIMENSIONS[column]
+def _option(name: str, column: str) -> str:
+    """How to say at the command line which column a name means."""
+    dimension = dimension_of(column)
+    unit = f" [{preferred(dimension)[1]}]" if dimension else ""
+    return f'--column "{name}={column}{unit}"'
 
 
-_KIND = Kind(dimension_of, "measurements", "base_tension [N], tip_tension [N]", labels=("trial",))
+_KIND = Kind(
+    dimension_of,
+    "measurements",
+    "base_tension [N], tip_tension [N]",
+    meant=column_meant,
+    labels=("trial",),
+    gaps=is_reading,
+    words=lambda column: DIRECTIONS if is_direction(column) else {},
+    objection=_misspelt,
+)
 
 
 # --- from columns to a table ---------------------------------------------------------------------
 
 
-def _table(name: str, notes: tuple[str, ...], rows: Any, columns: Mapping[str, Any]) -> Measurements:
+def _table(
+    name: str,
+    columns: Mapping[str, Any],
+    *,
+    notes: tuple[str, ...] = (),
+    rows: Any = None,
+    read_as: tuple[str, ...] = (),
+) -> Measurements:
     """Check the columns and put them together."""
     _check_columns(columns)
-    labels = [str(label) for label in columns.get("trial", ())]
-    codes = {label: code for code, label in enumerate(dict.fromkeys(labels))}
-    arrays = {
-        column: np.array([codes[label] for label in labels], float) if column == "trial" else _array(column, values)
-        for column, values in columns.items()
-    }
-    lengths = {column: len(values) for column, values in arrays.items()}
+    every = {name: _labels(values) if name == "trial" else _array(name, values) for name, values in columns.items()}
+    lengths = {column: len(values) for column, values in every.items()}
     if len(set(lengths.values())) > 1:
         raise InputError(f"the columns differ in length ({lengths}); give one value per row")
     count = min(lengths.values())
     if count == 0:
         raise InputError("has no rows; add measurements")
     rows = np.arange(1, count + 1) if rows is None else np.asarray(rows)
-    for column, values in arrays.items():
-        _check_values(column, values, rows)
+    numbers = {column: values for column, values in every.items() if column != "trial"}
+    for column, values in numbers.items():
+        _check_values(column, values, rows, numbers)
+    unread, kept, left_out = _gaps(numbers, rows)
+    arrays = {column: values[kept] for column, values in every.items() if column not in unread}
+    labels: list[str] = arrays["trial"].tolist() if "trial" in arrays else []
+    codes = {label: code for code, label in enumerate(dict.fromkeys(labels))}
+    if labels:
+        arrays["trial"] = np.array([codes[label] for label in labels], float)
+    for values in arrays.values():
         values.setflags(write=False)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
-    return Measurements(name, arrays, rows, tuple(codes), notes, simulated)
+    told = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
+    return Measurements(name, arrays, rows[kept], tuple(codes), notes, simulated, told)
+
+
+def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[set[str], np.ndarray, list[str]]:
+    """Columns without a single reading, the rows with one or more, and in words what is missing."""
+    missing = {column: np.isnan(values) for column, values in columns.items() if is_reading(column)}
+    unread = {column for column, where in missing.items() if np.all(where)}
+    if missing and set(missing) == unread:
+        raise InputError(f"no row holds a reading ({', '.join(missing)}); add the measurements")
+    read = {column: where for column, where in missing.items() if column not in unread}
+    empty = np.all([*read.values(), np.full(len(rows), bool(read))], axis=0)
+    said = [f"{column} holds no number and is not used" for column in missing if column in unread]
+    if np.any(empty):
+        said.append(f"rows without a reading are left out: {_counted(empty, rows)}")
+    for column, where in read.items():
+        if np.any(where & ~empty):
+            said.append(f"{column} is missing in {_counted(where & ~empty, rows)}; the other readings of a row count")
+    return unread, ~empty, said
+
+
+def _counted(which: np.ndarray, rows: np.ndarray) -> str:
+    first, count = rows[int(np.argmax(which))], np.count_nonzero(which)
+    return f"{count} of {len(rows)} rows (row {first} first)"
+
+
+def _labels(values: Iterable[Any]) -> np.ndarray:
+    return np.array([str(label) for label in values])
 
 
 def _array(column: str, values: Any) -> np.ndarray:
@@ -204,28 +281,38 @@ def _array(column: str, values: Any) -> np.ndarray:
     return array
 
 
-def _check_columns(columns: Iterable[str]) -> None:
-    """Every column known, and no column without its companion."""
+def _check_columns(columns: Iterable[str], unused: Sequence[str] = ()) -> None:
+    """Every column known, and no column without its companion; `unused` are those of a file that are none."""
     names = set(columns)
     for column in columns:
         dimension_of(column)
-    if names & set(_PULLEY):
-        needed = set(_PULLEY)
+    if names & set(PULLEY):
+        needed = set(PULLEY)
         if other := sorted(names - needed - {"trial"}):
             raise InputError(f"the column {other[0]} does not belong to a pulley test; put it into a table of its own")
     else:
-        tendons = {column: kind for column in names if (kind := kind_of(column)) in _PER_TENDON}
+        tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
         needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
     if missing := sorted(needed - names):
-        raise InputError(f"the column {missing[0]} is missing; add it (a pulley test has {', '.join(_PULLEY)})")
+        remedy = f"add it (a pulley test has {', '.join(PULLEY)})"
+        if unused:
+            there = ", ".join(map(short, unused[:6])) + (", ..." if len(unused) > 6 else "")
+            remedy = f"say which of {there} it is, by {_option(unused[0], missing[0])}, or add it"
+        raise InputError(f"the column {missing[0]} is missing; {remedy}")
 
 
-def _check_values(column: str, values: np.ndarray, rows: np.ndarray) -> None:
+def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
     demand = partial(_demand, column, values, rows)
-    demand(np.isfinite(values), "must be finite", "give a number or remove the row")
-    if column.startswith("direction"):
+    known = np.isfinite(values) | (np.isnan(values) if is_reading(column) else False)
+    demand(known, "must be finite", "give a number or remove the row")
+    if is_direction(column):
         demand(np.abs(values) == 1, "must be 1 or -1", "write 1 where the tendon slides in, -1 where it slides out")
-    if column.startswith(_NEVER_NEGATIVE):
+    if column.startswith(_FROM_CELLS):
+        tensions = [own for name, own in table.items() if name.startswith((*_FROM_CELLS, "weight"))]
+        largest = max(np.nanmax(own, initial=0.0) for own in tensions)
+        remedy = f"check its sign and the zero of the sensor (a drift of {100 * _DRIFT:g} % of the largest is taken)"
+        demand(~(values < -_DRIFT * largest), "must be 0 or more", remedy)
+    elif column.startswith(_NEVER_NEGATIVE):
         demand(values >= 0, "must be 0 or more", "check its sign and the zero of the sensor")
 
 

@@ -10,7 +10,7 @@ from .bench import parameter_named, unit_of
 from .determination import NOT_IDENTIFIED, Determination
 from .errors import InputError
 from .fit_command import noise_of
-from .measurements import dimension_of
+from .measured_columns import dimension_of
 from .next_measurement import Candidate, Plan, Ranked
 from .observations import Noise
 from .units import quantity

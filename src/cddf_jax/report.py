@@ -16,7 +16,7 @@ from .estimate_figures import bootstrap_figure, correlated_names, correlation_fi
 from .fit_figures import moving_names, residuals_figure, table_figures, tables_without_numbers
 from .fit_results import Report, as_dict, make_report, trial_rows
 from .identification import Fit
-from .measurements import dimension_of
+from .measured_columns import dimension_of
 from .observations import Noise
 from .profile_figures import profiles_figure
 from .units import preferred
@@ -110,6 +110,7 @@ def as_markdown(report: Report, figures: Sequence[str] | None = None) -> str:
         _model_free_section(report),
         _warning_section(report.fit),
         _figure_section(report, figures),
+        _reading_section(report.fit),
         _repeat_section(report),
     ]
     return "\n\n".join("\n".join(section) for section in sections if section) + "\n"
@@ -285,6 +286,11 @@ def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
     pictures = [f"![{name.replace('_', ' ')}]({name}.png)" for name in figures]
     missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(report).items()]
     return ["## Figures", "", *pictures, *[""] * bool(pictures and missing), *missing]
+
+
+def _reading_section(fit: Fit) -> list[str]:
+    lines = [f"- {line}" for table in fit.tables for line in table.read_as]
+    return ["## How the files were read", "", *lines] if lines else []
 
 
 def _repeat_section(report: Report) -> list[str]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from .chunks import Index, Layout
-from .errors import InputError
+from .errors import InputError, needed
 
 if TYPE_CHECKING:
     import xarray
@@ -116,18 +116,6 @@ class ZarrStore:
     def dataset(self) -> "xarray.Dataset":
         found = needed("xarray").open_zarr(self.path, chunks=None, consolidated=False)
         return found[[*self.layout.variables]]  # in the order in which they were asked for
-
-
-def needed(package: str) -> Any:
-    """A package that only this needs.
-
-    Raises:
-        InputError: says how to get it.
-    """
-    try:
-        return __import__(package)
-    except ImportError:
-        raise InputError(f"this needs {package}; install it with: pip install 'cddf-jax[sweep]'") from None
 
 
 def _create(zarr: Any, path: Path, layout: Layout, identity: Mapping[str, Any]) -> None:

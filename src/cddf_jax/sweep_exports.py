@@ -12,8 +12,7 @@ import numpy as np
 
 from .case import of_tendon
 from .chunks import Layout, even_chunks
-from .errors import InputError
-from .store import needed
+from .errors import InputError, needed
 from .sweep_outputs import COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from .case import Case, holds, of_tendon
 from .chunks import Index, Layout, Variable, bytes_each, even_chunks
 from .directions import as_directions, stated_directions
 from .equilibrium import Equilibrium
-from .errors import InputError
+from .errors import InputError, needed
 from .fingerprint import code_of, numbers_of, told
 from .lanes import Lanes
 from .loads import Loads
@@ -22,7 +22,6 @@ from .manipulator import Manipulator
 from .problem import Method
 from .solver import FixedPoint
 from .statics import check_nodes
-from .store import needed
 from .sweep_outputs import OUTPUTS, RESULT, SUCCESSFUL, coordinates, slope_name, variable
 from .sweep_solve import OneSolve, prepared
 from .work import COPIES, Work, carry_out

@@ -1,7 +1,7 @@
 """What deserves a look in a table of measurements, though it can be used."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -17,16 +17,15 @@ class Table(Protocol):
     @property
     def columns(self) -> Mapping[str, np.ndarray]: ...
     @property
-    def rows(self) -> Any: ...  # where in the file
-    @property
     def trial_labels(self) -> tuple[str, ...]: ...
     def __len__(self) -> int: ...
     def __getitem__(self, column: str, /) -> np.ndarray: ...
+    def place(self, row: int, /) -> str: ...
 
 
 def warnings_of(table: Table) -> tuple[str, ...]:
     """One line each, for the report."""
-    looks = (_too_few_rows, _repeated_rows, _one_level, _tip_above_base, _coming_down, _large_angles)
+    looks = (_too_few_rows, _repeated_rows, _one_level, _below_zero, _tip_above_base, _coming_down, _large_angles)
     return tuple(warning for look in looks if (warning := look(table)))
 
 
@@ -38,9 +37,9 @@ def _too_few_rows(table: Table) -> str:
     alone = np.flatnonzero(counts == 1)
     if alone.size == 0 or counts.max() == 1:  # one row in each trial: the trial is but a label of the row
         return ""
-    first = table.rows[np.flatnonzero(trials == alone[0])[0]]
+    first = table.place(int(np.flatnonzero(trials == alone[0])[0]))
     return (
-        f"trials of one row only: {alone.size} of {counts.size} (trial {table.trial_labels[alone[0]]}, row {first}); "
+        f"trials of one row only: {alone.size} of {counts.size} (trial {table.trial_labels[alone[0]]}, {first}); "
         "is the rest missing?"
     )
 
@@ -48,10 +47,10 @@ def _too_few_rows(table: Table) -> str:
 def _repeated_rows(table: Table) -> str:
     if len(table) == 1:
         return ""
-    measured = [values for column, values in table.columns.items() if column != "trial"]
+    columns = [np.nan_to_num(values, nan=np.inf) for values in table.columns.values()]  # what is missing twice is alike
+    measured = [values for column, values in zip(table.columns, columns, strict=True) if column != "trial"]
     if all(np.all(values == values[0]) for values in measured):
         return f"all {len(table)} rows are equal, so that nothing can be told from their differences"
-    columns = list(table.columns.values())
     order = np.lexsort(columns)  # stable: of equal rows the earlier stays first
     same = np.all([values[order][1:] == values[order][:-1] for values in columns], axis=0)
     if not np.any(same):
@@ -60,7 +59,7 @@ def _repeated_rows(table: Table) -> str:
     first = int(np.argmin(later))
     return (
         f"rows that repeat an earlier one to the last digit: {later.size} of {len(table)} "
-        f"(row {table.rows[later[first]]} is row {table.rows[earlier[first]]} again); were they copied?"
+        f"({table.place(int(later[first]))} is {table.place(int(earlier[first]))} again); were they copied?"
     )
 
 
@@ -72,15 +71,34 @@ def _one_level(table: Table) -> str:
     return f"base_tension hardly varies from {level}, so that nothing can be told of a slope; measure at other levels"
 
 
+def _below_zero(table: Table) -> str:
+    for column, values in table.columns.items():
+        if column.startswith(("base_tension", "tip_tension", "pulling_tension")) and np.any(values < 0):
+            zero = column.replace("tension", "zero")  # a pulley test has no such parameter
+            remedy = "" if column == "pulling_tension" else f"; if so let {zero} be free too"
+            value = f"{values[int(np.argmax(values < 0))]:.4g} N"
+            return _rows_with(
+                table, values < 0, f"{column} below 0", value, f"has the zero of the cell drifted?{remedy}"
+            )
+    return ""
+
+
 def _tip_above_base(table: Table) -> str:
-    sliding_in = table.columns.get("direction", np.ones(len(table))) > 0
+    several = "base_tension_2" in table.columns
     for column in table.columns:
         if column.startswith("tip_tension"):
-            base, tip = table[column.replace("tip", "base")], table[column]
+            base, tip, way = (
+                table[column.replace("tip", "base")],
+                table[column],
+                column.replace("tip_tension", "direction"),
+            )
+            if several and way not in table.columns:  # found with the equilibrium
+                continue
+            sliding_in = table.columns.get(way, np.ones(len(table))) > 0
             above = sliding_in & (tip > _TIP_ABOVE_BASE * base + _ZERO_ERROR * base.max())
             if np.any(above):
                 what = f"{column} more than 5 % above {column.replace('tip', 'base')}"
-                remedy = "are the cells swapped or off zero, or does the tendon slide out (direction -1)?"
+                remedy = f"are the cells swapped or off zero, or does the tendon slide out ({way} -1)?"
                 first = int(np.argmax(above))
                 return _rows_with(table, above, what, f"{tip[first]:.6g} N over {base[first]:.6g} N", remedy)
     return ""
@@ -120,5 +138,5 @@ def _large_angles(table: Table) -> str:
 
 
 def _rows_with(table: Table, which: np.ndarray, what: str, value: str, remedy: str) -> str:
-    first = table.rows[int(np.argmax(which))]
-    return f"rows with {what}: {np.count_nonzero(which)} of {len(table)} (row {first}: {value}); {remedy}"
+    first = table.place(int(np.argmax(which)))
+    return f"rows with {what}: {np.count_nonzero(which)} of {len(table)} ({first}: {value}); {remedy}"

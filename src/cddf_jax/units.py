@@ -65,6 +65,8 @@ _QUANTITY = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)(?:\s*([^\d\s.,+-].*)|\s+(1\s*/.*))?",
     re.I,
 )
+_WORDS = re.compile(r"(newton|degree|radian|(milli|centi)?met(er|re)|(kilo)?gram)s?|deg|rad", re.I)  # in any letters
+_PIXELS = re.compile(r"px|pixels?", re.I)  # of a camera; pint has one of a printer
 _NEWTON_METRES = re.compile(r"([mk]?N)(m?m)")  # written in one word, which pint takes for a measure of yarn
 
 
@@ -133,6 +135,15 @@ def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.
     return values * float(factor)
 
 
+def unit_fits(unit: str, dimension: Dimension) -> bool:
+    """Whether a text is a unit of a dimension, or one that `to_si` refuses with its own remedy: a mass, pixels."""
+    if dimension == "dimensionless":
+        return False
+    base = _root(unit)[1]
+    mass = dimension == "force" and base == _root("kg")[1]
+    return base is not None and (mass or base == _root(_UNITS[dimension].si)[1])
+
+
 def written(value: float, dimension: Dimension) -> str:
     """The text of a finite SI value, such as "140 mm", that `quantity` turns back into the same float64.
 
@@ -183,8 +194,14 @@ def _factor(unit: str, dimension: Dimension, what: str, got: str, example: str) 
     """How many SI units of the dimension one `unit` is."""
     size, base = _root(_NEWTON_METRES.sub(r"\1 \2", unit) if dimension == "moment" else unit)
     si_size, si_base = _root(_UNITS[dimension].si)
-    if bool(unit) >= bool(_UNITS[dimension].si) and size is not None and base == si_base:
+    pixels = dimension == "length" and _PIXELS.fullmatch(unit)
+    unit_given = bool(unit) >= bool(_UNITS[dimension].si)
+    if unit_given and size is not None and base == si_base and not pixels:
         return _EXACT.divide(size, si_size)
+    if pixels:
+        example += ", converted by the scale of the camera"
+    elif dimension == "force" and base == _root("kg")[1]:
+        example += "; a mass is no force: did you mean gf or kgf, its weight?"
     unknown = f" with the unknown unit {unit!r}" if unit and size is None else ""
     raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")
 
@@ -193,7 +210,8 @@ def _factor(unit: str, dimension: Dimension, what: str, got: str, example: str) 
 def _root(unit: str) -> tuple[Any, Any]:
     """A unit's size in base units, and which they are; (None, None) for a unit that nobody knows."""
     try:
-        size, base = _registry().get_root_units(_registry().parse_units(unit))
+        spelt = unit.lower() if _WORDS.fullmatch(unit) else unit
+        size, base = _registry().get_root_units(_registry().parse_units(spelt))
     except Exception:  # pint's parser raises errors of many kinds, AssertionError and TokenError among them
         return None, None
     return Decimal(size), base

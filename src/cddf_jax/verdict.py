@@ -10,9 +10,10 @@ from .bench import TRIALS, Bench, BenchModel, parameter_named, starting_value, u
 from .determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from .equilibrium import NOTEWORTHY, RESULTS
 from .least_squares import LeastSquaresFit
-from .measurements import Measurements, repeated_tables
+from .measurements import Measurements
 from .readings import OF_SHAPE
 from .remarks import EXACT
+from .trial_files import repeated_tables
 
 LARGEST_FRICTION = 2.0  # that is taken without a word
 CHANCE = 1e-3  # below which residuals are said not to scatter as they should
