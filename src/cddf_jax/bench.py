@@ -120,6 +120,8 @@ class Bench(eqx.Module):
     trial: Int[np.ndarray | Array, " rows"] | None = None  # which of the trial deviations holds
     columns: tuple[str, ...] = eqx.field(default=(), static=True)
     name: str = eqx.field(default="", static=True)
+    read_in: Mapping[str, Int[np.ndarray | Array, " readings"]] = eqx.field(default_factory=dict)
+    # the rows in which a column was read; a column that is not here was read in all
 
     @property
     def on_one_curve(self) -> bool:
@@ -149,9 +151,10 @@ class Bench(eqx.Module):
         return jax.vmap(one)(tension, jax.tree.map(jnp.asarray, self.direction), force, deviation)
 
     def predict(self, manipulator: Manipulator, parameters: Mapping[str, Any], nodes: int) -> dict[str, Array]:
-        """What the instruments read."""
+        """What the instruments read, each column in the rows in which it was read."""
         equilibrium = self.solve(manipulator, parameters, nodes)
-        return {column: reading(equilibrium, column, parameters) for column in self.columns}
+        found = {column: reading(equilibrium, column, parameters) for column in self.columns}
+        return found | {column: found[column][rows] for column, rows in self.read_in.items()}
 
     def evaluate(self, manipulator: Manipulator, parameters: Any, nodes: int) -> tuple[Any, Any, RESULTS]:
         """Every reading, its derivatives by the parameters (last axis, in their flat order), how the solves went."""
@@ -291,4 +294,5 @@ def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: in
         first_trial + table["trial"].astype(int) if "trial" in table else None,
         tuple(columns),
         table.name,
+        {column: np.flatnonzero(table.has(column)) for column in columns if not np.all(table.has(column))},
     )

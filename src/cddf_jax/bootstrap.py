@@ -351,9 +351,9 @@ def _source(name: str, group: Any, clusters: Mapping[str, tuple[str, Any]]) -> t
 
 
 def _cases(groups: tuple[str, ...], values: Any, clusters: Mapping[str, tuple[str, Any]]) -> dict[str, list[Any]]:
-    """By source, the cases that are drawn from: those of the first group that draws from it."""
-    found: dict[str, list[Any]] = {}
+    """By source, the cases that are drawn from: those of every group that draws from it, which may lack some."""
+    found: dict[str, dict[Any, None]] = {}
     for name, group in zip(groups, values, strict=True):
         source, labels = _source(name, group, clusters)
-        found.setdefault(source, list(dict.fromkeys(labels)))
-    return found
+        found.setdefault(source, {}).update(dict.fromkeys(labels))
+    return {source: list(labels) for source, labels in found.items()}

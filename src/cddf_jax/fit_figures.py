@@ -240,18 +240,19 @@ def _draw_over_prediction(axes: Axes, readings: _Readings) -> None:
 
 def _readings(fit: Fit, name: str, column: str) -> _Readings:
     table, residual = _table(fit, name), fit.residuals[f"{name}: {column}"]
+    there, observed = table.has(column), table.read(column)
     label = ("simulated data" if table.simulated else "data") + (", mean ± sd" if not _is_apart(fit, name) else "")
     if column == "pulling_tension":
-        x, weight = DEGREE * table["wrap_angle"], table["weight"]
+        x, weight = DEGREE * table["wrap_angle"][there], table["weight"][there]
         words = "Pulling tension / weight"
-        return _Readings(x, table[column] / weight, residual / weight, "Wrap angle (deg)", words, "N/N", label)
+        return _Readings(x, observed / weight, residual / weight, "Wrap angle (deg)", words, "N/N", label)
     kind = READINGS[kind_of(column)]
     scale, unit = preferred(kind.dimension)
     number = column.removeprefix(kind_of(column))  # "_2" of tendon 2
     words = f"{kind.words}{number.replace('_', ' ')}"
-    numbers = scale * table[column], scale * residual
+    numbers = scale * observed, scale * residual
     if not _is_apart(fit, name):
-        return _Readings(table["base_tension"], *numbers, "Base tension (N)", words, unit, label)
+        return _Readings(table["base_tension"][there], *numbers, "Base tension (N)", words, unit, label)
     predicted, x_label = numbers[0] - numbers[1], f"Predicted {_lower(words)} ({unit})"
     words, half_width = f"Measured {_lower(words)}", scale * _half_width(fit, name, column)
     return _Readings(predicted, *numbers, x_label, words, unit, label, half_width)
@@ -267,7 +268,7 @@ def _half_width(fit: Fit, name: str, column: str) -> np.ndarray:
     rows = fit.model.experiments[list(fit.alone).index(name)]
     assert isinstance(rows, Bench)
     _, slope, _ = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
-    return fit.band(slope[column])
+    return fit.band(slope[column][_table(fit, name).has(column)])
 
 
 def _curve(fit: Fit, name: str, column: str) -> _Curve | None:
@@ -278,7 +279,7 @@ def _curve(fit: Fit, name: str, column: str) -> _Curve | None:
     if column == "pulling_tension":
         return _pulley_curve(fit, table["wrap_angle"].max())
     scale, _ = preferred(READINGS[kind_of(column)].dimension)
-    grid = np.linspace(table["base_tension"].min(), table["base_tension"].max(), 100)
+    grid = np.linspace(max(table["base_tension"].min(), 0.0), table["base_tension"].max(), 100)
     value, half_width, _ = fit.predict(column, grid)
     return _Curve(grid, scale * value, scale * half_width)
 

@@ -61,12 +61,13 @@ class Fit(LeastSquaresFit):
     @property
     def mean_relative_error(self) -> float:
         """Of the tip tensions, the measure of Liu et al. (2020): mean of |predicted - read| / read; NaN without any."""
-        errors = [
-            np.abs(self.residuals[f"{name}: {column}"][table[column] > 0] / table[column][table[column] > 0])
+        pairs = [
+            (self.residuals[f"{name}: {column}"], table.read(column))
             for name, table in zip(self.alone, self.tables, strict=True)
             for column in table.columns
             if column.startswith("tip_tension")
         ]
+        errors = [np.abs(residual[read > 0] / read[read > 0]) for residual, read in pairs]
         return float(np.mean(np.concatenate(errors))) if errors else float("nan")
 
     @property
@@ -116,13 +117,16 @@ class Fit(LeastSquaresFit):
 
     def place(self, group: str, k: int) -> str:
         """In words, by the row of the file (1, 2, ... where there is none)."""
-        return f"row {self.rows[group][k]} of {group}"
+        name, _, column = group.rpartition(": ")
+        table = self.tables[list(self.alone).index(name)]
+        row = table.place(int(np.flatnonzero(table.has(column))[k]))
+        return f"{row}, {column}" if table.files else f"{row} of {group}"
 
     @property
     def rows(self) -> dict[str, np.ndarray]:
         """By group of data, the row of each datum in its file."""
         return {
-            f"{name}: {column}": table.rows
+            f"{name}: {column}": table.rows[table.has(column)]
             for name, table, experiment in zip(self.alone, self.tables, self.model.experiments, strict=True)
             for column in experiment.columns
         }
@@ -143,14 +147,19 @@ class Fit(LeastSquaresFit):
             for label in (f"{name}: {column}" for column in experiment.columns):
                 rows = self.evidence.rows[label]
                 taken = float(np.einsum("ki,ij,kj->", rows, covariance, rows))
-                found[label] = serial_correlation(self.residuals[label] / noise[label], holds, taken)
+                found[label] = serial_correlation(
+                    self.residuals[label] / noise[label], holds[table.has(label.rpartition(": ")[2])], taken
+                )
         return found
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
         """By group of data, the table whose trials (or rows) are drawn together, and their labels."""
         return {
-            f"{name}: {column}": (name, table["trial"] if "trial" in table else np.arange(len(table)))
+            f"{name}: {column}": (
+                name,
+                (table["trial"] if "trial" in table else np.arange(len(table)))[table.has(column)],
+            )
             for name, table, experiment in zip(self.alone, self.tables, self.model.experiments, strict=True)
             for column in experiment.columns
         }
@@ -293,7 +302,7 @@ class _Group(NamedTuple):
 def _groups(tables: tuple[Measurements, ...], model: BenchModel) -> list[_Group]:
     """One for each observed column of each table."""
     return [
-        _Group(f"{name}: {column}", column, table[column])
+        _Group(f"{name}: {column}", column, table.read(column))
         for table, name, experiment in zip(tables, model.names, model.experiments, strict=True)
         for column in experiment.columns
     ]

@@ -242,7 +242,7 @@ def _table(
         values.setflags(write=False)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
     told = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
-    return Measurements(name, arrays, rows[kept], tuple(codes), notes, simulated, told)
+    return Measurements(name, arrays, rows[kept], tuple(codes), notes, simulated, read_as=told)
 
 
 def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[set[str], np.ndarray, list[str]]:

@@ -85,6 +85,6 @@ def _folds(fit: Fit) -> list[np.ndarray]:
     marks, clusters = [], fit.clusters
     for table, labels in (clusters[name] for name in fit.evidence.rows):  # in the order of the noise
         trials = len(np.unique(labels)) < len(labels)
-        marks.append([(table, label) if trials else (table, k % ROW_FOLDS) for k, label in enumerate(labels.tolist())])
+        marks.append([(table, label if trials else int(label) % ROW_FOLDS) for label in labels.tolist()])
     every = list(dict.fromkeys(mark for group in marks for mark in group))
     return [np.array([[mark == fold for mark in group] for fold in every]) for group in marks]

@@ -47,8 +47,8 @@ class Look(NamedTuple):
     stated: bool  # whether the table says how every tendon slides; a measured row is believed
 
     def rows(self, *codes: RESULTS) -> np.ndarray:
-        """The rows of the file whose solve ended so."""
-        return self.table.rows[np.isin(np.asarray(self.results._value), [int(code._value) for code in codes])]
+        """The rows whose solve ended so, 0, 1, ...; `table.place` tells where each is in the file."""
+        return np.flatnonzero(np.isin(np.asarray(self.results._value), [int(code._value) for code in codes]))
 
 
 def looks_at(parameters: Any, tables: Sequence[Measurements], model: BenchModel) -> Iterator[Look]:
@@ -65,14 +65,15 @@ def doubt(look: Look) -> str:
     if len(rows) > MOST * count:
         kinds = ", ".join(words for words, code in OUTSIDE.items() if len(look.rows(code)))
         return (
-            f"most rows of {look.name} have no body in the model ({len(rows)} of {count}, the first is row {rows[0]}: "
-            f"{kinds}); check the units of the table and the dimensions of the body"
+            f"most rows of {look.name} have no body in the model ({len(rows)} of {count}, the first is "
+            f"{look.table.place(rows[0])}: {kinds}); check the units of the table and the dimensions of the body"
         )
     rows = look.rows(RESULTS.direction_contradicted)
     if len(rows) and not look.stated:
         return (
             f"tendons travel against the direction taken for them in {len(rows)} of {count} rows of {look.name} (the "
-            f"first is row {rows[0]}); state it in columns direction, direction_2, ..., or leave these rows out"
+            f"first is {look.table.place(rows[0])}); state it in columns direction, direction_2, ..., or leave these "
+            "rows out"
         )
     return ""
 
@@ -100,7 +101,7 @@ def fit_warnings(
         for code in NOTEWORTHY:
             rows = look.rows(code)
             if len(rows) and not (look.stated and code is RESULTS.direction_contradicted):
-                where = f"{len(rows)} of {len(look.table)} rows (the first is row {rows[0]})"
+                where = f"{len(rows)} of {len(look.table)} rows (the first is {look.table.place(rows[0])})"
                 found.append(f"{look.name}: {where}: {RESULTS[code]}")
     return found
 
@@ -109,15 +110,16 @@ def _of_readings(fit: LeastSquaresFit, tables: Sequence[Measurements], model: Be
     """Columns of the wrong sign, and columns that differ from trial to trial."""
     for table, name, experiment in zip(tables, model.names, model.experiments, strict=True):
         for column in experiment.columns:
-            label, observed = f"{name}: {column}", table[column]
+            label, there = f"{name}: {column}", table.has(column)
+            observed = table[column][there]
             residual = fit.residuals[label]
             by_trial = "trial" in table and TRIALS not in fit.parameters
             lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
             if lost and column in OF_SHAPE and isinstance(experiment, Bench):
-                if np.sum(observed * _at_start(fit.parameters, model, experiment)[column]) >= 0:
+                if np.sum(observed * _at_start(fit.parameters, model, experiment)[column][there]) >= 0:
                     continue
                 yield label, "has the sign opposite to the model's; check the side of the tendon and the column's sign"
-            elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"]):
+            elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"][there]):
                 yield label, "differs from trial to trial by more than its scatter; try per_trial"
 
 
