@@ -125,7 +125,8 @@ def as_dict(report: Report) -> dict[str, Any]:
 
 
 def _of_table(table: Measurements) -> dict[str, Any]:
-    named = {"name": table.name, "rows": len(table), "sha256": table.checksum, "simulated": table.simulated}
+    named = {"name": table.name, "files": list(table.files or (table.name,))}
+    named |= {"rows": len(table), "sha256": table.checksum, "simulated": table.simulated}
     return named | {"holds_averaged": table.spread is not None, "read_as": list(table.read_as)}
 
 
