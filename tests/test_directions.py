@@ -5,6 +5,7 @@ that `solve` with stated directions is right is held by `test_reference`.
 """
 
 import itertools
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -148,16 +149,34 @@ def test_a_sweep_and_a_case_of_a_design():
     np.testing.assert_array_equal(case.direction, (1, -1))
 
 
+PULLS = np.linspace(10.0, 80.0, 6)
+
+
+@cache
+def readings():
+    """Tip angles and tensions of tendon 1 at 10 to 80 N, tendon 2 pulled with 0.3 of that, directions stated."""
+    solved = jax.vmap(lambda a: cddf.solve(PAIR, (a, 0.3 * a), direction=(1, -1)))(jnp.asarray(PULLS))
+    pulls = {"base_tension": PULLS, "base_tension_2": 0.3 * PULLS}
+    return pulls | {"tip_angle": solved.tip_angle, "tip_tension": solved.tip_tension[:, 0]}
+
+
+@pytest.mark.parametrize("stated", [{}, {"direction": np.ones(6)}], ids=["nothing stated", "one stated"])
+def test_a_table_without_directions(stated):
+    """Its predictions are those of the directions that were found."""
+    from cddf_jax.bench import experiment_of
+
+    read = readings()
+    bench = experiment_of(cddf.Measurements.from_columns("simulated", **read, **stated), PAIR)
+    for column, values in bench.predict(PAIR, {}, 16).items():
+        np.testing.assert_allclose(values, read[column], rtol=1e-9)
+
+
+@pytest.mark.slow
 def test_a_fit_without_directions():
-    """Readings of the right directions give back what they were made with, with and without a column of tendon 1."""
-    pulls = np.linspace(10.0, 80.0, 6)
-    solved = jax.vmap(lambda a: cddf.solve(PAIR, (a, 0.3 * a), direction=(1, -1)))(jnp.asarray(pulls))
-    columns = {"base_tension": pulls, "base_tension_2": 0.3 * pulls, "tip_angle": solved.tip_angle}
-    columns["tip_tension"] = solved.tip_tension[:, 0]
-    for more in ({}, {"direction": np.ones(6)}):
-        fit = cddf.fit(PAIR, cddf.Measurements.from_columns("simulated", **columns, **more))
-        assert fit.value["friction_coefficient"] == pytest.approx(0.42, rel=1e-7)
-        assert fit.value["youngs_modulus"] == pytest.approx(1.4e6, rel=1e-7)
+    """Readings of the right directions give back what they were made with."""
+    fit = cddf.fit(PAIR, cddf.Measurements.from_columns("simulated", **readings()))
+    assert fit.value["friction_coefficient"] == pytest.approx(0.42, rel=1e-7)
+    assert fit.value["youngs_modulus"] == pytest.approx(1.4e6, rel=1e-7)
     band = fit.predict("tip_tension", [[75.0, 20.0]])
     expected = cddf.solve(PAIR, (75.0, 20.0), direction=(1, -1)).tip_tension[0]
     assert float(band.value[0]) == pytest.approx(float(expected), rel=1e-7)

@@ -78,9 +78,10 @@ def unexplained_groups(evidence: Evidence, search: Search) -> list[str]:
     """The groups that a model hardly explains, where they hold half of the data or more; none elsewhere.
 
     Of such a group more is left than a constant would leave (`UNEXPLAINED` of its scatter: less than a fifth of the
-    variance is explained) and more than half of the sum of squares of the readings themselves, so that repeats of one
-    level, whose scatter is nothing but noise, are not meant. Data beyond 3 standard deviations are left aside, as one
-    gross outlier would hide how well all others are met. Where noise was given, it explains what it is.
+    variance is explained). Repeats of one level, whose scatter is nothing but noise, are not meant: more than half of
+    the sum of squares of the readings must be left too, or the predictions must change more than the readings do.
+    Data beyond 3 standard deviations are left aside, as one gross outlier would hide how well all others are met.
+    Where noise was given, it explains what it is.
     """
     problem, noise, outcome = search
     found, at = {}, 0
@@ -89,11 +90,10 @@ def unexplained_groups(evidence: Evidence, search: Search) -> list[str]:
         estimated = evidence.noise_estimated[name]
         near = np.abs(residual) <= WITHIN if estimated else np.full(values.size, True)
         error, values = (residual * np.ravel(sigma))[near], values[near]
-        squares = float(np.sum(error**2))
-        explained = squares <= 0.5 * np.sum(values**2) or squares <= UNEXPLAINED**2 * np.sum(
-            (values - values.mean()) ** 2
-        )
-        if values.size > 2 and not explained and (estimated or np.mean(residual**2) > AS_GIVEN):
+        if values.size < 3 or not (estimated or np.mean(residual**2) > AS_GIVEN):
+            continue
+        as_a_constant = np.mean(error**2) > UNEXPLAINED**2 * np.var(values)
+        if as_a_constant and (2 * np.sum(error**2) > np.sum(values**2) or np.var(values + error) > np.var(values)):
             found[name] = values.size
     return list(found) if 2 * sum(found.values()) >= problem.num_data else []
 

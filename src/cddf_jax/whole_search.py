@@ -129,7 +129,7 @@ def _verdict(search: Search, evidence: Evidence, settled: bool, profiles: Profil
         return BETTER_ELSEWHERE
     if unexplained := unexplained_groups(evidence, search):
         return (
-            f"hardly anything of {', '.join(unexplained)} is explained (most of what the readings are, and more than "
-            "80 % of their scatter, is left); check units and signs, start closer, or search from more starts"
+            f"hardly anything of {', '.join(unexplained)} is explained (less than a fifth of the variance); "
+            "check units and signs, start closer, or search from more starts"
         )
     return SUCCESSFUL
