@@ -259,20 +259,42 @@ def test_the_picture_shows_the_points_and_both_sides_of_a_step(tmp_path):
     assert len(figures.sections_figure(columns).axes) == 3
 
 
-def test_solve_says_what_was_read_and_draws_it(tmp_path, cddf_command):
+@pytest.fixture
+def stepped_robot(tmp_path):
+    """The file of a manipulator whose body is the stepped table."""
     (tmp_path / "body.csv").write_text(STEPPED)
     robot = tmp_path / "robot.toml"
     robot.write_text(
         'cross_sections = "body.csv"\nyoungs_modulus = "2 GPa"\nfriction_coefficient = 0.2\n'
         "offsets_outside_wall = true\n"
     )
-    code, out, _ = cddf_command("solve", str(robot), "-t", "20 N", "--out", str(tmp_path / "out"))
+    return robot
+
+
+def test_solve_says_what_was_read_and_draws_it(tmp_path, cddf_command, stepped_robot):
+    code, out, _ = cddf_command("solve", str(stepped_robot), "-t", "20 N", "--out", str(tmp_path / "out"))
     assert code == 0
     assert "78.415 deg" in out
     (line,) = (line for line in out.splitlines() if line.startswith("cross-sections: "))
     assert "outer_radius: straight lines through 6 points (a smooth curve would" in line
     assert line.endswith("inner_radius: constant 0 mm; offset_1: constant 6 mm")
     assert {"cross_sections.pdf", "cross_sections.png"} <= {path.name for path in (tmp_path / "out").iterdir()}
+
+
+def test_a_design_and_the_explorer_say_what_was_read(tmp_path, stepped_robot):
+    from cddf_jax.design_file import read_task
+    from cddf_jax.explorer import sections_as_read
+    from cddf_jax.manipulator_file import columns_of
+
+    (tmp_path / "task.toml").write_text(
+        'robot = "robot.toml"\n[free]\nyoungs_modulus = { bounds = ["1 GPa", "3 GPa"] }\n'
+        '[[case]]\nbase_tension = "20 N"\n[[objective]]\nleast = "volume"\n'
+    )
+    (line,) = read_task(tmp_path / "task.toml").read_as
+    assert "outer_radius: straight lines through 6 points" in line
+    words, picture = sections_as_read(columns_of(stepped_robot))
+    assert "outer_radius: straight lines through 6 points" in words.object
+    assert picture.object.startswith(b"\x89PNG")
 
 
 def test_scattered_points_are_refused_with_the_remedy():

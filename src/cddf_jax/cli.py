@@ -553,6 +553,7 @@ def explore(
     from dataclasses import replace
 
     from . import application
+    from .manipulator_file import columns_of
 
     application.configure_jax()
     try:
@@ -567,7 +568,9 @@ def explore(
         manipulator = manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
     else:
         source = str(robot)
-    explorer.serve(manipulator, _tables(data or [], column), source, port=port, browser=not no_browser, say=typer.echo)
+    tables = _tables(data or [], column)
+    options = {"port": port, "browser": not no_browser, "say": typer.echo}
+    explorer.serve(manipulator, tables, source, () if robot is None else columns_of(robot), **options)
 
 
 # --- common --------------------------------------------------------------------------------------

@@ -47,12 +47,13 @@ from typing import Any
 import numpy as np
 
 from .case import Case, unit_of_name
+from .cross_sections import in_one_line
 from .design_space import numbers_under
 from .errors import InputError
 from .limits import Limit
 from .load_cases import LoadCase, uncertain_cases
 from .manipulator import KINEMATICS, Manipulator
-from .manipulator_file import allows_offsets_outside_wall, check_keys, read_manipulator
+from .manipulator_file import allows_offsets_outside_wall, check_keys, columns_of, read_manipulator
 from .objectives import Even, Least, Most, Near, Objective
 from .profiles import Linear, Spline
 from .quantities import QUANTITIES
@@ -126,9 +127,11 @@ def _task(table: Mapping[str, Any], path: Path) -> DesignTask:
         body = replace(body, kinematics=table["kinematics"])
     cases = tuple(_case(f"case {i}", each, body) for i, each in enumerate(_list(table, "case"), 1))
     body, bounds, choices = _free(body, cases[0], _entries(table, "free"))
-    read_as: tuple[str, ...] = ()
+    columns = columns_of(robot)
+    read_as: tuple[str, ...] = (in_one_line(columns),) if columns else ()
     if "uncertain" in table:
-        cases, read_as = _uncertain(cases, body, _entries(table, "uncertain"), folder)
+        cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), folder)
+        read_as += notes
     limits = _list(table, "limit") if "limit" in table else []
     options: dict[str, Any] = {"offsets_outside_wall": allows_offsets_outside_wall(robot)}
     options |= {key: table[key] for key in ("worst", "offsets_outside_wall") if key in table}

@@ -10,12 +10,15 @@ from typing import Any
 import panel as pn
 from panel.io.server import get_server
 
+from .cross_sections import SectionColumn
 from .errors import InputError
 from .exploration import Exploration
 from .explorer_view import Threads, View
 from .manipulator import Manipulator, conical
 from .manipulator_file import read_manipulator
 from .measurements import Measurements
+from .plotting import render
+from .sections_figure import sections_figure
 from .trial_files import read_tables
 
 ADDRESS = "127.0.0.1"  # this machine alone
@@ -57,8 +60,16 @@ def papers_manipulator() -> Manipulator:
 class Page:
     """One browser's page: files are loaded here, and the view of a manipulator is renewed with each."""
 
-    def __init__(self, manipulator: Manipulator, tables: Sequence[Measurements], source: str, threads: Threads):
+    def __init__(
+        self,
+        manipulator: Manipulator,
+        tables: Sequence[Measurements],
+        source: str,
+        columns: Sequence[SectionColumn],
+        threads: Threads,
+    ):
         self.manipulator, self.tables, self.source, self.threads = manipulator, tuple(tables), source, threads
+        self.columns = columns
         self.notice = pn.pane.HTML("", stylesheets=[NOTICE], sizing_mode="stretch_width", css_classes=["notice"])
         self.head = pn.pane.HTML("", stylesheets=[HEAD], margin=(0, 8))
         self.robot_file = pn.widgets.FileInput(accept=".toml", name="Manipulator (TOML)", width=175, margin=(0, 4))
@@ -86,6 +97,8 @@ class Page:
             self.view.close()
         view = View(exploration, self.say, self.threads)
         parts = view.parts
+        if self.columns:
+            parts["rest"].append(sections_as_read(self.columns))
         for name, part in parts.items():
             part.css_classes = [name]
         self.place[:] = list(parts.values())
@@ -102,6 +115,8 @@ class Page:
         except InputError as error:
             self.say(str(error), "error")
             return
+        if manipulator is not self.manipulator:  # a file that a browser sends cannot name a table beside it
+            self.columns = ()
         self.manipulator, self.tables, self.source = manipulator, tables, source
         self.say("", "")
         self._renew(exploration)
@@ -113,6 +128,19 @@ class Page:
     def _read_data(self) -> tuple[Manipulator, tuple[Measurements, ...], str]:
         files = zip(map(str, self.data_files.filename), self.data_files.value, strict=True)
         return self.manipulator, _read(read_tables, dict(files)), self.source
+
+
+def sections_as_read(columns: Sequence[SectionColumn]) -> pn.Column:
+    """The table of cross-sections beside what was read of it, as a picture and in words."""
+    picture = pn.pane.PNG(
+        render(sections_figure(columns), "sections")["sections.png"],
+        alt_text="Cross-sections: the points of the table and the profiles that were read",
+        sizing_mode="scale_width",
+    )
+    lines = "".join(f"<p>{_escaped(str(column))}</p>" for column in columns)
+    return pn.Column(
+        pn.pane.HTML("<h2>Cross-sections as read</h2>" + lines, stylesheets=[HEAD]), picture, max_width=800
+    )
 
 
 def _escaped(text: str) -> str:
@@ -135,6 +163,7 @@ def serve(
     manipulator: Manipulator,
     tables: Sequence[Measurements],
     source: str,
+    columns: Sequence[SectionColumn] = (),
     *,
     port: int = 0,
     browser: bool = True,
@@ -146,6 +175,7 @@ def serve(
         manipulator: the body.
         tables: measurements on it.
         source: what the page says of where the manipulator comes from.
+        columns: of its table of cross-sections, of `section_columns`; none where it has none.
         port: 0 for a free one.
         browser: whether to open it.
         say: takes a line with the address once the page is there.
@@ -158,7 +188,7 @@ def serve(
     with Threads() as threads:
 
         def layout() -> pn.Column:
-            return Page(manipulator, tables, source, threads).layout
+            return Page(manipulator, tables, source, columns, threads).layout
 
         try:
             server = get_server(layout, port=port, address=ADDRESS, title=TITLE)
