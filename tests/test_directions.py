@@ -82,6 +82,29 @@ def test_the_choice_that_no_travel_contradicts(kinematics):
     np.testing.assert_array_equal(np.sum(against, axis=1)[torn], np.min(np.sum(contradicted, axis=2), axis=0)[torn])
 
 
+# which tendon travels against its direction, by choice; none does in the last choice
+CYCLES = [{(1, 1): 1, (1, -1): 0, (-1, -1): 1}, {(1, 1): 0, (-1, 1): 1, (-1, -1): 0}]
+
+
+@pytest.mark.parametrize("against", CYCLES)
+def test_no_choice_is_left_out(against):
+    """A made-up body that contradicts three of four choices in turn: the search comes to the fourth."""
+    from cddf_jax.directions import find_directions
+
+    (agreeing,) = set(itertools.product((1, -1), repeat=2)) - set(against)
+
+    def attempt(direction):
+        wrong = sum(
+            jnp.where(jnp.all(direction == jnp.array(choice)), jnp.eye(2)[tendon], 0.0)
+            for choice, tendon in against.items()
+        )
+        return direction, direction * (1.0 - 2.0 * wrong), jnp.array(True)
+
+    ones = jnp.ones(2)
+    found = find_directions(PAIR, 20.0 * ones, ones, (0, 1), attempt, ones)
+    np.testing.assert_array_equal(found, agreeing)
+
+
 def test_derivatives_hold_the_directions():
     """In both modes those of the stated directions, which `test_gradients` holds against differences."""
 
@@ -139,10 +162,10 @@ def test_the_paper_s_iteration():
 
 def test_a_sweep_and_a_case_of_a_design():
     """Unstated, or stated for one tendon along an axis."""
-    swept = cddf.sweep(PAIR, {"base_tension.1": [10.0, 20.0]}, base_tension=75.0, outputs=("tip_tension",))
+    swept = cddf.sweep(PAIR, {"base_tension_2": [10.0, 20.0]}, base_tension=75.0, outputs=("tip_tension",))
     expected = [cddf.solve(PAIR, (75.0, pull), direction=(1, -1)).tip_tension for pull in (10.0, 20.0)]
     np.testing.assert_allclose(swept.tip_tension, expected, rtol=1e-10)
-    stated = cddf.sweep(PAIR, {"direction.1": [-1.0, 1.0]}, base_tension=(75.0, 20.0), outputs=("tip_tension",))
+    stated = cddf.sweep(PAIR, {"direction_2": [-1.0, 1.0]}, base_tension=(75.0, 20.0), outputs=("tip_tension",))
     expected = [cddf.solve(PAIR, (75.0, 20.0), direction=(1, way)).tip_tension for way in (-1, 1)]
     np.testing.assert_allclose(stated.tip_tension, expected, rtol=1e-10)
     case = cddf.LoadCase((75.0, 20.0)).solve(PAIR)

@@ -94,7 +94,7 @@ def find_directions(
 
     The first choice follows the moment of the tensions at the base. Then tendons that contradict their direction are
     turned round. The search ends where one tendon contradicts both of its directions and all others agree: such a
-    tendon mostly sticks. If it does not end so, all choices are tried in turn.
+    tendon mostly sticks. If it does not end so, all choices are tried in turn, of more than 6 tendons the first 64.
 
     Args:
         manipulator: its tendons.
@@ -120,7 +120,8 @@ def find_directions(
         bits = ((num_tried - NUM_FLIPS).astype(int) >> jnp.arange(len(to_find))) & 1
         flipped = search.direction[which] * (one - 2 * against)
         following = search.direction.at[which].set(jnp.where(num_tried < NUM_FLIPS, flipped, one - 2 * bits))
-        sticks = (count == 1) & jnp.all(against == search.against)  # one tendon that slides neither in nor out
+        # one tendon, which was turned round just now, slides neither in nor out
+        sticks = (num_tried <= NUM_FLIPS) & (count == 1) & jnp.all(against == search.against)
         ended = found & ((count == 0) | sticks) | (num_tried >= NUM_FLIPS + listed)
         return _Search(following, best, jnp.minimum(count, search.fewest), against, num_tried, ended)
 
