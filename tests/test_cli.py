@@ -722,7 +722,7 @@ def test_files_that_are_not_there(fails):
     ("table", "message"),
     [
         ("base_tension [N],tip_tension [N]\n5,4.8\n10,9.O1\n", "row 3, column tip_tension: '9.O1' is not a number"),
-        ("base_tension [N],tip_tension [N]\n5,\n", "row 2, column tip_tension: the cell is empty"),
+        ("base_tension [N],tip_tension [N]\n5,\n", "no row holds a reading (tip_tension); add the measurements"),
         ("base_tension [N],tip_tension [N]\n5,-4.8\n", "row 2, column tip_tension: must be 0 or more, got -4.8 N"),
         ("# note\nbase_tension [N],tip_tension [N]\n5\n", "row 3 has 1 cells, the header 2"),
         (

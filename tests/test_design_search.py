@@ -44,7 +44,7 @@ SOLID = plain_sag(*START)
 
 
 def sag(body, equilibrium):
-    return jnp.sum(SHARES * (L - S) ** 2 / body.bending_stiffness(S))
+    return jnp.sum(SHARES * (L - S) ** 2 / body.stiffness(S))
 
 
 def rod(bore):

@@ -286,7 +286,7 @@ def test_a_failed_fit_still_has_a_report():
     table = Measurements.from_columns(
         "bench", base_tension=np.full(17, 200.0), tip_tension=np.linspace(300, 310, 17), direction=-np.ones(17)
     )
-    fit = cddf.fit(paper_body(), table)
+    fit = cddf.fit(paper_body(), table, starts=1)
     assert not fit.success
     assert words_of(fit).splitlines()[2].startswith("- The fit failed: ")
     json.dumps(artifacts.plain(results_of(fit)), allow_nan=False)
@@ -453,7 +453,7 @@ def test_the_first_lines_name_the_one_point(paper):
     )
     fit = cddf.fit(paper, table, free=("friction_coefficient",), noise={"pulling_tension": 0.1})
     head = words_of(fit).partition("| parameter")[0]
-    assert "- friction_coefficient hangs on one datum, entry 6 of drum: pulling_tension" in head
+    assert "- friction_coefficient hangs on one datum, row 6 of drum: pulling_tension" in head
 
 
 def test_model_free_friction_is_set_beside_the_fit():
