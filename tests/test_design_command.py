@@ -11,8 +11,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import cddf_jax as cddf
+from cddf_jax import design_command
 from cddf_jax.design_figure import design_figure, draw_design, draw_trade_off, pareto_figure
 from cddf_jax.design_file import read_task
+from cddf_jax.plotting import render
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / "data" / "smooth_sil_940.toml"
@@ -203,6 +205,45 @@ def test_bodies_and_labels_of_the_figure_lie_apart(radius, offset):
     others = [line.get_ydata() for line in axes.lines if np.ptp(line.get_ydata()) > 0.0]
     assert levels[0] - 1e3 * radius > max(map(np.max, others))
     assert levels[2] - levels[1] > 2e3 * radius or levels[2] - levels[1] > 2e3 * offset
+
+
+BACKBONE = """
+length = "200 mm"
+bending_stiffness = "0.02 N m^2"
+friction_coefficient = 0.2
+[[tendons]]
+offset = "8 mm"
+"""
+BEND = """
+robot = "backbone.toml"
+nodes = 8
+[free]
+bending_stiffness = { bounds = ["0.005 N m^2", "0.1 N m^2"] }
+[[case]]
+base_tension = "5 N"
+[[objective]]
+near = "tip_angle"
+value = "30 deg"
+"""
+
+
+def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch):
+    """The angle is ln(1 + mu T d L / (E I)) / mu, design.md section 4; profile and diameters are not known."""
+    figures = []
+
+    def keeping(figure, name):
+        figures.append(figure)
+        return render(figure, name)
+
+    monkeypatch.setattr(design_command, "render", keeping)
+    (tmp_path / "backbone.toml").write_text(BACKBONE)
+    _, _, success = design_command.carry_out(read_task(task(BEND)), tmp_path / "out", progress=False)
+    assert success
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written == {"design.md", "design.json", "design.toml", "design.pdf", "design.png"}
+    stiffness = cddf.read_manipulator(tmp_path / "out" / "design.toml").stiffness(0.1)
+    assert float(stiffness) == pytest.approx(0.2 * 5 * 0.008 * 0.2 / np.expm1(0.2 * np.pi / 6), rel=1e-4)
+    assert [text.get_text() for text in figures[0].axes[0].texts if text.get_text()] == ["after", "before"]
 
 
 @pytest.mark.parametrize("name", ["uniform_curvature", "least_tension", "robust"])

@@ -1,4 +1,4 @@
-"""What `cddf design` says and writes: the report, the numbers for JSON, the profile for CAD."""
+"""What `cddf design` says and writes: the report, the numbers for JSON, the profile of a body with radii for CAD."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,7 +38,8 @@ def carry_out(task: DesignTask, out: Path | None, progress: bool) -> tuple[dict[
         if found.feasible:
             outside = task.offsets_outside_wall
             files["design.toml"] = manipulator_text(found.manipulator, offsets_outside_wall=outside)
-            files["profile.csv"] = cross_sections_csv(found.manipulator)
+            if found.manipulator.has_radii:
+                files["profile.csv"] = cross_sections_csv(found.manipulator)
             files |= render(design_figure(found), "design")
         write_all(out, files)
     return answer, text, found.success

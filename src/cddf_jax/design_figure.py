@@ -26,27 +26,34 @@ LINE = 10.0  # points, of a line of text
 def design_figure(design: Design) -> Figure:
     """Left the straight bodies before and after and the designed one bent; right curvature and strain along them.
 
-    The first load case is drawn. Walls and tendons are to scale, one scale for all three bodies.
+    The first load case is drawn. Walls and tendons are to scale, one scale for all three bodies. There is no strain
+    where the bodies have no radii.
     """
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4)
         grid = figure.add_gridspec(2, 2, width_ratios=(1.45, 1))
         draw_design(design, figure.add_subplot(grid[:, 0]))
-        curvature, strain = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-        for axes, quantity in ((curvature, "curvature"), (strain, "strain")):
-            draw_along(design.start, design.equilibria_at_start[0], quantity, axes, **START)
-            draw_along(design.manipulator, design.equilibria[0], quantity, axes, **END)
-        curvature.set_xlabel("")
-        curvature.tick_params(labelbottom=False)
+        has_wall = design.manipulator.has_radii
+        curvature = figure.add_subplot(grid[0, 1] if has_wall else grid[:, 1])
+        _draw_before_and_after(design, "curvature", curvature)
         curvature.legend(loc="best")
+        if has_wall:
+            _draw_before_and_after(design, "strain", figure.add_subplot(grid[1, 1]))
+            curvature.set_xlabel("")
+            curvature.tick_params(labelbottom=False)
     return figure
+
+
+def _draw_before_and_after(design: Design, quantity: str, axes: Axes) -> None:
+    draw_along(design.start, design.equilibria_at_start[0], quantity, axes, **START)
+    draw_along(design.manipulator, design.equilibria[0], quantity, axes, **END)
 
 
 def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     """The straight bodies before and after, and the designed one bent in its first load case; to one scale, mm.
 
-    Outer and inner diameters at both ends are written beside the straight bodies. The bent body from which the search
-    began is dashed.
+    Outer and inner diameters at both ends are written beside the straight bodies, where they have radii. The bent body
+    from which the search began is dashed.
 
     Args:
         design: of `design`.
@@ -64,7 +71,8 @@ def _draw_bodies(axes: Axes, design: Design) -> None:
     paths = tendon_paths(after, bent, s)
     old = bent_body(before, fields_along(design.equilibria_at_start[0], stations(before)))
     drawn = np.concatenate([bent.outline, old.outline, paths.reshape(-1, 2)])
-    rows = [_Row.of(after, "after"), _Row.of(before, "before (numbers: outer/inner diameter, mm)")]
+    numbers = " (numbers: outer/inner diameter, mm)" if before.has_radii else ""
+    rows = [_Row.of(after, "after"), _Row.of(before, f"before{numbers}")]
     point = _size_of_point(axes, drawn, rows)
     level = top = float(np.nanmax(drawn[:, 1]))
     for row in rows:
@@ -92,12 +100,13 @@ class _Row(NamedTuple):
     label: str
     body: Body
     tendons: np.ndarray  # (tendons, points, 2)
+    has_radii: bool
 
     @classmethod
     def of(cls, manipulator: Manipulator, label: str) -> "_Row":
         s = stations(manipulator)
         body = straight_body(manipulator, s)
-        return cls(label, body, tendon_paths(manipulator, body, s))
+        return cls(label, body, tendon_paths(manipulator, body, s), manipulator.has_radii)
 
     @property
     def heights(self) -> np.ndarray:
@@ -116,6 +125,9 @@ class _Row(NamedTuple):
         return max(-float(np.nanmin(self.heights)), LINE * point / 2)
 
     def text(self, end: int) -> str:
+        """Both diameters; none where the body has no radii."""
+        if not self.has_radii:
+            return ""
         return f"{2 * self.body.outer_radius[end]:.3g}/{2 * self.body.inner_radius[end]:.3g}"
 
     def width_of_text(self, end: int) -> float:
