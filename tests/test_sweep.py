@@ -303,7 +303,11 @@ BAD = {
         "'friction_coefficient' has no effect here; every tendon has its own",
     ),
     "no gravity": ({"density": [1e3]}, {"base_tension": 1.0}, "'density' has no effect here; there is no gravity"),
-    "no density": ({"loads.gravity.1": [-9.8]}, {"base_tension": 1.0}, "the body has no density"),
+    "no density": (
+        {"loads.gravity.1": [-9.8]},
+        {"base_tension": 1.0},
+        "the body has no weight; give it density, mass_per_length",
+    ),
     "no axes": ({}, {}, "axes must be a dictionary"),
     "no dictionary": ([1.0], {}, "axes must be a dictionary"),
     "unknown": ({"youngs_modulos": [1.0]}, {"base_tension": 1.0}, "did you mean 'youngs_modulus'"),

@@ -97,8 +97,16 @@ def _options(name: str, given: Any) -> tuple[Any, ...]:
     return values
 
 
-def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...], case: Case) -> None:
-    """Refuse what is no number of the case.
+def check_names(
+    dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...], case: Case, wall_is_seen: bool
+) -> None:
+    """Refuse what is no number of the case, or has no effect.
+
+    Args:
+        dimensions: what varies.
+        sensitivities: names to differentiate by.
+        case: what is solved.
+        wall_is_seen: whether an output depends on the outer radius itself, as the strain of the wall does.
 
     Raises:
         InputError: names it, and what is near.
@@ -114,7 +122,7 @@ def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...
                 raise InputError(
                     f"sweep: the axis {name!r} holds {outside[0]:g} m, which is not on the body; leave it out"
                 )
-    for name, remedy in _idle(swept, case).items():
+    for name, remedy in _idle(swept, case, wall_is_seen).items():
         raise InputError(f"sweep: {name!r} has no effect here; {remedy}")
     tension = case.base_tension
     if tension is None and "base_tension" not in swept:
@@ -130,7 +138,7 @@ def check_names(dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...
             raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")
 
 
-def _idle(swept: set[str], case: Case) -> dict[str, str]:
+def _idle(swept: set[str], case: Case, wall_is_seen: bool) -> dict[str, str]:
     """Numbers that change nothing, with the remedy."""
     found: dict[str, str] = {}
     if "yield_strain" in swept:
@@ -149,7 +157,12 @@ def _idle(swept: set[str], case: Case) -> dict[str, str]:
     if masses and not gravity and weightless:
         found[min(masses)] = "there is no gravity; give loads=Loads(gravity=(0.0, -9.81))"
     if gravity and not masses and not body.has_mass:
-        found[min(gravity)] = "the body has no density; give it one, or let 'density' vary too"
+        found[min(gravity)] = "the body has no weight; give it density, mass_per_length or point_masses"
     if not masses and not gravity:
         check_weight(body, loads)
+    dense = "density" in swept or np.any(np.asarray(body.density))
+    if not body.stiffened_by_radii and not (dense and (gravity or not weightless)):
+        for name in sorted(swept):
+            if name.startswith("inner_radius") or (name.startswith("outer_radius") and not wall_is_seen):
+                found[name] = "the bending_stiffness of this body is given beside it; let that vary"
     return found

@@ -72,7 +72,7 @@ def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) 
         parameter_named(name)
     if "youngs_modulus" in names and stiffness_parameter(manipulator) != "youngs_modulus":
         raise InputError("the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness")
-    if "outer_radius_error" in names and manipulator.bending_stiffness is not None:
+    if "outer_radius_error" in names and not manipulator.stiffened_by_radii:
         raise InputError("outer_radius_error changes no body whose bending_stiffness is given; fit stiffness_factor")
     return names
 

@@ -173,7 +173,7 @@ class Exploration:
     @cached_property
     def _radii(self) -> list[Control]:
         radius = self.manipulator.outer_radius
-        if radius is None:
+        if radius is None or not self.manipulator.stiffened_by_radii:
             return []
         ends = [shown(radius(s), 3) for s in (0.0, self.manipulator.length)]
         labels = ("Outer radius at the base", "Outer radius at the tip")
@@ -218,7 +218,7 @@ class Exploration:
         """
         number = {c.name: in_si(settings.numbers[c.name], c.exponent) for c in self.controls}
         material: dict[str, Any] = {name: number[name] for name in FITTED if name in number}
-        if self.manipulator.has_radii:
+        if self._radii:
             material["outer_radius"] = self._wall(*(number[name] for name in RADII))
         body = replace(self.manipulator, kinematics=settings.kinematics, **material)
         force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
@@ -281,7 +281,7 @@ class Exploration:
             InputError: without a table, and as `identification.fit`.
         """
         if not self.tables:
-            raise InputError("there is nothing to fit; load a table of measurements (CSV) first")
+            raise InputError("there is nothing to fit; load a table of measurements first")
         own = [control.name for control in self.controls if control.name in FITTED]
         return fit(replace(self.manipulator, kinematics=kinematics), self.tables, own)
 

@@ -247,8 +247,9 @@ class View:
         rows = self.exploration.in_rows(picture.case.manipulator)
         self._on_page(self.tension.show_rows, rows)
         self._on_page(self._done, settings, ["tension"])
-        if not self.exploration.manipulator.has_radii:
-            self._on_page(setattr, self.what_if, "object", "The body has no radii that could taper.")
+        if not self.exploration.manipulator.stiffened_by_radii:
+            told = "The bending stiffness of this body is given: another taper would not change how it bends."
+            self._on_page(setattr, self.what_if, "object", told)
             self._on_page(self._done, settings, ["what_if"])
             return
         tapers = self.exploration.tapers(settings, np.radians(angle))

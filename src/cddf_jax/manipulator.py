@@ -187,6 +187,11 @@ class Manipulator(eqx.Module):
         return self.outer_radius is not None
 
     @property
+    def stiffened_by_radii(self) -> bool:
+        """Whether the radii make the bending stiffness, E J; not where it is given in its place."""
+        return self.bending_stiffness is None
+
+    @property
     def has_mass(self) -> bool:
         """Whether gravity acts on the body; a density whose value is not known yet counts as a mass."""
         if self.mass_per_length is not None or self.point_masses or isinstance(self.density, Tracer):

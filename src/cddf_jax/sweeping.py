@@ -208,7 +208,8 @@ class Sweep:
             check_nodes(self.nodes)
         except ValueError as error:
             raise InputError(f"sweep: {error}") from None
-        check_names(self.dimensions, self.sensitivities, self.case)
+        wall_is_seen = bool(self.observables) or not {"peak_strain", "peak_strain_at"}.isdisjoint(self.outputs)
+        check_names(self.dimensions, self.sensitivities, self.case, wall_is_seen)
 
     # --- the answer before it is computed -------------------------------------------------------------
 
