@@ -239,6 +239,50 @@ def test_the_mass_of_a_design():
     np.testing.assert_allclose(found, 0.15 * 0.8 * L + 0.030, rtol=1e-12)  # a line from 100 to 60 %, and the points
 
 
+def beside_radii(**changes: Any) -> cddf.Manipulator:
+    """Radii for drawing and strain, that do not stiffen."""
+    told = {"length": L, "tendons": (cddf.Tendon(0.006),), "friction_coefficient": 0.2, "bending_stiffness": 0.02}
+    return cddf.Manipulator(**told | {"outer_radius": cddf.Linear(0.01, 0.008, L), "inner_radius": 0.002} | changes)
+
+
+def checked(body: cddf.Manipulator, name: str, wall_is_seen: bool = False, **loads: Any) -> None:
+    from cddf_jax.axes import check_names, dimensions_of
+    from cddf_jax.case import Case
+
+    case = Case(body, 1.0, cddf.Loads(**loads) if loads else None, 1.0)
+    check_names(dimensions_of({name: [0.006, 0.007]}), (), case, wall_is_seen)
+
+
+def test_radii_that_change_nothing_do_not_vary():
+    body, fall = beside_radii(), {"gravity": (0.0, -9.81)}
+    for name in ("outer_radius.tip", "inner_radius.value"):
+        message = f"{name!r} has no effect here; the bending_stiffness of this body is given"
+        assert message in refused(lambda name=name: checked(body, name))
+        checked(beside_radii(density=1000.0), name, **fall)  # they weigh
+        assert message in refused(lambda name=name: checked(beside_radii(mass_per_length=0.1), name, **fall))
+        checked(beside_radii(bending_stiffness=None, youngs_modulus=1e6), name)  # they stiffen
+    checked(body, "outer_radius.tip", wall_is_seen=True)
+    assert "has no effect" in refused(lambda: checked(body, "inner_radius.value", wall_is_seen=True))
+    cddf.sweep(body, {"outer_radius.tip": [0.006]}, 1.0, outputs=["peak_strain"], nodes=4)
+    assert "has no effect" in refused(lambda: cddf.sweep(body, {"outer_radius.tip": [0.006]}, 1.0))
+
+
+def test_the_explorer_offers_no_taper_that_bends_nothing():
+    from cddf_jax.exploration import RADII, Exploration
+
+    given, of_radii = (
+        Exploration(b) for b in (beside_radii(), beside_radii(bending_stiffness=None, youngs_modulus=1e6))
+    )
+    assert not set(RADII) & {control.name for control in given.controls}
+    assert set(RADII) <= {control.name for control in of_radii.controls}
+    assert given.case(given.start).manipulator.outer_radius is given.manipulator.outer_radius
+
+
+def test_the_strain_of_no_wall_is_refused():
+    message = "peak_strain: the body has no outer_radius; give it both radii"
+    assert message in refused(lambda: cddf.sweep(robot(), {"base_tension": [1.0]}, outputs=["peak_strain"]))
+
+
 # --- gravity on nothing -----------------------------------------------------------------------------
 
 

@@ -116,3 +116,6 @@ def test_a_batch_is_refused():
         cddf.self_contact(batch)
     with pytest.raises(ValueError, match="needs one equilibrium"):
         _ = batch.remarks
+    for strain in ("peak_strain", "peak_strain_at"):
+        with pytest.raises(ValueError, match="peak_strain: needs one equilibrium, not a batch"):
+            getattr(batch, strain)

@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from . import mechanics
+from .errors import InputError
 from .manipulator import CrossSection, Manipulator
 from .problem import State, edge_nudge, guarded_section, moment_rate_of, tension_of
 from .quadrature import Panels
@@ -134,7 +135,7 @@ class Equilibrium(eqx.Module):
     base_moment: Float[Array, ""]  # M_ext(0), N m, that the dead loads put on the base
     load_fraction: Float[Array, ""]  # of the loads, up to which there is an equilibrium: 1, or the limit load
     num_load_steps: Int[Array, ""]  # in which the loads were put on; 1 where one step would do, 0 without loads
-    stable: Bool[Array, ""]  # at constant base tensions and dead loads, sliding as stated
+    stable: Bool[Array, ""]  # at constant base tensions and dead loads, sliding as `direction` says
     direction: Float[Array, " tendons"]  # +1 slides in at the base, -1 out; found where it was not stated
     # True where a tendon travels against its direction: since the straight body, or under loads as all tensions rise
     direction_contradicted: Bool[Array, " tendons"]
@@ -164,14 +165,23 @@ class Equilibrium(eqx.Module):
         Worked out when it is asked for. It is the strain of the wall as the body has it: notches are not in it.
 
         Raises:
-            ValueError: for a body without an outer radius.
+            InputError: for a body without an outer radius.
+            ValueError: for a batch.
         """
-        return _peak_strain(self._dense)[0]
+        return self._peak[0]
 
     @property
     def peak_strain_at(self) -> Float[Array, ""]:
         """The arc length, m, at which the wall has its `peak_strain`."""
-        return _peak_strain(self._dense)[1]
+        return self._peak[1]
+
+    @property
+    def _peak(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        if np.ndim(self.tip_angle) > 0:
+            raise ValueError(
+                "peak_strain: needs one equilibrium, not a batch; ask for it in the function under jax.vmap"
+            )
+        return _peak_strain(self._dense)
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -233,7 +243,7 @@ class Dense(eqx.Module):
     def peak_strain(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """The largest |R_outer kappa|, and its arc length, m."""
         if self.manipulator.outer_radius is None:
-            raise ValueError("peak_strain: the body has no outer_radius; give it one to know the strain of its wall")
+            raise InputError("peak_strain: the body has no outer_radius; give it both radii, or leave the strain out")
         cut, nudge = self.panels, edge_nudge(self.panels)
         left, right = cut.edges[:-1, None], cut.edges[1:, None]
         places = left + cut.width[:, None] * FRACTIONS
