@@ -26,7 +26,7 @@ class EnergyBalance(eqx.Module):
 
     actuation_work: Float[Array, " tendons"]  # of the base tensions over their travel
     elastic_energy: Float[Array, ""]  # gained by the body in bending and by the tendons in stretching
-    friction_loss: Float[Array, " tendons"]  # of friction over the sliding; not negative where all slides as stated
+    friction_loss: Float[Array, " tendons"]  # of friction over the sliding; not negative where `direction` holds
     load_work: Float[Array, ""]  # done against the dead loads: weights lifted
     result: RESULTS  # of the solve at the full tensions
 

@@ -30,4 +30,5 @@ def _raised(profile: Profile, by: Linear) -> Profile:
             return Piecewise(profile.ends, [_raised(piece, by) for piece in profile.pieces])
         case Polyline() | Spline():
             return type(profile)(profile.arc_length, profile.values + np.asarray(by(profile.arc_length)))
-    raise InputError(f"a profile of type {type(profile).__name__} cannot be tapered; give a Spline or Piecewise")
+    name, remedy = type(profile).__name__, "sample it into a Spline or Piecewise.linear"
+    raise InputError(f"a profile of type {name} cannot be tapered; {remedy}")
