@@ -8,6 +8,8 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -198,6 +200,23 @@ def test_a_wall_without_its_tendon_is_refused(explored):
 def test_a_table_of_another_body_is_refused():
     with pytest.raises(cddf.InputError, match="no column 'base_tension_2'"):
         Exploration(paper_body(num_tendons=2), (cddf.read_measurements(CELLS),))
+
+
+@pytest.mark.filterwarnings("ignore:.* will be removed in version 2.0:PendingDeprecationWarning")
+def test_what_is_computed_at_once_keeps_its_mark(monkeypatch):
+    """As where a file is loaded, and the page is there already."""
+    pn = pytest.importorskip("panel")
+    from bokeh.document import Document
+    from panel.io.state import set_curdoc
+
+    from cddf_jax.explorer import Page
+
+    idle: Any = SimpleNamespace(pictures=SimpleNamespace(submit=lambda *_: None))
+    with set_curdoc(Document()):
+        monkeypatch.setattr(type(pn.state), "onload", lambda _, callback: callback())
+        page = Page(paper_body("exact"), (), "", (), idle)
+    marked = {part.css_classes[-1] for part in page.place if "computing" in part.css_classes}
+    assert marked == {"body", "numbers", "tension", "along"}
 
 
 def test_files_hold_what_is_shown(explored, picture, tmp_path):

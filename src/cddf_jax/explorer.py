@@ -100,7 +100,7 @@ class Page:
         if self.columns:
             parts["rest"].append(sections_as_read(self.columns))
         for name, part in parts.items():
-            part.css_classes = [name]
+            part.css_classes = [*part.css_classes, name]  # a mark may be there already
         self.place[:] = list(parts.values())
         data = ", ".join(table.name for table in self.tables) or "no data loaded"
         notes = [f"<p>{_escaped(line)}</p>" for table in self.tables for line in table.read_as]
