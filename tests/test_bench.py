@@ -232,7 +232,7 @@ def test_every_parameter_reaches_the_readings(paper):
 
     bench = Bench(np.array([[30.0], [60.0]]), (None,))
     parameters = {name: starting_value(paper, name) for name in PARAMETERS}
-    value, slope, _ = bench.evaluate(paper, parameters, 16)
+    value, slope, *_ = bench.evaluate(paper, parameters, 16)
     for i, name in enumerate(sorted(parameters)):
         step = 1e-4 * max(abs(parameters[name]), PARAMETERS[name].scale)
         ends = [bench.evaluate(paper, parameters | {name: parameters[name] + sign * step}, 16)[0] for sign in (1, -1)]

@@ -7,7 +7,9 @@ from scipy import stats
 
 import cddf_jax as cddf
 from cddf_jax import fit_results, report
+from cddf_jax.bench import BenchModel, experiment_of
 from cddf_jax.holds import average_holds, hold_labels, serial_correlation
+from cddf_jax.identification import _groups, _noise_of
 from cddf_jax.measurements import Measurements
 
 LEVELS = np.arange(10.0, 81.0, 10.0)
@@ -127,6 +129,22 @@ def test_one_reading_a_hold():
     assert average_holds(found) is found
 
 
+def test_the_spread_of_holds_is_noise_where_a_reading_is_missing():
+    """Three holds, of which the second has no angle: each reading goes with the spread of its own hold."""
+    table = Measurements.from_columns(
+        "bench",
+        base_tension=[5.0, 5.0, 10.0, 10.0, 20.0, 20.0],
+        tip_tension=[4.6, 4.8, 9.0, 9.2, 17.0, 17.2],
+        tip_angle=[0.1, 0.1 + 0.02, np.nan, np.nan, 0.4, 0.4 + 0.06],
+    )
+    found = average_holds(table)
+    experiment = experiment_of(found, paper_body())
+    noise = _noise_of(_groups((found,), BenchModel(paper_body(), (experiment,), 16)), found.spread)
+    # of two readings a difference over the root of 2
+    np.testing.assert_allclose(noise["bench: tip_angle"], np.array([0.02, 0.06]) / np.sqrt(2), rtol=1e-12)
+    np.testing.assert_allclose(noise["bench: tip_tension"], np.full(3, 0.2) / np.sqrt(2), rtol=1e-12)
+
+
 @pytest.mark.parametrize(("lag_one", "low", "high"), [(0.95, 0.2, 0.6), (0.0, 0.9, 1.0)])
 def test_intervals_of_averaged_holds_hold_the_truth(lag_one, low, high):
     """400 lines through 8 holds of 50 rows, by closed forms: t-intervals of the slope, of all rows and of the means.
@@ -168,3 +186,4 @@ def test_a_fit_tells_of_holds():
     # of equal holds the weighted means are the same to first order, and the standard error is that of five readings
     assert fits[1].value["friction_coefficient"] == pytest.approx(fits[0].value["friction_coefficient"], rel=1e-3)
     assert fits[1].degrees_of_freedom == 4
+    assert str(fits[1].alone["drum"]) == fits[1].verdict[0]  # one table, in the words of the whole

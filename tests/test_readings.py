@@ -66,7 +66,9 @@ def test_a_file_gives_its_unit(column, tmp_path):
 @pytest.mark.parametrize("column", READINGS)
 def test_its_prediction_and_derivatives(column, table, answer, differences):
     """Against one solve a row and its differences."""
-    values, slopes, _ = answer
+    values, slopes, _, against = answer
+    assert against.shape == (len(PULLS), 1)  # rows and tendons
+    assert not np.any(against)  # a tendon alone is pulled in
     np.testing.assert_allclose(values[column], table[column], rtol=1e-9)
     for i, name in enumerate(sorted(TRUTH)):  # the flat order of a mapping
         np.testing.assert_allclose(slopes[column][:, i], differences[name][column], rtol=1e-5)

@@ -156,8 +156,9 @@ class Bench(eqx.Module):
         found = {column: reading(equilibrium, column, parameters) for column in self.columns}
         return found | {column: found[column][rows] for column, rows in self.read_in.items()}
 
-    def evaluate(self, manipulator: Manipulator, parameters: Any, nodes: int) -> tuple[Any, Any, RESULTS]:
-        """Every reading, its derivatives by the parameters (last axis, in their flat order), how the solves went."""
+    def evaluate(self, manipulator: Manipulator, parameters: Any, nodes: int) -> tuple[Any, Any, RESULTS, np.ndarray]:
+        """Every reading, its derivatives by the parameters (last axis, in their flat order), how the solves went, and
+        which tendons (last axis) travel against their direction."""
         rows = self.base_tension.shape[0]
         fill = -rows % 128  # few sizes, so that tables and curves share what is compiled
         arrays = self.base_tension, self.direction, self.tip_force, self.trial
@@ -181,12 +182,14 @@ def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Any]
         parameters = unravel(flat)
         equilibrium = bench.solve(manipulator, parameters, nodes)
         columns = columns_of(manipulator.num_tendons)
-        return {column: reading(equilibrium, column, parameters) for column in columns}, equilibrium.result
+        readings = {column: reading(equilibrium, column, parameters) for column in columns}
+        return readings, (equilibrium.result, equilibrium.direction_contradicted)
 
     def push(tangent):
         return jax.jvp(observe, (flat,), (tangent,), has_aux=True)
 
-    return jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(flat.size))
+    values, slopes, (results, against) = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(flat.size))
+    return values, slopes, results, against
 
 
 def reading(equilibrium: Equilibrium, column: str, parameters: Mapping[str, Any]) -> Array:

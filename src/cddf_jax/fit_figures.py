@@ -267,7 +267,7 @@ def _half_width(fit: Fit, name: str, column: str) -> np.ndarray:
     """Of the 95 % intervals of the predictions for the rows of a table, SI."""
     rows = fit.model.experiments[list(fit.alone).index(name)]
     assert isinstance(rows, Bench)
-    _, slope, _ = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    _, slope, *_ = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
     return fit.band(slope[column][_table(fit, name).has(column)])
 
 

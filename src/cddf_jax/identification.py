@@ -25,12 +25,10 @@ from .holds import SerialCorrelation, holds_of, serial_correlation
 from .least_squares import LeastSquaresFit, least_squares_fit
 from .manipulator import Manipulator
 from .measurements import Measurements
-from .verdict import doubt, fit_warnings, looks_at, verdict_of
+from .observations import Noise
+from .verdict import doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
 
 POSITIVE = (0.0, None)
-MOST = (
-    0.5  # of a table's rows: where the model has no body for more, what fits the rest is not the body that was measured
-)
 
 
 class Prediction(NamedTuple):
@@ -39,6 +37,13 @@ class Prediction(NamedTuple):
     value: np.ndarray
     half_width: np.ndarray  # of the 95 % band that the uncertainty of the parameters makes
     extrapolated: np.ndarray  # True beyond the base tensions or tip forces of the data
+
+
+class Alone(Determination):
+    """What one table by itself would have told."""
+
+    def __str__(self) -> str:
+        return "\n".join(estimates_in_words(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +109,7 @@ class Fit(LeastSquaresFit):
             InputError: for another column, or conditions of other shapes.
         """
         bench = _conditions(base_tension, tip_force, direction, self.manipulator.num_tendons)
-        value, slope, _ = bench.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
+        value, slope, *_ = bench.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in value:
             raise InputError(f"predict: {column!r} is no reading; there are {', '.join(value)}")
         return Prediction(value[column], self.band(slope[column]), _beyond(bench, self.model))
@@ -234,8 +239,8 @@ def fit(
             `pretension`, `angle_zero`, and errors of dimensions (`outer_radius_error`), best with priors.
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
-        noise: by column, known standard deviation, SI units, or `Noise(floor, fraction)`; what is not given is
-            estimated, for each column of each table, from the residuals.
+        noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
+            what is not given is estimated, for each column of each table, from the residuals.
         per_trial: let friction differ from trial to trial, ln(mu) by a Gaussian whose spread is estimated.
         loss, starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
@@ -290,19 +295,26 @@ def _noise_of(groups: "list[_Group]", noise: Mapping[str, Any]) -> dict[str, Any
         raise InputError(
             f"fit: noise is given for {column!r}, which no table holds; they hold {', '.join(sorted(columns))}"
         )
-    return {group.label: noise.get(group.column) for group in groups}
+    return {group.label: _of_readings(noise.get(group.column), group) for group in groups}
+
+
+def _of_readings(noise: Any, group: "_Group") -> Any:
+    """Noise as it was given; of one number per row, those of the rows that were read."""
+    per_row = not isinstance(noise, Noise) and np.shape(noise) == group.there.shape
+    return np.asarray(noise)[group.there] if per_row else noise
 
 
 class _Group(NamedTuple):
     label: str
     column: str
     observed: np.ndarray
+    there: np.ndarray  # (rows,), in which rows of the table it was read
 
 
 def _groups(tables: tuple[Measurements, ...], model: BenchModel) -> list[_Group]:
     """One for each observed column of each table."""
     return [
-        _Group(f"{name}: {column}", column, table.read(column))
+        _Group(f"{name}: {column}", column, table.read(column), table.has(column))
         for table, name, experiment in zip(tables, model.names, model.experiments, strict=True)
         for column in experiment.columns
     ]
@@ -336,7 +348,7 @@ def _conclude(statistics: LeastSquaresFit, tables, model: BenchModel, trial_spre
         manipulator=with_parameters(body, statistics.parameters),
         tables=tables,
         model=model,
-        alone={name: statistics.told_by(*labels[name], with_priors_of=kept) for name in model.names},
+        alone={n: Alone(**vars(statistics.told_by(*labels[n], with_priors_of=kept))) for n in model.names},
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
         warnings=(),

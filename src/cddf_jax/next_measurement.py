@@ -207,7 +207,7 @@ def _rows(
         values = {"pulling_tension": np.asarray(read(flat))}
         slopes = {"pulling_tension": np.asarray(jax.jacfwd(read)(flat))}
     else:
-        values, slopes, codes = experiment.evaluate(body, parameters, nodes)
+        values, slopes, codes, _ = experiment.evaluate(body, parameters, nodes)
         for code in NOTEWORTHY:
             count = int(np.sum(codes == code))
             warnings += [f"{count} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if count else []

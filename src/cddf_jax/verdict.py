@@ -44,7 +44,9 @@ class Look(NamedTuple):
     name: str
     table: Measurements
     results: RESULTS
-    stated: bool  # whether the table says how every tendon slides; a measured row is believed
+    # (rows,), whether this is all there is to say of a row: a tendon travels against the direction that was found for
+    # it; one that the table states is that of a measured row, and believed
+    contradicted: np.ndarray
 
     def rows(self, *codes: RESULTS) -> np.ndarray:
         """The rows whose solve ended so, 0, 1, ...; `table.place` tells where each is in the file."""
@@ -55,8 +57,10 @@ def looks_at(parameters: Any, tables: Sequence[Measurements], model: BenchModel)
     """One for each table of the manipulator."""
     for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
         if isinstance(experiment, Bench):
-            results = experiment.evaluate(model.manipulator, parameters, model.nodes)[2]
-            yield Look(name, table, results, all(way is not None for way in experiment.direction))
+            *_, results, against = experiment.evaluate(model.manipulator, parameters, model.nodes)
+            found = [way is None for way in experiment.direction]
+            contradicted = np.asarray(results._value) == int(RESULTS.direction_contradicted._value)
+            yield Look(name, table, results, contradicted & np.any(against[:, found], axis=1))
 
 
 def doubt(look: Look) -> str:
@@ -68,8 +72,8 @@ def doubt(look: Look) -> str:
             f"most rows of {look.name} have no body in the model ({len(rows)} of {count}, the first is "
             f"{look.table.place(rows[0])}: {kinds}); check the units of the table and the dimensions of the body"
         )
-    rows = look.rows(RESULTS.direction_contradicted)
-    if len(rows) and not look.stated:
+    rows = np.flatnonzero(look.contradicted)
+    if len(rows):
         return (
             f"tendons travel against the direction taken for them in {len(rows)} of {count} rows of {look.name} (the "
             f"first is {look.table.place(rows[0])}); state it in columns direction, direction_2, ..., or leave these "
@@ -99,8 +103,9 @@ def fit_warnings(
         )
     for look in looks:
         for code in NOTEWORTHY:
-            rows = look.rows(code)
-            if len(rows) and not (look.stated and code is RESULTS.direction_contradicted):
+            contradicted = code is RESULTS.direction_contradicted
+            rows = np.flatnonzero(look.contradicted) if contradicted else look.rows(code)
+            if len(rows):
                 where = f"{len(rows)} of {len(look.table)} rows (the first is {look.table.place(rows[0])})"
                 found.append(f"{look.name}: {where}: {RESULTS[code]}")
     return found
@@ -152,23 +157,32 @@ def shown(told: Determination, name: str) -> tuple[float, float, float, float, s
 def verdict_of(fit: LeastSquaresFit, tables: Sequence[Measurements], trial_spread: float) -> list[str]:
     """What was determined, what was not, and what measurement would help."""
     lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
-    for name, status in fit.status.items():
-        value, error, low, high, unit = shown(fit, name)
-        if status == IDENTIFIED:
-            lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
-        elif status != NOT_IDENTIFIED:
-            limit = f", at most {high:.4g}{unit} (95 %)" if name in fit.bounded_above else ""
-            lines.append(f"{name} = {value:.4g}{unit}: {status}{limit}")
-        elif name in fit.bounded_above:
-            lines.append(f"{name}: at most {high:.4g}{unit} (95 %), not told from {low:.4g}{unit}: not identified")
-        else:
-            lines.append(f"{name}: not identified")
-    for name, (value, error) in fit.combinations.items():
-        lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, though its factors are not")
+    lines += estimates_in_words(fit, fit.bounded_above)
     if TRIALS in fit.parameters:
         lines.append(f"friction differs from trial to trial by {100 * trial_spread:.2g} % (standard deviation)")
     lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
     return lines + [_advice(fit, tables, lost)] * bool(lost and fit.success)
+
+
+def estimates_in_words(told: Determination, bounded_above: Sequence[str] = ()) -> list[str]:
+    """A line for each parameter and combination, in the unit in which engineers write it."""
+    lines = []
+    for name, status in told.status.items():
+        if name.startswith(TRIALS):
+            continue
+        value, error, low, high, unit = shown(told, name)
+        if status == IDENTIFIED:
+            lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
+        elif status != NOT_IDENTIFIED:
+            limit = f", at most {high:.4g}{unit} (95 %)" if name in bounded_above else ""
+            lines.append(f"{name} = {value:.4g}{unit}: {status}{limit}")
+        elif name in bounded_above:
+            lines.append(f"{name}: at most {high:.4g}{unit} (95 %), not told from {low:.4g}{unit}: not identified")
+        else:
+            lines.append(f"{name}: not identified")
+    for name, (value, error) in told.combinations.items():
+        lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, though its factors are not")
+    return lines
 
 
 def _advice(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
