@@ -277,6 +277,28 @@ def test_files_of_the_same_columns_are_trials(tmp_path):
         read_tables([paths[0], write(tmp_path, again.replace("4.81", "x").replace("5,", "\n5,", 1), "run_2.csv")])
 
 
+def test_files_of_one_name_are_told_apart(tmp_path):
+    paths = []
+    for folder in ("monday", "tuesday"):
+        (tmp_path / folder).mkdir()
+        paths.append(write(tmp_path / folder, PLAIN.replace("4.79", str(4.8 + len(paths))), "run.csv"))
+    (table,) = read_tables(paths)
+    assert [table.place(i) for i in (0, 5)] == ["row 2 of run.csv (1)", "row 4 of run.csv (2)"]
+
+
+def test_a_trial_without_any_reading_of_a_column_is_a_trial(tmp_path):
+    head = "base_tension [N], tip_tension [N], tip_angle [deg], tip_x [mm]\n"
+    texts = [f"{head}5, {4.7 + 0.01 * k}, {angle}, \n10, 9.2, {angle}, \n" for k, angle in enumerate((3, "", 4))]
+    paths = [write(tmp_path, text, f"run_{k}.csv") for k, text in enumerate(texts, 1)]
+    (table,) = read_tables(paths)
+    assert table.trial_labels == ("run_1", "run_2", "run_3")
+    np.testing.assert_allclose(np.degrees(table["tip_angle"]), [3, 3, np.nan, np.nan, 4, 4], rtol=1e-12)
+    assert (table.unread, "tip_x" in table) == (("tip_x",), False)
+    assert "run_2.csv: tip_angle holds no number and is not used" in table.read_as
+    (same,) = read_tables(paths[1::-1])  # the file without readings first
+    np.testing.assert_allclose(np.degrees(same["tip_angle"]), [np.nan, np.nan, 3, 3], rtol=1e-12)
+
+
 def test_files_that_stay_apart(tmp_path):
     named = "trial," + PLAIN.replace("\n", "\na,").removesuffix("a,")
     table = read(tmp_path, PLAIN)

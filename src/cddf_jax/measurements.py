@@ -80,6 +80,7 @@ class Measurements:
         spread: of means by `average_holds`, by column, the standard deviation of the rows behind each; else None.
         read_as: what was done to read the file, one line each with its name; empty for a plain one.
         files: where the trials are files, their names, in the order of `trial_labels`.
+        unread: columns that held no reading in any row and are left out.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Measurements:
     spread: Mapping[str, np.ndarray] | None = None
     read_as: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
 
     @classmethod
     def from_columns(cls, name: str = "measurements", *, notes: Sequence[str] = (), **columns: Any) -> "Measurements":
@@ -132,11 +134,16 @@ class Measurements:
     def place(self, row: int) -> str:
         """Where a row is found, in words: "row 7", counted as in the file, of several files "row 7 of run_2.csv".
 
+        Files of one name are told apart as the trials are: "row 7 of run.csv (2)".
+
         Args:
             row: 0, 1, ... as in the columns.
         """
-        of = f" of {self.files[int(self.columns['trial'][row])]}" if self.files else ""
-        return f"row {self.rows[row]}{of}"
+        if not self.files:
+            return f"row {self.rows[row]}"
+        trial = int(self.columns["trial"][row])
+        file = self.files[trial]
+        return f"row {self.rows[row]} of {file if self.files.count(file) == 1 else self.trial_labels[trial]}"
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -242,7 +249,8 @@ def _table(
         values.setflags(write=False)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
     told = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
-    return Measurements(name, arrays, rows[kept], tuple(codes), notes, simulated, read_as=told)
+    left = tuple(column for column in numbers if column in unread)
+    return Measurements(name, arrays, rows[kept], tuple(codes), notes, simulated, read_as=told, unread=left)
 
 
 def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[set[str], np.ndarray, list[str]]:

@@ -83,8 +83,10 @@ def cross_validation(fit: Fit, noise: tuple[np.ndarray, ...] | None = None) -> f
 def _folds(fit: Fit) -> list[np.ndarray]:
     """By group of data, which entries each fold leaves out, (folds, entries)."""
     marks, clusters = [], fit.clusters
-    for table, labels in (clusters[name] for name in fit.evidence.rows):  # in the order of the noise
-        trials = len(np.unique(labels)) < len(labels)
+    groups = [clusters[name] for name in fit.evidence.rows]  # in the order of the noise
+    with_trials = {table for table, labels in groups if len(np.unique(labels)) < len(labels)}
+    for table, labels in groups:
+        trials = table in with_trials
         marks.append([(table, label if trials else int(label) % ROW_FOLDS) for label in labels.tolist()])
     every = list(dict.fromkeys(mark for group in marks for mark in group))
     return [np.array([[mark == fold for mark in group] for fold in every]) for group in marks]

@@ -33,10 +33,13 @@ def read_tables(
 
 
 def trials_together(tables: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Tables with the same columns, none of them `trial`, as the trials of one table; the others as they are."""
+    """Tables with the same columns, none of them `trial`, as the trials of one table; the others as they are.
+
+    A column without a reading in one of them is one of its columns all the same.
+    """
     alike: dict[frozenset[str], list[Measurements]] = {}
     for table in tables:
-        alike.setdefault(frozenset(table.columns), []).append(table)
+        alike.setdefault(frozenset((*table.columns, *table.unread)), []).append(table)
     found = []
     for columns, group in alike.items():
         again = len({table.checksum for table in group}) < len(group)  # given twice, of which `fit` warns
@@ -54,7 +57,8 @@ def _joined(tables: Sequence[Measurements]) -> Measurements:
     stems = [Path(name).stem for name in names]
     labels = stems if len(set(stems)) == len(stems) else [f"{name} ({i})" for i, name in enumerate(names, 1)]
     columns = {"trial": np.repeat(np.arange(len(tables), dtype=float), [len(table) for table in tables])}
-    columns |= {column: np.concatenate([table[column] for table in tables]) for column in tables[0].columns}
+    read = dict.fromkeys(column for table in tables for column in table.columns)
+    columns |= {column: np.concatenate([_with_gaps(table, column) for table in tables]) for column in read}
     for values in columns.values():
         values.setflags(write=False)
     said = [line for table in tables for line in table.read_as]
@@ -69,7 +73,13 @@ def _joined(tables: Sequence[Measurements]) -> Measurements:
         simulated=any(table.simulated for table in tables),
         read_as=tuple(said),
         files=tuple(names),
+        unread=tuple(column for column in tables[0].unread if column not in read),
     )
+
+
+def _with_gaps(table: Measurements, column: str) -> np.ndarray:
+    """A column, NaN throughout where the table has no reading of it."""
+    return table[column] if column in table else np.full(len(table), np.nan)
 
 
 def repeated_tables(tables: Sequence[Measurements]) -> list[str]:
