@@ -793,6 +793,9 @@ def test_a_scale_judges_what_is_zero():
         ({"priors": {"a": Uniform(3.0, 4.0)}}, "a starts at 1, which is not inside its bounds 3 to 4"),
         ({"priors": {"a": Uniform(2.0, 0.0)}}, "prior for a: 2 to 0 is no range; write the lower first"),
         ({"loss": "tukey"}, "loss 'tukey' is not known; there are linear, soft_l1, huber, cauchy"),
+        ({"starts": 0}, "starts must be a whole number of 1 or more, got 0"),
+        ({"starts": 2.5}, r"starts must be a whole number of 1 or more, got 2\.5"),
+        ({"starts": True}, "starts must be a whole number of 1 or more, got True"),
     ],
 )
 def test_refusals_of_options(change, message):

@@ -369,6 +369,7 @@ def test_the_shipped_table():
         ({"tip_tension": None}, None, "bench: no column 'tip_tension'; friction without a model needs base_tension,"),
         ({"tip_angle": None}, None, "bench: no column 'tip_angle'; friction without a model needs base_tension,"),
         ({"tip_angle": [0, 0]}, None, "bench: no row has tensions and a tip angle other than 0; measure at tensions"),
+        ({"base_tension_2": [5, 5]}, None, "bench: several tendons and no column 'direction'; add it: 1 where"),
         ({}, {"tip_tension": 0.1}, "noise: needs base_tension, tip_tension, tip_angle, got tip_tension; give 0 for"),
         ({}, {**NOISE, "tip_x": 0.1}, "noise: needs base_tension, tip_tension, tip_angle, got base_tension,"),
         ({}, {**NOISE, "tip_angle": -0.1}, "noise: tip_angle needs a number of 0 or more, or one for each of 2 rows"),

@@ -196,11 +196,14 @@ def least_squares_fit(
         max_steps: of the optimiser.
 
     Raises:
-        InputError: for float32, a start outside its bounds, names that are none, data that are not finite.
+        InputError: for float32, `starts` below 1, a start outside its bounds, names that are none, data that are not
+            finite.
     """
     _refuse_single_precision()
     if not jax.tree.leaves(start):
         raise InputError("there is no parameter to fit")
+    if starts is not None and (isinstance(starts, bool) or not isinstance(starts, int) or starts < 1):
+        raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
     names, first, unravel = lay_out_parameters(start, fixed, shared or {})
     data = group_observations(observed, sigma)
     limits = bounds_of(names, first, with_uniform_priors(bounds or {}, priors or {}))

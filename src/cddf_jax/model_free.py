@@ -81,7 +81,8 @@ def model_free_friction(table: Measurements, noise: Mapping[str, Any] | None = N
     It reads the pair of the first tendon. The pooled value is the maximum-likelihood line through the origin of
     ln(T_base / T_tip) against theta_tip, errors in both (York et al. (2004), American Journal of Physics 72, 367,
     eq. (13b), without an intercept). A row weighs about as its angle squared: one with hardly an angle hardly counts.
-    Where `direction` is -1 the tendon slides out and the logarithm changes its sign.
+    Where `direction` is -1 the tendon slides out and the logarithm changes its sign; beside other tendons it must be
+    stated.
 
     Taken for granted and not checked: exact kinematics, a tendon parallel to the axis, a curvature of one sign, rows
     that err independently. What rows share - the gain of a cell, the zero of the camera - is in no standard error
@@ -94,12 +95,16 @@ def model_free_friction(table: Measurements, noise: Mapping[str, Any] | None = N
             and rows weigh as the square of their angle.
 
     Raises:
-        InputError: for columns that are missing, a table without any bent row, noise that is incomplete or negative.
+        InputError: for columns that are missing, several tendons without `direction`, a table without any bent row,
+            noise that is incomplete or negative.
     """
     for column in COLUMNS:
         if column not in table:
             remedy = f"friction without a model needs {', '.join(COLUMNS)}; add the column or use fit"
             raise InputError(f"{table.name}: no column {column!r}; {remedy}")
+    if "base_tension_2" in table and "direction" not in table:
+        remedy = "add it: 1 where tendon 1 slides in, -1 where it slides out"
+        raise InputError(f"{table.name}: several tendons and no column 'direction'; {remedy}")
     base, tip, angle = table["base_tension"], table["tip_tension"], np.abs(table["tip_angle"])
     usable = (base > 0) & (tip > 0) & (angle > _SMALLEST_ANGLE)
     if not np.any(usable):
