@@ -898,3 +898,14 @@ def test_a_bug_of_ours_is_not_hidden(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["cddf", "solve", PAPER, *PULL])
     with pytest.raises(ZeroDivisionError, match="a bug"):
         cli.main()
+
+
+def test_fit_and_plan_average_holds_alike(tmp_path):
+    """Both read their files by `_tables`; by hand, the means of two holds."""
+    from cddf_jax.cli import _tables
+
+    path = tmp_path / "bench.csv"
+    path.write_text("base_tension [N], tip_tension [N]\n5, 4.7\n5, 4.9\n10, 9.2\n")
+    (plain,), (means,) = _tables([path], None), _tables([path], None, True)
+    assert plain["tip_tension"].tolist() == [4.7, 4.9, 9.2]
+    assert means["tip_tension"].tolist() == pytest.approx([4.8, 9.2])

@@ -328,6 +328,10 @@ Column = Annotated[
         help='What a column of the data is, "Tbase_N=base_tension [N]"; "NAME=" to leave it out.', show_default=False
     ),
 ]
+AverageHolds = Annotated[
+    bool,
+    typer.Option("--average-holds", help="One reading for each hold: consecutive rows of a trial at one level."),
+]
 Prior = Annotated[
     list[str] | None,
     typer.Option(
@@ -366,10 +370,7 @@ def fit(
     ] = None,
     seed: Annotated[int, typer.Option(help="Of further starts and of the bootstrap.", min=0)] = 0,
     per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
-    average_holds: Annotated[
-        bool,
-        typer.Option("--average-holds", help="One reading for each hold: consecutive rows of a trial at one level."),
-    ] = False,
+    average_holds: AverageHolds = False,
     bootstrap: Annotated[int, typer.Option(help="Refits to data drawn anew; 0 for none.", min=0)] = 0,
     kinematics: KinematicsOption = None,
     nodes: Nodes = 16,
@@ -385,15 +386,13 @@ def fit(
     manipulator = _read(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
     from . import fit_command as command
     from .fit_results import as_dict, make_report
-    from .holds import average_holds as averaged
     from .identification import fit
     from .report import write_report
 
     known = command.read_all(noise, command.read_noise, "--noise")
-    tables = _tables(data, column)
     found = fit(
         manipulator,
-        [averaged(table) for table in tables] if average_holds else tables,
+        _tables(data, column, average_holds),
         free or None,
         command.read_all(prior, command.read_prior, "--prior"),
         bounds=command.read_all(bound, command.read_bound, "--bound"),
@@ -487,6 +486,7 @@ def plan(
         list[Path] | None, typer.Argument(help="CSV or .xlsx files of what was measured already.", show_default=False)
     ] = None,
     column: Column = None,
+    average_holds: AverageHolds = False,
     candidates: Annotated[
         Path | None, typer.Option(help="TOML file of what could be measured; else the usual.", show_default=False)
     ] = None,
@@ -516,7 +516,7 @@ def plan(
     choices = (
         standard_candidates(manipulator, largest) if candidates is None else plan_command.read_candidates(candidates)
     )
-    known = fit_tables(manipulator, _tables(data, column), names) if data else manipulator
+    known = fit_tables(manipulator, _tables(data, column, average_holds), names) if data else manipulator
     answer = plan(known, choices, names, criterion=criterion, num=num)
     if out is not None:
         from .artifacts import as_json as json_text
@@ -600,14 +600,17 @@ def _read(
     return manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
 
 
-def _tables(paths: list[Path], column: list[str] | None) -> "tuple[Measurements, ...]":
+def _tables(
+    paths: list[Path], column: list[str] | None, one_reading_a_hold: bool = False
+) -> "tuple[Measurements, ...]":
     """The measurements in files; what was done to read them is said on standard error."""
     from .fit_command import read_all, read_column
+    from .holds import average_holds
     from .trial_files import read_tables
 
     tables = read_tables(paths, read_all(column, read_column, "--column"))
     _note(line for table in tables for line in table.read_as)
-    return tables
+    return tuple(map(average_holds, tables)) if one_reading_a_hold else tables
 
 
 def _note(lines: Iterable[str]) -> None:
