@@ -41,7 +41,7 @@ def fit_at_truth(names: Sequence[str]) -> Fit:
     body = with_parameters(paper, {"drag": DRAG})
     truth = {name: starting_value(body, name) for name in names}
     bench = Bench(LEVELS[:, None], (None,))
-    read, _, _ = bench.evaluate(body, truth, 16)
+    read, *_ = bench.evaluate(body, truth, 16)
     columns = {name: read[name] for name in NOISE if name in read}
     pulled = WEIGHT * np.exp(float(paper.friction_coefficient) * WRAPS)
     tables = [
