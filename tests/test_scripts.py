@@ -39,6 +39,16 @@ def test_readme_example(capsys):
     assert "0.117343" in capsys.readouterr().out  # tip X of the exact kinematics, design.md section 3
 
 
+@pytest.mark.slow
+def test_readme_example_of_loads():
+    """The first two blocks run; both loads pull down, so that their moment at the base is negative."""
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    names: dict = {}
+    for block in blocks[:2]:
+        exec(compile(block, "README.md", "exec"), names)
+    assert float(names["cddf"].solve(names["robot"], 75.0, names["loads"]).base_moment) < 0
+
+
 def test_readme_example_of_sweeps(tmp_path, monkeypatch):
     """The second sweep with 2**6 samples instead of 2**20."""
     monkeypatch.chdir(tmp_path)
