@@ -37,6 +37,7 @@ PAGE = """
   .body { position: sticky !important; top: 0; z-index: 5; background: white; } }
 """
 ROOT = ".notice { position: sticky !important; top: 0; z-index: 10; }"
+TITLED = "h2 { font-size: 16px; margin: 8px 0 0; }"
 HEAD = "h1 { font-size: 20px; margin: 4px 0 0; } p { margin: 2px 0; }"
 NOTICE = """
 p { margin: 0; padding: 6px 10px; border-left: 5px solid; font-size: 14px; overflow-wrap: anywhere; }
@@ -139,7 +140,7 @@ def sections_as_read(columns: Sequence[SectionColumn]) -> pn.Column:
     )
     lines = "".join(f"<p>{_escaped(str(column))}</p>" for column in columns)
     return pn.Column(
-        pn.pane.HTML("<h2>Cross-sections as read</h2>" + lines, stylesheets=[HEAD]), picture, max_width=800
+        pn.pane.HTML("<h2>Cross-sections as read</h2>" + lines, stylesheets=[HEAD + TITLED]), picture, max_width=800
     )
 
 
