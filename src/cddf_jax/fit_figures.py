@@ -149,6 +149,8 @@ def _table_figure(fit: Fit, name: str) -> Figure:
             for unused in axes[len(own) :].ravel():
                 unused.set_axis_off()
             row.align_ylabels()
+        if across > 1:
+            draw.common_legend(figure, [axes for row in rows for axes in row.axes])
     return figure
 
 
