@@ -64,7 +64,7 @@ def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) 
     """The names that were asked for, or else those of friction and stiffness.
 
     Raises:
-        InputError: for a name that is no parameter, or none of this body.
+        InputError: for a name that is no parameter, or no parameter of this body.
     """
     names = ("friction_coefficient", stiffness_parameter(manipulator)) if free is None else free
     names = (names,) if isinstance(names, str) else tuple(names)

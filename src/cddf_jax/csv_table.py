@@ -51,7 +51,7 @@ class Table(NamedTuple):
     rows: list[int]  # the line of each row in the file, or its number in the sheet
     notes: tuple[str, ...]  # the text above the header
     read_as: tuple[str, ...]  # what was done to read it, where the file is not plain
-    unused: tuple[str, ...]  # columns that are none of the kind
+    unused: tuple[str, ...]  # columns that the reader does not know
     missing: tuple[str, ...]  # what was said of columns that are not there
 
 
