@@ -6,30 +6,35 @@ TRIALS := data/load_cells_simulated.csv
 # every command starts processes that import JAX: compiled modules are kept, whatever the shell asks for
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: fit test test-slow browser lint docs studies benchmark clean
+.PHONY: fit test test-slow lint docs browser packaging studies benchmark clean
 
 fit: .venv/ready  ## fit the shipped bench data and reproduce the paper's figures, into out/
 	$(BIN)/cddf fit $(ROBOT) data/pulley_simulated.csv $(TRIALS) --out out/fit
 	$(BIN)/cddf reproduce $(ROBOT) $(TRIALS) --out out/reproduce
 
-test: .venv/ready browser  ## all tests, on every core
+test: .venv/ready  ## the tests of every change, on every core: six minutes on two
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-test-slow: .venv/ready  ## those that take long, which `test` leaves out
+test-slow: .venv/ready  ## the tests that take long, which `test` leaves out
 	$(BIN)/python -m pytest -n auto -m slow
-
-browser:  ## Chromium for the tests of the explorer's page, where Debian's packages may be installed; else they skip
-	@command -v chromium > /dev/null || test "$$(id -u)" != 0 || ! command -v apt-get > /dev/null || \
-		{ apt-get update && apt-get install --yes --no-install-recommends chromium; } > /dev/null 2>&1 || \
-		echo "Chromium could not be installed; the tests of the explorer's page will be skipped"
 
 lint: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-docs: .venv/ready  ## the documentation, into out/site
+docs: .venv/ready  ## the documentation, into out/site: its examples and the notebooks run, then its pages are checked
 	$(BIN)/mkdocs build --strict
+	$(BIN)/python -m pytest -m docs
+
+browser: .venv/ready  ## the tests of the explorer's page; installs Chromium where Debian's packages may be installed
+	@command -v chromium > /dev/null || test "$$(id -u)" != 0 || ! command -v apt-get > /dev/null || \
+		{ apt-get update && apt-get install --yes --no-install-recommends chromium; } > /dev/null 2>&1 || \
+		echo "Chromium could not be installed; the tests of the explorer's page will be skipped"
+	$(BIN)/python -m pytest -m browser
+
+packaging: .venv/ready  ## build wheel and source distribution, and use the wheel in environments of its own
+	$(BIN)/python -m pytest -m packaging
 
 studies: .venv/ready  ## every study of fitting/, into out/fitting/ and out/design/
 	for study in fitting/*.py; do $(BIN)/python $$study || exit 1; done

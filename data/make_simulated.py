@@ -1,7 +1,7 @@
 """Make the simulated data sets: `python data/make_simulated.py` writes the three CSV files beside this script.
 
-The paper prints no table of its measurements, so these come from its model with declared noise. Each
-file says at its top what was simulated and how; running the script again gives the same bytes.
+The paper prints no table of its measurements. So these tables are computed with its model, and noise is added. Each
+file states at its top what was simulated and how. Every run of the script gives the same bytes.
 """
 
 from dataclasses import replace
@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 import cddf_jax as cddf
-from cddf_jax.manipulator_file import read_manipulator
+from cddf_jax.files.manipulator_file import read_manipulator
 
 HERE = Path(__file__).resolve().parent
 SEED = 2020
@@ -19,9 +19,9 @@ NOTE = (
     "SIMULATED, not measured: written by data/make_simulated.py, random seed ({seed}, {stream}) of NumPy's default_rng."
 )
 
-CELL_FLOOR, CELL_FRACTION = 0.1, 0.01  # sd of a sliding tendon's load cell: N and fraction of the tension
+CELL_FLOOR, CELL_FRACTION = 0.1, 0.01  # sd of the load cells at tip and pulley: N, and fraction of the tension
 TIP_GAIN = 1.001  # of the load cell at the tip
-BASE_SD, ANGLE_SD = 0.05, 0.5  # sd of the base load cell, N; of the tip angle, deg
+BASE_SD, ANGLE_SD = 0.05, 0.5  # sd of the load cell at the base, N, and of the tip angle, deg
 FRICTION_SCATTER = 0.01  # sd of mu from trial to trial, relative
 CELL_NOTE = f"tension sd {CELL_FLOOR} N and {100 * CELL_FRACTION:g} % of it in quadrature"
 BENCH_NOTES = (
@@ -31,7 +31,7 @@ BENCH_NOTES = (
 
 
 def with_noise(rng: np.random.Generator, tension: np.ndarray) -> np.ndarray:
-    """Readings of a load cell whose sd is a floor (N) and a fraction of the tension, in quadrature."""
+    """Readings of a load cell. Its sd is a floor (N) and a fraction of the tension, added in quadrature."""
     return tension + rng.normal(size=tension.shape) * np.hypot(CELL_FLOOR, CELL_FRACTION * tension)
 
 
@@ -48,7 +48,7 @@ def pull(manipulator: cddf.Manipulator, friction: np.ndarray, base_tension: np.n
 
 
 def bench(manipulator: cddf.Manipulator, stream: int, levels: np.ndarray, trials: int) -> tuple[np.ndarray, ...]:
-    """Trials of a pull through all levels: trial numbers and readings of base tension, tip tension and tip angle."""
+    """Trials that pull through all levels: trial numbers, and readings of base tension, tip tension and tip angle."""
     rng = np.random.default_rng((SEED, stream))
     friction = float(manipulator.friction_coefficient) * (1 + FRICTION_SCATTER * rng.normal(size=trials))
     tip_tension, tip_angle = pull(manipulator, friction, levels)
@@ -60,7 +60,7 @@ def bench(manipulator: cddf.Manipulator, stream: int, levels: np.ndarray, trials
 
 
 def table(notes: tuple[str, ...], columns: dict[str, tuple[str, np.ndarray]]) -> str:
-    """A CSV file with notes at its top; each column is a format and its values."""
+    """The text of a CSV file with notes at its top. A column is a format and its values."""
     formats, values = zip(*columns.values(), strict=True)
     rows = (",".join(map(format, row, formats)) for row in zip(*values, strict=True))
     return "\n".join([*(f"# {note}" for note in notes), ",".join(columns), *rows]) + "\n"
@@ -103,7 +103,7 @@ def tip_angle(paper: cddf.Manipulator) -> str:
 
 
 def pulley(paper: cddf.Manipulator) -> str:
-    """The paper's pulley test, eq. (5) with a known wrap: five weights, two wraps, three trials."""
+    """The paper's pulley test, eq. (5): five weights, two known wraps, three trials."""
     stream, mu = 3, float(paper.friction_coefficient)
     trial, wrap, weight = (
         x.ravel() for x in np.meshgrid([1, 2, 3], [90.0, 180.0], [2.0, 5.0, 10.0, 15.0, 20.0], indexing="ij")

@@ -1,8 +1,7 @@
-"""Bodies for the tests, and what SciPy makes of them without a line of the library's mechanics."""
+"""Bodies for the tests, and the same bodies in plain numbers for SciPy, see loaded_bodies.py."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import strategies as st
-from scipy.integrate import quad, solve_ivp
-from scipy.optimize import brentq
+from scipy.integrate import quad
 
 import cddf_jax as cddf
+from cddf_jax.statics.equilibrium import code_of
 
 # design.md section 3: the paper's manipulator, Liu et al. (2020), section IV
 PAPER = {
@@ -57,11 +56,11 @@ def lane(batch: Any, i: int) -> Any:
 
 def codes(result: cddf.RESULTS) -> list[int]:
     """The result codes of a batch as plain numbers."""
-    return np.ravel(result._value).tolist()
+    return np.ravel(code_of(result)).tolist()
 
 
 def code(result: cddf.RESULTS) -> int:
-    return int(result._value)
+    return int(code_of(result))
 
 
 def replaced(body: cddf.Manipulator, **numbers: Any) -> cddf.Manipulator:
@@ -198,7 +197,7 @@ def random_draws(kinematics: str, count: int, seed: int) -> list[Draw]:
     return [draw_from(unit, kinematics) for unit in rng.random((count, 8))]
 
 
-# --- an independent solution ---------------------------------------------------------------------
+# --- the same in plain numbers -------------------------------------------------------------------
 
 
 def constant(value: float) -> Callable:
@@ -252,152 +251,6 @@ def paper_plain(kinematics: str = "published", sides: Sequence[int] = (+1,), **c
     return PlainBody(**{**fields, **changes})
 
 
-class Reference(NamedTuple):
-    tip_tension: np.ndarray  # at its anchor where a tendon ends before the tip
-    wrap_angle: np.ndarray
-    tip_angle: float
-    tip_position: np.ndarray
-    displacement: np.ndarray
-    arc_length: np.ndarray  # where the integrator stepped
-    heading: np.ndarray
-    position: np.ndarray
-
-
-def reference_solution(body: PlainBody, base_tension: Any, direction: Any = +1) -> Reference:
-    """Integrate heading and wrap angles from the base with DOP853, relative tolerance 1e-12."""
-    return _Integration(body, base_tension, direction).run()
-
-
-class _Integration:
-    """An initial-value problem for (wrap angles, heading, position, displacements), restarted at every break.
-
-    Slanted tendons in the exact kinematics need no theta': while tendon i turns one way, its wrap
-    angle is that at the start of the piece plus |psi_i(s) - psi_i(start)|, and psi_i follows from
-    heading and curvature alone. So the state is the heading, and the curvature the root of the local
-    moment balance in which psi_i enters both the tension and the arm.
-    """
-
-    def __init__(self, body: PlainBody, base_tension: Any, direction: Any):
-        count = len(body.sides)
-        self.body, self.count = body, count
-        self.base = np.broadcast_to(np.asarray(base_tension, float), count)
-        self.direction = np.broadcast_to(np.asarray(direction, float), count)
-        self.gain = self.direction * np.asarray(body.friction)
-        self.side = np.asarray(body.sides, float)
-        self.ends = np.asarray(body.ends if len(body.ends) else [np.inf] * count, float)
-        self.by_angle = body.kinematics == "exact" and body.slopes is not None
-        self.kappa = 0.0
-
-    def run(self) -> Reference:
-        body, n = self.body, self.count
-        stops = sorted({0.0, body.length, *body.breaks, *(end for end in self.ends if end < body.length)})
-        y, psi, rows = np.zeros(2 * n + 3), None, []
-        for start, stop in pairwise(stops):
-            y, psi, row = self._piece(y, psi, start, stop)
-            rows.append(row)
-        s, values = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
-        tension = self.base * np.exp(-self.gain * y[:n])
-        return Reference(tension, y[:n], y[n], y[n + 1 : n + 3], y[n + 3 :], s, values[:, n], values[:, n + 1 : n + 3])
-
-    def _piece(self, y, psi_before, start, stop):
-        span = 1e-13 * self.body.length
-        self.inside = lambda s: min(max(s, start + span), stop - span)
-        n, present = self.count, self.ends >= stop
-        self.present = present
-        y = y.copy()
-        if self.by_angle:
-            if psi_before is not None:
-                y[:n] = self._turn(start, y, psi_before)
-            return self._by_angle(y, start, stop)
-        out = solve_ivp(self._rate, (start, stop), y, method="DOP853", rtol=1e-12, atol=1e-14)
-        return out.y[:, -1], np.zeros(n), (out.t, out.y.T)
-
-    # geometry at one arc length
-
-    def _section(self, s):
-        s = self.inside(s)
-        body = self.body
-        d = np.array([offset(s) for offset in body.offsets])
-        slope = np.zeros(self.count) if body.slopes is None else np.array([f(s) for f in body.slopes])
-        return body.youngs_modulus * body.second_moment(s), d, slope
-
-    def _shortening(self, d, slope, kappa):
-        rate = np.sqrt(1 + slope**2) - np.sqrt((1 - self.side * d * kappa) ** 2 + slope**2)
-        return np.where(self.present, rate, 0.0)
-
-    def _rate(self, s, y):
-        """theta', phi', u', displacement' where theta' needs no kappa'."""
-        n = self.count
-        EJ, d, slope = self._section(s)
-        T = np.where(self.present, self.base * np.exp(-self.gain * y[:n]), 0.0)
-        if self.body.kinematics == "published":
-            kappa = np.sum(self.side * d * T) / (EJ + np.sum(T * d**2))
-            turning = np.abs(kappa / (1 - self.side * d * kappa))
-        else:
-            kappa = np.sum(self.side * d * T) / EJ
-            turning = np.full(n, np.abs(kappa))
-        turning = np.where(self.present, turning, 0.0)
-        return np.concatenate([turning, [kappa, np.cos(y[n]), np.sin(y[n])], self._shortening(d, slope, kappa)])
-
-    def _psi(self, d, slope, kappa, heading):
-        return heading + np.arctan2(self.side * slope, 1 - self.side * d * kappa)
-
-    def _balance(self, s, heading, wrap_of):
-        """Kappa from E J kappa = sum sigma d T q / sqrt(q^2 + d'^2), T from the wrap angle that psi implies."""
-        EJ, d, slope = self._section(s)
-
-        def residual(kappa):
-            wrap = wrap_of(self._psi(d, slope, kappa, heading))
-            T = np.where(self.present, self.base * np.exp(-self.gain * wrap), 0.0)
-            q = 1 - self.side * d * kappa
-            return EJ * kappa - np.sum(self.side * d * T * q / np.hypot(q, slope))
-
-        # the root next to the last one: away from it a trial angle may stand for any tension
-        centre, half = self.kappa, 1e-3 * np.sum(d * self.base) / EJ + 1e-9 / self.body.length
-        while residual(centre - half) > 0 or residual(centre + half) < 0:
-            half *= 2
-        self.kappa = brentq(residual, centre - half, centre + half, xtol=1e-14, rtol=1e-14)
-        return self.kappa, d, slope
-
-    def _turn(self, s, y, psi_before):
-        n, before = self.count, y[: self.count].copy()
-
-        def wrap_of(psi):
-            return before + np.where(self.present, np.abs(psi - psi_before), 0.0)
-
-        kappa, d, slope = self._balance(s, y[n], wrap_of)
-        return wrap_of(self._psi(d, slope, kappa, y[n]))
-
-    def _by_angle(self, y, start, stop):
-        n = self.count
-        kappa, d, slope = self._balance(start, y[n], lambda psi: y[:n])
-        psi_start = self._psi(d, slope, kappa, y[n])
-        sign = np.ones(n)
-        for _ in range(3):
-            out, psi = self._integrate_by_angle(y, start, stop, psi_start, sign)
-            turned = np.sign(psi[-1] - psi_start)
-            if np.all((turned == sign) | ~self.present):
-                break
-            sign = np.where(self.present, turned, sign)
-        steps = np.diff(psi, axis=0) * sign
-        assert np.all(steps[:, self.present] > -1e-11), "a tendon turns back inside a smooth piece: add a break"
-        wrap = y[:n] + np.where(self.present, sign * (psi[-1] - psi_start), 0.0)
-        rows = np.concatenate([np.zeros((len(out.t), n)), out.y.T], axis=1)
-        return np.concatenate([wrap, out.y[:, -1]]), psi[-1], (out.t, rows)
-
-    def _integrate_by_angle(self, y, start, stop, psi_start, sign):
-        n = self.count
-
-        def wrap_of(psi):
-            return y[:n] + np.where(self.present, sign * (psi - psi_start), 0.0)
-
-        def rate(s, z):
-            kappa, d, slope = self._balance(s, z[0], wrap_of)
-            return np.concatenate([[kappa, np.cos(z[0]), np.sin(z[0])], self._shortening(d, slope, kappa)])
-
-        def psi_at(s, heading):
-            kappa, d, slope = self._balance(s, heading, wrap_of)
-            return self._psi(d, slope, kappa, heading)
-
-        out = solve_ivp(rate, (start, stop), y[n:], method="DOP853", rtol=1e-12, atol=1e-14)
-        return out, np.array([psi_at(s, heading) for s, heading in zip(out.t, out.y[0], strict=True)])
+def slow_where(cases, part):
+    """The cases for `parametrize`; those with a part in their name run in the slow tests."""
+    return [pytest.param(case, marks=pytest.mark.slow) if part in case else case for case in cases]

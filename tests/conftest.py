@@ -34,7 +34,7 @@ MANY_MAPS = 40_000
 
 
 # files whose single tests take long: one that starts last would leave the other workers without work
-FIRST = ("test_documentation", "test_work", "test_notebooks", "test_explorer", "test_packaging")
+FIRST = ("test_design", "test_fit_command", "test_loads", "test_fit", "test_targets", "test_reference", "test_work")
 
 
 def pytest_collection_modifyitems(items):
@@ -55,7 +55,8 @@ def cddf_command(monkeypatch, capsys):
     """Run `cddf` with some arguments in this process, set up by the tests; exit code, standard output and error."""
 
     def run(*arguments):
-        from cddf_jax import application, cli
+        from cddf_jax import application
+        from cddf_jax.cli import app as cli
 
         monkeypatch.setattr(application, "configure_jax", lambda **_: None)
         monkeypatch.setattr(sys, "argv", ["cddf", *map(str, arguments)])

@@ -1,12 +1,10 @@
 """A fit repeated from nothing but its results.json and the shipped tables."""
 
-from pathlib import Path
+from places import DATA
 
 import cddf_jax as cddf
-from cddf_jax.observations import Noise
-from cddf_jax.parameter_space import Prior
-
-DATA = Path(__file__).resolve().parents[1] / "data"
+from cddf_jax.estimation.observations import Noise
+from cddf_jax.estimation.parameter_space import Prior
 
 
 def repeated(results, folder):

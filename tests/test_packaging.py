@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from places import ROOT
 
 import cddf_jax
 
-ROOT = Path(__file__).resolve().parents[1]
+pytestmark = pytest.mark.packaging
 SOLVE = """
 import json, sys
 from pathlib import Path
@@ -93,7 +94,6 @@ def test_the_wheel_works_with_what_it_declares_alone(built, tmp_path):
     works(python, tmp_path)
 
 
-@pytest.mark.slow
 def test_the_wheel_works_in_a_clean_environment(built, tmp_path):
     """Installed as a user does, with whatever it declares."""
     home = tmp_path / "clean"

@@ -1,15 +1,14 @@
 """The simulated data sets: made by their script, called what they are, and true to the model within their noise."""
 
 import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DATA
 from scipy.integrate import quad
 
-from cddf_jax.measurements import read_measurements
+from cddf_jax.measurements.table import read_measurements
 
-DATA = Path(__file__).resolve().parents[1] / "data"
 NAMES = ("load_cells_simulated.csv", "pulley_simulated.csv", "tip_angle_simulated.csv")
 
 # data/README.md: the truth, and the noise that every file declares
@@ -69,27 +68,23 @@ def test_every_file_says_what_it_is(name):
     assert table.warnings == ()
 
 
-def test_kinematics_are_named():
-    assert "PUBLISHED kinematics" in " ".join(read_measurements(DATA / "load_cells_simulated.csv").notes)
-    assert "EXACT kinematics" in " ".join(read_measurements(DATA / "tip_angle_simulated.csv").notes)
-
-
 @pytest.mark.parametrize(
-    ("name", "levels", "trials"),
-    [("load_cells_simulated.csv", np.arange(5, 86, 5), 6), ("tip_angle_simulated.csv", np.arange(10, 81, 10), 3)],
+    ("name", "kinematics", "levels", "trials"),
+    [
+        ("load_cells_simulated.csv", "PUBLISHED", np.arange(5, 86, 5), 6),
+        ("tip_angle_simulated.csv", "EXACT", np.arange(10, 81, 10), 3),
+    ],
 )
-def test_levels_and_trials(name, levels, trials):
+def test_kinematics_levels_and_trials(name, kinematics, levels, trials):
     table = read_measurements(DATA / name)
+    assert f"{kinematics} kinematics" in " ".join(table.notes)
     assert len(table.trial_labels) == trials
     base = table["base_tension"].reshape(trials, len(levels))
     assert np.max(np.abs(base - levels)) < 4 * BASE_SD
 
 
-def test_compliance_of_the_body():
-    assert compliance() == pytest.approx(2.942783188998e4, rel=1e-12)  # design.md section 3
-
-
 def test_load_cells_are_true():
+    assert compliance() == pytest.approx(2.942783188998e4, rel=1e-12)  # design.md section 3
     assert_standard_normal(standardised_tip_tension(read_measurements(DATA / "load_cells_simulated.csv")))
 
 

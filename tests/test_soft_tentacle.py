@@ -4,7 +4,6 @@ Moduli and errors are those that the issue's independent check found (8.9 mm pub
 """
 
 import runpy
-from pathlib import Path
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -13,10 +12,11 @@ import numpy as np
 import pytest
 from bodies import PlainBody, straight
 from loaded_bodies import PlainLoads, loaded_reference
+from places import ROOT
 
 import cddf_jax as cddf
 
-STUDY = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[1] / "fitting" / "soft_tentacle.py")))
+STUDY = SimpleNamespace(**runpy.run_path(str(ROOT / "fitting" / "soft_tentacle.py")))
 MODULUS = {"published": 302e3, "exact": 336e3}  # Pa, that of the least sum of squares, as `test_one_modulus` shows
 ERROR = {"published": 8.9e-3, "exact": 9.8e-3}  # m
 
@@ -100,20 +100,14 @@ ACCURATE = 1e-6 * 0.36
 @pytest.mark.slow
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
 def test_marker_by_scipy(poses, kinematics):
-    """The marker ahead of the tip of one pose, with the compiled program of `by_modulus`."""
-    reference = pose_by_scipy(float(poses.tension[1]), kinematics)
+    """One pose: tip, its angle and the tension there; the marker ahead by the compiled program of `by_modulus`."""
+    tension = float(poses.tension[1])
+    reference = pose_by_scipy(tension, kinematics)
     predict = eqx.filter_jit(STUDY.prediction(poses, kinematics, 0.2))
     marker = predict({"youngs_modulus": jnp.asarray(MODULUS[kinematics])})[1, 3]
     ahead = STUDY.AHEAD[3] * np.array([np.cos(reference.tip_angle), np.sin(reference.tip_angle)])
     np.testing.assert_allclose(marker, reference.tip_position + ahead, atol=ACCURATE)
-
-
-@pytest.mark.slow
-def test_pose_by_scipy(poses):
-    """One pose against SciPy: tip, its angle and the tension there."""
-    tension = float(poses.tension[1])
-    reference = pose_by_scipy(tension, "exact")
-    body, loads = STUDY.body(MODULUS["exact"], 0.2, "exact"), cddf.Loads(gravity=(9.81, 0.0))
+    body, loads = STUDY.body(MODULUS[kinematics], 0.2, kinematics), cddf.Loads(gravity=(9.81, 0.0))
     equilibrium = cddf.solve(body, tension, loads)
     np.testing.assert_allclose(equilibrium.tip_position, reference.tip_position, atol=ACCURATE)
     np.testing.assert_allclose(equilibrium.tip_angle, reference.tip_angle, atol=1e-6)

@@ -7,8 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from cddf_jax.errors import InputError
 from cddf_jax.units import quantity, to_si, written
@@ -56,18 +55,12 @@ def test_quantity_is_exact(text, dimension, value):
         ("140 rad m", "length", "L needs a unit of length, got '140 rad m'"),
         ("5 %", "angle", "L needs a unit of angle, got '5 %'; write for example '12.5 deg'"),
         ("5 mm", "strain", "L needs a unit of strain, got '5 mm'; write for example '12.5 %'"),
-        ("3", "angle", "L needs a unit of angle, got '3'"),
-        (
-            "140 furlogns",
-            "length",
-            "L needs a unit of length, got '140 furlogns' with the unknown unit 'furlogns'; write",
-        ),
+        ("140 mmm", "length", "L needs a unit of length, got '140 mmm' with the unknown unit 'mmm'; write"),
         ("140 (mm", "length", "with the unknown unit '(mm'"),
         ("140 mm/", "length", "with the unknown unit 'mm/'"),
         ("0.42 mm", "dimensionless", "L is a plain number, got '0.42 mm'; leave the unit 'mm' out"),
         ("long", "length", "L is not a number, got 'long'; write for example '12.5 mm'"),
         ("", "length", "L is not a number, got ''"),
-        ("mm", "length", "L is not a number, got 'mm'"),
         ("0,42", "dimensionless", "L is not a number, got '0,42'; write for example 0.42"),
         ("1.2.3 mm", "length", "L is not a number, got '1.2.3 mm'"),
         (True, "dimensionless", "L is not a number, got True"),
@@ -89,9 +82,8 @@ def test_columns_are_converted_like_single_numbers():
     numbers = np.random.default_rng(0).uniform(-200, 200, 2000).round(2)
     for unit, dimension in [("mm", "length"), ("kN", "force"), ("deg", "angle"), ("lbf", "force"), ("m", "length")]:
         single = [quantity(f"{number} {unit}", dimension, "x") for number in numbers]
-        np.testing.assert_array_max_ulp(
-            to_si(numbers, unit, dimension, "x"), np.array(single), maxulp=2
-        )  # factor and product are rounded
+        found = to_si(numbers, unit, dimension, "x")
+        np.testing.assert_array_max_ulp(found, np.array(single), maxulp=2)  # factor and product are rounded
     np.testing.assert_array_equal(to_si(numbers, "mm", "length", "x"), numbers / 1000)
 
 
@@ -132,7 +124,7 @@ def test_written_reads_back_to_the_last_bit(value, dimension):
 
 def test_pint_is_imported_when_a_unit_is_met():
     program = (
-        "import sys, cddf_jax.units as u, cddf_jax.measurements, cddf_jax.manipulator_file; "
+        "import sys, cddf_jax.units as u, cddf_jax.measurements.table, cddf_jax.files.manipulator_file; "
         "assert u.quantity('0.42', 'dimensionless', 'mu') == 0.42; "
         "assert not {'pint', 'matplotlib', 'typer', 'rich', 'tomli_w'} & set(sys.modules); "
         "u.quantity('1 m', 'length', 'L'); assert 'pint' in sys.modules"

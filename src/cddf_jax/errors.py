@@ -1,13 +1,53 @@
-"""The error for bad input, and for a package that is not there."""
+"""The two kinds of error that a user meets: bad input, and a solve that failed."""
 
-from typing import Any
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
 
 
 class InputError(ValueError):
-    """What a person typed or a file holds cannot be used; the message is one line with the remedy."""
+    """What a person typed or a file holds cannot be used. The message is one line: "where: what; remedy".
+
+    Attributes:
+        what: is wrong; it may end in the remedy.
+        where: the places, the outermost first, such as a file and a part of it.
+        remedy: what helps; "" where `what` says it.
+    """
+
+    def __init__(self, what: str, *, where: str | tuple[str, ...] = (), remedy: str = ""):
+        self.what, self.remedy = what, remedy
+        self.where = (where,) if isinstance(where, str) else where
+        super().__init__(": ".join((*self.where, what)) + (f"; {remedy}" if remedy else ""))
+
+    def at(self, *where: str) -> "InputError":
+        """The same error with other places."""
+        return InputError(self.what, where=where, remedy=self.remedy)
 
 
-def needed(package: str, extra: str = "sweep") -> Any:
+@contextmanager
+def within(place: str | os.PathLike[str], kind: type[ValueError] = InputError) -> Iterator[None]:
+    """Errors of the block name the place in which they arose, such as a file.
+
+    Args:
+        place: is put before the places that an error has already.
+        kind: of errors; `ValueError` where what users write also goes to code that raises no `InputError`.
+
+    Raises:
+        InputError: for any error of that kind.
+    """
+    try:
+        yield
+    except kind as error:
+        own = error if isinstance(error, InputError) else InputError(str(error))
+        raise own.at(str(place), *own.where) from None
+
+
+class SolveError(RuntimeError):
+    """A solve failed; the message is that of its result."""
+
+
+def needed(package: str, extra: str = "sweep") -> ModuleType:
     """A package that only an extra brings.
 
     Raises:

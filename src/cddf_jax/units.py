@@ -1,18 +1,21 @@
 """Quantities with units, at the edge: text such as "140 mm" in, SI numbers out, and back.
 
-Decimal text is converted in decimal arithmetic and rounded once, so that "140 mm" is 0.14 to the
-last bit. pint knows the units; it is imported when the first one is met.
+pint knows the units and computes in decimal numbers, so that "140 mm" is 0.14 to the last bit. It is imported when the
+first unit is met.
 """
 
 import math
 import re
 from decimal import Context, Decimal
 from functools import cache
-from typing import Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Literal, NamedTuple, SupportsFloat, cast
 
 import numpy as np
 
 from .errors import InputError
+
+if TYPE_CHECKING:
+    import pint
 
 Dimension = Literal[
     "length",
@@ -60,7 +63,7 @@ _UNITS: dict[Dimension, _Units] = {
 DIMENSION_OF: dict[str, Dimension] = {known.si: dimension for dimension, known in _UNITS.items() if known.si}
 DIMENSION_OF["1"] = "dimensionless"  # by the SI unit
 
-_EXACT = Context(prec=40, traps=[])  # a float64 has 17 digits, a unit's factor 28 at most
+_DECIMAL = Context(prec=40, traps=[])  # a float64 has 17 digits, the size of a unit 28 at most
 _QUANTITY = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)(?:\s*([^\d\s.,+-].*)|\s+(1\s*/.*))?",
     re.I,
@@ -70,7 +73,7 @@ _PIXELS = re.compile(r"px|pixels?", re.I)  # of a camera; pint has one of a prin
 _NEWTON_METRES = re.compile(r"([mk]?N)(m?m)")  # written in one word, which pint takes for a measure of yarn
 
 
-def quantity(text: Any, dimension: Dimension, what: str) -> float:
+def quantity(text: object, dimension: Dimension, what: str) -> float:
     """The SI value of a number with its unit, such as "140 mm", "1.4 MPa" or "30 deg".
 
     Args:
@@ -89,8 +92,8 @@ def quantity(text: Any, dimension: Dimension, what: str) -> float:
     number, unit = match[1], match[2] or match[3]
     if plain and unit:
         raise InputError(f"{what} is a plain number, got {text!r}; leave the unit {unit!r} out")
-    factor = Decimal(1) if plain else _factor(unit or "", dimension, what, f"got {text!r}", example)
-    value = _rounded(_EXACT.create_decimal(number), factor)
+    size = Decimal(1) if plain else _size_in_si(unit or "", dimension, what, f"got {text!r}", example)
+    value = float(_DECIMAL.multiply(_DECIMAL.create_decimal(number), size))
     if not math.isfinite(value):
         raise InputError(f"{what} must be finite, got {text!r}; write for example {example}")
     return value
@@ -128,20 +131,20 @@ def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.
         InputError: for a missing, unknown or unfit unit.
     """
     example = f"[{_UNITS[dimension].preferred}]"
-    factor = _factor(unit, dimension, what, f"got [{unit}]" if unit else "got none", example)
-    inverse = _EXACT.divide(Decimal(1), factor)
-    if factor < 1 and inverse == inverse.to_integral_value():  # division by 1000 rounds once
+    size = _size_in_si(unit, dimension, what, f"got [{unit}]" if unit else "got none", example)
+    inverse = 1 / size
+    if size < 1 and inverse == int(inverse):  # division by 1000 rounds once
         return values / float(inverse)
-    return values * float(factor)
+    return values * float(size)
 
 
 def unit_fits(unit: str, dimension: Dimension) -> bool:
     """Whether a text is a unit of a dimension, or one that `to_si` refuses with its own remedy: a mass, pixels."""
     if dimension == "dimensionless":
         return False
-    base = _root(unit)[1]
-    mass = dimension == "force" and base == _root("kg")[1]
-    return base is not None and (mass or base == _root(_UNITS[dimension].si)[1])
+    base = _in_si(unit)[1]
+    mass = dimension == "force" and base == _in_si("kg")[1]
+    return base is not None and (mass or base == _in_si(_UNITS[dimension].si)[1])
 
 
 def written(value: float, dimension: Dimension) -> str:
@@ -149,76 +152,75 @@ def written(value: float, dimension: Dimension) -> str:
 
     The unit is the engineer's where that is exact, the SI unit otherwise.
     """
-    same = repr(float(value))
     if dimension == "dimensionless":
-        return same
-    si, preferred = _UNITS[dimension]
-    exact, factor = Decimal(same), _EXACT.divide(_root(preferred)[0], _root(si)[0])
+        return repr(float(value))
+    si, unit = _UNITS[dimension]
+    exact, size = Decimal(repr(float(value))), _in_si(unit)[0]
     for digits in (15, 16, 17):
-        number = Context(prec=digits).divide(exact, factor)
-        if repr(_rounded(number, factor)) == same:
-            return f"{_plain(number)} {preferred}"
-    return f"{_plain(exact)} {si}"
+        number = Context(prec=digits).divide(exact, size).normalize()
+        if float(_DECIMAL.multiply(number, size)) == value:
+            return f"{number:f} {unit}" if -6 <= number.adjusted() <= 15 else f"{number} {unit}"
+    return f"{float(value)!r} {si}"
 
 
-def shown(value: Any, dimension: Dimension) -> str:
-    """The text of an SI value for people, rounded to five digits: "140 mm", "63.167 deg"."""
-    si, preferred = _UNITS[dimension]
-    return f"{float(value) * float(_root(si)[0]) / float(_root(preferred)[0]):.5g} {preferred}"
+def shown(value: SupportsFloat | complex, dimension: Dimension) -> str:
+    """The text of an SI value for people, rounded to five digits: "140 mm", "63.167 deg", of a plain number "0.42"."""
+    scale, unit = preferred(dimension)
+    return f"{float(np.asarray(value)) * scale:.5g} {unit}".rstrip()
+
+
+def round_number(value: float) -> float:
+    """The greatest of 1, 2 and 5 times a power of ten that does not exceed a positive value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(digit for digit in (1, 2, 5) if digit * power <= value * (1 + 1e-12)))
 
 
 def preferred(dimension: Dimension) -> tuple[float, str]:
     """How many of the unit that an engineer writes one SI unit is, and that unit; 1 and "" for a plain number."""
     if dimension == "dimensionless":
         return 1.0, ""
-    si, unit = _UNITS[dimension]
-    return float(_root(si)[0] / _root(unit)[0]), unit
+    unit = _UNITS[dimension].preferred
+    return float(1 / _in_si(unit)[0]), unit
 
 
 def si_unit(dimension: Dimension) -> str:
     """The unit of SI numbers; "1" for a plain number."""
-    return "1" if dimension == "dimensionless" else _UNITS[dimension].si
+    return "1" if dimension == "dimensionless" else _UNITS[dimension].si or "1"
 
 
-def _rounded(number: Decimal, factor: Decimal) -> float:
-    return float(_EXACT.multiply(number, factor))
+def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: str) -> Decimal:
+    """How many SI units of the dimension one `unit` is.
 
-
-def _plain(number: Decimal) -> str:
-    """The shortest text of a decimal: 140, 0.5, 1.2E-9."""
-    number = number.normalize()
-    return f"{number:f}" if -6 <= number.adjusted() <= 15 else f"{number}"
-
-
-def _factor(unit: str, dimension: Dimension, what: str, got: str, example: str) -> Decimal:
-    """How many SI units of the dimension one `unit` is."""
-    size, base = _root(_NEWTON_METRES.sub(r"\1 \2", unit) if dimension == "moment" else unit)
-    si_size, si_base = _root(_UNITS[dimension].si)
+    Raises:
+        InputError: for a missing, unknown or unfit unit.
+    """
+    if dimension == "moment":
+        unit = _NEWTON_METRES.sub(r"\1 \2", unit)
+    (size, base), si = _in_si(unit), _UNITS[dimension].si
     pixels = dimension == "length" and _PIXELS.fullmatch(unit)
-    unit_given = bool(unit) >= bool(_UNITS[dimension].si)
-    if unit_given and size is not None and base == si_base and not pixels:
-        return _EXACT.divide(size, si_size)
+    if base is not None and base == _in_si(si)[1] and bool(unit) >= bool(si) and not pixels:
+        return size
     if pixels:
         example += ", converted by the scale of the camera"
-    elif dimension == "force" and base == _root("kg")[1]:
+    elif dimension == "force" and base == _in_si("kg")[1]:
         example += "; a mass is no force: did you mean gf or kgf, its weight?"
-    unknown = f" with the unknown unit {unit!r}" if unit and size is None else ""
+    unknown = f" with the unknown unit {unit!r}" if unit and base is None else ""
     raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")
 
 
 @cache
-def _root(unit: str) -> tuple[Any, Any]:
-    """A unit's size in base units, and which they are; (None, None) for a unit that nobody knows."""
+def _in_si(unit: str) -> tuple[Decimal, object]:
+    """The size of a unit in SI base units, and which they are: None for an unknown unit."""
     try:
         spelt = unit.lower() if _WORDS.fullmatch(unit) else unit
-        size, base = _registry().get_root_units(_registry().parse_units(spelt))
+        size, base = _registry().get_base_units(_registry().parse_units(spelt))
     except Exception:  # pint's parser raises errors of many kinds, AssertionError and TokenError among them
-        return None, None
-    return Decimal(size), base
+        return Decimal("nan"), None
+    return Decimal(str(size)), base
 
 
 @cache
-def _registry() -> Any:
+def _registry() -> "pint.UnitRegistry":
     import pint
 
-    return pint.UnitRegistry(non_int_type=cast(Any, Decimal))  # pint's own annotation allows float only
+    return pint.UnitRegistry(non_int_type=cast("type[float]", Decimal))  # its annotation allows float alone

@@ -1,0 +1,172 @@
+"""Where an answer in chunks goes: into memory, or into a Zarr store that survives whatever stops the work.
+
+A chunk belongs to one process. Its variables are written one after the other, each file in one step. A chunk is whole
+where all its files are there. The same work, started again, computes the other chunks only.
+"""
+
+import errno
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError, needed
+from .chunks import Index, Layout
+
+if TYPE_CHECKING:
+    import xarray
+
+IDENTITY = "identity"
+
+
+class Memory:
+    """Keeps everything in memory."""
+
+    def __init__(self, layout: Layout):
+        self.layout = layout
+        self._arrays = {name: np.full(v.shape, v.missing, v.dtype) for name, v in layout.variables.items()}
+
+    def has(self, index: Index) -> bool:
+        return False
+
+    def write(self, index: Index, blocks: Mapping[str, np.ndarray]) -> None:
+        for name, block in blocks.items():
+            self._arrays[name][self.layout.region(index)] = block
+
+    def values(self) -> dict[str, np.ndarray]:
+        return self._arrays
+
+    def dataset(self) -> "xarray.Dataset":
+        xarray = needed("xarray")
+        layout = self.layout
+        data = {name: (v.dims, self._arrays[name], v.attrs) for name, v in layout.variables.items()}
+        return xarray.Dataset(data, layout.coords, layout.attrs)
+
+
+class ZarrStore:
+    """A Zarr store on disk.
+
+    Args:
+        path: of the store. Where it exists already, the work goes on with it.
+        layout: of the answer. Where a store exists already, its chunks hold.
+        identity: all that the answer depends on, JSON.
+        create: whether this process makes the store where there is none.
+
+    Raises:
+        InputError: where `path` holds something else, or the answer of other work.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], layout: Layout, identity: Mapping[str, object], *, create: bool = True
+    ):
+        zarr = needed("zarr")
+        self.path = Path(path)
+        if create and not self.path.exists():
+            _create(zarr, self.path, layout, identity)
+        self._group = _same_work(zarr, self.path, identity, layout.variables)
+        chunks = self._group[layout.last].chunks[: len(layout.shape)]
+        self.layout = replace(layout, chunks=tuple(chunks))
+
+    def has(self, index: Index) -> bool:
+        """Whether a chunk is whole: every file is there, and none is empty or damaged, as a power cut may leave it."""
+        for name, variable in self.layout.variables.items():
+            place = (*index, *(0,) * (len(variable.shape) - len(index)))
+            try:
+                if not (self.path / name / "c" / Path(*map(str, place))).stat().st_size:
+                    return False
+            except FileNotFoundError:
+                return False
+        try:
+            for name in self.layout.variables:
+                self._group[name][self.layout.region(index)]
+        except (RuntimeError, ValueError, OSError):  # of the decompressor, or of a block of another size
+            return False
+        return True
+
+    def write(self, index: Index, blocks: Mapping[str, np.ndarray]) -> None:
+        region = self.layout.region(index)
+        try:
+            for name in self.layout.variables:
+                self._group[name][region] = blocks[name]
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            raise InputError(f"{self.path}: the disk is full; free some of it and start the same work again") from None
+
+    def values(self) -> dict[str, np.ndarray]:
+        return {name: self._group[name][...] for name in self.layout.variables}
+
+    def dataset(self) -> "xarray.Dataset":
+        found = needed("xarray").open_zarr(self.path, chunks=None, consolidated=False)
+        return found[[*self.layout.variables]]  # in the order in which they were asked for
+
+
+def _create(zarr: ModuleType, path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
+    """An empty store, which takes its place in one step."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        others = " ".join(name for name in layout.coords if name not in layout.shape)  # xarray's name for coordinates
+        attrs = {**layout.attrs, "coordinates": others, IDENTITY: json.dumps(identity)}
+        group = zarr.create_group(draft, zarr_format=3, attributes=attrs)
+        for name, (dims, values, attrs) in layout.coords.items():
+            text = values.dtype.kind in "OU"
+            array = group.create_array(
+                name, shape=values.shape, dtype=str if text else values.dtype, dimension_names=dims, attributes=attrs
+            )
+            array[...] = values.astype(object) if text else values
+        for name, variable in layout.variables.items():
+            own = variable.shape[len(layout.shape) :]
+            group.create_array(
+                name,
+                shape=variable.shape,
+                chunks=(*layout.chunks, *(max(size, 1) for size in own)),
+                dtype=variable.dtype,
+                fill_value=variable.missing,
+                dimension_names=variable.dims,
+                attributes=variable.attrs,
+                config={"write_empty_chunks": True},
+            )
+        os.rename(draft, path)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _same_work(zarr: ModuleType, path: Path, identity: Mapping[str, object], names: Collection[str]) -> Any:
+    """The group at the path.
+
+    Raises:
+        InputError: where it is not that of this very work.
+    """
+    remedy = "give another path, or delete it"
+    try:
+        group = zarr.open_group(path, mode="r+")
+        found = json.loads(group.attrs[IDENTITY])
+    except (FileNotFoundError, FileExistsError, NotADirectoryError, KeyError, ValueError, zarr.errors.BaseZarrError):
+        raise InputError(f"{path} is there and was not written by cddf_jax; {remedy}") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{path} is there and was not written by cddf_jax; {remedy}")
+    both = found.keys() & identity.keys()
+    for name in sorted({*found, *identity}, key=lambda name: (name == "structure", name not in both, name)):
+        if name not in found or name not in identity:
+            whose = "the work asked for" if name in found else "it"
+            raise InputError(f"{path} holds other work: {whose} has no {name}; {remedy}")
+        if found[name] != identity[name]:
+            differs = f"its {name} is {_short(found[name])}, not {_short(identity[name])}"
+            raise InputError(f"{path} holds other work: {differs}; {remedy}")
+    for name in names:
+        if name not in group:
+            raise InputError(f"{path} is damaged: its array {name!r} cannot be read; {remedy}")
+    return group
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 80 else text[:77] + "..."

@@ -1,0 +1,116 @@
+"""Work in chunks, shared by all processes, its answer in a store: a sweep, a bootstrap."""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..errors import InputError
+from .chunks import Index, Layout
+from .store import Memory, ZarrStore
+
+COPIES = 3  # of a chunk in memory: as it is computed, gathered, written
+
+
+class Work(NamedTuple):
+    """Work whose chunks do not depend on each other; a chunk that is computed again gives the same numbers."""
+
+    layout: Layout  # of the answer
+    identity: Callable[[], Mapping[str, object]]  # all that the answer depends on, JSON; computed for a store only
+    chunk: Callable[[Layout, Index], Mapping[str, np.ndarray]]  # the answer in the region of one chunk
+
+
+def carry_out(
+    work: Work, out: str | os.PathLike[str] | None = None, allowed: float = np.inf, *, progress: bool = False
+) -> Memory | ZarrStore:
+    """Compute the chunks that are missing, each process its share; return when all processes are done.
+
+    Args:
+        work: to be done.
+        out: path of a Zarr store; None for memory.
+        allowed: memory, bytes.
+        progress: show a bar with the rate and the time that is left.
+
+    Raises:
+        InputError: for a store of other work, too little memory, several processes without a store.
+    """
+    store = _store(work, out, allowed)
+    layout, rank, ranks = store.layout, jax.process_index(), jax.process_count()
+    mine = [index for i, index in enumerate(layout.indices()) if i % ranks == rank]
+    missing = [index for index in mine if not store.has(index)]
+    total, left = (sum(layout.count(index) for index in some) for some in (mine, missing))
+    done = False
+    try:
+        with _bar(total, left, progress and rank == 0) as advance:
+            for index in missing:
+                store.write(index, work.chunk(layout, index))
+                advance(layout.count(index))
+        done = True
+    finally:
+        all_done = _all_say("done", done)
+    if not all_done:
+        raise InputError(
+            "another process failed, and says why; the chunks that are whole stay: start the same work again"
+        )
+    return store
+
+
+def _store(work: Work, out: str | os.PathLike[str] | None, allowed: float) -> Memory | ZarrStore:
+    layout = work.layout
+    if out is None:
+        if jax.process_count() > 1:
+            raise InputError(f"{jax.process_count()} processes need out=, a store that all of them reach")
+        _check_memory(layout.bytes_each * (layout.size + COPIES * layout.chunk_size), allowed, "give out= or memory=")
+        return Memory(layout)
+    store, trouble = None, None
+    for create in (True, False):  # process 0 makes it, then the others open it
+        try:
+            if (jax.process_index() == 0) == create:
+                store = ZarrStore(out, layout, work.identity(), create=create)
+                needed = COPIES * layout.bytes_each * store.layout.chunk_size
+                _check_memory(needed, allowed, "give memory= or another out=")
+        except (InputError, OSError) as error:
+            trouble = error
+        if not _all_say("store", trouble is None):
+            raise trouble or InputError(f"{out}: another process could not use the store, and says why")
+    assert store is not None
+    return store
+
+
+def _check_memory(wanted: int, allowed: float, remedy: str) -> None:
+    if wanted > allowed:
+        raise InputError(f"this takes {wanted / 1e6:.4g} MB of memory, {allowed / 1e6:.4g} MB are allowed; {remedy}")
+
+
+def _all_say(what: str, good: bool) -> bool:
+    """Wait for all processes; whether all is well with each of them."""
+    if jax.process_count() == 1:
+        return good
+    from jax.experimental import multihost_utils
+
+    multihost_utils.sync_global_devices(f"cddf_jax: {what}")
+    return bool(np.all(multihost_utils.process_allgather(np.array(good))))
+
+
+@contextmanager
+def _bar(total: int, left: int, shown: bool) -> Iterator[Callable[[int], None]]:
+    """A bar of progress; yields a function to call with the number of items that were done since."""
+    if not shown:
+        yield lambda count: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=total, completed=total - left, rate="")
+
+        def advance(count: int) -> None:
+            bar.advance(task, count)
+            speed = bar.tasks[0].speed
+            bar.update(task, rate="" if speed is None else f"{speed:,.0f}/s")
+
+        yield advance

@@ -1,0 +1,49 @@
+"""The command `cddf`: its subcommands, and the exit code and the line on standard error of every failure.
+
+Each subcommand imports what is heavy when it runs, so that `cddf --help` is quick.
+"""
+
+import sys
+
+import typer
+
+from ..errors import InputError, SolveError
+from . import design, explore, fit, plan, reproduce, solve, sweep
+from .options import (
+    BAD_INPUT,
+    FAILED,
+    INTERRUPTED,
+    stop,
+)
+
+app = typer.Typer(
+    help="Friction in tendon-driven continuum manipulators: predict it, find it from measurements, design for it.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def main() -> None:
+    """Run the command line; a failure is one line on standard error and an exit code."""
+    try:
+        code = app(standalone_mode=False)
+    except InputError as error:
+        stop(str(error), BAD_INPUT)
+    except typer.TyperException as error:  # wrong usage
+        stop(f"{error.format_message().rstrip('.')}. Try --help.", BAD_INPUT)
+    except OSError as error:
+        stop(f"{error.filename or 'file'}: {error.strerror}; choose another place", BAD_INPUT)
+    except SolveError as error:
+        stop(str(error), FAILED)
+    except KeyboardInterrupt:
+        stop("interrupted; nothing was written", INTERRUPTED)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+app.command(epilog=solve.EXAMPLE)(solve.solve)
+app.command(epilog=sweep.EXAMPLE)(sweep.sweep)
+app.command(epilog=design.EXAMPLE)(design.design)
+app.command(epilog=fit.EXAMPLE)(fit.fit)
+app.command(epilog=plan.EXAMPLE)(plan.plan)
+app.command(epilog=reproduce.EXAMPLE)(reproduce.reproduce)
+app.command(epilog=explore.EXAMPLE)(explore.explore)

@@ -1,0 +1,112 @@
+"""`cddf design`: the body that meets an objective best, from a task in a file."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import InputError
+from .options import FAILED, AsJson, note, print_answer, stop
+
+if TYPE_CHECKING:
+    from ..designing.results import Design
+    from ..designing.task_file import DesignTask
+
+EXAMPLE = "Example: cddf design fitting/design_least_tension.toml --out out/design"
+Answer = tuple[dict[str, object], str, bool]  # for JSON, in words, and whether it was successful
+
+
+def design(
+    task: Annotated[
+        Path | None,
+        typer.Argument(help="TOML file of the task; --template prints one with every key.", show_default=False),
+    ] = None,
+    template: Annotated[
+        bool,
+        typer.Option("--template", help="Print a task file with every key and the names of all quantities, and end."),
+    ] = False,
+    pareto: Annotated[
+        int | None,
+        typer.Option(
+            help="Trade-off between the two objectives of the task: so many designs.", min=3, show_default=False
+        ),
+    ] = None,
+    as_json: AsJson = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the new manipulator, its profile for CAD, figures and report.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """The body that meets an objective best, within what can be made.
+
+    The task file names the robot at the start, the free numbers, the load cases, the objectives and the limits.
+    """
+    if template:
+        from ..designing import task_file
+
+        typer.echo(task_file.template(), nl=False)
+        return
+    if task is None:
+        raise InputError("give a task file; cddf design --template prints one with every key")
+    from .. import application
+
+    application.configure_jax()
+    from ..designing.task_file import read_task
+
+    read = read_task(task, progress=sys.stderr.isatty())
+    note(read.read_as)
+    answer, text, success = run_design(read, out) if pareto is None else trade_off(read, pareto, out)
+    print_answer(text, answer, as_json=as_json)
+    if not success:
+        stop(f"the design is not done: {answer['result']}", FAILED)
+
+
+def run_design(task: "DesignTask", out: Path | None) -> Answer:
+    """Design, and write what is asked for; the new manipulator only where it keeps to all limits."""
+    from ..designing import report
+    from ..figures.designs import design_figure
+    from ..figures.style import render
+    from ..files.artifacts import as_json, write_all
+    from ..files.cross_sections import cross_sections_csv
+
+    found = task.design()
+    answer, text = report.design_as_dict(found), report.design_in_words(found)
+    if out is not None:
+        files: dict[str, str | bytes] = {"design.md": text + "\n", "design.json": as_json(answer)}
+        if found.feasible:
+            files["design.toml"] = _manipulator_file(found, task)
+            if found.manipulator.has_radii:
+                files["profile.csv"] = cross_sections_csv(found.manipulator)
+            files |= render(design_figure(found), "design")
+        write_all(out, files)
+    return answer, text, found.success
+
+
+def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
+    """As `carry_out`, of the two objectives against each other."""
+    from ..designing import report
+    from ..figures.designs import pareto_figure
+    from ..figures.style import render
+    from ..files.artifacts import as_json, write_all
+
+    if task.choices or task.shared["options"].starts > 1 or any(weight != 1 for weight, _ in task.objective):
+        raise InputError(
+            "--pareto: choices, starts and weights have no place in a trade-off; take them out of the task"
+        )
+    front = task.pareto_front(num)
+    answer, text = report.front_as_dict(front), report.front_in_words(front)
+    if out is not None:
+        files: dict[str, str | bytes] = {"pareto.md": text + "\n", "pareto.json": as_json(answer)}
+        feasible = {i: found for i, found in enumerate(front.designs, 1) if found.feasible}
+        files |= {f"design_{i}.toml": _manipulator_file(found, task) for i, found in feasible.items()}
+        write_all(out, files | render(pareto_figure(front), "pareto"))
+    return answer, text, front.success
+
+
+def _manipulator_file(found: "Design", task: "DesignTask") -> str:
+    from ..files.manipulator_file import manipulator_text
+
+    return manipulator_text(found.manipulator, offsets_outside_wall=task.shared["options"].offsets_outside_wall)

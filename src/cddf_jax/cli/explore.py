@@ -1,0 +1,56 @@
+"""`cddf explore`: a page in the browser with sliders, data and a fit."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InputError
+from .options import Column, KinematicsOption, OptionalData, read_data, read_robot
+
+EXAMPLE = "Example: cddf explore data/smooth_sil_940.toml data/tip_angle_simulated.csv"
+
+
+def explore(
+    robot: Annotated[
+        Path | None,
+        typer.Argument(help="TOML file of the manipulator; without it that of the paper.", show_default=False),
+    ] = None,
+    data: OptionalData = None,
+    column: Column = None,
+    kinematics: KinematicsOption = None,
+    port: Annotated[
+        int, typer.Option(help="Port on this machine, 5006.", min=0, max=65535, show_default="a free one")
+    ] = 0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address and open nothing.")] = False,
+) -> None:
+    """A page in the browser: sliders for body and load, the data beside the model, a fit, other tapers.
+
+    It is served on this machine alone and needs no network. Ctrl-C ends it.
+    """
+    manipulator = None if robot is None else read_robot(robot, kinematics)
+    from dataclasses import replace
+
+    from .. import application
+    from ..files.manipulator_file import section_columns_of
+
+    application.configure_jax()
+    try:
+        from ..explorer import server
+    except ModuleNotFoundError as error:
+        if error.name not in ("panel", "bokeh"):
+            raise
+        raise InputError("explore needs the package panel; install it with pip install 'cddf-jax[explore]'") from None
+
+    if manipulator is None:
+        manipulator = server.papers_manipulator()
+        manipulator = manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
+    server.serve(
+        manipulator,
+        read_data(data or [], column),
+        server.PAPER if robot is None else str(robot),
+        () if robot is None else section_columns_of(robot),
+        port=port,
+        browser=not no_browser,
+        say=typer.echo,
+    )

@@ -1,0 +1,145 @@
+"""`cddf fit`: friction and modulus from measurements."""
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import (
+    FAILED,
+    AsJson,
+    AverageHolds,
+    Column,
+    Data,
+    KinematicsOption,
+    Nodes,
+    Robot,
+    print_answer,
+    read_all,
+    read_data,
+    read_robot,
+    stop,
+)
+
+if TYPE_CHECKING:
+    from ..estimation.bootstrap import Bootstrap
+    from ..identification.fit import Fit
+
+EXAMPLE = "Example: cddf fit data/smooth_sil_940.toml data/pulley_simulated.csv --out out/fit"
+LEAST_TRIALS = 3  # to draw from with replacement
+
+
+class LossName(StrEnum):
+    """How residuals count."""
+
+    linear = "linear"
+    soft_l1 = "soft_l1"
+    huber = "huber"
+    cauchy = "cauchy"
+
+
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='A parameter to fit, "friction_coefficient". Repeat it for more of them.',
+        show_default="friction and modulus",
+    ),
+]
+PriorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Gaussian, "youngs_modulus=1.4 MPa +- 0.1 MPa", or uniform, "friction_coefficient=0.1..0.6".',
+        show_default=False,
+    ),
+]
+Bound = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Lowest and highest value of a parameter with units, "pretension=0 N:2 N". Either may be left out.',
+        show_default="above 0 or none",
+    ),
+]
+NoiseOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Standard deviation of a column with its unit, "tip_tension=0.5 N", or with a part that grows with the '
+        'reading, "tip_tension=0.2 N + 1 %".',
+        show_default="estimated from the residuals",
+    ),
+]
+
+
+def fit(
+    robot: Robot,
+    data: Data,
+    column: Column = None,
+    free: Free = None,
+    prior: PriorOption = None,
+    bound: Bound = None,
+    noise: NoiseOption = None,
+    loss: Annotated[
+        LossName, typer.Option(help="With a loss other than linear, outliers count less.")
+    ] = LossName.linear,
+    starts: Annotated[
+        int | None,
+        typer.Option(help="Number of points from which to search.", min=1, show_default="one, more where it fails"),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Random seed of further starts and of the bootstrap.", min=0)] = 0,
+    per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
+    average_holds: AverageHolds = False,
+    bootstrap: Annotated[int, typer.Option(help="Number of refits to data drawn anew, 200; 0 for none.", min=0)] = 0,
+    kinematics: KinematicsOption = None,
+    nodes: Nodes = 16,
+    as_json: AsJson = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the report with profiles and figures, out/fit.", show_default=False),
+    ] = None,
+) -> None:
+    """Friction and modulus from measurements, and what the measurements cannot tell."""
+    from .. import application
+
+    # code that is compiled quickly makes refits slow
+    manipulator = read_robot(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
+    from ..identification.fit import fit
+    from ..reports.fit_report import fit_in_words, write_report
+    from ..reports.fit_results import fit_as_dict, make_report
+    from .fit_texts import read_bound, read_noise, read_prior
+
+    known_noise = read_all(noise, read_noise, "--noise")
+    found = fit(
+        manipulator,
+        read_data(data, column, holds_averaged=average_holds),
+        free or None,
+        read_all(prior, read_prior, "--prior"),
+        bounds=read_all(bound, read_bound, "--bound"),
+        noise=known_noise,
+        per_trial=per_trial,
+        loss=loss.value,
+        starts=starts,
+        seed=seed,
+        nodes=nodes,
+    )
+    bootstraps = _bootstraps(found, bootstrap, seed, show_progress=sys.stderr.isatty() and not as_json)
+    options = {"noise": known_noise}
+    report = make_report(found, options=options, bootstraps=bootstraps, with_profiles=out is not None)
+    if out is not None:
+        write_report(report, out)
+    print_answer(fit_in_words(report), fit_as_dict(report), as_json=as_json)
+    if not found.success:
+        stop(f"the fit failed: {found.result}", FAILED)
+
+
+def _bootstraps(found: "Fit", replicates: int, seed: int, *, show_progress: bool) -> "list[Bootstrap]":
+    """A parametric bootstrap, and one over whole trials where there are enough of them; none of a fit that failed."""
+    if not replicates or not found.success:
+        return []
+    if show_progress:
+        import rich
+
+        rich.reconfigure(stderr=True)  # results go to standard output
+    trials = sum(len(table.trial_labels) for table in found.tables)
+    kinds = ["parametric", "cases"] if trials >= LEAST_TRIALS else ["parametric"]
+    return [found.bootstrap(kind, replicates, seed=seed, progress=show_progress) for kind in kinds]

@@ -1,0 +1,184 @@
+"""What several commands share: their options, reading the manipulator and the data, and printing the answer."""
+
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn, TypeVar
+
+import typer
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from ..measurements.table import Measurements
+    from ..robot.manipulator import Manipulator
+
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
+T = TypeVar("T")
+
+
+class Kinematics(StrEnum):
+    """As in the file of the manipulator."""
+
+    published = "published"
+    exact = "exact"
+
+
+Robot = Annotated[
+    Path, typer.Argument(help="TOML file of the manipulator, data/smooth_sil_940.toml.", show_default=False)
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object in SI units and nothing else.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(help="Folder for the figures and results, out/run_1. It is made if missing.", show_default=False),
+]
+KinematicsOption = Annotated[
+    Kinematics | None, typer.Option(help="Kinematics of the tendons, instead of the file's.", show_default=False)
+]
+Nodes = Annotated[int, typer.Option(help="Gauss nodes in each smooth piece of the body, 4 or more.", min=4)]
+Direction = Annotated[
+    list[int] | None,
+    typer.Option(
+        help="1: the tendon slides in at the base (it is pulled); -1: it slides out. Give it once for all tendons, or "
+        "once for each.",
+        show_default="found from the travel; 1 for a single tendon",
+    ),
+]
+TipForce = Annotated[
+    str | None, typer.Option(help='Dead load (X, Y) on the tip, with units, "0 N, -5 N".', show_default=False)
+]
+TipMoment = Annotated[
+    str | None,
+    typer.Option(help='Moment on the tip with its unit, "0.1 N m", positive from X to Y.', show_default=False),
+]
+Gravity = Annotated[
+    str | None,
+    typer.Option(help='Acceleration (X, Y), "0, -9.81 m/s^2". The body needs a mass.', show_default=False),
+]
+Data = Annotated[
+    list[Path],
+    typer.Argument(
+        help="CSV or .xlsx files with the units in the header, bench.csv. Files of the same columns are the trials of "
+        "one experiment.",
+        show_default=False,
+    ),
+]
+OptionalData = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        help="CSV or .xlsx files of measurements with the units in the header, bench.csv.", show_default=False
+    ),
+]
+Column = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='What a column of the data is, with its unit, "Tbase_N=base_tension [N]". "NAME=" leaves it out.',
+        show_default=False,
+    ),
+]
+AverageHolds = Annotated[
+    bool,
+    typer.Option("--average-holds", help="One reading for each hold: consecutive rows of a trial at one level."),
+]
+
+
+def stop(message: str, code: int) -> NoReturn:
+    """End the command with one line on standard error."""
+    typer.echo("error: " + " ".join(message.split()), err=True)
+    sys.exit(code)
+
+
+def note(lines: Iterable[str]) -> None:
+    """Lines on standard error: how files were read."""
+    for line in lines:
+        typer.echo(f"note: {line}", err=True)
+
+
+def print_answer(text: str, answer: object, *, as_json: bool) -> None:
+    """The answer on standard output, in words or as one JSON object."""
+    if as_json:
+        from ..files.artifacts import as_json as json_text
+
+        text = json_text(answer).rstrip()
+    typer.echo(text)
+
+
+def read_robot(
+    robot: Path,
+    kinematics: Kinematics | None,
+    configure: Callable[[], None] | None = None,
+    *,
+    note_columns: bool = True,
+) -> "Manipulator":
+    """Set JAX up and read the manipulator.
+
+    Args:
+        robot: the TOML file.
+        kinematics: instead of those of the file; None for these.
+        configure: sets JAX up; None for `application.configure_jax`.
+        note_columns: whether to note on standard error how a table of cross-sections was read.
+    """
+    from dataclasses import replace
+
+    from .. import application
+
+    (configure or application.configure_jax)()
+    from ..files.cross_sections import in_one_line
+    from ..files.manipulator_file import read_manipulator, section_columns_of
+
+    manipulator = read_manipulator(robot)
+    if note_columns and (columns := section_columns_of(robot)):
+        note([in_one_line(columns)])
+    return manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
+
+
+def read_data(
+    paths: Sequence[Path], column: Sequence[str] | None, *, holds_averaged: bool = False
+) -> "tuple[Measurements, ...]":
+    """The measurements in files; what was done to read them is noted on standard error."""
+    from ..measurements.holds import average_holds
+    from ..measurements.trials import read_tables
+
+    tables = read_tables(paths, read_all(column, read_column, "--column"))
+    note(line for table in tables for line in table.read_as)
+    return tuple(map(average_holds, tables)) if holds_averaged else tables
+
+
+def read_column(text: str) -> tuple[str, str]:
+    """ "Tbase_N=base_tension [N]": the head of a column in a file, and what it is; nothing to leave it out."""
+    name, equals, meant = text.rpartition("=")
+    if not equals or not name.strip():
+        raise InputError(
+            f'--column {text!r}: write the head of a column and what it is, as in "Tbase_N=base_tension [N]"'
+        )
+    return name.strip(), meant.strip()
+
+
+def read_all(texts: Sequence[str] | None, read: Callable[[str], tuple[str, T]], option: str) -> dict[str, T]:
+    """What an option that may be repeated says, by name.
+
+    Raises:
+        InputError: for a name that is given twice.
+    """
+    found: dict[str, T] = {}
+    for text in texts or ():
+        name, value = read(text)
+        if name in found:
+            raise InputError(f"{option} {name} is given twice; leave one out")
+        found[name] = value
+    return found
+
+
+def read_directions(direction: Sequence[int] | None, manipulator: "Manipulator") -> list[int] | None:
+    """The directions of all tendons; None where they are to be found.
+
+    Raises:
+        InputError: for a direction other than 1 and -1, or for too few or too many of them.
+    """
+    from ..files.actuation import one_for_each_tendon
+
+    for value in direction or ():
+        if value not in (+1, -1):
+            raise InputError(f"--direction {value}: give +1 for a tendon that slides in, -1 for one that slides out")
+    return one_for_each_tendon("--direction", list(direction), manipulator.num_tendons) if direction else None

@@ -1,0 +1,79 @@
+"""`cddf plan`: which measurement next."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InputError
+from .options import (
+    AsJson,
+    AverageHolds,
+    Column,
+    KinematicsOption,
+    OptionalData,
+    Out,
+    Robot,
+    print_answer,
+    read_data,
+    read_robot,
+)
+
+EXAMPLE = "Example: cddf plan data/smooth_sil_940.toml data/load_cells_simulated.csv --num 1"
+
+
+def plan(
+    robot: Robot,
+    data: OptionalData = None,
+    column: Column = None,
+    average_holds: AverageHolds = False,
+    candidates: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file of what could be measured, candidates.toml: [[candidate]] tables such as base_tension = "
+            '["20 N", "40 N"], noise = { tip_angle = "1 deg" }.',
+            show_default="the usual ones: pulley test, tip tensions, tip angles, ...",
+        ),
+    ] = None,
+    tension: Annotated[
+        str, typer.Option(help="Largest base tension of the default candidates, with its unit.")
+    ] = "85 N",
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            help='A parameter that is wanted, "friction_coefficient". Repeat it for more of them.',
+            show_default="friction and modulus",
+        ),
+    ] = None,
+    criterion: Annotated[
+        str, typer.Option(help="D for all parameters together, or the one to be known best, youngs_modulus.")
+    ] = "D",
+    num: Annotated[int, typer.Option(help="How many measurements to choose, one after the other.", min=1)] = 3,
+    kinematics: KinematicsOption = None,
+    as_json: AsJson = False,
+    out: Out = None,
+) -> None:
+    """Which measurement next: what each candidate would add to what is known."""
+    manipulator = read_robot(robot, kinematics)
+    from ..identification.experiment_design import plan, standard_candidates
+    from ..identification.fit import fit
+    from ..reports.plan_report import plan_as_dict, plan_as_markdown
+    from ..units import quantity
+    from .candidate_file import read_candidates
+
+    names = tuple(free) if free else None
+    largest = quantity(tension, "force", "--tension")
+    if not largest > 0:
+        raise InputError(f"--tension {tension}: give a tension above 0 N")
+    choices = standard_candidates(manipulator, largest) if candidates is None else read_candidates(candidates)
+    tables = read_data(data or [], column, holds_averaged=average_holds)
+    known = fit(manipulator, tables, names) if tables else manipulator
+    found = plan(known, choices, names, criterion=criterion, num=num)
+    text, answer = plan_as_markdown(found), plan_as_dict(found)
+    if out is not None:
+        from ..figures.plan import plan_figure
+        from ..figures.style import render
+        from ..files.artifacts import as_json as json_text, write_all
+
+        write_all(out, {"plan.md": text, "plan.json": json_text(answer)} | render(plan_figure(found), "plan"))
+    print_answer(text, answer, as_json=as_json)

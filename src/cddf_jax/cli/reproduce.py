@@ -1,0 +1,27 @@
+"""`cddf reproduce`: the figures and numbers of Liu et al. (2020)."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import AsJson, Column, Robot, print_answer, read_data, read_robot
+
+EXAMPLE = "Example: cddf reproduce data/smooth_sil_940.toml data/load_cells_simulated.csv"
+
+
+def reproduce(
+    robot: Robot,
+    load_cells: Annotated[
+        Path, typer.Argument(help="CSV of the load-cell trials, data/load_cells_simulated.csv.", show_default=False)
+    ],
+    column: Column = None,
+    as_json: AsJson = False,
+    out: Annotated[Path, typer.Option(help="Folder for the figures and the table.")] = Path("out/reproduce"),
+) -> None:
+    """The figures of Liu et al. (2020), and a table of its numbers beside ours."""
+    manipulator = read_robot(robot, None)
+    from ..reports.reproduction import reproduce
+
+    answer = reproduce(manipulator, read_data([load_cells], column)[0], out)
+    print_answer((out / "reproduction.md").read_text(encoding="utf-8"), answer, as_json=as_json)

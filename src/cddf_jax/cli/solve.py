@@ -1,0 +1,118 @@
+"""`cddf solve`: the equilibrium under tensions, targets and dead loads."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import SolveError
+from .options import (
+    FAILED,
+    AsJson,
+    Direction,
+    Gravity,
+    KinematicsOption,
+    Nodes,
+    Out,
+    Robot,
+    TipForce,
+    TipMoment,
+    print_answer,
+    read_directions,
+    read_robot,
+    stop,
+)
+
+if TYPE_CHECKING:
+    from ..robot.loads import Loads
+    from ..robot.manipulator import Manipulator
+    from ..statics.equilibrium import Equilibrium
+    from ..statics.targets import Target
+
+EXAMPLE = 'Example: cddf solve data/smooth_sil_940.toml -t "75 N" --tip-force "0 N, -5 N"'
+BaseTension = Annotated[
+    list[str],
+    typer.Option(
+        "--base-tension",
+        "-t",
+        help='Tension at the base, "75 N", once for all tendons or once for each. In its place may stand a target: '
+        '"tip_angle=45 deg", "displacement=12 mm", "tip_tension=40 N", "curvature=8 1/m at 70 mm", '
+        '"total_tension=100 N", "tip_stiffness=350 N/m".',
+    ),
+]
+
+
+def solve(
+    robot: Robot,
+    base_tension: BaseTension,
+    direction: Direction = None,
+    tip_force: TipForce = None,
+    tip_moment: TipMoment = None,
+    gravity: Gravity = None,
+    kinematics: KinematicsOption = None,
+    nodes: Nodes = 16,
+    as_json: AsJson = False,
+    out: Out = None,
+) -> None:
+    """Shape, tension and friction of a manipulator under tensions and dead loads.
+
+    X runs along the straight body from its base, Y to the side of a tendon with side = 1.
+    """
+    manipulator = read_robot(robot, kinematics, note_columns=False)
+    from ..files.actuation import read_actuation, read_loads
+    from ..files.cross_sections import in_one_line
+    from ..files.manipulator_file import section_columns_of
+    from ..reports.solve_report import solve_as_dict, solve_in_words
+    from ..statics.equilibrium import RESULTS
+
+    actuation = read_actuation(base_tension, manipulator)
+    loads = read_loads(tip_force, tip_moment, gravity, manipulator.has_mass)
+    directions = read_directions(direction, manipulator)
+    equilibrium = _solve(manipulator, actuation, loads, directions, nodes, base_tension)
+    answer = solve_as_dict(equilibrium, actuation, loads)
+    text = solve_in_words(equilibrium, actuation, base_tension, loads)
+    if columns := section_columns_of(robot):
+        answer["cross_sections"] = {column.name: column.words for column in columns}
+        text += f"\n{in_one_line(columns)}"
+    if out is not None:
+        from ..figures.along import sections_figure
+        from ..figures.body import equilibrium_figure
+        from ..figures.style import render
+        from ..files.artifacts import as_json as json_text, write_all
+        from ..reports.export import fields_csv, fields_on_grid
+
+        figures = render(equilibrium_figure(manipulator, equilibrium, loads), "solve")
+        if columns:
+            figures |= render(sections_figure(columns), "cross_sections")
+        tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
+        write_all(out, figures | tables)
+    print_answer(text, answer, as_json=as_json)
+    if equilibrium.result == RESULTS.unstable:
+        stop(RESULTS[equilibrium.result], FAILED)
+
+
+def _solve(
+    manipulator: "Manipulator",
+    actuation: "list[float | Target]",
+    loads: "Loads | None",
+    direction: list[int] | None,
+    nodes: int,
+    texts: list[str],
+) -> "Equilibrium":
+    """The equilibrium, also where it is unstable.
+
+    Raises:
+        SolveError: where there is none; for a target that is missed it names the nearest value.
+    """
+    from ..reports.solve_report import missed_targets_in_words
+    from ..statics.equilibrium import RESULTS
+    from ..statics.solve import solve
+
+    try:
+        return solve(manipulator, actuation, loads, direction=direction, nodes=nodes)
+    except SolveError:
+        equilibrium = solve(manipulator, actuation, loads, direction=direction, nodes=nodes, throw=False)
+        if equilibrium.result in (RESULTS.slack, RESULTS.unreachable):
+            raise SolveError(missed_targets_in_words(equilibrium, actuation, texts)) from None
+        if equilibrium.result != RESULTS.unstable:
+            raise
+        return equilibrium

@@ -1,0 +1,238 @@
+"""`cddf sweep`: a solve for every combination of what varies."""
+
+import os
+import sys
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ..errors import InputError
+from .options import (
+    FAILED,
+    INTERRUPTED,
+    AsJson,
+    Direction,
+    Gravity,
+    KinematicsOption,
+    Nodes,
+    Robot,
+    TipForce,
+    TipMoment,
+    print_answer,
+    read_directions,
+    read_robot,
+    stop,
+)
+
+EXAMPLE = (
+    "Example: cddf sweep data/smooth_sil_940.toml --over base_tension=5N:85N:17 "
+    "--over friction_coefficient=0.1:0.6:50 --out out/sweep"
+)
+
+
+def read_sweep_task(context: typer.Context, path: Path | None) -> Path | None:
+    """Take the options that a TOML file gives, where the command line does not give them.
+
+    Raises:
+        InputError: for a file that cannot be read, and for a key that is no option.
+    """
+    if path is None:
+        return None
+    try:
+        task = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f'{path}: is no TOML ({error}); texts are quoted, as in out = "out/sweep"') from None
+    options = [str(option.name) for option in context.command.params if option.name not in ("task", "help")]
+    for name, value in task.items():
+        if name not in options:
+            raise InputError(f"{path}: there is no option {name!r}; there are {', '.join(options)}")
+        if name in ("over", "sample") and isinstance(value, dict):
+            lists = {key: each if isinstance(each, list) else [each] for key, each in value.items()}
+            task[name] = [f"{key}={','.join(map(str, each))}" for key, each in lists.items()]
+    context.default_map = task
+    return path
+
+
+Task = Annotated[
+    Path | None,
+    typer.Option(
+        help="TOML file of options under their long names, with _ in place of -: over, sample, base_tension, output, "
+        "out and all others, and robot. [over] and [sample] may be tables of names and values. The command line "
+        "overrides it.",
+        callback=read_sweep_task,
+        is_eager=True,
+        show_default=False,
+    ),
+]
+Over = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list, "kinematics=published,exact" '
+        'or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. Any number has a name: outer_radius.tip, '
+        "tendons.0.offset, loads.tip_force.1, base_tension_2, of a target base_tension.value. "
+        "With the length everything along the body varies in proportion.",
+        show_default=False,
+    ),
+]
+Together = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Names of --over that are one axis, "friction_coefficient,youngs_modulus": their first values together, '
+        "their second ones, and so on, in place of every combination.",
+        show_default=False,
+    ),
+]
+Sample = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='What varies at random between two values, "youngs_modulus=1.2MPa:1.6MPa". Repeated: all together.',
+        show_default=False,
+    ),
+]
+Samples = Annotated[int | None, typer.Option(help="Number of samples, for --sample.", min=1, show_default=False)]
+Sampler = Annotated[Literal["latin_hypercube", "sobol"], typer.Option(help="How the samples are spread.")]
+BaseTension = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given.", show_default=False
+    ),
+]
+Output = Annotated[
+    str, typer.Option(help="Names of outputs; also base_tension, tension_loss, tendon_displacement, curvature, ...")
+]
+Sensitivity = Annotated[
+    list[str] | None,
+    typer.Option(help="Derivatives of the outputs by this number, into the store and the files.", show_default=False),
+]
+Precision = Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")]
+Memory = Annotated[
+    str | None,
+    typer.Option(help='Memory that the sweep may use, "2 GB".', show_default="a quarter of what is free"),
+]
+Chunk = Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")]
+Netcdf = Annotated[Path | None, typer.Option(help="Also a NetCDF file, sweep.nc.", show_default=False)]
+Csv = Annotated[Path | None, typer.Option(help="Also a table, sweep.csv, a row for each solve.", show_default=False)]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the sweep would take; solve and write nothing.")]
+Coordinator = Annotated[
+    str | None, typer.Option(help="HOST:PORT of process 0, where several share the work.", show_default=False)
+]
+NumProcesses = Annotated[int | None, typer.Option(help="Number of these processes.", min=1, show_default=False)]
+ProcessId = Annotated[int | None, typer.Option(help="Which of them this is, from 0.", min=0, show_default=False)]
+Distributed = Annotated[bool, typer.Option("--distributed", help="Several processes, as Slurm or MPI started them.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for the Zarr store, figures and results; or the store itself, x.zarr, and the others beside it. "
+        "A sweep that was stopped goes on.",
+        show_default=False,
+    ),
+]
+
+
+def sweep(
+    context: typer.Context,
+    robot: Robot,
+    task: Task = None,
+    over: Over = None,
+    together: Together = None,
+    sample: Sample = None,
+    samples: Samples = None,
+    sampler: Sampler = "latin_hypercube",
+    seed: Annotated[int, typer.Option(help="Seed of the samples.", min=0)] = 0,
+    base_tension: BaseTension = None,
+    direction: Direction = None,
+    tip_force: TipForce = None,
+    tip_moment: TipMoment = None,
+    gravity: Gravity = None,
+    kinematics: KinematicsOption = None,
+    nodes: Nodes = 16,
+    output: Output = "tip_tension,tip_position,tip_angle",
+    sensitivity: Sensitivity = None,
+    precision: Precision = "float64",
+    memory: Memory = None,
+    chunk: Chunk = None,
+    netcdf: Netcdf = None,
+    csv: Csv = None,
+    dry_run: DryRun = False,
+    coordinator: Coordinator = None,
+    num_processes: NumProcesses = None,
+    process_id: ProcessId = None,
+    distributed: Distributed = False,
+    as_json: AsJson = False,
+    out: Out = None,
+) -> None:
+    """A solve for every combination of what varies, on all cores, into a store that survives a stop.
+
+    Figures show up to three axes, or outputs over samples, and no derivatives. Solves that fail are counted and marked.
+    """
+    if kinematics is not None and any(text.partition("=")[0].strip() == "kinematics" for text in over or []):
+        raise InputError("kinematics is given by --kinematics and varies too; leave one out")
+
+    def configure() -> None:
+        _configure(coordinator, num_processes, process_id, distributed=distributed)
+
+    manipulator = read_robot(robot, kinematics, configure)
+    from ..files.actuation import read_loads
+    from . import sweep_run, sweep_texts
+
+    varied = {text.partition("=")[0].strip() for text in (*(over or []), *(sample or []))}
+    work = sweep_texts.read_sweep(
+        manipulator,
+        over or [],
+        together or [],
+        sweep_texts.Samples(sample or [], samples, sampler, seed),
+        base_tension=sweep_texts.read_base_tension(base_tension or [], manipulator),
+        loads=read_loads(tip_force, tip_moment, gravity, manipulator.has_mass or "density" in varied),
+        direction=read_directions(direction, manipulator),
+        outputs=sweep_texts.read_outputs(output),
+        sensitivities=tuple(sensitivity or ()),
+        nodes=nodes,
+        precision=precision,
+        memory=None if memory is None else sweep_texts.read_memory(memory),
+        chunk_size=chunk,
+    )
+    if dry_run:
+        expected = sweep_run.rehearse(work, None if out is None else sweep_run.read_places(out, netcdf, csv))
+        if sweep_run.is_first_process():
+            print_answer(sweep_run.rehearsal_in_words(expected), expected, as_json=as_json)
+        return
+    places = sweep_run.read_places(out, netcdf, csv)
+    try:
+        summary = sweep_run.run_sweep(work, places, context.params, progress=sys.stderr.isatty())
+    except KeyboardInterrupt:
+        stop("interrupted; what is in the store stays there, start the same command again and it goes on", INTERRUPTED)
+    if summary is not None:
+        print_answer(sweep_run.summary_in_words(summary), summary, as_json=as_json)
+        if "successful" not in summary["results"]:
+            stop("no solve was successful; see the results", FAILED)
+
+
+def _configure(
+    coordinator: str | None, num_processes: int | None, process_id: int | None, *, distributed: bool
+) -> None:
+    """Set JAX up, alone or as one of several processes."""
+    from .. import application
+    from .sweep_texts import read_processes
+
+    processes = read_processes(coordinator, num_processes, process_id, distributed=distributed)
+    if processes is not None:
+        _keep_standard_output()
+    try:
+        application.configure_jax_for_batches(processes)
+    except (ValueError, RuntimeError) as error:
+        if processes is None:
+            raise
+        remedy = "check --coordinator" if processes else "give --coordinator, --num-processes and --process-id"
+        raise InputError(f"the processes do not find each other ({error}); {remedy}") from None
+
+
+def _keep_standard_output() -> None:
+    """Keep standard output for the answer: what libraries print there when processes meet goes to standard error."""
+    sys.stdout.flush()
+    ours = os.dup(sys.stdout.fileno())
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding)

@@ -1,0 +1,322 @@
+"""How `cddf sweep` runs, where its answer goes, and what it says: as JSON in SI units, and in words."""
+
+import platform
+import re
+import time
+from collections.abc import Mapping, Sequence
+from datetime import timedelta
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+
+from .. import units
+from ..batch.store import ZarrStore
+from ..batch.work import COPIES
+from ..errors import InputError
+from ..statics.equilibrium import RESULTS
+from ..statics.targets import Target
+from ..sweeping.export import blocks_of, component_label, is_short, write_csv, write_netcdf
+from ..sweeping.one_solve import RESULT, RESULT_NAMES, VERDICTS
+from ..sweeping.sweep import Sweep
+
+if TYPE_CHECKING:
+    import xarray
+
+NETCDF_MOST = 2**31 - 1  # bytes of one variable of a NetCDF 3 file, as SciPy writes it
+PACKAGES = ("cddf-jax", "jax", "jaxlib", "numpy", "equinox", "xarray", "zarr")
+
+
+class Places(NamedTuple):
+    """Where the answer goes."""
+
+    store: Path
+    folder: Path
+    stem: str  # of the figures and the JSON in the folder
+    netcdf: Path | None = None
+    csv: Path | None = None
+
+
+Json = dict[str, Any]  # what `--json` prints: SI units
+
+
+# --- where it goes -------------------------------------------------------------------------------
+
+
+def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Places:
+    """The store itself where the name ends with .zarr, or the folder for it and all that goes with it.
+
+    Raises:
+        InputError: for no place, and for a place that cannot be.
+    """
+    if out is None:
+        raise InputError("--out is missing; give a store such as --out sweep.zarr, or --dry-run to see what it takes")
+    for option, path in (("--netcdf", netcdf), ("--csv", csv)):
+        if path is not None and path.is_dir():
+            raise InputError(f"{option} {path}: is a folder; give the name of a file")
+    if netcdf is not None and netcdf == csv:
+        raise InputError(f"--netcdf and --csv are both {csv}; give them different names")
+    if out.suffix == ".zarr":
+        return Places(out, out.parent, out.stem, netcdf, csv)
+    return Places(out / "sweep.zarr", out, "sweep", netcdf, csv)
+
+
+def _check_places(places: Places, work: Sweep) -> None:
+    """Find out before everything is computed what could not be written afterwards.
+
+    Raises:
+        InputError: for an answer that does not fit into a NetCDF file, or has nothing for a table.
+        OSError: for a folder that cannot be made.
+    """
+    layout, csv, netcdf = work.layout, places.csv, places.netcdf
+    if netcdf is not None:
+        largest = max(int(np.prod(v.shape)) * v.dtype.itemsize for v in layout.variables.values())
+        if largest > NETCDF_MOST:
+            size = size_in_words(largest)
+            raise InputError(f"--netcdf {netcdf}: a variable has {size}, NetCDF 3 takes 2 GB; use the Zarr store")
+        total = 2 * layout.size * layout.bytes_each  # as it is read and as it is written
+        if total > work.allowed:
+            size, allowed = size_in_words(total), size_in_words(work.allowed)
+            raise InputError(f"--netcdf {netcdf}: takes {size} of memory, {allowed} are allowed; raise --memory")
+    if csv is not None and not any(name not in VERDICTS and is_short(layout, name) for name in layout.variables):
+        raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
+    for path in filter(None, (netcdf, csv)):
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+
+# --- running -------------------------------------------------------------------------------------
+
+
+def is_first_process() -> bool:
+    """Whether this process writes and speaks for all of them."""
+    return jax.process_index() == 0
+
+
+def run_sweep(work: Sweep, places: Places, options: Mapping[str, object], *, progress: bool = False) -> Json | None:
+    """Run the sweep, and write what goes beside the store.
+
+    Args:
+        work: the sweep.
+        places: where everything goes.
+        options: of the command line, which go into the JSON.
+        progress: show a bar.
+
+    Returns:
+        What is to be said; None for all processes but the first.
+
+    Raises:
+        InputError: as `sweep`, and for a place that cannot be written.
+    """
+    _check_places(places, work)
+    before, _ = _there_already(work, places.store)
+    start = time.perf_counter()
+    answer = work.run(places.store, progress=progress)
+    seconds = time.perf_counter() - start
+    if not is_first_process():
+        return None
+    summary = {
+        "solves": work.layout.size,
+        "solves_there_before": before,
+        "seconds": seconds,
+        "axes": _axes(work),
+        **_results_and_ranges(work, answer),
+        "options": {name: str(value) if isinstance(value, Path) else value for name, value in options.items()},
+        "identity": work.identity,
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+    }
+    return summary | {"paths": _write(work, answer, places, summary)}
+
+
+def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
+    """How many solves a store has already, in how many chunks.
+
+    Raises:
+        InputError: for a store of something else.
+    """
+    if not store.exists():
+        return 0, 0
+    opened = ZarrStore(store, work.layout, work.identity, create=False)
+    there = [index for index in opened.layout.indices() if opened.has(index)]
+    return sum(map(opened.layout.count, there)), len(there)
+
+
+def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> Json:
+    """Write exports, figures and the JSON; where they are, and what has no place in them."""
+    from ..figures.style import render
+    from ..figures.sweep_panels import name_in_words
+    from ..figures.sweeps import left_out_of_figure, sweep_figure
+    from ..files.artifacts import as_json, write_all
+
+    if places.netcdf is not None:
+        write_netcdf(answer, places.netcdf)
+    if places.csv is not None:
+        write_csv(work.layout, answer, places.csv)
+    varied = [name for axis in work.dimensions for name in (*axis.numbers, *axis.options)]
+    figure = sweep_figure(answer, work.outputs, {name: _target(work, name) or name_in_words(name) for name in varied})
+    files = {} if isinstance(figure, str) else render(figure, places.stem)
+    name = f"{places.stem}.json"
+    paths: Json = {
+        "store": str(places.store),
+        "json": str(places.folder / name),
+        "figures": [str(places.folder / file) for file in files],
+        "no_figure": figure if isinstance(figure, str) else None,
+        "left_out": left_out_of_figure(answer, work.outputs) if files else [],
+        "not_in_csv": [name for name in work.outputs if not is_short(work.layout, name)] if places.csv else [],
+        "netcdf": places.netcdf and str(places.netcdf),
+        "csv": places.csv and str(places.csv),
+    }
+    write_all(places.folder, {**files, name: as_json(summary | {"paths": paths})})
+    return paths
+
+
+def _target(work: Sweep, name: str) -> str:
+    """What is to be reached, in words, where a number is that of a target."""
+    found = re.fullmatch(r"base_tension(?:_(\d+))?\.value", name)
+    if not found:
+        return ""
+    given = work.base_tension
+    target = given[int(found[1]) - 1] if found[1] and isinstance(given, Sequence) else given
+    return f"Target {plain_words(target.quantity)}" if isinstance(target, Target) else ""
+
+
+def _axes(work: Sweep) -> list[Json]:
+    """What varies, by dimension: its ends and the number of values."""
+    found: list[Json] = []
+    for dimension in work.dimensions:
+        together = dimension.name not in (dimension.numbers | dimension.options)
+        for name, values in (dimension.numbers | dimension.options).items():
+            first, last = (min(values), max(values)) if together else (values[0], values[-1])
+            unit = work.case.unit(name) if name in dimension.numbers else None
+            ends = {"first": first, "last": last, "count": dimension.size, "unit": unit}
+            found.append({"name": name, "dimension": dimension.name} | ends)
+    return found
+
+
+def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
+    """How many solves ended how, and between which values each output lies where they were successful."""
+    layout, rank = work.layout, len(work.layout.shape)
+    counts = np.zeros(len(RESULT_NAMES), int)
+    outputs: dict[str, Json] = {
+        name: {"unit": variable.attrs.get("units"), "dims": variable.dims[rank:], "min": None, "max": None}
+        for name, variable in layout.variables.items()
+        if name not in VERDICTS
+    }
+    for _, block in blocks_of(layout, answer):
+        successful = block["successful"].values
+        counts += np.bincount(block[RESULT].values.ravel(), minlength=len(RESULT_NAMES))
+        for name, output in outputs.items() if np.any(successful) else ():
+            good = block[name].values[successful]
+            along = (0, *(i for i, dim in enumerate(output["dims"], 1) if dim == "point"))
+            for end, extreme in (("min", np.fmin), ("max", np.fmax)):
+                found = extreme.reduce(good, along)
+                output[end] = found if output[end] is None else extreme(output[end], found)
+    return {"results": {name: int(n) for name, n in zip(RESULT_NAMES, counts, strict=True) if n}, "outputs": outputs}
+
+
+def rehearse(work: Sweep, places: Places | None) -> Json:
+    """What a sweep would take, without solving or writing anything.
+
+    Raises:
+        InputError: as `carry_out`.
+    """
+    layout, store = work.layout, None
+    if places is not None:
+        solves, chunks = _there_already(work, places.store)
+        store = {"path": str(places.store), "solves_there": solves, "chunks_there": chunks}
+    return {
+        "solves": layout.size,
+        "axes": _axes(work),
+        "outputs": [name for name in layout.variables if name not in VERDICTS],
+        "bytes": layout.size * layout.bytes_each,
+        "chunks": {"count": len(list(layout.indices())), "shape": layout.chunks, "solves": layout.chunk_size},
+        "memory": {"needed": COPIES * layout.bytes_each * layout.chunk_size, "allowed": work.allowed},
+        "store": store,
+    }
+
+
+# --- words ---------------------------------------------------------------------------------------
+
+
+def summary_in_words(summary: Json) -> str:
+    """What the terminal shows of what `carry_out` returns."""
+    total, before, paths = summary["solves"], summary["solves_there_before"], summary["paths"]
+    counts = ", ".join(f"{count:,} {plain_words(name)}" for name, count in summary["results"].items())
+    some = f", {before:,} there already, {total - before:,} more" if before else ""
+    seconds, rate = summary["seconds"], (total - before) / summary["seconds"]
+    speed = f"{rate:,.0f} a second" if rate >= 10 else f"{rate:.2g} a second"
+    how = f"{some} in {_duration(seconds)} with compiling, {speed}" if before < total else ", all there already"
+    lines = [f"{total:,} solve{'s' if total > 1 else ''}{how}: {counts}"]
+    failed = [name for name in summary["results"] if name != "successful"]
+    lines += [f"{plain_words(name)}: {RESULTS[getattr(RESULTS, name)]}" for name in failed]
+    lines += [f"{name}: {_range(known)}" for name, known in summary["outputs"].items() if known["min"] is not None]
+    for what, entries in (
+        ("no figure", paths["no_figure"]),
+        ("not in the table, as they run along the body", ", ".join(paths["not_in_csv"])),
+        ("not in the figure", "; ".join(paths["left_out"])),
+    ):
+        lines += [f"{what}: {entries}"] if entries else []
+    written = [paths["store"], *paths["figures"], paths["json"], paths["netcdf"], paths["csv"]]
+    return "\n".join([*lines, f"written: {', '.join(path for path in written if path)}"])
+
+
+def rehearsal_in_words(expected: Json) -> str:
+    """What the terminal shows of what `rehearse` returns."""
+    chunks, memory, store = expected["chunks"], expected["memory"], expected["store"]
+    lines = [
+        f"{expected['solves']:,} solves",
+        *(f"{axis['dimension']}: {_axis_in_words(axis)}" for axis in expected["axes"]),
+        f"answer: {', '.join(expected['outputs'])}; {size_in_words(expected['bytes'])} on disk at most",
+        f"chunks: {chunks['count']:,} of {' x '.join(map(str, chunks['shape']))} solves at most",
+        f"memory: {size_in_words(memory['needed'])} needed, {size_in_words(memory['allowed'])} allowed",
+    ]
+    if store is not None:
+        there = f"{store['chunks_there']:,} of {chunks['count']:,} chunks are there already"
+        solves = f"{there}, {store['solves_there']:,} solves"
+        lines.append(f"{store['path']}: {solves if store['chunks_there'] else 'nothing there yet'}")
+    return "\n".join(lines)
+
+
+def _axis_in_words(axis: Json) -> str:
+    name = axis["name"] if axis["name"] != axis["dimension"] else ""
+    first, last = (_number(np.asarray(axis[end]), axis["unit"]) for end in ("first", "last"))
+    ends = first if axis["count"] == 1 and axis["unit"] is None else f"{first} to {last}"
+    return f"{name} {ends}, {axis['count']:,} value{'s' if axis['count'] > 1 else ''}".strip()
+
+
+def _range(output: Json) -> str:
+    """ "5.2 N to 45.1 N", of the components of an output one after the other."""
+    own = [dimension for dimension in output["dims"] if dimension != "point"]
+    found = []
+    for place in np.ndindex(output["min"].shape):
+        labels = filter(None, map(component_label, own, place, output["min"].shape))
+        low, high = (_number(output[end][place], output["unit"] or "") for end in ("min", "max"))
+        found.append(" ".join([*labels, f"{low} to {high}"]))
+    return ", ".join(found)
+
+
+def _number(value: np.ndarray, unit: str | None) -> str:
+    if value.dtype.kind == "b" or unit is None:
+        return str(value.item()).lower() if value.dtype.kind == "b" else str(value)
+    if unit in units.DIMENSION_OF and unit != "1":
+        return units.shown(value, units.DIMENSION_OF[unit])
+    return f"{float(value):.5g} {'' if unit == '1' else unit}".strip()
+
+
+def plain_words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _duration(seconds: float) -> str:
+    """ "2.1 s", from a minute on hours, minutes and seconds: "1:02:03 h"."""
+    return f"{seconds:.2g} s" if seconds < 10 else f"{timedelta(seconds=round(seconds))} h"
+
+
+def size_in_words(count: float) -> str:
+    """Bytes with a fitting unit."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000:
+            return f"{count:.4g} {unit}"
+        count /= 1000
+    return f"{count:.4g} TB"

@@ -1,0 +1,209 @@
+"""What `cddf sweep` reads at the command line and in a task file."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .. import units
+from ..errors import InputError
+from ..files.actuation import read_actuation
+from ..robot.manipulator import Manipulator
+from ..statics.targets import Target
+from ..sweeping.axes import OPTIONS, Dimension as Axis, dimensions_of
+from ..sweeping.sampling import latin_hypercube, sobol
+from ..sweeping.sweep import Sweep
+from .options import read_all
+
+OVER = '"base_tension=5N:85N:17" or "kinematics=published,exact"'
+TOGETHER = "friction_coefficient,youngs_modulus"
+MOST = 100_000_000  # values along an axis
+SAMPLE = '"youngs_modulus=1.2MPa:1.6MPa"'
+SAMPLERS = {"latin_hypercube": latin_hypercube, "sobol": sobol}
+BYTES = {"B": 1, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40}
+
+
+class Samples(NamedTuple):
+    """What varies together along the dimension "sample"."""
+
+    ranges: Sequence[str] = ()
+    size: int | None = None
+    sampler: str = "latin_hypercube"
+    seed: int = 0
+
+
+def read_sweep(
+    manipulator: Manipulator, over: Sequence[str], together: Sequence[str], sample: Samples, **given: Any
+) -> Sweep:
+    """The sweep over axes such as "base_tension=5N:85N:17" and samples such as "youngs_modulus=1.2MPa:1.6MPa".
+
+    Args:
+        manipulator: the body.
+        over: one axis each, in the order of the dimensions.
+        together: names of axes such as "friction_coefficient,youngs_modulus" that are one.
+        sample: what varies together along one more dimension.
+        given: other fields of `Sweep`.
+
+    Raises:
+        InputError: names the option, the text and the remedy.
+    """
+    axes = read_all(over, lambda text: _name_and_values(text, "--over", OVER), "--over")
+    ranges = read_all(sample.ranges, lambda text: _name_and_values(text, "--sample", SAMPLE), "--sample")
+    if not axes and not ranges:
+        raise InputError(f"nothing varies; give --over {OVER} or --sample")
+    count = _num_samples(ranges, sample.size)
+    if given.get("base_tension") is not None and "base_tension" in (*axes, *ranges):
+        raise InputError("base_tension is given by --base-tension and varies too; leave one out")
+    names = [name for name in (*axes, *ranges) if name not in OPTIONS]
+    draft = Sweep(
+        manipulator=manipulator, dimensions=tuple(Axis(name, {name: np.zeros(1)}, {}) for name in names), **given
+    )
+    dimension_of: dict[str, units.Dimension] = {name: units.DIMENSION_OF[draft.case.unit(name)] for name in names}
+    values = {
+        name: _options(name, text) if name in OPTIONS else _numbers(name, text, dimension_of[name])
+        for name, text in axes.items()
+    }
+    joined = _joined(values, together)
+    if ranges:
+        limits = {name: _limits(name, text, dimension_of[name]) for name, text in ranges.items()}
+        joined["sample"] = SAMPLERS[sample.sampler](limits, count, sample.seed)
+    return replace(draft, dimensions=dimensions_of(joined))
+
+
+def _name_and_values(text: str, option: str, example: str) -> tuple[str, str]:
+    name, _, values = (part.strip() for part in text.partition("="))
+    if not name or not values:
+        raise InputError(f"{option} {text!r}: write for example {example}")
+    return name, values
+
+
+def _joined(values: Mapping[str, object], together: Sequence[str]) -> dict[str, object]:
+    """The axes, those that vary together in the place of the first of them."""
+    joined = dict(values)
+    for text in together:
+        names = [name.strip() for name in text.split(",")]
+        if len(set(names)) < max(len(names), 2):
+            raise InputError(f"--together {text!r}: name two axes or more, each once, as in {TOGETHER}")
+        for name in names:
+            if name not in values:
+                raise InputError(f"--together {text!r}: there is no --over {name}; give it its values there")
+            if name not in joined:
+                raise InputError(f"--together {text!r}: {name} varies together with others already; name all at once")
+        axis = "_and_".join(names), {name: joined[name] for name in names}
+        rest = {name: values for name, values in joined.items() if name not in names[1:]}
+        joined = dict(axis if name == names[0] else (name, values) for name, values in rest.items())
+    return joined
+
+
+def _num_samples(ranges: Mapping[str, str], count: int | None) -> int:
+    if ranges and count is None:
+        raise InputError("--sample needs the number of samples; give for example --samples 1000")
+    if count is not None and not ranges:
+        raise InputError(f"--samples {count}: nothing is sampled; give for example --sample {SAMPLE}")
+    for name in ranges:
+        if name in OPTIONS:
+            raise InputError(f"--sample {name}: only numbers have a range; write --over {name}=, with a list")
+    return count or 0
+
+
+def _numbers(name: str, text: str, dimension: units.Dimension) -> np.ndarray:
+    """The values along an axis: an even range of numbers, or a list."""
+    what = f"--over {name}"
+    if ":" not in text:
+        return np.array([units.quantity(part.strip(), dimension, what) for part in text.split(",")])
+    first, _, rest = text.partition(":")
+    last, _, count = (part.strip() for part in rest.partition(":"))
+    if not count.isdigit() or int(count) < 2:
+        one, two = (units.written(x, dimension) for x in (1.0, 2.0))
+        example = f"{name}={one}:{two}:11"
+        raise InputError(f"{what}: write first, last and how many, 2 or more, as in {example}, got {text!r}")
+    if int(count) > MOST:
+        raise InputError(f"{what}: {count} values are more than the {MOST:,} that one axis may have; give fewer")
+    start, stop = (units.quantity(end.strip(), dimension, what) for end in (first, last))
+    if start == stop:
+        raise InputError(f"{what}: first and last are the same, got {text!r}; give two different ones")
+    return np.linspace(start, stop, int(count))
+
+
+def _options(name: str, text: str) -> list[str] | list[int]:
+    values = [part.strip() for part in text.split(",")]
+    if name == "kinematics":
+        return values
+    if name == "method":
+        raise InputError("--over method: the command line takes no methods; use cddf_jax.sweep in Python")
+    if not all(value.isdigit() for value in values):
+        raise InputError(f"--over nodes: write whole numbers as in nodes=8,16, got {text!r}")
+    return [int(value) for value in values]
+
+
+def _limits(name: str, text: str, dimension: units.Dimension) -> tuple[float, float]:
+    low, colon, high = (part.strip() for part in text.partition(":"))
+    if not colon or ":" in high:
+        one, two = (units.written(x, dimension) for x in (1.0, 2.0))
+        raise InputError(f"--sample {name}: write least and largest as in {name}={one}:{two}, got {text!r}")
+    least, largest = (units.quantity(end, dimension, f"--sample {name}") for end in (low, high))
+    if not least < largest:
+        raise InputError(f"--sample {name}: the least comes first and is less than the largest, got {text!r}")
+    return least, largest
+
+
+def read_base_tension(
+    texts: Sequence[str], manipulator: Manipulator
+) -> float | Target | np.ndarray | tuple[float | Target, ...] | None:
+    """What `Sweep` takes for texts as `cddf solve` takes them; None for none.
+
+    Raises:
+        InputError: as `read_actuation`.
+    """
+    if not texts:
+        return None
+    entries = read_actuation(texts, manipulator)
+    if len(entries) == 1:
+        return entries[0]
+    return np.array(entries) if all(isinstance(entry, float) for entry in entries) else tuple(entries)
+
+
+def read_outputs(text: str) -> tuple[str, ...]:
+    """The names in "tip_tension, tip_angle", each once."""
+    return tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+
+
+def read_memory(text: str) -> float:
+    """Bytes out of a text such as "2 GB".
+
+    Raises:
+        InputError: for text that cannot be read.
+    """
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([A-Za-z]+)\s*", text)
+    if not found or found[2] not in BYTES or not float(found[1]) > 0:
+        raise InputError(f"--memory {text!r}: write a number above 0 and one of {', '.join(BYTES)} as in '2 GB'")
+    return float(found[1]) * BYTES[found[2]]
+
+
+def read_processes(
+    coordinator: str | None, num_processes: int | None, process_id: int | None, *, distributed: bool
+) -> Mapping[str, str | int | None] | None:
+    """Arguments of `jax.distributed.initialize`; None for one process alone.
+
+    Raises:
+        InputError: where some of them are missing, or do not fit.
+    """
+    given: dict[str, str | int | None] = {
+        "coordinator_address": coordinator,
+        "num_processes": num_processes,
+        "process_id": process_id,
+    }
+    if all(value is None for value in given.values()):
+        return {} if distributed else None
+    if coordinator is None or num_processes is None or process_id is None:
+        raise InputError(
+            "--coordinator, --num-processes and --process-id belong together; "
+            "give all three, or --distributed alone under Slurm or MPI"
+        )
+    if not re.fullmatch(r".+:\d+", coordinator):
+        raise InputError(f"--coordinator {coordinator!r}: write host and port as in 'node1:1234'")
+    if process_id >= num_processes:
+        raise InputError(f"--process-id {process_id}: {num_processes} processes are 0 to {num_processes - 1}")
+    return given

@@ -1,0 +1,229 @@
+"""Quantities of a body and of its equilibria, by name: what a design can improve or limit."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from ..errors import InputError
+from ..numerics.quadrature import Panels, panels
+from ..quantities import dimension_of
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..statics.equilibrium import Equilibrium, Fields
+from ..statics.solve import solve
+from ..units import Dimension
+from .load_cases import LoadCase
+
+BODY_NODES = 48  # of integrals over a body alone, in each of its smooth pieces
+OF_RADII = ("volume", "outer_radius", "inner_radius", "wall_thickness", "clearance", "taper", "slope", "strain")
+
+
+@dataclass
+class BodyView:
+    """A body, what acts on it, and the places along it that are looked at."""
+
+    body: Manipulator
+    arc_length: Float[Array | np.ndarray, " points"]  # m
+    case: LoadCase | None = None  # None where only the body matters
+    solution: Equilibrium | None = None  # of the body in that case
+    nodes: int = 16  # of the solver
+
+    @property
+    def equilibrium(self) -> Equilibrium:
+        assert self.solution is not None
+        return self.solution
+
+    @cached_property
+    def along(self) -> Fields:
+        """The fields of the equilibrium at the arc lengths."""
+        return self.equilibrium.at(self.arc_length)
+
+    @cached_property
+    def sides(self) -> Float[Array, "tendons 1"]:
+        return jnp.asarray([[float(tendon.side)] for tendon in self.body.tendons])
+
+    @cached_property
+    def anchored(self) -> Bool[Array, "tendons points"]:
+        """Whether each tendon still runs there: up to its anchor."""
+        ends = [self.body.length if tendon.end is None else tendon.end for tendon in self.body.tendons]
+        return jnp.asarray(self.arc_length) <= jnp.stack([jnp.asarray(end) for end in ends])[:, None] * (1 + 1e-12)
+
+    @cached_property
+    def panels(self) -> Panels:
+        """Panels that end where quantities are not smooth: those of the equilibrium, else between the joints."""
+        if self.solution is not None:
+            return self.solution.panels
+        return panels(jnp.asarray(self.body.length), self.body.breakpoints, BODY_NODES)
+
+    def moved(self, arc_length: Float[Array | np.ndarray, " points"]) -> "BodyView":
+        """The same at other places."""
+        return replace(self, arc_length=arc_length)
+
+
+class BodyQuantity(NamedTuple):
+    """Something that can be wanted large, small, even, near a value, or within limits."""
+
+    name: str  # in the registry of quantities; "" of a function that a user wrote
+    of: Callable[[BodyView], Array]  # an array of any shape, SI
+    bent: bool = True  # whether it needs an equilibrium
+    along: bool = False  # whether its last axis runs along the body
+    per_tendon: bool = False  # whether it is one number for each tendon
+    to_anchor: bool = False  # whether its last axis but one is that of the tendons, each of which ends at its anchor
+
+    @property
+    def dimension(self) -> Dimension:
+        return dimension_of(self.name) if self.name else "dimensionless"
+
+
+QuantityName = str | Callable[[Manipulator, Equilibrium], ArrayLike]  # a name of `BODY_QUANTITIES`, or a function
+
+
+def quantity_named(name: QuantityName) -> BodyQuantity:
+    """A quantity by its name, or made of a function of manipulator and equilibrium.
+
+    Raises:
+        InputError: names the known ones.
+    """
+    if callable(name):
+        return BodyQuantity("", lambda view: jnp.asarray(name(view.body, view.equilibrium)))
+    if name not in BODY_QUANTITIES:
+        raise InputError(f"design: {name!r} is no quantity of a body; there are {', '.join(BODY_QUANTITIES)}")
+    return BODY_QUANTITIES[name]
+
+
+def name_of(quantity: QuantityName) -> str:
+    """The name of a quantity in tables."""
+    return quantity if isinstance(quantity, str) else getattr(quantity, "__name__", type(quantity).__name__)
+
+
+def check_fits(name: str, wanted: ArrayLike, value: Array) -> None:
+    """Refuse a wanted value whose shape is not that of the quantity.
+
+    Raises:
+        InputError: names the quantity and the shapes.
+    """
+    if jnp.shape(wanted) not in ((), jnp.shape(value)):
+        raise InputError(f"design: {name} has shape {jnp.shape(value)}, and {jnp.shape(wanted)} was asked of it")
+
+
+# --- of the body alone ---------------------------------------------------------------------------
+
+
+def _radius(view: BodyView, which: int) -> Array:
+    return view.body.radii(view.arc_length)[which]
+
+
+def _wall(view: BodyView) -> Array:
+    outer, inner = view.body.radii(view.arc_length)
+    return outer - inner
+
+
+def _clearance(view: BodyView) -> Array:
+    offset, s = view.body.offset(view.arc_length), view.arc_length
+    outer, inner = view.body.radii(s)
+    sides = jnp.stack([outer - offset, offset - inner])
+    return jnp.where(view.anchored, sides, outer)  # beyond its anchor a tendon needs no clearance
+
+
+def _slopes(view: BodyView) -> Array:
+    s = jnp.asarray(view.arc_length)
+    slopes = jnp.stack(jax.jvp(view.body.radii, (s,), (jnp.ones_like(s),))[1])
+    return jnp.stack([slopes, -slopes])
+
+
+def _volume(view: BodyView) -> Array:
+    return _integral(view.body, view.body.area)
+
+
+def _mass(view: BodyView) -> Array:
+    points = jnp.asarray([0.0, *(point.mass for point in view.body.point_masses)])
+    return _integral(view.body, view.body.distributed_mass) + jnp.sum(points)
+
+
+def _integral(body: Manipulator, of: Callable[[Array], Array]) -> Array:
+    """By Gauss's rule between the places where the body is not smooth."""
+    pieces = panels(jnp.asarray(body.length), body.breakpoints, BODY_NODES)
+    return jnp.sum(pieces.gain(of(pieces.nodes)))
+
+
+# --- of an equilibrium ---------------------------------------------------------------------------
+
+
+def _strain(view: BodyView) -> Array:
+    strain = view.body.outer_strain(view.arc_length, view.along.curvature)
+    return jnp.stack([strain, -strain])
+
+
+def _crossing(view: BodyView) -> Array:
+    return jnp.where(view.anchored, view.sides * view.body.offset(view.arc_length) * view.along.curvature, 0.0)
+
+
+def _tension(view: BodyView) -> Array:
+    """Beyond the anchor it is the tension at the anchor, so that minimum and maximum along the tendon stay."""
+    return jnp.where(view.anchored, view.along.tension, view.equilibrium.tip_tension[:, None])
+
+
+def _stiffness(direction: Callable[[Equilibrium], Array]) -> Callable[[BodyView], Array]:
+    def stiffness(view: BodyView) -> Array:
+        assert view.case is not None
+        case, found = view.case, view.equilibrium
+        loads = Loads() if case.loads is None else case.loads
+
+        def tip(force: Array) -> Array:  # at constant base tensions, as in `tip_compliance`
+            pushed = replace(loads, tip_force=force)
+            there = solve(
+                view.body, found.base_tension, pushed, direction=found.direction, nodes=view.nodes, throw=False
+            )
+            return there.tip_position
+
+        way = direction(found)
+        return 1.0 / (way @ jax.jacfwd(tip)(jnp.asarray(loads.tip_force)) @ way)
+
+    return stiffness
+
+
+def _across(found: Equilibrium) -> Array:
+    return jnp.stack([-jnp.sin(found.tip_angle), jnp.cos(found.tip_angle)])
+
+
+def _fixed(x: float, y: float) -> Callable[[Equilibrium], Array]:
+    return lambda found: jnp.array([x, y])
+
+
+BODY_QUANTITIES: dict[str, BodyQuantity] = {
+    quantity.name: quantity
+    for quantity in (
+        BodyQuantity("length", lambda v: jnp.asarray(v.body.length), bent=False),
+        BodyQuantity("volume", _volume, bent=False),
+        BodyQuantity("mass", _mass, bent=False),
+        BodyQuantity("outer_radius", lambda v: _radius(v, 0), bent=False, along=True),
+        BodyQuantity("inner_radius", lambda v: _radius(v, 1), bent=False, along=True),
+        BodyQuantity("wall_thickness", _wall, bent=False, along=True),
+        BodyQuantity("clearance", _clearance, bent=False, along=True, to_anchor=True),
+        BodyQuantity("taper", lambda v: -_slopes(v)[0, 0], bent=False, along=True),
+        BodyQuantity("slope", _slopes, bent=False, along=True),
+        BodyQuantity("curvature", lambda v: v.along.curvature, along=True),
+        BodyQuantity("heading", lambda v: v.along.heading, along=True),
+        BodyQuantity("position", lambda v: v.along.position.T, along=True),
+        BodyQuantity("strain", _strain, along=True),
+        BodyQuantity("crossing", _crossing, along=True, to_anchor=True),
+        BodyQuantity("tension", _tension, along=True, to_anchor=True),
+        BodyQuantity("base_tension", lambda v: v.equilibrium.base_tension, per_tendon=True),
+        BodyQuantity("tip_tension", lambda v: v.equilibrium.tip_tension, per_tendon=True),
+        BodyQuantity("tension_loss", lambda v: v.equilibrium.tension_loss, per_tendon=True),
+        BodyQuantity("tendon_displacement", lambda v: v.equilibrium.tendon_displacement, per_tendon=True),
+        BodyQuantity("tip_angle", lambda v: v.equilibrium.tip_angle),
+        BodyQuantity("tip_position", lambda v: v.equilibrium.tip_position),
+        BodyQuantity("tip_x", lambda v: v.equilibrium.tip_position[0]),
+        BodyQuantity("tip_y", lambda v: v.equilibrium.tip_position[1]),
+        BodyQuantity("tip_stiffness", _stiffness(_across)),
+        BodyQuantity("tip_stiffness_x", _stiffness(_fixed(1.0, 0.0))),
+        BodyQuantity("tip_stiffness_y", _stiffness(_fixed(0.0, 1.0))),
+    )
+}

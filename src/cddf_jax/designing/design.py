@@ -1,0 +1,293 @@
+"""`design`: the body that meets an objective best, within what can be made."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ..errors import InputError
+from ..robot.manipulator import Manipulator
+from ..robot.validation import check_weight
+from ..statics.equilibrium import RESULTS, Equilibrium, result_of
+from .body_quantities import OF_RADII, name_of
+from .free_numbers import Bounds, FreeNumbers, free_numbers_of
+from .limits import Limit, number_of
+from .load_cases import LoadCase, case_numbers
+from .objectives import Least, Objective
+from .problem import USABLE, Cap, DesignEvaluation, DesignProblem, NonlinearProgram, Term
+from .results import Design, design_of, displayed
+from .search import WANDERING, DesignSearch, ShowProgress
+
+STATIONS = 33  # even places at which limits along the body are evaluated
+CROSSING = 0.99  # kappa d at most, short of 1 where fibres cross
+FAR = 1e3  # times the size of an objective, a level that holds nothing back
+THINNEST = 1e-3  # of the outer radius at the start, the wall that is always kept
+Aim = Objective | Callable[[Manipulator, Equilibrium], ArrayLike]
+
+
+@dataclass(frozen=True)
+class DesignOptions:
+    """How a design is searched for.
+
+    Args:
+        starts: how many points within the bounds are tried; searches begin at the best four and at the start.
+        seed: of these points.
+        max_iterations: of each search.
+        nodes: of the solver.
+        worst: optimise the worst load case, and not the weighted mean over all.
+        offsets_outside_wall: allow tendons in the bore or outside the body.
+        progress: show it on standard error.
+
+    Raises:
+        InputError: names an option with a wrong value.
+    """
+
+    starts: int = 1
+    seed: int = 0
+    max_iterations: int = 300
+    nodes: int = 16
+    worst: bool = False
+    offsets_outside_wall: bool = False
+    progress: bool = False
+
+    def __post_init__(self):
+        smallest = {"starts": 1, "seed": 0, "max_iterations": 1, "nodes": 4}
+        for option in fields(self):
+            name, value = option.name, getattr(self, option.name)
+            if isinstance(option.default, bool):
+                if not isinstance(value, bool):
+                    raise InputError(f"design: {name} must be true or false, got {value!r}")
+            elif isinstance(value, bool) or not isinstance(value, int) or value < smallest[name]:
+                raise InputError(f"design: {name} must be a whole number of {smallest[name]} or more, got {value!r}")
+
+
+def design(
+    manipulator: Manipulator,
+    objective: Aim | Sequence[tuple[float, Aim]],
+    free: Sequence[str],
+    bounds: Bounds | None = None,
+    constraints: Limit | Sequence[Limit] = (),
+    *,
+    cases: LoadCase | Sequence[LoadCase],
+    choices: Mapping[str, Sequence[float]] | None = None,
+    options: DesignOptions | None = None,
+) -> Design:
+    """The body that meets an objective best, within what can be made, with proof.
+
+    SciPy's SLSQP with exact derivatives of the solver; where it stops short, SciPy's trust region with Hessian products
+    goes on. The answer is the best body nearby; `DesignOptions(starts=...)` searches further away.
+
+    Args:
+        manipulator: the start, with all numbers that stay as they are.
+        objective: one of `Least`, `Most`, `Even`, `Near`, a function of manipulator and equilibrium that is to be made
+            small, or a list of pairs (weight, objective): each counts relative to its size at the start.
+        free: what may change: names of numbers, or of profiles for all their values: "outer_radius", "length" (with it
+            everything along the body is stretched), "tendons.*.offset" (one value for all tendons).
+        bounds: (lower, upper) by the same names, SI; unless given a tenth of the start value and ten times it.
+        constraints: `Limit`s. These are always kept, unless you limit the same quantity: kappa d <= 0.99 on the inside
+            of a bend, a wall of a thousandth of the radius, tendons in the wall.
+        cases: how the body is used: one `LoadCase`, or several; see also `uncertain_cases`.
+        choices: numbers that can have a few values only, by name; every combination is designed.
+        options: of the search.
+
+    Returns:
+        A `Design`; look at `success`. Where no body keeps to all limits it says so, with those that are `blocking`.
+
+    Raises:
+        InputError: for unknown names and contradictions, and where the start itself has no equilibrium.
+    """
+    options = DesignOptions() if options is None else options
+    objectives, found = weighted(objective), []
+    with progress_shown(options) as show:
+        for chosen in _combinations(manipulator, choices or {}, free):
+            numbers = {name: np.asarray(number) for name, number in chosen.items()}
+            body = case_numbers(manipulator).with_numbers(numbers).manipulator
+            problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, options)
+            if found:  # one scale for all, so that they can be compared
+                problem = problem.over_the_sizes_of(found[0][1])
+            search = DesignSearch(problem, options.max_iterations, show)
+            found.append((chosen, problem, search.from_starts(options.starts, options.seed)))
+    chosen, problem, best = min(found, key=lambda each: each[2].rank)
+    tried = tuple((each, displayed(problem, result.value)) for each, _, result in found) if choices else ()
+    return design_of(best, manipulator, tried, chosen)
+
+
+def weighted(objective: Aim | Sequence[tuple[float, Aim]]) -> list[tuple[float, Objective]]:
+    """The argument `objective` of `design` as pairs of weight and objective.
+
+    Raises:
+        InputError: for anything else.
+    """
+    found = []
+    for pair in objective if isinstance(objective, list | tuple) else [(1.0, objective)]:
+        if not isinstance(pair, tuple | list) or len(pair) != 2:
+            raise InputError(f"design: several objectives are a list of pairs (weight, objective), got {pair!r}")
+        weight, aim = number_of(pair[0], "design: a weight"), pair[1]
+        if not isinstance(aim, Objective):
+            if not callable(aim) or isinstance(aim, type):
+                raise InputError(f'design: the objective must be one such as Least("mass") or a function, got {aim!r}')
+            aim = Least(aim)  # type: ignore[arg-type]
+        if not weight > 0:
+            raise InputError(f"design: the weight of {aim} must be above 0, got {weight:g}")
+        found.append((weight, aim))
+    if not found:
+        raise InputError("design: give an objective")
+    return found
+
+
+def _combinations(
+    body: Manipulator, choices: Mapping[str, Sequence[float]], free: Sequence[str]
+) -> Iterator[dict[str, float]]:
+    """Every combination of the choices, by name."""
+    lists = []
+    for name, values in choices.items():
+        case_numbers(body).number(name)
+        if name in free:
+            raise InputError(f"design: {name!r} is free and has choices; leave one out")
+        if not isinstance(values, list | tuple | np.ndarray) or len(values) == 0:
+            raise InputError(f"design: the choices of {name!r} must be a list of numbers, got {values!r}")
+        lists.append([number_of(value, f"design: a choice of {name!r}") for value in values])
+    for numbers in product(*lists):
+        yield dict(zip(choices, numbers, strict=True))
+
+
+@contextmanager
+def progress_shown(options: DesignOptions) -> Iterator[ShowProgress]:
+    """A line on standard error; yields the function that writes it."""
+    if not options.progress:
+        yield lambda text: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("compiling") as status:
+        yield status.update
+
+
+# --- the problem, checked ----------------------------------------------------------------------------
+
+
+def problem_of(
+    manipulator: Manipulator,
+    objectives: Sequence[tuple[float, Objective]],
+    free: Sequence[str],
+    bounds: Bounds,
+    constraints: Limit | Sequence[Limit],
+    cases: LoadCase | Sequence[LoadCase],
+    options: DesignOptions,
+    *,
+    capped: bool = False,
+) -> DesignProblem:
+    """The problem of `design`, checked, with sizes taken from the start.
+
+    Args:
+        objectives: pairs of weight and objective.
+        capped: whether every objective also gets a level that it may not exceed, far away at first.
+
+    The others are as in `design`.
+
+    Raises:
+        InputError: for unknown names and contradictions, and for a start without equilibrium.
+    """
+    constraints = [constraints] if isinstance(constraints, Limit) else constraints
+    if not isinstance(constraints, list | tuple) or not all(isinstance(limit, Limit) for limit in constraints):
+        raise InputError('design: constraints must be a list of limits, as in [Limit("wall_thickness", least=2e-3)]')
+    used = (cases,) if isinstance(cases, LoadCase) else tuple(cases) if isinstance(cases, list | tuple) else ()
+    if not used or not all(isinstance(case, LoadCase) for case in used):
+        raise InputError("design: cases must be one LoadCase or more, as in cases=LoadCase(50.0)")
+    numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
+    _check_body(manipulator, [name_of(part.quantity) for part in (*constraints, *(aim for _, aim in objectives))])
+    _check_overlap(numbers, used)
+    for case in used:
+        check_weight(case.body(manipulator), case.loads)
+    _check_places(manipulator, [aim for _, aim in objectives])
+    implied = _implied(manipulator, constraints, offsets_outside_wall=options.offsets_outside_wall)
+    limits, one = [*constraints, *implied], jnp.ones(())
+    problem = DesignProblem(
+        manipulator,
+        numbers,
+        used,
+        terms=tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives),
+        caps=tuple(Cap(aim, one, one) for _, aim in objectives) if capped else (),
+        limits=tuple(jax.tree.map(jnp.asarray, replace(limit, scale=one)) for limit in limits),
+        stations=jnp.asarray(_stations(manipulator)),
+        implied=(*[False] * len(constraints), *[True] * len(implied)),
+        worst=options.worst,
+        nodes=options.nodes,
+    )
+    return _sized(problem, limits)
+
+
+def _sized(problem: DesignProblem, limits: Sequence[Limit]) -> DesignProblem:
+    """The problem with objectives and limits over their sizes at the start, which must have an equilibrium."""
+    start = np.append(problem.free.scaled_start, np.zeros(len(problem.peaks)))
+    found = NonlinearProgram(problem).evaluation(start)
+    _demand_start(problem, found, limits)
+    sizes = [jnp.asarray(float(np.max(np.abs(aim))) or 1.0, float) for aim in found.aims]
+    terms = [replace(term, reference=size) for term, size in zip(problem.terms, sizes, strict=True)]
+    caps = [replace(cap, most=FAR * size, reference=size) for cap, size in zip(problem.caps, sizes, strict=False)]
+    margins = [float(np.max(np.abs(margin), initial=0.0)) for margin in found.margins]
+    scales = [jnp.asarray(limit.size(margin), float) for limit, margin in zip(limits, margins, strict=True)]
+    scaled = [replace(limit, scale=scale) for limit, scale in zip(problem.limits, scales, strict=True)]
+    return replace(problem, terms=tuple(terms), caps=tuple(caps), limits=tuple(scaled))
+
+
+def _implied(body: Manipulator, limits: Sequence[Limit], *, offsets_outside_wall: bool) -> list[Limit]:
+    """The limits that every body must keep, unless the user limits the same quantity."""
+    own = {name_of(limit.quantity) for limit in limits}
+    always = [Limit("crossing", most=CROSSING)]
+    if body.outer_radius is not None:
+        thinnest = THINNEST * float(np.max(np.asarray(body.outer_radius(jnp.asarray([0.0, float(body.length)])))))
+        always.append(Limit("wall_thickness", least=thinnest))
+        always += [] if offsets_outside_wall else [Limit("clearance", least=0.0)]
+    return [limit for limit in always if name_of(limit.quantity) not in own]
+
+
+def _stations(body: Manipulator) -> np.ndarray:
+    """Over the length: even ones, both sides of each joint, and those that a search will move."""
+    joints = np.asarray(body.breakpoints, float) / float(body.length)
+    joints = joints[(joints > 0) & (joints < 1)]
+    wandering = (np.arange(WANDERING) + 0.5) / WANDERING
+    return np.concatenate([np.linspace(0.0, 1.0, STATIONS), joints - 1e-9, joints + 1e-9, wandering])
+
+
+def _check_body(body: Manipulator, names: Sequence[str]) -> None:
+    if "mass" in names and not body.has_mass:
+        raise InputError('design: the body has no mass, since its density is 0; give it one, or take "volume"')
+    of_radii = [name for name in names if name in OF_RADII]
+    if of_radii and not body.has_radii:
+        raise InputError(f"design: {of_radii[0]!r} needs radii; give the body outer_radius and inner_radius")
+
+
+def _check_places(body: Manipulator, aims: Sequence[Objective]) -> None:
+    """Places at which a quantity is compared must lie on the body."""
+    length = float(np.asarray(body.length))
+    for aim in aims:
+        at = getattr(aim, "at", None)
+        if at is not None and (np.min(at) < 0 or np.max(at) > length * (1 + 1e-9)):
+            raise InputError(f"design: {aim} is compared at {np.max(at):g} m, off a body of {length:g} m; change at")
+
+
+def _check_overlap(numbers: FreeNumbers, cases: tuple[LoadCase, ...]) -> None:
+    free = {name for names in numbers.names for name in names}
+    for case in cases:
+        for name in case.numbers:
+            if name in free:
+                raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")
+
+
+def _demand_start(problem: DesignProblem, found: DesignEvaluation, limits: Sequence[Limit]) -> None:
+    for case, code in zip(problem.cases, np.asarray(found.codes), strict=False):
+        if code not in USABLE:
+            said = RESULTS[result_of(code)]
+            raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")
+    named = [(str(term.objective), aim) for term, aim in zip(problem.terms, found.aims, strict=True)]
+    named += [(str(limit), margin) for limit, margin in zip(limits, found.margins, strict=True)]
+    named += [(str(limit), zero) for limit, zero in zip(limits, found.zeros, strict=True)]
+    for name, values in named:
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"design: {name!r} has no finite value for the start; look at its places and its formula")

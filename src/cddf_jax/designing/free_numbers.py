@@ -1,0 +1,160 @@
+"""The free numbers of a design: their names, their bounds, and the bodies that they make."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..errors import InputError
+from ..robot.manipulator import Manipulator
+from ..robot.named_numbers import Case, stem_and_tendon
+from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline
+from .load_cases import LoadCase
+
+WIDE = 10.0  # bounds unless given: a tenth of the start value, and ten times it
+Vector = Float[Array | np.ndarray, " n"]
+Bounds = Mapping[str, tuple[float, float]]  # (lower, upper) by name, SI
+
+
+class FreeNumbers(eqx.Module):
+    """Free numbers x, scaled to z = (x - lower) / size.
+
+    Several names on one place share one number, as the offsets of all tendons by "tendons.*.offset".
+    """
+
+    names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    start: Vector
+    lower: Vector
+    upper: Vector
+    size: Vector
+
+    def label(self, i: int) -> str:
+        """The name of a free number in tables."""
+        names = self.names[i]
+        return names[0] if len(names) == 1 else names[0].replace("tendons.0.", "tendons.*.")
+
+    @property
+    def scaled_start(self) -> Vector:
+        return self.scaled(self.start)
+
+    def numbers(self, z: Vector) -> Vector:
+        return self.lower + self.size * z
+
+    def scaled(self, numbers: Vector) -> Vector:
+        return (numbers - self.lower) / self.size
+
+    def applied(self, manipulator: Manipulator, case: LoadCase, z: Vector) -> tuple[Manipulator, LoadCase]:
+        """Body and load case with the free numbers in them."""
+        x = self.numbers(jnp.asarray(z))
+        return case.with_numbers(manipulator, {name: x[i] for i, names in enumerate(self.names) for name in names})
+
+
+def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumbers:
+    """The free numbers with these names, their start values and their bounds.
+
+    Args:
+        case: the start.
+        free: names of numbers, or of profiles for all their values: "outer_radius", "length", "tendons.*.offset".
+        bounds: (lower, upper) by the same names, SI.
+
+    Raises:
+        InputError: names what is unknown, without effect, or out of its bounds.
+    """
+    if any(stem_and_tendon(str(name))[0] == "direction" for name in free):
+        raise InputError("design: a direction cannot be free; it is 1 or -1")
+    if isinstance(free, str) or not free or not all(isinstance(name, str) for name in free):
+        raise InputError('design: free must list one name or more, as in free=("outer_radius",)')
+    for name in bounds:
+        if name not in free:
+            raise InputError(f"design: {name!r} has bounds and is not free; add it to free")
+    names, start, low, high = [], [], [], []
+    for group in free:
+        if list(free).count(group) > 1:
+            raise InputError(f"design: {group!r} is free twice; name it once")
+        for tied in numbers_under(case, group):
+            value = float(np.asarray(case.number(tied[0])))
+            lower, upper = _bounds_of(group, value, bounds)
+            names.append(tied)
+            start.append(value)
+            low.append(lower)
+            high.append(upper)
+    _check_once(names)
+    start, low, high = (np.asarray(x) for x in (start, low, high))
+    size = np.minimum(high - low, np.where(start == 0, np.inf, np.abs(start)))
+    return FreeNumbers(tuple(names), start, low, high, size)
+
+
+def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
+    if group not in bounds:
+        if value <= 0:
+            raise InputError(f"design: {group!r} starts at {value:g}; give it bounds")
+        return value / WIDE, value * WIDE
+    try:
+        lower, upper = (float(x) for x in bounds[group])
+    except (TypeError, ValueError):
+        raise InputError(f"design: the bounds of {group!r} must be (lower, upper), got {bounds[group]!r}") from None
+    if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
+        raise InputError(f"design: the bounds of {group!r} must be finite and increase, got {lower:g} and {upper:g}")
+    if not lower <= value <= upper:
+        raise InputError(
+            f"design: {group!r} starts at {value:g}, outside its bounds {lower:g} to {upper:g}; "
+            "widen them or start elsewhere"
+        )
+    return lower, upper
+
+
+def _check_once(names: Sequence[tuple[str, ...]]) -> None:
+    flat = [name for tied in names for name in tied]
+    for name in flat:
+        if flat.count(name) > 1:
+            raise InputError(f"design: {name!r} is free under two names; leave one out")
+
+
+def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:
+    """The numbers that a free name means, each with those that share its value.
+
+    Raises:
+        InputError: names what is not there.
+    """
+    if "*" not in group:
+        return [(name,) for name in _within(case, group)]
+    if not group.startswith("tendons.*."):
+        raise InputError(f"design: {group!r}: a * stands for all tendons, as in 'tendons.*.offset'")
+    each = [_within(case, group.replace("*", str(i))) for i in range(case.manipulator.num_tendons)]
+    if len({len(names) for names in each}) > 1:
+        raise InputError(f"design: {group!r}: the tendons are of different kinds; name them one by one")
+    return list(zip(*each, strict=True))
+
+
+def _within(case: Case, name: str) -> list[str]:
+    node: Any = case.manipulator
+    for step in name.split("."):
+        inside = isinstance(node, tuple) and step.isdigit() and int(step) < len(node)
+        node = node[int(step)] if inside else getattr(node, step, None)
+    if isinstance(node, Linear | Polyline | Spline | Piecewise):
+        return [f"{name}.{inner}" for inner in _values_of(node)]
+    if isinstance(node, np.ndarray | jax.Array) and np.ndim(node) == 1:
+        return [f"{name}.{i}" for i in range(len(node))]
+    number = case.number(name)
+    if not isinstance(number, float | np.ndarray | jax.Array) or np.ndim(number) != 0:
+        raise InputError(f"design: {name!r} has no number of its own here; give the start one, or name a part of it")
+    return [name]
+
+
+def _values_of(profile: Profile) -> list[str]:
+    """The names of a profile's own values, not of the places where they hold."""
+    match profile:
+        case Constant():
+            return ["value"]
+        case Linear():
+            return ["base", "tip"]
+        case Polyline() | Spline():
+            return [f"values.{i}" for i in range(len(profile.values))]
+        case Piecewise():
+            pieces = enumerate(profile.pieces)
+            return [f"pieces.{i}.{inner}" for i, piece in pieces for inner in _values_of(piece)]
+    raise InputError(f"design: a profile of type {type(profile).__name__} has no free values; name a number of it")

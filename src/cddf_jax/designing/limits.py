@@ -1,0 +1,113 @@
+"""Limits that a design must keep."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..errors import InputError
+from ..robot.profiles import Scalar, as_number
+from .body_quantities import BodyView, QuantityName, check_fits, name_of, quantity_named
+
+
+def number_of(value: object, what: str) -> float:
+    """A finite number.
+
+    Raises:
+        InputError: for anything else; begins with `what`.
+    """
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not np.isfinite(number):
+        raise InputError(f"{what} must be a number, got {value!r}")
+    return number
+
+
+def _optional(value: object) -> Array | np.ndarray | None:
+    try:
+        return None if value is None else as_number(value)
+    except (TypeError, ValueError):
+        raise InputError(f"a limit must be a number, got {value!r}", where="design") from None
+
+
+class Limit(eqx.Module):
+    """A range for a quantity, everywhere along the body and for every tendon.
+
+    Args:
+        quantity: a name of `BODY_QUANTITIES`, or a function of manipulator and equilibrium.
+        least, most: the range, SI; None for no limit on that side.
+        equal: instead of them, the value that the quantity must have; of `tip_position` two numbers.
+        scale: violations count relative to it, SI; unless given the size of the limit, or, of a limit of zero, the
+            size of the quantity at the start.
+    """
+
+    quantity: QuantityName = eqx.field(static=True)
+    least: Scalar | None = eqx.field(default=None, converter=_optional)
+    most: Scalar | None = eqx.field(default=None, converter=_optional)
+    equal: Float[Array | np.ndarray, "..."] | None = eqx.field(default=None, converter=_optional)
+    scale: Scalar | None = eqx.field(default=None, converter=_optional)
+
+    def __check_init__(self):
+        name = name_of(self.quantity)
+        quantity_named(self.quantity)
+        if (self.equal is None) == (self.least is None and self.most is None):
+            raise InputError(f"a limit of {name} needs least, most or both, or else equal", where="design")
+        if self.equal is not None and quantity_named(self.quantity).along:
+            raise InputError(
+                f"{name} varies along the body and cannot equal one value; take Near or Even of it", where="design"
+            )
+        for side in ("least", "most", "equal", "scale"):
+            number = getattr(self, side)
+            if isinstance(number, np.ndarray) and (
+                not np.all(np.isfinite(number)) or (number.ndim and side != "equal")
+            ):
+                raise InputError(
+                    f"a limit of {name} must be a finite number, got {side}={number.tolist()}", where="design"
+                )
+        if isinstance(self.scale, np.ndarray) and not self.scale > 0:
+            raise InputError(f"the scale of a limit of {name} must be above 0, got {self.scale:g}", where="design")
+        low, high = self.least, self.most
+        if isinstance(low, np.ndarray) and isinstance(high, np.ndarray) and low > high:
+            raise InputError(
+                f"{name} cannot be at least {self.least:g} and at most {self.most:g}; exchange them", where="design"
+            )
+
+    @property
+    def bent(self) -> bool:
+        return quantity_named(self.quantity).bent
+
+    @property
+    def along(self) -> bool:
+        return quantity_named(self.quantity).along
+
+    def inequalities(self, view: BodyView) -> Array:
+        """Scaled margins, (sides, ...), that may not be negative."""
+        value = quantity_named(self.quantity).of(view)
+        sides = [] if self.least is None else [value - self.least]
+        sides += [] if self.most is None else [self.most - value]
+        return jnp.stack(sides) / jnp.asarray(self.scale) if sides else jnp.zeros((0, *jnp.shape(value)))
+
+    def equalities(self, view: BodyView) -> Array:
+        """Scaled differences that must be zero."""
+        if self.equal is None:
+            return jnp.zeros(0)
+        value = quantity_named(self.quantity).of(view)
+        check_fits(name_of(self.quantity), self.equal, value)
+        return jnp.ravel((value - self.equal) / jnp.asarray(self.scale))
+
+    def size(self, at_start: float) -> float:
+        """The scale: as given, else the size of the limit, and of a limit of zero that of the quantity at the start."""
+        if self.scale is not None:
+            return float(self.scale)
+        stated = [np.max(np.abs(np.asarray(x))) for x in (self.least, self.most, self.equal) if x is not None]
+        return float(max(stated)) or at_start or 1.0
+
+    def __str__(self) -> str:
+        """As in "0.002 <= wall_thickness", SI."""
+        name = name_of(self.quantity)
+        if self.equal is not None:
+            return f"{name} = {np.array2string(np.asarray(self.equal), precision=6)}"
+        low = "" if self.least is None else f"{float(self.least):.6g} <= "
+        return f"{low}{name}" + ("" if self.most is None else f" <= {float(self.most):.6g}")

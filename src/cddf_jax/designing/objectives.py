@@ -1,0 +1,159 @@
+"""Objectives of a design."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..errors import InputError
+from ..robot.profiles import as_number
+from ..units import Dimension
+from .body_quantities import BodyView, QuantityName, check_fits, name_of, quantity_named
+
+
+class Objective(eqx.Module):
+    """A number to be made small."""
+
+    quantity: QuantityName = eqx.field(static=True)
+
+    def __check_init__(self):
+        quantity_named(self.quantity)
+
+    @property
+    def peak(self) -> bool:
+        """Whether the largest of the values counts: they vary along the body."""
+        return False
+
+    @property
+    def bent(self) -> bool:
+        return quantity_named(self.quantity).bent
+
+    @abstractmethod
+    def values(self, view: BodyView) -> Array:
+        """The number to be made small, or the values along the body whose largest is, SI."""
+
+    def displayed(self, value: float) -> float:
+        """A value that is made small, as the user reads it, in `dimension`."""
+        return value
+
+    @property
+    def dimension(self) -> Dimension:
+        """Of displayed values."""
+        return quantity_named(self.quantity).dimension
+
+    def __str__(self) -> str:
+        return f"{type(self).__name__.lower()} {name_of(self.quantity)}"
+
+
+class _Extreme(Objective):
+    """The largest or the smallest of a quantity."""
+
+    @property
+    def peak(self) -> bool:
+        return quantity_named(self.quantity).along
+
+    def _found(self, view: BodyView) -> Array:
+        """The quantity along the body, or its sum over the tendons."""
+        known = quantity_named(self.quantity)
+        values = known.of(view)
+        if known.along:
+            return values
+        if jnp.ndim(values) != (1 if known.per_tendon else 0):
+            raise InputError(
+                f"design: {name_of(self.quantity)} has shape {jnp.shape(values)}; a number is wanted for Least or Most"
+            )
+        return jnp.sum(values)
+
+
+class Least(_Extreme):
+    """The least of a quantity: of a quantity along the body its largest value, of several tendons their sum.
+
+    Args:
+        quantity: a name of `BODY_QUANTITIES`, or a function of manipulator and equilibrium that gives a number.
+    """
+
+    def values(self, view: BodyView) -> Array:
+        return self._found(view)
+
+
+class Most(_Extreme):
+    """The most of a quantity: of a quantity along the body its smallest value, of several tendons their sum."""
+
+    def values(self, view: BodyView) -> Array:
+        return -self._found(view)
+
+    def displayed(self, value: float) -> float:
+        return -value
+
+
+class Even(Objective):
+    """A quantity as even along the body as possible: its variance over its squared mean, zero where it is constant.
+
+    Displayed as the root of that, the relative standard deviation. Quantities of a tendon count up to its anchor.
+    """
+
+    def __check_init__(self):
+        if not quantity_named(self.quantity).along:
+            raise InputError(f"design: {name_of(self.quantity)} does not vary along the body; take Least or Most of it")
+
+    def values(self, view: BodyView) -> Array:
+        values, shares = _on_panels(self.quantity, view)
+        mean = jnp.sum(values * shares, axis=-1, keepdims=True)
+        return jnp.mean(jnp.sum((values - mean) ** 2 * shares, axis=-1, keepdims=True) / mean**2)
+
+    def displayed(self, value: float) -> float:
+        return float(np.sqrt(max(value, 0.0)))
+
+    @property
+    def dimension(self) -> Dimension:
+        return "dimensionless"
+
+
+class Near(Objective):
+    """A quantity near a wanted value: the mean of squared differences, displayed as its root.
+
+    Args:
+        quantity: a name of `BODY_QUANTITIES`, or a function of manipulator and equilibrium.
+        value: the wanted one, SI: a number, or an array that fits, (points, 2) for a shape given by "position".
+        at: (points,) arc lengths, m, at which a quantity along the body is compared; None for everywhere, where
+            quantities of a tendon count up to its anchor.
+    """
+
+    value: Float[Array | np.ndarray, "..."] = eqx.field(default=0.0, converter=as_number)
+    at: Float[np.ndarray | Array, " points"] | None = eqx.field(
+        default=None, converter=lambda at: None if at is None else as_number(at)
+    )
+
+    def __check_init__(self):
+        if self.at is not None and (np.ndim(self.at) != 1 or not quantity_named(self.quantity).along):
+            raise InputError(
+                "design: Near(at=...) takes a list of arc lengths, and a quantity that varies along the body"
+            )
+
+    def values(self, view: BodyView) -> Array:
+        name, known, value = name_of(self.quantity), quantity_named(self.quantity), jnp.asarray(self.value)
+        if known.along and self.at is None:
+            if value.ndim:
+                raise InputError(f"design: {name} varies along the body; say where by Near(..., at=...)")
+            found, shares = _on_panels(self.quantity, view)
+            return jnp.mean(jnp.sum((found - value) ** 2 * shares, axis=-1))
+        found = known.of(view if self.at is None else view.moved(jnp.asarray(self.at)))
+        if self.at is not None and value.ndim == 2 and value.shape[::-1] == found.shape:
+            value = value.T  # points come last in quantities along the body
+        check_fits(name, value, found)
+        return jnp.mean((found - value) ** 2)
+
+    def displayed(self, value: float) -> float:
+        return float(np.sqrt(max(value, 0.0)))
+
+
+def _on_panels(quantity: QuantityName, view: BodyView) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:
+    """A quantity at Gauss nodes between the places where it is not smooth, and their shares in a mean."""
+    nodes, shares = view.panels.nodes.ravel(), view.panels.shares.ravel()
+    there, known = view.moved(nodes), quantity_named(quantity)
+    if known.to_anchor:
+        shares = jnp.where(there.anchored, shares, 0.0)
+        shares /= jnp.sum(shares, axis=-1, keepdims=True)
+    return known.of(there), shares

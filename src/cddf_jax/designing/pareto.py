@@ -1,0 +1,178 @@
+"""Trade-offs between two objectives: the bodies of which none is better in both."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import InputError
+from ..robot.manipulator import Manipulator
+from ..units import Dimension
+from .design import FAR, Aim, DesignOptions, problem_of, progress_shown, weighted
+from .free_numbers import Bounds
+from .limits import Limit
+from .load_cases import LoadCase
+from .problem import DesignProblem
+from .results import Design, design_of
+from .search import DesignSearch, SearchResult, ShowProgress
+
+SECOND = 1e-4  # weight of the other objective beside the one that is made small, so that it is not given away
+SAME = 1e-3  # relative: ends that differ by less in both objectives are one body
+
+
+@dataclass(frozen=True)
+class ParetoFront:
+    """Designs from the best in the first objective to the best in the second, SI units."""
+
+    names: tuple[str, str]  # of the objectives
+    dimensions: tuple[Dimension, Dimension]  # of their values
+    values: np.ndarray  # (points, 2) of the two objectives; NaN where no body was found
+    start: tuple[float, float]  # of the body at the start
+    exchange_rate: np.ndarray  # (points,) how much of the first objective a unit of the second costs; NaN at the ends
+    designs: tuple[Design, ...]  # one for each point
+    remarks: tuple[str, ...]  # in words, what else should be known
+
+    @property
+    def success(self) -> bool:
+        """Whether every point was found."""
+        return all(design.success for design in self.designs)
+
+    def __str__(self) -> str:
+        from .report import front_in_words
+
+        return front_in_words(self)
+
+
+def pareto_front(
+    manipulator: Manipulator,
+    objectives: Sequence[Aim],
+    free: Sequence[str],
+    bounds: Bounds | None = None,
+    constraints: Limit | Sequence[Limit] = (),
+    *,
+    cases: LoadCase | Sequence[LoadCase],
+    num: int = 9,
+    options: DesignOptions | None = None,
+) -> ParetoFront:
+    """The trade-off between two objectives.
+
+    Between the bodies that are best in one of them, the widest gap is halved again and again: one objective is made
+    small under a level of the other (the epsilon-constraint method, which also finds fronts that are not convex),
+    from the bodies on both sides of the gap.
+
+    Args:
+        manipulator, free, bounds, constraints, cases, options: as in `design`; there is one start.
+        objectives: two of `Least`, `Most`, `Even`, `Near` or functions of manipulator and equilibrium.
+        num: points, 3 or more.
+
+    Raises:
+        InputError: for another number of objectives, points or starts, and as `design`.
+    """
+    options = DesignOptions() if options is None else options
+    if not isinstance(objectives, list | tuple) or len(objectives) != 2:
+        raise InputError('pareto_front: give two objectives, as in (Least("base_tension"), Least("mass"))')
+    if isinstance(num, bool) or not isinstance(num, int) or num < 3:
+        raise InputError(f"pareto_front: num must be a whole number of 3 or more, got {num!r}")
+    if options.starts != 1:
+        raise InputError(f"pareto_front: starts must be 1, got {options.starts}; a front has one start")
+    pairs = weighted([(1.0, aim) for aim in objectives])
+    problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, options, capped=True)
+    with progress_shown(options) as show:
+        points = _Points(problem, options.max_iterations, show)
+        for _ in range(num - 2):
+            if not points.add():
+                break
+    return _front(problem, points.found, manipulator, num)
+
+
+class _Points:
+    """The front as it grows: search results in order from one end to the other."""
+
+    def __init__(self, problem: DesignProblem, max_iterations: int, show: ShowProgress):
+        self.problem, self.max_iterations, self.show = problem, max_iterations, show
+        start = np.asarray(problem.free.scaled_start)
+        first = self._search(0, np.inf, [start])
+        last = self._search(1, np.inf, [first.z, start])
+        self.found = [first, last]
+        self.given_up: set[tuple[int, int]] = set()  # gaps in which no body was found, by the bodies beside them
+
+    def _search(self, small: int, level: float, starts: Sequence[np.ndarray]) -> SearchResult:
+        """Make one objective small under a level of the other; the best from some starts."""
+        search = DesignSearch(_at(self.problem, small, level), self.max_iterations, self.show)
+        return min((search.from_start(z) for z in starts), key=lambda found: found.rank)
+
+    def add(self) -> bool:
+        """A body in the middle of the widest gap; false where there is no gap left."""
+        raw = np.array([[_raw(found, k) for k in (0, 1)] for found in self.found])
+        good = [i for i, found in enumerate(self.found) if found.feasible]
+        size = np.maximum(np.abs(raw[0] - raw[-1]), 1e-12 * np.abs(raw[0]) + 1e-300)
+        gaps = [pair for pair in pairwise(good) if self._between(pair) not in self.given_up]
+        if not gaps or np.all(np.abs(raw[0] - raw[-1]) <= SAME * np.abs(raw[0])):
+            return False
+        before, after = max(gaps, key=lambda pair: float(np.linalg.norm((raw[pair[1]] - raw[pair[0]]) / size)))
+        wide = int(np.argmax(np.abs(raw[after] - raw[before]) / size))
+        level = float(np.mean([raw[before, wide], raw[after, wide]]))
+        found = self._search(1 - wide, level, [self.found[before].z, self.found[after].z])
+        if not found.feasible:
+            self.given_up.add(self._between((before, after)))
+        self.found.insert(before + 1, found)
+        return True
+
+    def _between(self, pair: tuple[int, int]) -> tuple[int, int]:
+        return id(self.found[pair[0]]), id(self.found[pair[1]])
+
+
+def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
+    """The problem with one objective made small and the other below a level, which may be infinite."""
+    weights = [SECOND, SECOND]
+    weights[small] = 1.0
+    terms = tuple(replace(term, weight=jnp.asarray(w, float)) for term, w in zip(problem.terms, weights, strict=True))
+    caps = list(problem.caps)
+    other = caps[1 - small]
+    caps[1 - small] = replace(other, most=jnp.minimum(jnp.asarray(level, float), FAR * other.reference))
+    return replace(problem, terms=terms, caps=tuple(caps))
+
+
+def _raw(result: SearchResult, i: int) -> float:
+    """An objective as the optimiser has it."""
+    problem, found = result.program.problem, result.evaluation
+    return float(np.max(found.aims[i]) if i in problem.peaks else problem.mean(jnp.asarray(found.aims[i])))
+
+
+def _rate(result: SearchResult) -> float:
+    """The multiplier of the level, as units of the first objective per unit of the second."""
+    problem, found = result.program.problem, result.evaluation
+    begin = sum(np.size(margin) for margin in found.margins)
+    for i, (cap, aim) in enumerate(zip(problem.caps, found.capped, strict=True)):
+        size = problem.room(cap, jnp.asarray(aim)).size
+        price = float(np.sum(result.local.optimality.inequality[begin : begin + size]))
+        begin += size
+        if price > 0:
+            first, second = (float(term.reference) for term in problem.terms)
+            return (price if i == 1 else 1.0 / price) * first / second
+    return float("nan")
+
+
+def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator, num: int) -> ParetoFront:
+    first, second = (term.objective for term in problem.terms)
+    designs = tuple(design_of(result, start) for result in found)
+    values = [[each.end if design.feasible else np.nan for each in design.objectives] for design in designs]
+    began = designs[0].objectives
+    return ParetoFront(
+        names=(str(first), str(second)),
+        dimensions=(first.dimension, second.dimension),
+        values=np.asarray(values),
+        start=(began[0].start, began[1].start),
+        exchange_rate=np.asarray([_rate(result) if result.feasible else np.nan for result in found]),
+        designs=designs,
+        remarks=_remarks(found, num),
+    )
+
+
+def _remarks(found: list[SearchResult], num: int) -> tuple[str, ...]:
+    missing = sum(not result.feasible for result in found)
+    if len(found) < num and not missing:
+        return ("one body is best in both objectives: they are not in each other's way",)
+    return (f"{missing} of {len(found)} points were not found",) if missing else ()

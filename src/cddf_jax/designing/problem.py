@@ -1,0 +1,259 @@
+"""A design as a nonlinear program: an objective to be made small, margins that may not be negative, zeros."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PyTree
+
+from ..numerics.constrained import Point, Weights
+from ..robot.manipulator import Manipulator
+from ..robot.profiles import Scalar
+from ..statics.equilibrium import RESULTS, code_of
+from .body_quantities import BodyView
+from .free_numbers import FreeNumbers, Vector
+from .limits import Limit
+from .load_cases import LoadCase, alike, stacked
+from .objectives import Objective
+
+Answer = TypeVar("Answer", bound=PyTree)
+Part = Float[Array | np.ndarray, " _"]  # of a vector
+
+
+class Term(eqx.Module):
+    """An objective with its weight."""
+
+    objective: Objective
+    weight: Scalar
+    reference: Scalar  # its size at the start; it counts relative to this
+
+
+class Cap(eqx.Module):
+    """A level that an objective may not exceed."""
+
+    objective: Objective
+    most: Scalar  # SI, as the objective's own values
+    reference: Scalar
+
+
+class DesignEvaluation(NamedTuple):
+    """All values at one point, by term and by limit; the leading axis is that of the load cases, or 1."""
+
+    aims: tuple[Array, ...]  # (cases, ...) SI, of the terms
+    capped: tuple[Array, ...]  # the same of the caps
+    margins: tuple[Array, ...]  # (cases, sides, ...), scaled; negative where a limit is broken
+    zeros: tuple[Array, ...]  # (cases, ...), scaled
+    codes: Int[Array, " cases"]  # results of the solves
+
+
+class _Part(NamedTuple):
+    """The values that need the bent body, or those that do not; None for the others."""
+
+    aims: tuple[Array | None, ...]
+    capped: tuple[Array | None, ...]
+    margins: tuple[Array | None, ...]
+    zeros: tuple[Array | None, ...]
+
+
+class ProgramValues(NamedTuple):
+    """The values of the nonlinear program."""
+
+    objective: Float[Array, ""]
+    inequality: Vector  # may not be negative
+    equality: Vector
+
+
+class DesignProblem(eqx.Module):
+    """Start body, free numbers, load cases, objectives and limits.
+
+    The unknowns are the scaled free numbers, and behind them a height for every objective that is a peak. The peak may
+    not exceed its height, and the height is made small instead (the epigraph form: smooth, where a maximum is not).
+    """
+
+    manipulator: Manipulator
+    free: FreeNumbers
+    cases: tuple[LoadCase, ...]
+    terms: tuple[Term, ...]
+    caps: tuple[Cap, ...]
+    limits: tuple[Limit, ...]
+    stations: Vector  # arc lengths over the length, at which limits are evaluated
+    implied: tuple[bool, ...] = eqx.field(static=True)  # of each limit, whether it is one that every body must keep
+    worst: bool = eqx.field(static=True)  # whether the worst case counts, and not the weighted mean
+    nodes: int = eqx.field(static=True)
+
+    @property
+    def peaks(self) -> tuple[int, ...]:
+        """The places of the terms that are peaks."""
+        return tuple(i for i, term in enumerate(self.terms) if term.objective.peak or self.worst)
+
+    @property
+    def shares(self) -> Float[Array, " cases"]:
+        """The weights of the load cases; their sum is one."""
+        weights = jnp.stack([jnp.asarray(case.weight) for case in self.cases])
+        return weights / jnp.sum(weights)
+
+    def split(self, unknowns: Vector) -> tuple[Part, Part]:
+        """The scaled free numbers, and the heights of the peaks."""
+        count = len(self.free.names)
+        return unknowns[:count], unknowns[count:]
+
+    def body(self, z: Vector) -> Manipulator:
+        """The body with these scaled free numbers."""
+        return self.free.applied(self.manipulator, self.cases[0], z)[0]
+
+    def view(self, z: Vector, case: LoadCase) -> BodyView:
+        """The body in a load case, solved."""
+        body, used = self.free.applied(self.manipulator, case, z)
+        body = used.body(body)
+        return BodyView(body, self._places(body), used, used.solve(body, self.nodes), self.nodes)
+
+    def _places(self, body: Manipulator) -> Float[Array, " points"]:
+        return jnp.asarray(self.stations) * jnp.asarray(body.length)
+
+    def evaluate(self, z: Vector) -> DesignEvaluation:
+        """Objectives, margins and zeros at scaled free numbers."""
+        body = self.body(z)
+        unbent = self._part(BodyView(body, self._places(body)), bent=False)
+        objectives = [each.objective for each in (*self.terms, *self.caps)]
+        if not any(part.bent for part in (*objectives, *self.limits)):
+            return _joined([unbent], jnp.zeros((0,), int))
+
+        def of_case(case: LoadCase) -> tuple[_Part, Array]:
+            view = self.view(z, case)
+            return self._part(view, bent=True), jnp.asarray(code_of(view.equilibrium.result))
+
+        found = self._of_every_case(of_case)
+        return _joined([unbent, *(part for part, _ in found)], jnp.stack([code for _, code in found]))
+
+    def _part(self, view: BodyView, *, bent: bool) -> _Part:
+        def of_all(parts: Sequence[Objective] | Sequence[Limit], of: Callable) -> tuple[Array | None, ...]:
+            return tuple(of(part) if part.bent == bent else None for part in parts)
+
+        return _Part(
+            of_all([term.objective for term in self.terms], lambda aim: aim.values(view)),
+            of_all([cap.objective for cap in self.caps], lambda aim: aim.values(view)),
+            of_all(self.limits, lambda limit: limit.inequalities(view)),
+            of_all(self.limits, lambda limit: limit.equalities(view)),
+        )
+
+    def _of_every_case(self, function: Callable[[LoadCase], Answer]) -> list[Answer]:
+        """The function of every case; cases that are alike at once."""
+        answers: dict[int, Answer] = {}
+        for group in alike(self.cases):
+            if len(group) == 1:
+                answers[group[0]] = function(self.cases[group[0]])
+                continue
+            many = jax.vmap(function)(stacked([self.cases[i] for i in group]))
+            answers |= {i: jax.tree.map(lambda x, k=k: x[k], many) for k, i in enumerate(group)}
+        return [answers[i] for i in range(len(self.cases))]
+
+    def values(self, unknowns: Vector) -> tuple[ProgramValues, DesignEvaluation]:
+        """The values of the nonlinear program, and what they are made of."""
+        z, heights = self.split(unknowns)
+        found = self.evaluate(z)
+        total, below = jnp.zeros_like(unknowns[0]), []
+        for i, (term, aim) in enumerate(zip(self.terms, found.aims, strict=True)):
+            if i in self.peaks:
+                height = heights[self.peaks.index(i)]
+                total += term.weight * height
+                below.append(height - jnp.ravel(aim) / term.reference)
+            else:
+                total += term.weight / term.reference * self.mean(aim)
+        none = jnp.zeros((0,), total.dtype)
+        caps = [self.room(cap, aim) for cap, aim in zip(self.caps, found.capped, strict=True)]
+        inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *caps, *below])
+        return ProgramValues(total, inequality, jnp.concatenate([none, *map(jnp.ravel, found.zeros)])), found
+
+    def room(self, cap: Cap, aim: Array | np.ndarray) -> Part:
+        """How far an objective is below its cap, scaled."""
+        peak = cap.objective.peak or self.worst
+        return (cap.most - jnp.ravel(aim if peak else self.mean(aim))) / cap.reference
+
+    def mean(self, aim: Float[Array | np.ndarray, " cases"]) -> Float[Array, ""]:
+        """Over the cases by their weights."""
+        aim = jnp.asarray(aim)
+        return aim[0] if aim.shape[0] == 1 else self.shares @ aim
+
+    def over_the_sizes_of(self, other: "DesignProblem") -> "DesignProblem":
+        """The same with every objective over its size at the start of another problem."""
+        pairs = zip(self.terms, other.terms, strict=True)
+        return replace(self, terms=tuple(replace(own, reference=term.reference) for own, term in pairs))
+
+
+def _joined(parts: list[_Part], codes: Array) -> DesignEvaluation:
+    """One leading axis on every value: 1 for the body itself, or the load cases."""
+
+    def stacked_where_known(*values: Array | None) -> Array:
+        return jnp.stack([value for value in values if value is not None])
+
+    aims, capped, margins, zeros = jax.tree.map(stacked_where_known, *parts, is_leaf=lambda x: x is None)
+    return DesignEvaluation(aims, capped, margins, zeros, codes)
+
+
+def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.ndarray]:
+    """The pieces at the beginning of a vector that belong to each of some arrays, in their shapes."""
+    pieces = np.split(flat, np.cumsum([np.size(array) for array in like]))
+    return [piece.reshape(np.shape(array)) for piece, array in zip(pieces, like, strict=False)]
+
+
+USABLE = tuple(  # results whose numbers lead somewhere
+    int(code_of(result))
+    for result in (
+        *(RESULTS.successful, RESULTS.direction_contradicted, RESULTS.crossing),
+        *(RESULTS.inaccurate, RESULTS.unstable),
+    )
+)
+
+
+class NonlinearProgram:
+    """The problem as a function of its unknowns; problems of one structure share one compiled program."""
+
+    def __init__(self, problem: DesignProblem):
+        self.problem = problem
+
+    def __call__(self, x: np.ndarray) -> Point:
+        values, slopes, found = jax.tree.map(np.asarray, _values_and_slopes(self.problem, jnp.asarray(x)))
+        finite = all(np.all(np.isfinite(part)) for part in (*values, *slopes))
+        usable = finite and bool(np.all(np.isin(found.codes, USABLE)))
+        inequality, equality = (values.inequality, slopes.inequality), (values.equality, slopes.equality)
+        return Point(np.array(x), float(values.objective), slopes.objective, *inequality, *equality, usable)
+
+    def curvature(self, x: np.ndarray, weights: Weights, along: np.ndarray) -> np.ndarray:
+        """The Hessian of the weighted sum, times a vector."""
+        arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (x, weights, along))
+        return np.asarray(_curvature(self.problem, *arrays))
+
+    def evaluation(self, x: np.ndarray) -> DesignEvaluation:
+        """What the values are made of."""
+        return jax.tree.map(np.asarray, _values_and_slopes(self.problem, jnp.asarray(x))[2])
+
+    def at_stations(self, stations: np.ndarray) -> "NonlinearProgram":
+        """The same with limits evaluated elsewhere."""
+        return NonlinearProgram(replace(self.problem, stations=jnp.asarray(stations)))
+
+
+@eqx.filter_jit
+def _values_and_slopes(problem: DesignProblem, x: Array) -> tuple[ProgramValues, ProgramValues, DesignEvaluation]:
+    def twice(x: Array) -> tuple[ProgramValues, tuple[ProgramValues, DesignEvaluation]]:
+        values, found = problem.values(x)
+        return values, (values, found)
+
+    slopes, (values, found) = jax.jacfwd(twice, has_aux=True)(x)
+    return values, slopes, found
+
+
+@eqx.filter_jit
+def _curvature(problem: DesignProblem, x: Array, weights: Weights, along: Array) -> Array:
+    def weighted(x: Array) -> Array:
+        values, _ = problem.values(x)
+        return (
+            weights.objective * values.objective
+            + weights.inequality @ values.inequality
+            + weights.equality @ values.equality
+        )
+
+    return jax.jvp(jax.jacfwd(weighted), (x,), (along,))[1]

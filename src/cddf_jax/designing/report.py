@@ -1,0 +1,195 @@
+"""A design and a trade-off in words, as Markdown, and as plain numbers for JSON."""
+
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..files.artifacts import markdown_table
+from ..numerics.constrained import TOLERANCE
+from ..units import Dimension, preferred, shown
+from .results import Design, FreeNumber, LimitReport, number_in_words
+from .sensitivity import fixed_numbers
+
+if TYPE_CHECKING:
+    from .pareto import ParetoFront
+
+LARGEST = 12  # sensitivities in the report
+NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
+
+
+def design_in_words(found: Design) -> str:
+    """The report as Markdown."""
+    return "\n".join([*_head(found), *_numbers(found), *_limits(found), *_sensitivity(found), *_foot(found)])
+
+
+def _head(found: Design) -> Iterator[str]:
+    yield f"# Design: {found.result}"
+    yield ""
+    for each in found.objectives:
+        yield f"- {each.name}: {shown(each.start, each.dimension)} -> {shown(each.end, each.dimension)}"
+    for name in found.blocking:
+        yield f"- in the way: {name}"
+    if found.blocking:
+        yield "- no body nearby keeps to all of these; relax one of them, or start elsewhere"
+    for name, value in found.chosen.items():
+        yield f"- chosen: {name} = {number_in_words(name, value)}"
+    for values, objective in found.choices:
+        numbers = ", ".join(f"{name} = {number_in_words(name, value)}" for name, value in values.items())
+        yield f"- with {numbers}: {_objective(found, objective)}"
+    for remark in found.remarks:
+        yield f"- {remark}"
+    yield from _at_bounds(found)
+    yield ""
+
+
+def _at_bounds(found: Design) -> Iterator[str]:
+    """What the multipliers tell of the bounds that are reached."""
+    reached = {name: free for name, free in found.free.items() if free.status != "inside"}
+    if not found.success or not reached:
+        return
+
+    def listed(some: dict[str, FreeNumber]) -> str:
+        return ", ".join(f"{name} {free.status}" for name, free in some.items())
+
+    if held := {name: free for name, free in reached.items() if free.multiplier > 0}:
+        yield f"- {listed(held)}: a wider bound would make the objective better"
+    if others := {name: free for name, free in reached.items() if name not in held}:
+        yield f"- {listed(others)}: a multiplier of 0, which does not tell whether another value is better"
+
+
+def _objective(found: Design, value: float) -> str:
+    """The objective in words: of one its value, of several their weighted sum."""
+    if not np.isfinite(value):
+        return "not feasible"
+    return shown(value, found.objectives[0].dimension) if len(found.objectives) == 1 else f"{value:.5g}"
+
+
+def _numbers(found: Design) -> Iterator[str]:
+    rows = []
+    for name, free in found.free.items():
+        start, value, lower, upper = (
+            number_in_words(name, x) for x in (free.start, free.value, free.lower, free.upper)
+        )
+        rows.append((name, start, value, f"{lower} to {upper}", free.status))
+    yield from markdown_table(("free number", "start", "design", "bounds", ""), rows, right=("start", "design"))
+    yield ""
+
+
+def _limits(found: Design) -> Iterator[str]:
+    rows = []
+    for limit in found.limits:
+        place = "all along" if limit.all_along else f"s = {shown(limit.arc_length, 'length')}"
+        where = ", ".join(part for part in (limit.case, "" if np.isnan(limit.arc_length) else place) if part)
+        rows.append((_limit_text(limit), _value(limit.reached, limit.dimension), where, _worth(found, limit)))
+    yield from markdown_table(("limit", "reached", "where", "what giving way is worth"), rows, right=("reached",))
+    yield ""
+
+
+def _limit_text(limit: LimitReport) -> str:
+    sign = {"least": ">=", "most": "<=", "equal": "="}[limit.side]
+    return f"{limit.name} {sign} {_value(limit.limit, limit.dimension)}{' (implied)' if limit.implied else ''}"
+
+
+def _worth(found: Design, limit: LimitReport) -> str:
+    if not found.feasible:
+        return "broken" if limit.margin < -TOLERANCE else ""
+    if not limit.active or np.isnan(limit.multiplier) or not _follows(found):
+        return ""
+    worth = _per(found, limit.multiplier, limit.dimension)
+    if abs(limit.tightening - limit.multiplier) <= 1e-4 * abs(limit.tightening):
+        return worth
+    return f"{worth}; tightening costs {_per(found, limit.tightening, limit.dimension)} (limits bind at one place)"
+
+
+def _per(found: Design, slope: float, dimension: Dimension) -> str:
+    """A derivative of the objective, per unit that an engineer writes."""
+    size, unit = preferred(found.objectives[0].dimension) if len(found.objectives) == 1 else (1.0, "")
+    step, per = preferred(dimension)
+    return f"{slope * size / step:.4g}{' ' + unit if unit else ''}{f' per {per}' if per else ''}"
+
+
+def _sensitivity(found: Design) -> Iterator[str]:
+    """The largest logarithmic derivatives of the objective, where both it and the number have a size."""
+    if not _follows(found):
+        return
+    problem = found.outcome.program.problem
+    values, size, rows, kinks = fixed_numbers(problem), abs(found.objective), {}, []
+    for number, slope in found.sensitivity_by_number.items():
+        name, change = number.in_words(problem), slope * values[number]
+        if np.isnan(slope):
+            kinks.append(name)
+        elif size > 0 and abs(change) > 1e-9 * size:
+            rows[name] = change / size
+    largest = sorted(rows.items(), key=lambda item: -abs(item[1]))[:LARGEST]
+    lines = [(name, f"{percent:+.3g} %") for name, percent in largest]
+    if kinks:
+        lines.append((", ".join(kinks), "a kink: limits bind at one place"))
+    several = "" if len(found.objectives) == 1 else " (of several: their weighted sum)"
+    head = f"how the best objective follows{several}", "change by 1 % changes it by"
+    yield from markdown_table(head, lines, right=head[1:])
+    yield ""
+
+
+def _follows(found: Design) -> bool:
+    """Whether the best objective has a size that can follow; a distance from what is wanted is zero at best."""
+    kinds = {each.name.split()[0] for each in found.objectives}
+    return found.feasible and not (len(found.objectives) == 1 and kinds & {"near", "even"})
+
+
+def _foot(found: Design) -> Iterator[str]:
+    if len(found.objectives) > 1:
+        weights = ", ".join(f"{each.weight:g}" for each in found.objectives)
+        yield (
+            f"Each objective counts relative to its size at the start; weights {weights}: "
+            f"together {found.objective:.5g}."
+        )
+    yield (
+        f"Largest violation {found.violation:.1g} and first-order optimality {found.optimality:.1g} (scaled; "
+        f"{TOLERANCE:g} is asked for), {len(found.history)} iterations, {found.evaluations} evaluations."
+    )
+    if len(found.starts) > 1:
+        ends = ", ".join(_objective(found, value) for value in found.starts)
+        yield f"Searches from {len(found.starts)} starts came to {ends}."
+
+
+def _value(value: float | list[float], dimension: Dimension) -> str:
+    return ", ".join(shown(each, dimension) for each in np.ravel(value))
+
+
+def design_as_dict(found: Design) -> dict[str, object]:
+    """For JSON, SI units."""
+    own = {each.name: getattr(found, each.name) for each in fields(found) if each.name not in NOT_IN_JSON}
+    return own | {
+        "sensitivity": found.sensitivity if _follows(found) else {},
+        "choices": [{"numbers": values, "objective": objective} for values, objective in found.choices],
+        "iterations": len(found.history),
+        "history": [{"objective": objective, "violation": violation} for objective, violation in found.history],
+    }
+
+
+def front_in_words(front: "ParetoFront") -> str:
+    """The front as Markdown."""
+    lines = [f"# Trade-off: {front.names[0]} against {front.names[1]}", ""]
+    lines += [f"- {remark}" for remark in front.remarks] + ([""] if front.remarks else [])
+    numbers = [*front.names, *front.designs[0].free]
+    rows = []
+    for found in front.designs:
+        pair = [shown(each.end, each.dimension) for each in found.objectives]
+        rows.append([*pair, *(number_in_words(name, value) for name, value in found.value.items()), found.result])
+    return "\n".join(lines + markdown_table([*numbers, ""], rows, right=numbers))
+
+
+def front_as_dict(front: "ParetoFront") -> dict[str, object]:
+    """For JSON, SI units."""
+    return {
+        "objectives": list(front.names),
+        "start": list(front.start),
+        "values": front.values,
+        "exchange_rate": front.exchange_rate,
+        "success": front.success,
+        "remarks": list(front.remarks),
+        "result": "successful" if front.success else "some points of the front were not found",
+        "designs": [{"result": found.result, "value": found.value} for found in front.designs],
+    }

@@ -1,0 +1,352 @@
+"""The result of a design: the body, what it reaches, what holds it back, and the proof that it is the best nearby."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, NamedTuple, TypedDict
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from ..numerics.constrained import ACTIVE, TOLERANCE, LocalMinimum
+from ..robot.manipulator import Manipulator
+from ..robot.named_numbers import unit_of_name
+from ..statics.equilibrium import RESULTS, Equilibrium, result_of
+from ..units import DIMENSION_OF, Dimension, shown
+from .body_quantities import name_of, quantity_named
+from .load_cases import LoadCase
+from .problem import DesignEvaluation, DesignProblem, NonlinearProgram, pieces_of
+from .search import NOT_ZERO, Restart, SearchResult
+from .sensitivity import FixedNumber, sensitivities
+
+Choices = tuple[tuple[dict[str, float], float], ...]  # numbers by name, and the objective that was reached with them
+
+
+class Achieved(NamedTuple):
+    """One objective; its value over the load cases is their weighted mean, of a peak the largest."""
+
+    name: str
+    start: float
+    end: float
+    weight: float
+    dimension: Dimension
+
+
+class FreeNumber(NamedTuple):
+    """One free number."""
+
+    start: float
+    value: float
+    lower: float
+    upper: float
+    status: str  # "inside", "at lower bound" or "at upper bound"
+    multiplier: float  # how much better the objective becomes per unit of a wider bound; NaN if infeasible
+
+
+class LimitReport(NamedTuple):
+    """One side of a limit where it is tightest."""
+
+    name: str  # of the quantity
+    side: str  # "least", "most" or "equal"
+    limit: float | list[float]
+    reached: float | list[float]  # the value there
+    margin: float  # scaled; negative where the limit is broken
+    active: bool
+    multiplier: float  # how much better the objective becomes per unit of a wider limit; NaN if infeasible
+    tightening: float  # how much worse per unit of a tighter one; differs where several limits are active at one place
+    arc_length: float  # m, where it is tightest; NaN for what does not vary along the body
+    all_along: bool  # whether it is active along more than half of the body
+    case: str  # the load case; "" for the body itself
+    implied: bool  # whether it is one that every body must keep, and not the user's
+    dimension: Dimension
+
+
+class _Named(TypedDict):
+    """The fields of a `LimitReport` that name the limit."""
+
+    name: str
+    side: str
+    case: str
+    implied: bool
+    dimension: Dimension
+
+
+@dataclass(frozen=True)
+class Design:
+    """The body that was found, SI units."""
+
+    manipulator: Manipulator  # the body that was found
+    start: Manipulator  # the body at the start
+    success: bool  # feasible and stationary
+    feasible: bool
+    result: str  # "successful", or what went wrong
+    objective: float  # of one objective its value, of several their weighted sum over their sizes at the start
+    objectives: tuple[Achieved, ...]  # each with its value at the start and at the end
+    free: dict[str, FreeNumber]  # by name, every number that could change
+    limits: tuple[LimitReport, ...]  # each side of every limit, and what it costs
+    blocking: tuple[str, ...]  # limits that contradict each other, where no body keeps to all of them
+    optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
+    violation: float  # largest, scaled
+    history: tuple[tuple[float, float], ...]  # objective and violation of every iterate
+    evaluations: int  # of objective and limits
+    starts: tuple[float, ...]  # the objective that the search from each start reached, inf where not feasible
+    choices: Choices  # by combination of choices, inf where not feasible
+    chosen: dict[str, float]  # of the choices, the best
+    cases: tuple[LoadCase, ...]  # how the body is used
+    remarks: tuple[str, ...]  # in words, what else should be known
+    outcome: SearchResult = field(repr=False)
+
+    def __str__(self) -> str:
+        from .report import design_in_words
+
+        return design_in_words(self)
+
+    @cached_property
+    def sensitivity(self) -> dict[str, float]:
+        """Derivatives of the best objective by numbers that are not free, per SI unit, limits and load cases included.
+
+        By the envelope theorem: those of the Lagrangian at the multipliers. Of several objectives that of their
+        weighted sum. NaN where limits are active at one place, so that more and less have different slopes. Empty where
+        the design is not feasible. Computed when it is first read.
+        """
+        return {number.label: slope for number, slope in self.sensitivity_by_number.items()}
+
+    @cached_property
+    def sensitivity_by_number(self) -> dict[FixedNumber, float]:
+        """The same by the numbers themselves."""
+        if not self.feasible:
+            return {}
+        problem = self.outcome.program.problem
+        unit = unit_of_objective(problem)
+        return {number: unit * slope for number, slope in sensitivities(problem, self.outcome.local).items()}
+
+    @cached_property
+    def equilibria(self) -> tuple[Equilibrium, ...]:
+        """Of the body in each load case."""
+        return self._solved(self.outcome.z)
+
+    @cached_property
+    def equilibria_at_start(self) -> tuple[Equilibrium, ...]:
+        """Of the start in each load case."""
+        return self._solved(self.outcome.program.problem.free.scaled_start)
+
+    def _solved(self, z: np.ndarray | Array) -> tuple[Equilibrium, ...]:
+        problem = self.outcome.program.problem
+        return tuple(problem.view(z, case).equilibrium for case in problem.cases)
+
+    @property
+    def value(self) -> dict[str, float]:
+        """The free numbers by name."""
+        return {name: number.value for name, number in self.free.items()}
+
+
+def design_of(
+    outcome: SearchResult, start: Manipulator, choices: Choices = (), chosen: dict[str, float] | None = None
+) -> Design:
+    """The result of a search, with all that is reported of it."""
+    problem, local = outcome.program.problem, outcome.local
+    no_heights = np.zeros(len(problem.peaks))
+    at_start = NonlinearProgram(problem).evaluation(np.append(problem.free.scaled_start, no_heights))
+    objectives, unit = achieved(problem, at_start, outcome.evaluation), abs(unit_of_objective(problem))
+    result = design_result(local, outcome.violation)
+    return Design(
+        manipulator=jax.tree.map(np.asarray, problem.body(outcome.z)),
+        start=start,
+        success=result == "successful",
+        feasible=outcome.feasible,
+        result=result,
+        objective=objectives[0].end if len(objectives) == 1 else local.point.objective,
+        objectives=objectives,
+        free=free_numbers(problem, local, unit),
+        limits=limit_reports(problem, local, unit),
+        blocking=outcome.blocking,
+        optimality=local.optimality.residual,
+        violation=outcome.violation,
+        history=tuple(outcome.history),
+        evaluations=outcome.evaluations,
+        starts=tuple(displayed(problem, value) for value in outcome.starts),
+        choices=choices,
+        chosen=chosen or {},
+        cases=problem.cases,
+        remarks=(
+            *design_remarks(outcome.evaluation, problem),
+            *(restart_in_words(problem, restart) for restart in outcome.restarts),
+        ),
+        outcome=outcome,
+    )
+
+
+def unit_of_objective(problem: DesignProblem) -> float:
+    """The factor from slopes of the optimiser's objective to the user's: a single one has its own unit and sense."""
+    if len(problem.terms) != 1:
+        return 1.0
+    (term,) = problem.terms
+    sense = -1.0 if term.objective.displayed(1.0) < 0 else 1.0
+    return sense * float(term.reference) / float(term.weight)
+
+
+def displayed(problem: DesignProblem, value: float) -> float:
+    """The optimiser's objective as the user reads it: of one objective its value, of several their weighted sum."""
+    if len(problem.terms) != 1 or not np.isfinite(value):
+        return value
+    (term,) = problem.terms
+    return term.objective.displayed(value * float(term.reference) / float(term.weight))
+
+
+def free_numbers(problem: DesignProblem, local: LocalMinimum, unit: float) -> dict[str, FreeNumber]:
+    """Free numbers with what their bounds cost."""
+    free, found = problem.free, {}
+    numbers = np.asarray(free.numbers(problem.split(local.point.x)[0]))
+    columns = (free.start, numbers, free.lower, free.upper, free.size)
+    for i, row in enumerate(zip(*columns, strict=True)):
+        start, value, lower, upper, size = map(float, row)
+        at_lower, at_upper = abs(value - lower) <= ACTIVE * size, abs(value - upper) <= ACTIVE * size
+        status = "at lower bound" if at_lower else "at upper bound" if at_upper else "inside"
+        worth = _worth_of_bounds(local, i) * unit / size if at_lower or at_upper else 0.0
+        found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth)
+    return found
+
+
+def _worth_of_bounds(local: LocalMinimum, i: int) -> float:
+    """The least that the multipliers tell, scaled; zero where it is zero but for rounding."""
+    if not local.feasible:
+        return np.nan
+    own = 1.0 * (np.arange(local.point.x.size) == i)
+    worth, _ = local.optimality.range_of(lower=own, upper=own)
+    return worth if worth > NOT_ZERO else 0.0
+
+
+def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignEvaluation) -> tuple[Achieved, ...]:
+    """Each objective at the start and at the end."""
+
+    def value(i: int, found: DesignEvaluation) -> float:
+        aim = found.aims[i]
+        number = np.max(aim) if i in problem.peaks else problem.mean(aim)
+        return problem.terms[i].objective.displayed(float(number))
+
+    return tuple(
+        Achieved(str(aim), value(i, at_start), value(i, at_end), float(term.weight), aim.dimension)
+        for i, (term, aim) in enumerate((term, term.objective) for term in problem.terms)
+    )
+
+
+def limit_reports(problem: DesignProblem, local: LocalMinimum, unit: float) -> tuple[LimitReport, ...]:
+    """Every side of every limit, where it is tightest."""
+    found = NonlinearProgram(problem).evaluation(local.point.x)
+    rows = pieces_of(np.arange(local.point.inequality.size), found.margins)
+    equations = pieces_of(np.arange(local.point.equality.size), found.zeros)
+    length = float(np.asarray(problem.body(problem.split(local.point.x)[0]).length))
+    reports = []
+    for i, limit in enumerate(problem.limits):
+        price = unit / float(limit.scale)  # type: ignore[arg-type]
+        for k, side in enumerate(side for side in ("least", "most") if getattr(limit, side) is not None):
+            prices = _prices(local, "inequality", rows[i][:, k], price)
+            reports.append(_of_range(problem, i, side, np.asarray(found.margins[i])[:, k], prices, length))
+        for case, miss in enumerate(np.asarray(found.zeros[i]) if limit.equal is not None else ()):
+            prices = _prices(local, "equality", equations[i][case], price) if miss.size == 1 else (np.nan, np.nan)
+            reports.append(_of_equation(problem, i, case, miss, prices))
+    return tuple(reports)
+
+
+def _of_range(
+    problem: DesignProblem, i: int, side: str, margin: np.ndarray, prices: tuple[float, float], length: float
+) -> LimitReport:
+    """One side of a limit with its scaled margins, (cases, ...)."""
+    limit = problem.limits[i]
+    at = np.unravel_index(np.argmin(margin), margin.shape)
+    bound, room = float(getattr(limit, side)), float(margin[at])
+    along = np.min(margin.reshape(-1, margin.shape[-1]), axis=0)  # the tightest of cases and tendons at every place
+    return LimitReport(
+        **_named(problem, i, side, int(at[0])),
+        limit=bound,
+        reached=bound + (room if side == "least" else -room) * float(limit.scale),  # type: ignore[arg-type]
+        margin=room,
+        active=room <= ACTIVE,
+        multiplier=prices[0],
+        tightening=prices[1],
+        arc_length=float(problem.stations[at[-1]]) * length if limit.along else np.nan,
+        all_along=limit.along and bool(np.mean(along <= ACTIVE) > 0.5),
+    )
+
+
+def _of_equation(
+    problem: DesignProblem, i: int, case: int, miss: np.ndarray, prices: tuple[float, float]
+) -> LimitReport:
+    """A limit that must be equal to a value, in one load case, with its scaled difference."""
+    limit = problem.limits[i]
+    wanted = np.asarray(limit.equal)
+    return LimitReport(
+        **_named(problem, i, "equal", case),
+        limit=_plain(wanted),
+        reached=_plain(wanted + miss * np.asarray(limit.scale)),
+        margin=-float(np.max(np.abs(miss))),
+        active=True,
+        multiplier=prices[0],
+        tightening=prices[1],
+        arc_length=np.nan,
+        all_along=False,
+    )
+
+
+def _named(problem: DesignProblem, i: int, side: str, case: int) -> _Named:
+    """What a report of a limit says of the limit itself."""
+    limit = problem.limits[i]
+    dimension, name = quantity_named(limit.quantity).dimension, problem.cases[case].name if limit.bent else ""
+    if limit.bent and not name and len(problem.cases) > 1:
+        name = f"case {case + 1}"
+    own = {"name": name_of(limit.quantity), "side": side, "case": name}
+    return _Named(**own, implied=problem.implied[i], dimension=dimension)
+
+
+def _prices(
+    local: LocalMinimum, kind: Literal["inequality", "equality"], places: np.ndarray, price: float
+) -> tuple[float, float]:
+    """How much relaxing some limits together is worth, and how much tightening them costs."""
+    if not local.feasible:
+        return np.nan, np.nan
+    values = getattr(local.point, kind)
+    if kind == "inequality" and not np.any(values[np.ravel(places)] <= ACTIVE):
+        return 0.0, 0.0
+    weights = np.zeros(values.size)
+    weights[np.ravel(places)] = price
+    return local.optimality.range_of(**{kind: weights})
+
+
+def _plain(value: np.ndarray) -> float | list[float]:
+    array = np.squeeze(value)
+    return float(array) if array.ndim == 0 else array.tolist()
+
+
+def design_result(local: LocalMinimum, violation: float) -> str:
+    """The result in words."""
+    if not local.point.usable:
+        return "no usable equilibrium was found"
+    if not violation <= TOLERANCE:
+        return "infeasible"
+    if not local.optimality.residual <= TOLERANCE:
+        return f"not stationary: the first-order optimality is {local.optimality.residual:.2g} and not {TOLERANCE:g}"
+    return "successful"
+
+
+def design_remarks(found: DesignEvaluation, problem: DesignProblem) -> list[str]:
+    """What the solves say that a designer must know; no solves, no remarks."""
+    pairs = zip(problem.cases, np.asarray(found.codes), strict=False)
+    said = [(case.name or "the load case", result_of(code)) for case, code in pairs]
+    return [f"{name}: {RESULTS[result]}" for name, result in said if result != RESULTS.successful]
+
+
+def restart_in_words(problem: DesignProblem, restart: Restart) -> str:
+    """Why the search began again, and whether that found a better body."""
+    labels = [problem.free.label(int(i)) for i in restart.numbers]
+
+    def listed(numbers: np.ndarray) -> str:
+        named = zip(labels, numbers, strict=True)
+        return ", ".join(f"{label} = {number_in_words(label, float(number))}" for label, number in named)
+
+    result = "found a better body" if restart.better else "found no better body"
+    return f"{listed(restart.old)}: the objective has no slope there; a search from {listed(restart.new)} {result}"
+
+
+def number_in_words(name: str, value: float) -> str:
+    """A number of a body or a case with the unit that its name tells."""
+    return shown(value, DIMENSION_OF[unit_of_name(name)])

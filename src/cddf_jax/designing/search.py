@@ -1,0 +1,311 @@
+"""Searches for the best body: from one start or many, and again where limits are broken between the stations."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.stats import qmc
+
+from ..batch.lanes import Lanes
+from ..numerics.constrained import (
+    ACTIVE,
+    TOLERANCE,
+    LocalMinimum,
+    Point,
+    RelaxedLimits,
+    least_violation,
+    minimise_constrained,
+    optimality,
+)
+from .free_numbers import Vector
+from .problem import DesignEvaluation, DesignProblem, NonlinearProgram, pieces_of
+
+WANDERING = 16  # stations at the end, moved to where limits are broken between the others
+LOOKS = 6  # how often a search begins again
+FINE = 768  # places at which limits are checked between the stations
+SEARCHES = 4  # from the best of many starts
+NEAR = 1e-2  # a margin that may be negative between the points of the grid
+NOT_ZERO = 1e-6  # a multiplier
+BROKEN = 10.0  # weight of a violation beside the objective when starts are compared
+FLAT = 1e-4  # a number is flat if over its whole range it would change objective and limits by less, scaled
+AWAY = tuple(0.25**k for k in range(1, 7))  # of its range, how far such a number is moved: the first that works
+GAIN = 10 * TOLERANCE  # of the objective: a body is better only by more than this
+ROUNDING = 1e-12  # of the objective at the start
+
+ShowProgress = Callable[[str], None]
+History = list[tuple[float, float]]
+
+
+class Restart(NamedTuple):
+    """Another search, because at the end of one no first derivative told whether some numbers should change."""
+
+    numbers: np.ndarray  # their places among the free numbers
+    old: np.ndarray  # their values then
+    new: np.ndarray  # their values where the other search began
+    better: bool  # whether it led to a better body
+
+
+class SearchResult(NamedTuple):
+    """Where the search from one start ended, or the best of several."""
+
+    local: LocalMinimum
+    program: NonlinearProgram
+    violation: float  # also between the stations
+    blocking: tuple[str, ...]  # limits that contradict each other, where it is not feasible
+    history: History
+    evaluations: int
+    starts: tuple[float, ...] = ()
+    restarts: tuple[Restart, ...] = ()
+
+    @property
+    def feasible(self) -> bool:
+        return self.violation <= TOLERANCE
+
+    @property
+    def value(self) -> float:
+        return self.local.point.objective if self.feasible else float("inf")
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        return self.value, self.violation
+
+    @property
+    def evaluation(self) -> DesignEvaluation:
+        return self.program.evaluation(self.local.point.x)
+
+    @property
+    def z(self) -> np.ndarray:
+        """The scaled free numbers."""
+        return np.asarray(self.program.problem.split(self.local.point.x)[0])
+
+
+class DesignSearch:
+    """Searches of one problem.
+
+    Args:
+        problem: its last `WANDERING` stations are moved.
+        max_iterations: of every search.
+        show: is given a line of text on how it goes.
+    """
+
+    def __init__(self, problem: DesignProblem, max_iterations: int, show: ShowProgress):
+        self.problem, self.max_iterations, self.show = problem, max_iterations, show
+        self.program, free = NonlinearProgram(problem), problem.free
+        heights = np.full(len(problem.peaks), np.inf)
+        self.ranges = np.asarray((free.upper - free.lower) / free.size)  # of the scaled free numbers, from 0
+        self.bounds = np.append(0 * self.ranges, -heights), np.append(self.ranges, heights)
+
+    def from_starts(self, starts: int, seed: int) -> SearchResult:
+        """The best from the start, and from the best of some points within the bounds."""
+        points = [self.problem.free.scaled_start, *self._screened(starts, seed)]
+        found = [self.from_start(z) for z in points]
+        best = min(found, key=lambda each: each.rank)
+        evaluations = sum(each.evaluations for each in found)
+        return best._replace(starts=tuple(each.value for each in found), evaluations=evaluations)
+
+    def _screened(self, starts: int, seed: int) -> list[np.ndarray]:
+        """The most promising of `starts` - 1 points, all tried at once on all devices."""
+        if starts <= 1:
+            return []
+        self.show(f"trying {starts - 1} starts")
+        sobol = qmc.Sobol(self.ranges.size, rng=np.random.default_rng(seed))
+        points = sobol.random(2 ** int(np.ceil(np.log2(starts))))[: starts - 1] * self.ranges
+        merit = Lanes(_Merit(self.problem), len(points))(points, len(points))
+        good = [i for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i])]
+        return [points[i] for i in good]
+
+    def with_heights(self, z: np.ndarray) -> np.ndarray:
+        """Scaled free numbers, and behind them the heights of the peaks there."""
+        found = self.program.evaluation(np.append(z, np.zeros(len(self.problem.peaks))))
+        terms = self.problem.terms
+        return np.append(z, [np.max(found.aims[i]) / float(terms[i].reference) for i in self.problem.peaks])
+
+    def from_start(self, z: np.ndarray) -> SearchResult:
+        """The best from one start, and from elsewhere where first derivatives tell nothing of some numbers.
+
+        An example is a bore of radius 0: area and second moment grow with its square and its fourth power.
+        """
+        found = self._from(z)
+        for _ in range(LOOKS):
+            flat = self._flat(found.local.point, z)
+            moved = self._moved_away(found, flat)
+            if moved is None:
+                break
+            other = self._from(moved)
+            better = _is_better(other, found)
+            best, rest = (other, found) if better else (found, other)
+            numbers = self.problem.free.numbers
+            restart = Restart(flat, np.asarray(numbers(found.z))[flat], np.asarray(numbers(moved))[flat], better)
+            found = best._replace(
+                history=rest.history + best.history,
+                evaluations=rest.evaluations + best.evaluations,
+                restarts=(*found.restarts, restart),
+            )
+            if not better:
+                break
+        return found
+
+    def _flat(self, point: Point, start: np.ndarray) -> np.ndarray:
+        """Numbers at a bound or at their start, by which neither the objective nor an active limit has a slope."""
+        x, count = point.x[: start.size], start.size
+        active = point.inequality_slopes[point.inequality <= ACTIVE]
+        slopes = np.concatenate([point.gradient[None], active, point.equality_slopes])[:, :count]
+        flat = np.max(np.abs(slopes), axis=0) * self.ranges <= FLAT
+        still = (x <= ACTIVE) | (x >= self.ranges - ACTIVE) | (np.abs(x - start) <= FLAT * self.ranges)
+        return np.flatnonzero(flat & still)
+
+    def _moved_away(self, found: SearchResult, flat: np.ndarray) -> np.ndarray | None:
+        """The free numbers with flat ones moved, within the limits if possible; None if it is not possible at all."""
+        if flat.size == 0:
+            return None
+        moved, x = None, found.z
+        broken = max(TOLERANCE, -float(np.min(found.local.point.inequality, initial=0.0)))
+        for part in AWAY:
+            z = x.copy()
+            z[flat] += part * (self.ranges * np.where(x > self.ranges / 2, -1.0, 1.0))[flat]
+            there = self.program(self.with_heights(z))
+            if there.usable:
+                moved = z
+                if np.min(there.inequality, initial=0.0) >= -broken:
+                    break
+        return moved
+
+    def _from(self, z: np.ndarray) -> SearchResult:
+        """The search from one start, again where limits turn out to be broken between the stations."""
+        program, history = self.program, []
+        local, blocking = self._search(program, self.with_heights(z), history)
+        violation, places = broken_between(program, local)
+        evaluations = local.evaluations
+        for _ in range(LOOKS):
+            if violation <= TOLERANCE or not local.feasible:
+                break
+            program = _moved(program, places)
+            local, blocking = self._search(program, local.point.x, history)
+            violation, places = broken_between(program, local)
+            evaluations += local.evaluations
+        return SearchResult(local, program, violation, blocking, history, evaluations)
+
+    def _search(
+        self, program: NonlinearProgram, x: np.ndarray, history: History
+    ) -> tuple[LocalMinimum, tuple[str, ...]]:
+        """One search; if it ends where limits are broken, another one from the point that breaks them least."""
+
+        def after(count: int, point: Point) -> None:
+            history.append((point.objective, point.violation))
+            self.show(f"iteration {len(history)}: objective {point.objective:.6g}, violation {point.violation:.2g}")
+
+        def minimum(x: np.ndarray) -> LocalMinimum:
+            return minimise_constrained(program, x, *self.bounds, max_iterations=self.max_iterations, after=after)
+
+        local = minimum(x)
+        if local.feasible:
+            return local, ()
+        aims = program.evaluation(local.point.x).aims
+        least = least_violation(
+            program, local.point.x, *self.bounds, rigid=sum(aims[i].size for i in self.problem.peaks)
+        )
+        inner = least.point.x[:-1]
+        if least.point.objective > TOLERANCE:
+            point = program(inner)
+            broken = local._replace(point=point, optimality=optimality(point, *self.bounds))
+            return broken, self._blocking(program, least)
+        return minimum(inner), ()
+
+    def _blocking(self, program: NonlinearProgram, least: LocalMinimum) -> tuple[str, ...]:
+        """Limits and bounds whose multipliers are not zero where they are broken least."""
+        found, multipliers = program.evaluation(least.point.x[:-1]), least.optimality
+        equalities = sum(zero.size for zero in found.zeros)
+        inequality, above, below = RelaxedLimits.by_kind(multipliers.inequality, equalities)
+        of_ranges, of_equations = pieces_of(inequality, found.margins), pieces_of(above + below, found.zeros)
+        names = [
+            str(limit)
+            for limit, *prices in zip(self.problem.limits, of_ranges, of_equations, strict=True)
+            if any(np.any(price > NOT_ZERO) for price in prices)
+        ]
+        for side, prices in (("lower", multipliers.lower), ("upper", multipliers.upper)):
+            numbers = np.flatnonzero(prices[: self.ranges.size] > NOT_ZERO)
+            names += [f"{side} bound of {self.problem.free.label(int(i))}" for i in numbers]
+        return tuple(dict.fromkeys(names))
+
+
+def _is_better(one: SearchResult, other: SearchResult) -> bool:
+    """By more than tolerances: keeping to the limits where the other does not, or the smaller objective."""
+    if not (one.feasible and other.feasible):
+        return one.feasible or (not other.feasible and one.violation < other.violation - TOLERANCE)
+    return one.value < other.value - max(GAIN * abs(other.value), ROUNDING)
+
+
+class _Merit(eqx.Module):
+    """How promising a start is; infinite where there is no answer."""
+
+    problem: DesignProblem
+
+    def __call__(self, z: Vector) -> Float[Array, ""]:
+        found = self.problem.evaluate(z)
+        total = jnp.zeros(())
+        for i, (term, aim) in enumerate(zip(self.problem.terms, found.aims, strict=True)):
+            value = jnp.max(aim) if i in self.problem.peaks else self.problem.mean(aim)
+            total += term.weight / term.reference * value
+        broken = [jnp.max(-margin, initial=0.0) for margin in found.margins]
+        broken += [jnp.max(jnp.abs(zero), initial=0.0) for zero in found.zeros]
+        merit = total + BROKEN * jnp.max(jnp.stack([jnp.zeros(()), *broken]))
+        return jnp.where(jnp.isfinite(merit), merit, jnp.inf)
+
+
+# --- between the stations ------------------------------------------------------------------------
+
+
+def broken_between(program: NonlinearProgram, local: LocalMinimum) -> tuple[float, np.ndarray]:
+    """The largest violation anywhere along the body, and the places (over the length) where limits are broken.
+
+    On a fine grid, and where the parabola through three neighbours on it says that a limit is lower still.
+    """
+    fine = np.linspace(0.0, 1.0, FINE)
+    on_grid = _margins(program, local, fine)
+    between = _lowest(fine, on_grid)[: len(program.problem.stations)]
+    looked, margins = fine, on_grid
+    if between.size:
+        looked = np.concatenate([fine, between])
+        margins = np.concatenate([on_grid, _margins(program, local, between)], axis=1)
+    worst = np.min(margins, axis=0, initial=np.inf)
+    order = np.argsort(worst)[:WANDERING]
+    violation = max(local.point.violation, -float(np.min(worst, initial=0.0)))
+    return violation, looked[order[worst[order] < -TOLERANCE / 4]]
+
+
+def _margins(program: NonlinearProgram, local: LocalMinimum, places: np.ndarray) -> np.ndarray:
+    """(rows, places) of every limit along the body, and of every peak below its height."""
+    problem, point, count = program.problem, local.point, len(program.problem.stations)
+    heights = dict(zip(problem.peaks, problem.split(point.x)[1], strict=True))
+    blocks = [places[start : start + count] for start in range(0, len(places), count)]
+    padded = [np.pad(block, (0, count - len(block)), mode="edge") for block in blocks]
+    found = [program.at_stations(block).evaluation(point.x) for block in padded]
+    parts = [[each.margins[i] for each in found] for i, limit in enumerate(problem.limits) if limit.along]
+    for i, term in enumerate(problem.terms):
+        if term.objective.peak:
+            parts.append([heights[i] - each.aims[i] / float(term.reference) for each in found])
+    rows = [np.concatenate(part, axis=-1)[..., : len(places)].reshape(-1, len(places)) for part in parts if part]
+    return np.concatenate([np.zeros((0, len(places))), *rows])
+
+
+def _lowest(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Places between the points of a grid where rows have a local minimum near zero or below, the lowest first."""
+    before, here, after = rows[:, :-2], rows[:, 1:-1], rows[:, 2:]
+    bend = before - 2 * here + after
+    row, i = np.nonzero((here <= before) & (here <= after) & (here < NEAR) & (bend > 0))
+    shift = np.clip(0.5 * (before - after)[row, i] / bend[row, i], -0.5, 0.5)
+    order = np.argsort(here[row, i])
+    return np.unique((x[i + 1] + shift * (x[1] - x[0]))[order][: len(x)])
+
+
+def _moved(program: NonlinearProgram, places: np.ndarray) -> NonlinearProgram:
+    """The program with stations where limits were broken, in the place of the oldest of those that wander."""
+    stations = np.asarray(program.problem.stations)
+    kept, wandering = stations[:-WANDERING], stations[-WANDERING:]
+    return NonlinearProgram(
+        replace(program.problem, stations=jnp.asarray(np.concatenate([kept, wandering[len(places) :], places])))
+    )

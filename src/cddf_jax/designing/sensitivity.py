@@ -1,0 +1,130 @@
+"""How the best objective follows numbers that are not free: of the body, of the load cases, of the limits."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..numerics.constrained import LocalMinimum
+from ..robot.manipulator import Manipulator
+from ..robot.named_numbers import Case, of_tendon
+from .body_quantities import name_of
+from .load_cases import LoadCase, case_numbers
+from .problem import DesignProblem, ProgramValues
+
+KINK = 1e-5  # relative: multipliers that differ by less are the same
+
+
+class FixedNumber(NamedTuple):
+    """A number that is not free: what it belongs to, and its name there."""
+
+    owner: Literal["body", "case", "limit"]
+    place: int  # of the load case or of the limit, from 0
+    name: str
+
+    @property
+    def label(self) -> str:
+        """As in `Design.sensitivity`: "youngs_modulus", "case 1: base_tension", "limit 2: most"."""
+        return self.name if self.owner == "body" else f"{self.owner} {self.place + 1}: {self.name}"
+
+    def in_words(self, problem: DesignProblem) -> str:
+        """A limit by what it limits, a load case by its name, and no name for the only one."""
+        if self.owner == "body":
+            return self.name
+        if self.owner == "limit":
+            return f"limit of {name_of(problem.limits[self.place].quantity)}, {self.name}"
+        target = "what base_tension is to reach" if self.name.endswith(".value") else self.name
+        name = problem.cases[self.place].name or f"case {self.place + 1}"
+        return target if len(problem.cases) == 1 else f"{name}: {target}"
+
+
+def fixed_numbers(problem: DesignProblem) -> dict[FixedNumber, float]:
+    """All single numbers that are not free."""
+    free = {name for names in problem.free.names for name in names}
+    body = problem.manipulator
+    set_by_cases = {name for case in problem.cases for name in case.numbers}
+    found = {
+        FixedNumber("body", 0, name): value
+        for name, value in _numbers(case_numbers(body), _names_of_body(body)).items()
+        if name not in free | set_by_cases
+    }
+    for i, case in enumerate(problem.cases):
+        if len(case.numbers) == 0 or len(problem.cases) == 1:
+            acting = _numbers(case.of(body), _names_of_case(body, case))
+            found |= {FixedNumber("case", i, name): value for name, value in acting.items() if name not in free}
+    for i, limit in enumerate(problem.limits):
+        sides = {side: getattr(limit, side) for side in ("least", "most", "equal")}
+        found |= {
+            FixedNumber("limit", i, side): float(value)
+            for side, value in sides.items()
+            if value is not None and np.ndim(value) == 0
+        }
+    return found
+
+
+def _names_of_body(body: Manipulator) -> list[str]:
+    names = ["length", "youngs_modulus", "friction_coefficient", *(["density"] if np.any(body.density) else [])]
+    names += [name for name in ("drag", "stiffness_factor") if getattr(body, name) is not None]
+    names += [f"point_masses.{i}.{part}" for i in range(len(body.point_masses)) for part in ("mass", "arc_length")]
+    return names + [f"{profile}{end}" for profile in body.profiles for end in ("", ".base", ".tip")]
+
+
+def _names_of_case(body: Manipulator, case: LoadCase) -> list[str]:
+    actuated = ["base_tension", *(of_tendon("base_tension", i) for i in range(body.num_tendons))]
+    names = [name + part for name in actuated for part in ("", ".value")]
+    return names + (["loads.tip_force.0", "loads.tip_force.1", "loads.tip_moment"] if case.loads is not None else [])
+
+
+def _numbers(case: Case, names: list[str]) -> dict[str, float]:
+    """Those of the names that stand for one number here."""
+    found = {}
+    for name in names:
+        try:
+            number = case.number(name)
+        except ValueError:
+            continue
+        if isinstance(number, float | np.ndarray | jax.Array) and np.ndim(number) == 0:
+            found[name] = float(np.asarray(number))
+    return found
+
+
+def with_fixed(problem: DesignProblem, numbers: Mapping[FixedNumber, Array]) -> DesignProblem:
+    """The problem with other fixed numbers; another length stretches everything along the body."""
+
+    def of(owner: str, place: int) -> dict[str, Array]:
+        return {fixed.name: x for fixed, x in numbers.items() if (fixed.owner, fixed.place) == (owner, place)}
+
+    body = case_numbers(problem.manipulator).with_numbers(of("body", 0)).manipulator
+    cases = [case.with_numbers(body, of("case", i))[1] for i, case in enumerate(problem.cases)]
+    limits = [replace(limit, **of("limit", i)) for i, limit in enumerate(problem.limits)]
+    return replace(problem, manipulator=body, cases=tuple(cases), limits=tuple(limits))
+
+
+@eqx.filter_jit
+def _slope(
+    problem: DesignProblem, x: Array, numbers: dict[FixedNumber, Array], towards: dict[FixedNumber, Array]
+) -> ProgramValues:
+    """The derivative of all values along a direction of the fixed numbers: one small program for all of them."""
+    return jax.jvp(lambda numbers: with_fixed(problem, numbers).values(x)[0], (numbers,), (towards,))[1]
+
+
+def sensitivities(problem: DesignProblem, local: LocalMinimum) -> dict[FixedNumber, float]:
+    """Derivatives of the optimiser's objective at the optimum, by the envelope theorem: those of the Lagrangian.
+
+    NaN where several sets of multipliers meet the conditions: the objective has a kink there.
+    """
+    x = jnp.asarray(local.point.x)
+    numbers = {name: jnp.asarray(value, jnp.float64) for name, value in fixed_numbers(problem).items()}
+    answer = {}
+    for name in numbers:
+        towards = {other: jnp.asarray(other == name, jnp.float64) for other in numbers}
+        slope = jax.tree.map(np.asarray, _slope(problem, x, numbers, towards))
+        low, high = local.optimality.range_of(slope.inequality, slope.equality)
+        unique = high - low <= KINK * max(1.0, abs(low), abs(high))
+        answer[name] = float(slope.objective) - low if unique else np.nan
+    return answer

@@ -1,0 +1,420 @@
+"""Design tasks in TOML files with units; `TEMPLATE` holds every key."""
+
+import re
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import NamedTuple, TypedDict
+
+import numpy as np
+
+from ..errors import InputError, within
+from ..files.actuation import read_actuation, read_loads
+from ..files.artifacts import markdown_table
+from ..files.cross_sections import in_one_line
+from ..files.manipulator_file import (
+    allows_offsets_outside_wall,
+    check_keys,
+    read_manipulator,
+    read_toml,
+    section_columns_of,
+)
+from ..robot.manipulator import KINEMATICS, Manipulator
+from ..robot.named_numbers import unit_of_name
+from ..robot.profiles import Linear, Profile, Spline
+from ..units import DIMENSION_OF, Dimension, quantity
+from .body_quantities import BODY_QUANTITIES
+from .design import DesignOptions, design
+from .free_numbers import numbers_under
+from .limits import Limit
+from .load_cases import LoadCase, case_numbers, uncertain_cases
+from .objectives import Even, Least, Most, Near, Objective
+from .pareto import ParetoFront, pareto_front
+from .results import Design
+
+Table = Mapping[str, object]
+
+
+TEMPLATE = """\
+# A task of cddf design. Take the # away from the lines that you need.
+
+robot = "smooth_sil_940.toml"                # required: the start, the file of a manipulator, beside this one
+# kinematics = "exact"                       # instead of the robot's
+# starts = 64                                # points within the bounds that are tried; 1 unless given
+# seed = 0                                   # of these points
+# max_iterations = 300                       # of each search
+# nodes = 16                                 # of the solver
+# worst = true                               # optimise the worst case, and not the weighted mean of all
+# offsets_outside_wall = true                # allow tendons in the bore or outside; unless given as in the robot's file
+
+[free]                                       # by name, as in cddf sweep: length, youngs_modulus, "tendons.*.offset"
+outer_radius = { bounds = ["8 mm", "25 mm"] }  # unless given a tenth of the start value and ten times it
+# outer_radius = { taper = true }            # a straight taper, in place of the robot's own form
+# outer_radius = { knots = 9 }               # a spline through so many points, in place of the robot's own form
+# outer_radius = { choices = ["12 mm", "15 mm"] }  # one of a few values; no other key beside it
+
+[[case]]                                     # a way to use the body; one table for each
+base_tension = "tip_angle=90 deg"            # required: as in cddf solve; a list for several tendons
+# name = "bent"                              # in the report
+# direction = 1                              # 1: the tendon slides in, -1: it slides out; a list for several tendons
+# tip_force = "0 N, -1 N"                    # dead load (X, Y) on the tip
+# tip_moment = "0.1 N m"                     # on the tip, positive from X to Y
+# gravity = "0, -9.81 m/s^2"                 # acceleration (X, Y); the body needs a mass
+# weight = 2.0                               # in the mean over all cases; 1 unless given
+# numbers = { youngs_modulus = "1.5 MPa" }   # of the body, other ones in this case
+
+# [uncertain]                                # every case with bodies drawn from what a fit of data leaves uncertain
+# data = ["load_cells.csv"]                  # required: files of measurements, beside this one
+# columns = { Tbase_N = "base_tension [N]" }  # as --column of cddf fit
+# num = 16                                   # bodies for each case, a power of 2; 16 unless given
+# seed = 0                                   # of the draws
+
+[[objective]]                                # one table for each; several count relative to their sizes at the start
+least = "base_tension"                       # this quantity as small as possible; or one of the next three
+# most = "tip_stiffness"                     # as large as possible
+# even = "curvature"                         # as even along the body as possible
+# near = "position"                          # near a value
+# value = [["60 mm", "10 mm"]]               # with near: the value
+# at = ["70 mm"]                             # with near: the arc lengths at which it is wanted
+# weight = 1.0                               # of this objective
+
+[[limit]]                                    # one table for each; kept everywhere along the body and for every tendon
+quantity = "wall_thickness"                  # required: what is limited
+least = "2 mm"                               # with or without most
+# most = "5 mm"                              # with or without least
+# equal = "2 mm"                             # instead of least and most
+"""
+_HEADER = re.compile(r"(?:# )?\[+(\w+)\]+ +# (.+)")
+_KEY = re.compile(r"(?:# )?(?:outer_radius = { )?(\w+) = (.+?)(?: })? +# (required: )?(.+)")
+
+
+class Key(NamedTuple):
+    """A key of a task file, as a line of `TEMPLATE` has it."""
+
+    name: str
+    example: str  # TOML
+    required: bool
+    words: str
+
+
+def _keys() -> dict[str, list[Key]]:
+    """The keys of every table, "" for those above the first."""
+    tables: dict[str, list[Key]] = {"": []}
+    for line in TEMPLATE.splitlines():
+        if header := _HEADER.fullmatch(line):
+            tables[header[1]] = []
+        elif key := _KEY.fullmatch(line):
+            tables[list(tables)[-1]].append(Key(key[1], key[2], key[3] is not None, key[4]))
+    return tables
+
+
+KEYS = _keys()
+_AIMS: dict[str, type[Objective]] = {"least": Least, "most": Most, "even": Even, "near": Near}
+_OPTIONS = [field.name for field in fields(DesignOptions)]
+
+
+def template() -> str:
+    """`TEMPLATE`, and behind it the quantities that an objective or a limit can name."""
+    names = "Quantities of an objective or a limit: " + ", ".join(BODY_QUANTITIES) + "."
+    return f"{TEMPLATE}\n{textwrap.fill(names, 110, initial_indent='# ', subsequent_indent='# ')}\n"
+
+
+def keys_in_words() -> str:
+    """A table in Markdown of the keys of each table."""
+    lines = []
+    for name, keys in KEYS.items():
+        rows = [(f"`{key.name}`", f"`{key.example}`", "yes" if key.required else "", key.words) for key in keys]
+        lines += [f"`{name}`:" if name else "At the top:", ""]
+        lines += [*markdown_table(("key", "example", "required", "meaning"), rows), ""]
+    return "\n".join(lines)
+
+
+def _check(name: str, where: str, table: Table) -> None:
+    """Refuse unknown keys, and demand those that are required."""
+    required = [key.name for key in KEYS[name] if key.required]
+    check_keys(f"{where}: ", table, required, [key.name for key in KEYS[name] if not key.required])
+
+
+class SharedArguments(TypedDict):
+    """The arguments that `design` and `pareto_front` share, behind manipulator and objectives."""
+
+    free: tuple[str, ...]
+    bounds: dict[str, tuple[float, float]]
+    constraints: list[Limit]
+    cases: tuple[LoadCase, ...]
+    options: DesignOptions
+
+
+@dataclass(frozen=True)
+class DesignTask:
+    """The arguments of `design`, as a file gives them."""
+
+    path: Path
+    manipulator: Manipulator
+    objective: list[tuple[float, Objective]]
+    shared: SharedArguments
+    choices: dict[str, list[float]]
+    read_as: tuple[str, ...]  # how the data was read
+
+    def design(self) -> Design:
+        """As `design`; errors name the file."""
+        with within(self.path):
+            return design(self.manipulator, self.objective, choices=self.choices, **self.shared)
+
+    def pareto_front(self, num: int) -> ParetoFront:
+        """As `pareto_front`, of the two objectives of the task; errors name the file."""
+        with within(self.path):
+            return pareto_front(self.manipulator, [aim for _, aim in self.objective], num=num, **self.shared)
+
+
+def read_task(path: Path, *, progress: bool = False) -> DesignTask:
+    """The task in a TOML file; `template` shows the keys.
+
+    Raises:
+        InputError: names the file, the key, the value and the remedy.
+    """
+    with within(path, ValueError):
+        return _task(read_toml(path, 'least = "2 mm"'), path, progress=progress)
+
+
+def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
+    options = [key.name for key in KEYS[""] if not key.required]
+    check_keys("", table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
+    robot = path.parent / _text(table, "robot")
+    body = read_manipulator(robot)
+    if "kinematics" in table:
+        if table["kinematics"] not in KINEMATICS:
+            raise InputError(f"kinematics must be one of {KINEMATICS}, got {table['kinematics']!r}")
+        body = replace(body, kinematics=table["kinematics"])
+    cases = tuple(_case(where, each, body) for where, each in _list(table, "case"))
+    body, bounds, choices = _free(body, cases[0], _entries(table, "free"))
+    columns = section_columns_of(robot)
+    read_as: tuple[str, ...] = (in_one_line(columns),) if columns else ()
+    if "uncertain" in table:
+        cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent)
+        read_as += notes
+    given = {"offsets_outside_wall": allows_offsets_outside_wall(robot), "progress": progress}
+    given |= {key.name: table[key.name] for key in KEYS[""] if key.name in table and key.name in _OPTIONS}
+    return DesignTask(
+        path=path,
+        manipulator=body,
+        objective=[_objective(where, each) for where, each in _list(table, "objective")],
+        shared=SharedArguments(
+            free=tuple(name for name in _entries(table, "free") if name not in choices),
+            bounds=bounds,
+            constraints=[_limit(where, each) for where, each in _list(table, "limit")] if "limit" in table else [],
+            cases=cases,
+            options=DesignOptions(**given),  # type: ignore[arg-type]
+        ),
+        choices=choices,
+        read_as=read_as,
+    )
+
+
+# --- free numbers --------------------------------------------------------------------------------
+
+
+def _free(
+    body: Manipulator, used: LoadCase, table: Table
+) -> tuple[Manipulator, dict[str, tuple[float, float]], dict[str, list[float]]]:
+    """The body with its free profiles in the form that is wanted, bounds and choices."""
+    bounds, choices = {}, {}
+    for name, entry in table.items():
+        where = f"free {name}"
+        if not isinstance(entry, dict):
+            raise InputError(f'{where}: write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
+        _check("free", where, entry)
+        numbers_under(used.of(body), name)
+        dimension = DIMENSION_OF[unit_of_name(name)]
+        if "knots" in entry or "taper" in entry:
+            body = _formed(body, name, entry, where)
+        if "bounds" in entry:
+            bounds[name] = _pair(where, entry["bounds"], dimension)
+        if "choices" in entry:
+            given = entry["choices"]
+            if not isinstance(given, list) or not given or len(entry) > 1:
+                raise InputError(f"{where}: choices must be a list of one value or more, and nothing beside it")
+            choices[name] = [quantity(value, dimension, where) for value in given]
+    return body, bounds, choices
+
+
+def _formed(body: Manipulator, name: str, entry: Table, where: str) -> Manipulator:
+    """The body with a profile as a spline through some points, or as a straight taper."""
+    form = _form(entry, float(body.length), where)
+    if name in ("outer_radius", "inner_radius"):
+        return replace(body, **{name: form(getattr(body, name))})
+    which = name.removeprefix("tendons.").removesuffix(".offset")
+    if name != f"tendons.{which}.offset" or which not in ("*", *map(str, range(body.num_tendons))):
+        raise InputError(f"{where}: only outer_radius, inner_radius and tendons.0.offset have a form")
+    tendons = [
+        replace(tendon, offset=form(tendon.offset)) if which in ("*", str(i)) else tendon
+        for i, tendon in enumerate(body.tendons)
+    ]
+    return replace(body, tendons=tuple(tendons))
+
+
+def _form(entry: Table, length: float, where: str) -> Callable[[Profile], Profile]:
+    """What makes a profile a spline through some points, or a straight taper."""
+    if ("knots" in entry) == ("taper" in entry) or entry.get("taper", True) is not True:
+        raise InputError(f"{where}: write knots = 9 for a spline or taper = true for a straight taper")
+    if "taper" in entry:
+        return lambda profile: _straight(profile, length)
+    knots = _whole(f"{where}: knots", entry["knots"])
+    if knots < 4:
+        raise InputError(f"{where}: knots must be 4 or more, got {knots}; or write taper = true")
+    return lambda profile: Spline.through(profile, np.linspace(0.0, length, knots))
+
+
+def _straight(profile: Profile, length: float) -> Linear:
+    base, tip = np.asarray(profile(np.array([0.0, length])))
+    return Linear(base, tip, length)
+
+
+# --- cases, objectives, limits -------------------------------------------------------------------
+
+
+def _case(where: str, table: Table, body: Manipulator) -> LoadCase:
+    _check("case", where, table)
+    texts = table["base_tension"] if isinstance(table["base_tension"], list) else [table["base_tension"]]
+    loads = {key: table.get(key) for key in ("tip_force", "tip_moment", "gravity")}
+    for key, value in loads.items():
+        if value is not None and not isinstance(value, str):
+            raise InputError(f'{where}: {key} must be text such as "0 N, -5 N", got {value!r}')
+    with within(where):
+        actuation = read_actuation([str(text) for text in texts], body, called=str)
+        acting = read_loads(**loads, has_weight=body.has_mass, called=str)  # type: ignore[arg-type]
+    direction = table.get("direction")
+    each = direction if isinstance(direction, list) else [] if direction is None else [direction]
+    if any(isinstance(value, bool) or value not in (1, -1) for value in each):
+        raise InputError(f"{where}: direction must be 1 for sliding in or -1 for sliding out, got {direction!r}")
+    if isinstance(direction, list) and len(direction) != body.num_tendons:
+        raise InputError(
+            f"{where}: direction has {len(direction)} values for {body.num_tendons} tendons; give one each"
+        )
+    stated = direction if isinstance(direction, list | int | float) else None
+    numbers = _case_numbers(where, table.get("numbers", {}), body)
+    weight = quantity(table.get("weight", 1.0), "dimensionless", f"{where}: weight")
+    if not weight > 0:
+        raise InputError(f"{where}: weight must be above 0, got {weight:g}")
+    return LoadCase(actuation, acting, stated, numbers, weight, str(table.get("name", where)))
+
+
+def _case_numbers(where: str, table: object, body: Manipulator) -> dict[str, float]:
+    if not isinstance(table, dict):
+        raise InputError(f'{where}: numbers must be a table, as in numbers = {{ youngs_modulus = "1.5 MPa" }}')
+    for name in table:
+        case_numbers(body).number(name)
+    return {
+        name: quantity(value, DIMENSION_OF[unit_of_name(name)], f"{where}: {name}") for name, value in table.items()
+    }
+
+
+def _uncertain(
+    cases: Sequence[LoadCase], body: Manipulator, table: Table, folder: Path
+) -> tuple[tuple[LoadCase, ...], tuple[str, ...]]:
+    """The cases with bodies drawn from what a fit leaves uncertain, and how its data was read."""
+    from ..identification.fit import fit
+    from ..measurements.trials import read_tables
+
+    _check("uncertain", "uncertain", table)
+    files = table["data"] if isinstance(table["data"], list) else [table["data"]]
+    columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
+    tables = read_tables([folder / str(file) for file in files], columns)
+    found = fit(body, tables)
+    num, seed = (_whole(f"uncertain: {key}", table.get(key, default)) for key, default in (("num", 16), ("seed", 0)))
+    every = tuple(each for case in cases for each in uncertain_cases(case, found, num, seed))
+    return every, tuple(line for table in tables for line in table.read_as)
+
+
+def _objective(where: str, table: Table) -> tuple[float, Objective]:
+    _check("objective", where, table)
+    kinds = [kind for kind in _AIMS if kind in table]
+    if len(kinds) != 1:
+        raise InputError(f'{where}: write one of {", ".join(_AIMS)}, as in least = "base_tension"')
+    kind = kinds[0]
+    name, dimension = _quantity(where, table[kind])
+    weight = quantity(table.get("weight", 1.0), "dimensionless", f"{where}: weight")
+    if kind != "near":
+        if "value" in table or "at" in table:
+            raise InputError(f"{where}: value and at belong to near; take them out")
+        return weight, _AIMS[kind](name)
+    if "value" not in table:
+        raise InputError(f'{where}: near needs a value, as in value = ["110 mm", "50 mm"]')
+    at = table.get("at")
+    if at is not None and not isinstance(at, list):
+        raise InputError(f'{where}: at must be a list of arc lengths, as in at = ["70 mm"], got {at!r}')
+    places = None if at is None else _nested(at, "length", f"{where}: at")
+    return weight, Near(name, _nested(table["value"], dimension, f"{where}: value"), places)
+
+
+def _limit(where: str, table: Table) -> Limit:
+    _check("limit", where, table)
+    name, dimension = _quantity(where, table["quantity"])
+    sides = {
+        side: _nested(table[side], dimension, f"{where}: {side}")
+        for side in ("least", "most", "equal")
+        if side in table
+    }
+    try:
+        return Limit(name, **sides)
+    except InputError as error:
+        raise error.at(where) from None
+
+
+def _quantity(where: str, name: object) -> tuple[str, Dimension]:
+    """The name of a quantity, checked, and its dimension."""
+    if isinstance(name, str) and name in BODY_QUANTITIES:
+        return name, BODY_QUANTITIES[name].dimension
+    close = get_close_matches(str(name), BODY_QUANTITIES, 1)
+    remedy = f"did you mean {close[0]}?" if close else f"there are {', '.join(BODY_QUANTITIES)}"
+    raise InputError(f"{where}: {name!r} is no quantity of a body; {remedy}")
+
+
+# --- small things --------------------------------------------------------------------------------
+
+
+def _nested(value: object, dimension: Dimension, where: str) -> float | np.ndarray:
+    """A quantity, or lists of them."""
+    if not isinstance(value, list):
+        return quantity(value, dimension, where)
+    items = [_nested(item, dimension, where) for item in value]
+    if len({np.shape(item) for item in items}) > 1:
+        raise InputError(f"{where}: its rows are of different length, got {value!r}")
+    return np.array(items)
+
+
+def _pair(where: str, value: object, dimension: Dimension) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise InputError(f'{where}: bounds must be two values, as in bounds = ["8 mm", "25 mm"], got {value!r}')
+    low, high = (quantity(item, dimension, f"{where}: bounds") for item in value)
+    return low, high
+
+
+def _text(table: Table, key: str) -> str:
+    value = table[key]
+    if not isinstance(value, str):
+        raise InputError(f"{key} must be text, got {value!r}")
+    return value
+
+
+def _whole(where: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise InputError(f"{where} must be a whole number, got {value!r}")
+    return value
+
+
+def _entries(table: Table, key: str) -> Table:
+    value = table[key]
+    if not isinstance(value, dict) or not value:
+        raise InputError(f"[{key}] must be a table of one entry or more; see cddf design --template")
+    return value
+
+
+def _list(table: Table, key: str) -> list[tuple[str, Table]]:
+    """The tables of a kind, each with its place: "case 1"."""
+    value = table[key]
+    if not isinstance(value, list) or not value or not all(isinstance(each, dict) for each in value):
+        raise InputError(f"{key} must be one table or more; write each below a line [[{key}]]")
+    return [(f"{key} {i}", each) for i, each in enumerate(value, 1)]

@@ -1,0 +1,254 @@
+"""What data determine about parameters, read off the thin SVD of the Jacobian at an estimate.
+
+The Jacobian is scaled by the noise of the data and the size of the parameters, so that a singular value of s
+stands for a standard error of 1 / s, relative, along its direction.
+"""
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+IDENTIFIED = "identified"
+NOT_IDENTIFIED = "not identified"
+PRIOR_ONLY = "prior only"
+AT_BOUND = "at bound"
+FIXED = "fixed"
+RELATIVE_RANK = 1e-9  # singular values below this times the largest are zero
+LARGEST_RELATIVE_ERROR = 0.5  # of a parameter that is called identified
+ALL_OF_PRIOR = 0.98  # standard error over that of its prior, from which on the prior alone determines a parameter
+NEGLIGIBLE_POWER = 0.02  # of a parameter in a direction, where the largest is 1; closer ones count as equal
+NEARLY_NORMAL = 1e9  # degrees of freedom from which on the quantile is that of the normal distribution
+INSIDE = 1e-12  # difference from 1 below which the determined directions hold all of a parameter
+TINY = 1e-300  # keeps a divisor from being 0
+
+T = TypeVar("T")
+
+
+class Estimate(NamedTuple):
+    """A number and its standard error."""
+
+    value: float
+    standard_error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Determination:
+    """What some data determine about the parameters. Dictionaries go by name, arrays by the order of `names`."""
+
+    names: tuple[str, ...]  # of the parameters that were fitted
+    value: dict[str, float]  # estimate, SI
+    standard_error: dict[str, float]  # inf where the data do not determine the parameter
+    confidence_interval: dict[str, tuple[float, float]]  # 95 %, t-statistics where noise was estimated
+    status: dict[str, str]  # "identified", "not identified", "prior only", "at bound" or "fixed"
+    combinations: dict[str, Estimate]  # products of powers of unidentified parameters that are identified
+    covariance: np.ndarray  # of the directions that the data determine
+    correlation: np.ndarray  # of the same
+    singular_values: np.ndarray  # of the Jacobian scaled by noise and size of the parameters
+    rank: int  # how many directions the data determine
+    condition_number: float  # largest over smallest singular value; inf where some are zero
+    sloppy_direction: dict[str, float]  # powers of the parameters in the least determined combination
+    quantile: float  # half-width of a 95 % interval over its standard error, where the noise of the data makes it
+
+    def __str__(self) -> str:
+        lines = []
+        for name, status in self.status.items():
+            low, high = self.confidence_interval[name]
+            number = "" if status == NOT_IDENTIFIED else f" = {self.value[name]:.4g}"
+            if status == IDENTIFIED:
+                number += f" +- {self.standard_error[name]:.2g} (95 %: {low:.4g} to {high:.4g})"
+            lines.append(f"{name}{number}: {status}")
+        lines += [
+            f"{name} = {e.value:.4g} +- {e.standard_error:.2g}: identified" for name, e in self.combinations.items()
+        ]
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The rows of the scaled Jacobian at an estimate, by group of data."""
+
+    names: tuple[str, ...]
+    start: np.ndarray
+    scale: np.ndarray  # what to judge a parameter by that may be zero
+    lower: np.ndarray
+    upper: np.ndarray
+    value: np.ndarray
+    size: np.ndarray  # of each parameter, the unit of the Jacobian's columns
+    at_bound: np.ndarray
+    open_profile: np.ndarray  # whether the parameter can move far while the sum of squares hardly rises
+    rows: dict[str, np.ndarray]  # by group, (rows, parameters)
+    prior_rows: dict[int, np.ndarray]  # by parameter
+    noise_estimated: dict[str, bool]
+    products: bool = True  # whether combinations of what is not identified may be written as products of powers
+    bounded_above: tuple[int, ...] = ()  # parameters at the lower bound, with an upper 95 % limit
+    random: tuple[int, ...] = ()  # random effects: draws about 0, with a standard deviation that was estimated
+    failed: bool = False  # whether the fit failed, so that nothing is identified
+
+    def after_failure(self) -> "Evidence":
+        """The same of a fit that failed."""
+        return replace(self, failed=True, bounded_above=())
+
+    def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
+        """Some groups of the data alone, without priors but those of the named parameters."""
+        rows = {name: self.rows[name] for name in groups}
+        estimated = {name: self.noise_estimated[name] for name in groups}
+        closed = np.zeros_like(self.open_profile)
+        priors = {i: row for i, row in self.prior_rows.items() if self.names[i] in with_priors_of}
+        told = {"rows": rows, "prior_rows": priors, "noise_estimated": estimated}
+        return replace(self, **told, open_profile=closed, bounded_above=())
+
+    @property
+    def nearest_bound(self) -> np.ndarray:
+        """By parameter, the bound that the value is closer to."""
+        below, above = self.value - self.lower, self.upper - self.value
+        return np.where(below < above, self.lower, self.upper)
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """All rows, those of the priors last."""
+        return without_nan(np.concatenate([*self.rows.values(), *self.prior_rows.values()]))
+
+
+def without_nan(matrix: np.ndarray) -> np.ndarray:
+    """The matrix with 0 for what is not finite."""
+    return np.where(np.isfinite(matrix), matrix, 0.0)
+
+
+class Spectrum(NamedTuple):
+    """The thin SVD of a scaled Jacobian."""
+
+    values: np.ndarray
+    directions: np.ndarray  # rows
+    determined: np.ndarray  # which are not zero
+    covariance: np.ndarray  # relative, of the determined directions
+    relative_error: np.ndarray  # of each parameter, inf where a direction that is not determined holds it
+
+
+def spectrum_of(jacobian: np.ndarray) -> Spectrum:
+    """The thin SVD, and which of its directions the data determine."""
+    _, values, directions = np.linalg.svd(jacobian, full_matrices=False)
+    determined = values > RELATIVE_RANK * max(values.max(initial=0.0), TINY)
+    scaled = directions[determined] / values[determined, None]
+    covariance = scaled.T @ scaled
+    reached = np.sum(directions[determined] ** 2, axis=0)  # 1 for a parameter within the determined directions
+    error = np.where(reached < 1 - INSIDE, np.inf, np.sqrt(np.diag(covariance)))
+    return Spectrum(values, directions, determined, covariance, error)
+
+
+def determine(evidence: Evidence) -> Determination:
+    """Standard errors, intervals and statuses from the rows of the Jacobian."""
+    names, value, size = evidence.names, evidence.value, evidence.size
+    jacobian = evidence.jacobian
+    spectrum = spectrum_of(jacobian)
+    rank = int(spectrum.determined.sum())
+    freedom = jacobian.shape[0] - rank
+    error = spectrum.relative_error * size
+    noise_told = freedom > 0 or not any(evidence.noise_estimated.values())
+    error = error if noise_told else np.full_like(error, np.inf)
+    quantile = quantiles(evidence, spectrum, np.eye(len(names)))
+
+    status = _statuses(evidence, error, quantile)
+    lost = np.array([word == NOT_IDENTIFIED for word in status])
+    open_ended = lost | np.array([word == AT_BOUND for word in status])
+    low, high = value - quantile * error, value + quantile * error
+    limit = np.minimum(high, evidence.upper)
+    low, high = np.where(open_ended, evidence.lower, low), np.where(open_ended, evidence.upper, high)
+    high[list(evidence.bounded_above)] = limit[list(evidence.bounded_above)]
+    spread = np.sqrt(np.diag(spectrum.covariance))
+    sloppy = spectrum.directions[-1] / max(np.abs(spectrum.directions[-1]).max(), TINY)
+    sloppy = sloppy * np.sign(sloppy[np.argmax(np.abs(sloppy) > NEGLIGIBLE_POWER)])  # the first that matters: positive
+    powers_told = evidence.products and noise_told and not evidence.failed
+
+    def by_name(values: Iterable[T]) -> dict[str, T]:
+        return dict(zip(names, values, strict=True))
+
+    return Determination(
+        names=names,
+        value=by_name(np.where(evidence.at_bound, evidence.nearest_bound, value).tolist()),
+        standard_error=by_name(np.where(open_ended, np.inf, error).tolist()),
+        confidence_interval=by_name(zip(low.tolist(), high.tolist(), strict=True)),
+        status=by_name(status),
+        combinations=_combinations(names, value, lost, jacobian) if powers_told else {},
+        covariance=spectrum.covariance * np.outer(size, size),
+        correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), TINY),
+        singular_values=spectrum.values,
+        rank=rank,
+        condition_number=float(spectrum.values[0] / spectrum.values[-1]) if rank == len(names) else np.inf,
+        sloppy_direction=by_name(sloppy.tolist()),
+        quantile=float(quantiles(replace(evidence, random=()), spectrum, np.eye(1, len(names)))[0]),
+    )
+
+
+def quantiles(evidence: Evidence, spectrum: Spectrum, directions: np.ndarray) -> np.ndarray:
+    """Half-widths of 95 % intervals over their standard errors, of linear combinations (rows) of scaled parameters.
+
+    Of the t distribution where noise was estimated. Where a variance holds a part from random effects, whose spread was
+    estimated too, its degrees of freedom are those of Satterthwaite (1946), Biometrics Bulletin 2, 110.
+    """
+    freedom = np.full(len(directions), np.inf)
+    if any(evidence.noise_estimated.values()):
+        freedom[:] = max(evidence.jacobian.shape[0] - int(spectrum.determined.sum()), 1)
+    if evidence.random:
+        along = directions @ spectrum.covariance
+        variance = np.sum(along * directions, axis=1)
+        part = sum((along[:, k] * evidence.prior_rows[k][0, k]) ** 2 for k in evidence.random)
+        of_spread = (len(evidence.random) - 1) * (variance / np.maximum(part, 1e-6 * variance + TINY)) ** 2
+        freedom = np.minimum(freedom, np.maximum(of_spread, 1.0))
+    return np.where(freedom < NEARLY_NORMAL, stdtrit(np.minimum(freedom, NEARLY_NORMAL), 0.975), ndtri(0.975))
+
+
+def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> list[str]:
+    """Identified: a 95 % interval that closes inside the bounds, a relative standard error below 0.5, no failed fit."""
+    value = evidence.value
+    # a parameter without a lower bound may be 0: its scale counts as its size where that is larger
+    scale = np.where(np.isfinite(evidence.lower), 0.0, evidence.scale)
+    known = error < LARGEST_RELATIVE_ERROR * np.maximum(evidence.size, scale)
+    closed = (value - quantile * error > evidence.lower) & (value + quantile * error < evidence.upper)
+    data_error = spectrum_of(without_nan(np.concatenate([*evidence.rows.values()]))).relative_error * evidence.size
+    of_prior = np.full(len(value), np.nan)  # the size of a parameter over the standard deviation of its prior
+    for i, row in evidence.prior_rows.items():
+        of_prior[i] = np.abs(row[0, i])
+    # the data alone do not determine it, and with the prior its standard error is that of the prior
+    prior_only = ~(data_error < np.inf) & (error * of_prior > ALL_OF_PRIOR * evidence.size)
+    told = known & closed & ~evidence.open_profile & (not evidence.failed)
+    words = [AT_BOUND, PRIOR_ONLY, IDENTIFIED]
+    return np.select([evidence.at_bound, prior_only, told], words, NOT_IDENTIFIED).tolist()
+
+
+def _combinations(
+    names: tuple[str, ...], value: np.ndarray, lost: np.ndarray, jacobian: np.ndarray
+) -> dict[str, Estimate]:
+    """Products of powers of the unidentified parameters that the data do determine, whatever the others are."""
+    found: dict[str, Estimate] = {}
+    if np.count_nonzero(lost) < 2 or np.any(value[lost] <= 0):
+        return found
+    known, own = jacobian[:, ~lost], jacobian[:, lost]
+    spectrum = spectrum_of(own - known @ np.linalg.lstsq(known, own)[0])
+    own_names = [name for name, gone in zip(names, lost, strict=True) if gone]
+    first = int(np.argmin(own_names))
+    for singular, direction in zip(spectrum.values, spectrum.directions, strict=True):
+        if len(found) == len(own_names) - 1 or singular * LARGEST_RELATIVE_ERROR <= 1:
+            break  # as many products as parameters would determine the parameters themselves
+        held = np.abs(direction) > NEGLIGIBLE_POWER
+        leading = first if held[first] else int(np.argmax(held))
+        powers = direction * np.sign(direction[leading]) / np.abs(direction).max()  # the first: positive
+        whole = np.round(powers)
+        powers = np.where(np.abs(powers - whole) < NEGLIGIBLE_POWER, whole, np.round(powers, 2))
+        product = float(np.exp(np.sum(powers * np.log(value[lost]))))
+        along = spectrum.directions[spectrum.determined] @ powers / spectrum.values[spectrum.determined]
+        found[_product_name(own_names, powers)] = Estimate(product, product * float(np.linalg.norm(along)))
+    return found
+
+
+def _product_name(names: Sequence[str], powers: np.ndarray) -> str:
+    """For example `friction_coefficient / youngs_modulus`."""
+
+    def factor(name: str, power: float) -> str:
+        return name if power == 1 else f"{name}^{power:g}"
+
+    above = [factor(n, p) for n, p in zip(names, powers, strict=True) if p > 0]
+    below = [factor(n, -p) for n, p in zip(names, powers, strict=True) if p < 0]
+    return " * ".join(above or ["1"]) + "".join(f" / {name}" for name in below)

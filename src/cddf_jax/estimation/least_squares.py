@@ -1,0 +1,269 @@
+"""`least_squares_fit`: any differentiable `predict(parameters)` against data; it knows no manipulator.
+
+The optimiser sees dimensionless unknowns of order one. Noise that is not given is estimated, group by group.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Unpack
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, PyTree
+
+from ..errors import InputError
+from .bootstrap import Bootstrap, BootstrapOptions, Path, Refits, bootstrap, refits
+from .determination import Determination, Evidence, determine, quantiles, spectrum_of
+from .levenberg_marquardt import MAX_STEPS, Minimum
+from .observations import Noise, group_observations
+from .parameter_space import (
+    Bounds,
+    ParameterSpace,
+    Prior,
+    Priors,
+    bounds_of,
+    lay_out_parameters,
+    priors_of,
+    with_uniform_priors,
+)
+from .profile_likelihood import Profile, profile_likelihood
+from .remarks import remarks_on_parameters, remarks_on_residuals
+from .residuals import LeastSquaresProblem
+from .restarts import Searched, search_as_needed, search_many
+from .robust_loss import loss_of
+from .whole_search import FitTask
+
+UNDETERMINED = 1e-10  # part of a prediction's squared derivative along directions that the data leave open
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeastSquaresFit(Determination):
+    """The estimate from all data together, and how it was found."""
+
+    noise: dict[str, float]  # standard deviation by group of data, root mean square
+    noise_model: dict[str, Noise]  # floor and fraction, of the groups that have them
+    noise_parts: dict[str, int]  # how many numbers of each group's noise were estimated
+    noise_estimated: bool  # whether that of any group was
+    residuals: PyTree  # observed - predicted, in the structure of the data
+    reduced_chi_square: float  # sum of squared weighted residuals over the degrees of freedom
+    degrees_of_freedom: int  # data less what they determine
+    log_likelihood: float  # Gaussian, at the noise; priors left out
+    loss: str  # as it was given
+    num_steps: int  # of the optimiser
+    starts: np.ndarray  # the lowest cost of the search from each start, the best first
+    restarted: str  # why there were several starts although none were asked for, in words; "" where there were not
+    seed: int  # of the further starts
+    success: bool
+    result: str  # "successful", or what went wrong
+    parameters: PyTree  # the estimate in the structure of `start`
+    evidence: Evidence
+    minimum: Minimum
+
+    @property
+    def bounded_above(self) -> tuple[str, ...]:
+        """Parameters at the lower bound, with an upper 95 % limit: `confidence_interval`."""
+        return tuple(self.names[i] for i in self.evidence.bounded_above)
+
+    @property
+    def num_estimated(self) -> int:
+        """Parameters, and the numbers of the noise that were estimated."""
+        return len(self.names) + sum(self.noise_parts.values())
+
+    @property
+    def information_criteria(self) -> dict[str, float]:
+        """AIC and BIC of the Gaussian likelihood."""
+        count = self.minimum.problem.num_data
+        return {
+            "AIC": 2 * self.num_estimated - 2 * self.log_likelihood,
+            "BIC": float(np.log(count)) * self.num_estimated - 2 * self.log_likelihood,
+        }
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Parameters on a bound, without effect or hanging on one datum; outliers; residuals that tell too little."""
+        return (
+            *([self.restarted] if self.restarted else []),
+            *remarks_on_parameters(self.evidence, self.place),
+            *remarks_on_residuals(self.evidence, self.minimum, self.degrees_of_freedom, self.place),
+        )
+
+    def place(self, group: str, k: int) -> str:
+        """In words, where the k-th datum of a group is, k from 0."""
+        return f"entry {k + 1} of {group}"
+
+    def profile(self, name: str) -> Profile:
+        """The likelihood with one parameter held at value after value and all others fitted again.
+
+        Raises:
+            InputError: for a name that was not fitted.
+        """
+        if name not in self.names:
+            raise InputError(f"profile: {name!r} was not fitted; fitted are {', '.join(self.names)}")
+        if self.noise_estimated and self.degrees_of_freedom < 1:
+            raise InputError("profile: no data are left to tell the noise; give it, or measure more")
+        i = self.names.index(name)
+        quantile = quantiles(self.evidence, spectrum_of(self.evidence.jacobian), np.eye(len(self.names))[i : i + 1])
+        return profile_likelihood(self.minimum, self.names, name, self.standard_error[name], float(quantile[0]))
+
+    def bootstrap(
+        self, kind: str = "parametric", replicates: int = 1000, **options: Unpack[BootstrapOptions]
+    ) -> Bootstrap:
+        """Refits to data drawn anew; see `bootstrap.bootstrap`."""
+        groups = tuple(self.evidence.rows)
+        freedom = float(self.degrees_of_freedom) if self.noise_estimated else np.inf
+        return bootstrap(self.minimum, self.names, groups, kind, replicates, noise_freedom=freedom, **options)
+
+    def refits(self, observed: Mapping[str, ArrayLike], *, progress: bool = False, out: Path | None = None) -> Refits:
+        """The same fit to the data of many benches, from this estimate on, with its weights.
+
+        Args:
+            observed: by group of data, (benches, *its shape); a group that is left out keeps its data.
+            progress: show a bar.
+            out: path of a Zarr store, as for `bootstrap`.
+
+        Raises:
+            InputError: for an unknown group, data of another shape, a store of other work.
+        """
+        return refits(self.minimum, self.names, tuple(self.evidence.rows), observed, progress=progress, out=out)
+
+    def doubted(self, reason: str) -> "LeastSquaresFit":
+        """The same as a failed fit, for a reason that is not in its sum of squares."""
+        evidence = self.evidence.after_failure()
+        return replace(self, **vars(determine(evidence)), evidence=evidence, success=False, result=reason)
+
+    def told_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
+        """What some groups of the data alone would determine if this estimate were the truth.
+
+        Args:
+            groups: of the data.
+            with_priors_of: parameters whose priors are kept.
+        """
+        return determine(self.evidence.of(groups, with_priors_of))
+
+    def band(self, sensitivity: np.ndarray) -> np.ndarray:
+        """Half-width of the 95 % band of predictions with this derivative by the parameters (rows: predictions).
+
+        Infinite for a prediction that depends on what the data do not determine.
+        """
+        if self.noise_estimated and self.degrees_of_freedom < 1:
+            return np.full(len(sensitivity), np.inf)
+        spectrum, scaled = spectrum_of(self.evidence.jacobian), sensitivity * self.evidence.size
+        along = scaled @ spectrum.directions[spectrum.determined].T
+        error = np.linalg.norm(along / spectrum.values[spectrum.determined], axis=1)
+        half_width = quantiles(self.evidence, spectrum, scaled) * error
+        whole = np.sum(scaled**2, axis=1)
+        return np.where(whole - np.sum(along**2, axis=1) > UNDETERMINED * whole, np.inf, half_width)
+
+
+def least_squares_fit(
+    predict: Callable[[PyTree], PyTree],
+    start: PyTree,
+    observed: PyTree,
+    sigma: PyTree = None,
+    bounds: Bounds | None = None,
+    *,
+    priors: Priors | None = None,
+    fixed: Collection[str] = (),
+    shared: Mapping[str, str] | None = None,
+    scales: Mapping[str, float] | None = None,
+    loss: str = "linear",
+    starts: int | None = None,
+    seed: int = 0,
+    prefer_start: bool = False,
+    max_steps: int = MAX_STEPS,
+) -> LeastSquaresFit:
+    """Fit parameters by Levenberg-Marquardt and say what the data determine.
+
+    Args:
+        predict: differentiable; from parameters in the structure of `start` to the structure of `observed`.
+            A function or a pytree that is callable; given the same one again, nothing is compiled anew.
+        start: first guess, a mapping from names to numbers, or any pytree of numbers or arrays.
+        observed: data, one array or a pytree of arrays; each array is a group with its own noise.
+        sigma: standard deviation of the noise: one number, or the structure of `observed` with a number, an
+            array, a `Noise(floor, fraction)` or None per group; None for a group, or altogether, has it
+            estimated from the residuals.
+        bounds: by parameter name, (lower, upper), None for none; the estimate stays inside.
+        priors: by parameter name, mean and standard deviation of a Gaussian, or `Uniform(low, high)`.
+        fixed: names of parameters that keep their start.
+        shared: by parameter name, the name of the parameter whose value it takes.
+        scales: by parameter name, a size that matters, for parameters that may be 0. Where the estimate is smaller,
+            the standard error of an identified parameter is judged by this size.
+        loss: "linear", "soft_l1", "huber" or "cauchy", in standard deviations of the noise, which is then
+            estimated by the median.
+        starts: number of points to search from, the first being `start`. None: from `start` alone, and from up to 32
+            more where that search failed, hardly explained the data or ended where the data do not determine the
+            parameters; then the remarks say so. Further starts spread ever wider about the first by powers of ten:
+            of the distance from a bound, or of the size of a parameter without bounds, which takes the other sign in
+            one start of four.
+        seed: of the further starts.
+        prefer_start: where the data leave a valley open, end at the place in it that holds the start of the first
+            parameter along it, and not at the shallow minimum that noise made somewhere in it.
+        max_steps: of the optimiser.
+
+    Raises:
+        InputError: for float32, `starts` below 1, a start outside its bounds, unknown names, data that are not
+            finite.
+    """
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise InputError(
+            'fits need double precision: call jax.config.update("jax_enable_x64", True) before anything else'
+        )
+    if not jax.tree.leaves(start):
+        raise InputError("there is no parameter to fit")
+    if starts is not None and (isinstance(starts, bool) or not isinstance(starts, int) or starts < 1):
+        raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
+    names, first, unravel = lay_out_parameters(start, fixed, shared or {})
+    data = group_observations(observed, sigma)
+    limits = bounds_of(names, first, with_uniform_priors(bounds or {}, priors or {}))
+    prior = priors_of(names, priors or {})
+    space = ParameterSpace(first, *limits, _scales(names, first, scales or {}, prior))
+    problem = LeastSquaresProblem(predict, unravel, data.values, space, prior, loss_of(loss).name)
+
+    task = FitTask(problem, data, names, prefer_start, max_steps)
+    searched = search_as_needed(task, seed) if starts is None else search_many(task, starts, seed)
+    return _conclude(task, searched, seed)
+
+
+def _scales(
+    names: tuple[str, ...], start: np.ndarray, scales: Mapping[str, float], prior: Mapping[int, Prior]
+) -> np.ndarray:
+    """Sizes that matter, NaN where none is known: as given, or for what starts at 0 the width of its prior."""
+    for name, scale in scales.items():
+        if name not in names or not scale > 0:
+            raise InputError(
+                f"scale of {name!r}: needs a number > 0 and a parameter that is fitted ({', '.join(names)})"
+            )
+    known = {names[i]: float(p.standard_deviation) for i, p in prior.items() if start[i] == 0} | dict(scales)
+    return np.array([known.get(name, np.nan) for name in names])
+
+
+def _conclude(task: FitTask, searched: Searched, seed: int) -> LeastSquaresFit:
+    ending, data = searched.ending, task.data
+    problem, noise, outcome = ending.minimum
+    freedom, residuals = outcome.residual.size - ending.determination.rank, problem.by_group(outcome.residual)
+    observed_less_predicted = [-r.reshape(v.shape) * s for r, s, v in zip(residuals, noise, data.values, strict=True)]
+    log_likelihood = -0.5 * sum(
+        np.sum(r**2) + np.sum(np.log(2 * np.pi * s**2)) for r, s in zip(residuals, noise, strict=True)
+    )
+    return LeastSquaresFit(
+        **vars(ending.determination),
+        noise={name: float(np.sqrt(np.mean(s**2))) for name, s in zip(data.names, noise, strict=True)},
+        noise_model=data.noise_models(noise, outcome),
+        noise_parts=data.estimated_parts,
+        noise_estimated=any(ending.evidence.noise_estimated.values()),
+        residuals=jax.tree_util.tree_unflatten(data.structure, observed_less_predicted),
+        reduced_chi_square=float(np.sum(outcome.residual**2)) / max(freedom, 1),
+        degrees_of_freedom=freedom,
+        log_likelihood=float(log_likelihood),
+        loss=problem.loss,
+        num_steps=int(outcome.num_steps),
+        starts=searched.cost,
+        restarted=searched.remark,
+        seed=seed,
+        success=ending.success,
+        result=ending.result,
+        parameters=jax.tree.map(np.asarray, problem.unravel(jnp.asarray(outcome.parameters))),
+        evidence=ending.evidence,
+        minimum=ending.minimum,
+    )

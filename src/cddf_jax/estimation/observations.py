@@ -1,0 +1,220 @@
+"""The data of a fit: groups of observations, each with noise that is known, modelled or estimated."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import PyTree
+from scipy.optimize import nnls
+
+from ..errors import InputError
+from .determination import TINY, spectrum_of, without_nan
+from .levenberg_marquardt import Outcome
+from .residuals import LeastSquaresProblem
+
+MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
+MEDIAN_TO_DEVIATION = 1.4826  # of a Gaussian, from the median of |residual|
+LARGEST_LEVERAGE = 0.9
+NEGLIGIBLE = 1e-3  # of the noise: a part of it that is called 0
+SCORING_STEPS = 100
+STEP_PARTS = 0.5 ** np.arange(8)
+WINSOR = 1.0  # squares of residuals count up to this under a robust loss: Huber (1981), proposal 2
+WINSORED_SQUARE = 0.5160585  # their mean for a Gaussian: E min(Z^2, 1)
+
+
+class Noise(NamedTuple):
+    """Noise that grows with the reading: standard deviation sqrt(floor^2 + (fraction * value)^2).
+
+    The value is the predicted one. None has a part estimated from the residuals.
+    """
+
+    floor: float | None = None  # in the unit of the data
+    fraction: float | None = None
+
+
+Sigma = np.ndarray | Noise | None
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Groups of observations, each with known or unknown noise."""
+
+    names: tuple[str, ...]
+    values: tuple[np.ndarray, ...]
+    sigma: tuple[Sigma, ...]
+    structure: PyTree  # of the data as they were given
+
+    @property
+    def scale(self) -> list[float]:
+        return [float(np.sqrt(np.mean(values**2))) or 1.0 for values in self.values]
+
+    @property
+    def known(self) -> list[bool]:
+        """Whether a group's noise is given."""
+        return [count == 0 for count in self.estimated_parts.values()]
+
+    @property
+    def estimated_parts(self) -> dict[str, int]:
+        """How many numbers of each group's noise are estimated."""
+        parts = [1 if s is None else list(s).count(None) if isinstance(s, Noise) else 0 for s in self.sigma]
+        return dict(zip(self.names, parts, strict=True))
+
+    def first_guess(self) -> tuple[np.ndarray, ...]:
+        """Standard deviations to start from."""
+
+        def guess(sigma: Sigma, scale: float, values: np.ndarray) -> np.ndarray:
+            if sigma is None:
+                return np.full(values.shape, 0.05 * scale)
+            if isinstance(sigma, Noise):
+                floor = 0.03 * scale if sigma.floor is None else sigma.floor
+                fraction = 0.03 if sigma.fraction is None else sigma.fraction
+                return np.hypot(np.maximum(floor, MODEL_PRECISION * scale), fraction * values)
+            return np.broadcast_to(sigma, values.shape)
+
+        return tuple(guess(*group) for group in zip(self.sigma, self.scale, self.values, strict=True))
+
+    def estimate_noise(
+        self, noise: tuple[np.ndarray, ...], problem: LeastSquaresProblem, outcome: Outcome
+    ) -> tuple[np.ndarray, ...]:
+        """From the residuals of each group, less the degrees of freedom that the fit took from it."""
+        count = sum(v.size for v in self.values)
+        jacobian = without_nan(outcome.jacobian)
+        leverage = np.einsum("ki,ij,kj->k", jacobian, spectrum_of(jacobian).covariance, jacobian)[:count]
+        improved, at = [], 0
+        for values, sigma, old, scale in zip(self.values, self.sigma, noise, self.scale, strict=True):
+            rows = slice(at, at := at + values.size)
+            error = outcome.residual[rows] * old.ravel()
+            least = MODEL_PRECISION * scale
+            if sigma is None:
+                freedom = max(values.size - leverage[rows].sum(), 1e-3)
+                spread = np.sqrt(np.sum(error**2) / freedom)
+                if problem.loss != "linear":
+                    spread = MEDIAN_TO_DEVIATION * np.median(np.abs(error)) * np.sqrt(values.size / freedom)
+                improved.append(np.full(values.shape, max(spread, least)))
+            elif isinstance(sigma, Noise):
+                squares = outcome.residual[rows] ** 2
+                if problem.loss != "linear":  # an outlier counts no more than a residual of ordinary size
+                    squares = np.minimum(squares, WINSOR**2) / WINSORED_SQUARE
+                squares = squares * old.ravel() ** 2
+                floor, fraction = _parts(sigma, values.ravel() + error, squares, leverage[rows], old.ravel())
+                improved.append(np.hypot(max(floor, least), fraction * (values + error.reshape(values.shape))))
+            else:
+                improved.append(old)
+        return tuple(improved)
+
+    def noise_models(self, noise: tuple[np.ndarray, ...], outcome: Outcome) -> dict[str, Noise]:
+        """Floor and fraction of the groups that have them."""
+        found, at = {}, 0
+        for name, values, sigma, old in zip(self.names, self.values, self.sigma, noise, strict=True):
+            error = outcome.residual[at : (at := at + values.size)] * old.ravel()
+            if isinstance(sigma, Noise):
+                old, predicted = old.ravel(), values.ravel() + error
+                parts = np.array(_parts(sigma, predicted, old**2, np.zeros(old.size), old))
+                size = parts * [1.0, np.max(np.abs(predicted))]
+                found[name] = Noise(*np.where(size < NEGLIGIBLE * np.min(old), 0.0, parts).tolist())
+        return found
+
+
+def _parts(
+    sigma: Noise, predicted: np.ndarray, squares: np.ndarray, leverage: np.ndarray, old: np.ndarray
+) -> tuple[float, float]:
+    """Floor and fraction that the squares of the residuals make most likely; the variance is linear in their squares.
+
+    Restricted likelihood (Patterson and Thompson 1971): sum of (square - (1 - leverage) variance) / variance^2 times
+    1 and predicted^2 is zero, or the part is.
+    """
+    design = np.stack([np.ones_like(predicted), predicted**2], axis=1)
+    known = np.array([part is not None for part in sigma])
+    given = np.array([0.0 if part is None else part**2 for part in sigma])
+    if not np.all(known):
+        kept = 1 - np.minimum(leverage, LARGEST_LEVERAGE)
+        least = (MODEL_PRECISION**2 * np.mean(predicted**2)) or TINY
+        size = np.max(design[:, ~known], axis=0, initial=TINY)
+        free, rest = design[:, ~known] / size, design @ given + least
+        first, _ = nnls(free / old[:, None] ** 2, np.maximum(1 - rest / old**2, 0.0))
+        given[~known] = _most_likely(free, rest, squares / kept, kept, first) / size
+    floor, fraction = np.sqrt(given)
+    return float(floor), float(fraction)
+
+
+def _most_likely(
+    design: np.ndarray, rest: np.ndarray, squares: np.ndarray, weight: np.ndarray, first: np.ndarray
+) -> np.ndarray:
+    """The least of the sum of weight * (log v + square / v), v = design @ u + rest, over u of 0 or more.
+
+    Scoring (the deviation of a square is in proportion to its mean), each step cut until it leads downhill:
+    whole steps can go round in circles where a part is next to zero.
+    """
+
+    def height(u):
+        variance = design @ u + rest
+        return float(np.sum(weight * (np.log(variance) + squares / variance)))
+
+    u, here = first, height(first)
+    for _ in range(SCORING_STEPS):
+        row = np.sqrt(weight) / (design @ u + rest)
+        step = nnls(design * row[:, None], (squares - rest) * row)[0] - u
+        tried = [(height(u + part * step), part) for part in STEP_PARTS]
+        there, part = min(tried)
+        if not there < here - 1e-13 * abs(here):
+            break
+        u, here = u + part * step, there
+    return u
+
+
+def group_observations(observed: PyTree, sigma: PyTree) -> Observations:
+    """Check the data and put noise beside each group.
+
+    Raises:
+        InputError: for data that are empty or not finite, noise that is not positive or fits no group.
+    """
+    leaves, structure = jax.tree_util.tree_flatten_with_path(observed)
+    names = tuple(jax.tree_util.keystr(path, simple=True, separator=".") or "data" for path, _ in leaves)
+    values = tuple(np.asarray(leaf, dtype=np.float64) for _, leaf in leaves)
+    if not values or not any(v.size for v in values):
+        raise InputError("there are no data to fit")
+    for name, v in zip(names, values, strict=True):
+        if not np.all(np.isfinite(v)):
+            raise InputError(f"{name}: entry {int(np.argmin(np.isfinite(v.ravel()))) + 1} is not finite; leave it out")
+    given = _per_group(sigma, names, observed)
+    return Observations(names, values, tuple(map(_checked, given, names, values)), structure)
+
+
+def _checked(sigma: PyTree, name: str, values: np.ndarray) -> Sigma:
+    if sigma is None:
+        return None
+    if isinstance(sigma, Noise):
+        if any(part is not None and not part >= 0 for part in sigma) or not any(
+            part is None or part > 0 for part in sigma
+        ):
+            raise InputError(f"sigma of {name}: floor and fraction must be 0 or more, one of them > 0, got {sigma}")
+        return sigma
+    known = np.asarray(sigma, dtype=np.float64)
+    if not np.all(known > 0):
+        raise InputError(f"sigma of {name} must be > 0")
+    if known.shape not in ((), values.shape):
+        raise InputError(
+            f"sigma of {name} must be one number or of shape {values.shape} like the data, got {known.shape}"
+        )
+    return known
+
+
+def _per_group(sigma: PyTree, names: tuple[str, ...], observed: PyTree) -> list[PyTree]:
+    """The given sigma of each group, None where it is not known."""
+    if isinstance(sigma, Noise):
+        return [sigma] * len(names)
+    if isinstance(observed, Mapping) and isinstance(sigma, Mapping):
+        for name in sigma:
+            if name not in names:
+                raise InputError(
+                    f"sigma is given for {name!r}, which is no group of data; there are {', '.join(names)}"
+                )
+        return [sigma.get(name) for name in names]
+    if isinstance(sigma, Mapping | list | tuple):
+        sigmas = jax.tree.leaves(sigma, is_leaf=lambda x: x is None or isinstance(x, Noise))
+        if len(sigmas) != len(names):
+            raise InputError(f"sigma has {len(sigmas)} entries for {len(names)} groups of data ({', '.join(names)})")
+        return sigmas
+    return [sigma] * len(names)

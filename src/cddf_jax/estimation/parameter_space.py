@@ -1,0 +1,293 @@
+"""The parameters of a fit: their names, bounds, priors, and the change of variable that the optimiser sees."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, PyTree
+
+from ..errors import InputError
+from .determination import TINY
+
+Numbers = np.ndarray | Array
+Bounds = Mapping[str, tuple[float | None, float | None]]  # by parameter, (lower, upper), None for no bound
+FLIPPED = 0.25  # of further starts: share in which a parameter without bounds has the other sign
+
+
+class Prior(NamedTuple):
+    """A Gaussian prior."""
+
+    mean: float | Numbers
+    standard_deviation: float | Numbers
+
+
+class Uniform(NamedTuple):
+    """A uniform prior: the same as a lower and an upper bound."""
+
+    low: float
+    high: float
+
+
+Priors = Mapping[str, Prior | tuple[float, float] | Uniform]  # by parameter
+
+
+class ParameterLayout(NamedTuple):
+    """Which numbers of the parameters are fitted, and how all of them follow from these."""
+
+    names: tuple[str, ...]  # of those that are fitted
+    start: np.ndarray
+    unravel: Callable[[Array], PyTree]  # from the fitted numbers to the structure of the parameters
+
+
+def lay_out_parameters(start: PyTree, fixed: Collection[str], shared: Mapping[str, str]) -> ParameterLayout:
+    """Leave out what is fixed at its start, and what is to equal another parameter.
+
+    Args:
+        start: a pytree of numbers or arrays.
+        fixed: names that keep their start; the name of an array stands for all of its numbers.
+        shared: by name, the name of the parameter that it shares the value of.
+
+    Raises:
+        InputError: for unknown names, nothing left to fit, or a chain of shared parameters.
+    """
+    flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
+    every = names_of(start)
+
+    def known(name, kind):
+        if name not in every:
+            raise InputError(f"{kind}: there is no parameter {name!r}; there are {', '.join(every)}")
+        return every.index(name)
+
+    held = {i for i, name in enumerate(every) if name in fixed or name.partition("[")[0] in fixed}
+    for name in fixed:
+        if name not in every and not any(other.startswith(f"{name}[") for other in every):
+            known(name, "fixed")
+    source = {known(name, "shared"): known(other, "shared") for name, other in shared.items()}
+    for i, j in source.items():
+        if j in source or i in held:
+            raise InputError(f"shared: {every[i]} cannot follow {every[j]}; name one parameter that is neither itself")
+    fitted = [i for i in range(len(every)) if i not in held and i not in source]
+    if not fitted:
+        raise InputError("there is no parameter to fit")
+    if len(fitted) == len(every):
+        return ParameterLayout(every, np.asarray(flat), unravel)
+    numbers = tuple(flat.tolist())
+    source_of = tuple(source.get(i, i) for i in range(len(every)))
+    put = _Put(unravel, numbers, tuple(fitted.index(j) if j in fitted else None for j in source_of), source_of)
+    return ParameterLayout(tuple(every[i] for i in fitted), np.asarray(flat)[fitted], put)
+
+
+@dataclass(frozen=True)
+class _Put:
+    """All parameters from those that are fitted; equal to another that does the same, so that jit knows it again."""
+
+    unravel: Callable[[Array], PyTree]
+    start: tuple[float, ...]
+    fitted: tuple[int | None, ...]  # by parameter, which of those that are fitted it takes the value of
+    source: tuple[int, ...]  # by parameter, which parameter's start it keeps otherwise
+
+    def __call__(self, values: Array) -> PyTree:
+        numbers = [self.start[j] if k is None else values[k] for k, j in zip(self.fitted, self.source, strict=True)]
+        return self.unravel(jnp.stack([jnp.asarray(x, values.dtype) for x in numbers]))
+
+
+def names_of(start: PyTree) -> tuple[str, ...]:
+    """One name per number: the key of a mapping, with an index where the value is an array."""
+    names = []
+    for path, leaf in jax.tree_util.tree_flatten_with_path(start)[0]:
+        name = jax.tree_util.keystr(path, simple=True, separator=".") or ("" if np.ndim(leaf) else "parameter")
+        indices = np.ndindex(np.shape(leaf))
+        names += [name + "".join(f"[{i}]" for i in index) for index in indices]
+    return tuple(names)
+
+
+def _known(kind: str, names: tuple[str, ...], given: Collection[str]) -> None:
+    for name in given:
+        if name not in names:
+            raise InputError(f"{kind} for {name!r}, which is not fitted; fitted are {', '.join(names)}")
+
+
+def bounds_of(names: tuple[str, ...], start: np.ndarray, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds by the order of the names, infinite where there are none.
+
+    Raises:
+        InputError: for a name that is not fitted, or a start outside its bounds.
+    """
+    _known("bounds", names, bounds)
+    lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
+    for i, name in enumerate(names):
+        low, high = bounds.get(name, (None, None))
+        lower[i], upper[i] = -np.inf if low is None else low, np.inf if high is None else high
+        if not lower[i] < start[i] < upper[i]:
+            raise InputError(
+                f"{name} starts at {start[i]:g}, which is not inside its bounds {lower[i]:g} to {upper[i]:g}; "
+                "move the start or the bounds"
+            )
+    return lower, upper
+
+
+def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
+    """The Gaussian priors, by the number of their parameter; uniform ones are bounds (`with_uniform_priors`).
+
+    Raises:
+        InputError: for a name that is not fitted, or a prior that is not (mean, standard deviation > 0).
+    """
+    _known("prior", names, priors)
+    found = {}
+    for name, prior in priors.items():
+        if isinstance(prior, Uniform):
+            continue
+        if isinstance(prior, str) or np.shape(np.asarray(prior)) != (2,):
+            raise InputError(f"prior for {name}: needs (mean, standard deviation), SI, or Uniform, got {prior!r}")
+        mean, deviation = prior
+        if not (np.isfinite(mean) and np.isfinite(deviation) and deviation > 0):
+            raise InputError(f"prior for {name}: needs a mean and a standard deviation > 0, got {mean}, {deviation}")
+        found[names.index(name)] = Prior(np.float64(mean), np.float64(deviation))
+    return dict(sorted(found.items()))  # as JAX orders them
+
+
+def with_uniform_priors(bounds: Bounds, priors: Priors) -> Bounds:
+    """The bounds, narrowed by the uniform priors."""
+    narrowed = dict(bounds)
+    uniform = {name: prior for name, prior in priors.items() if isinstance(prior, Uniform)}
+    for name, (least, most) in uniform.items():
+        if not least < most:
+            raise InputError(f"prior for {name}: {least:g} to {most:g} is no range; write the lower first")
+        low, high = narrowed.get(name, (None, None))
+        narrowed[name] = least if low is None else max(least, low), most if high is None else min(most, high)
+    return narrowed
+
+
+Kind = Literal["free", "bounded below", "bounded above", "between"]
+
+
+def _kind(lower: bool, upper: bool) -> Kind:
+    if lower and upper:
+        return "between"
+    return "bounded below" if lower else "bounded above" if upper else "free"
+
+
+class ParameterSpace(eqx.Module):
+    """The change of variable from dimensionless, unbounded z to the parameters."""
+
+    start: Float[Numbers, " n"]
+    lower: Float[Numbers, " n"]
+    upper: Float[Numbers, " n"]
+    scale: Float[Numbers, " n"]
+    least_size: Float[Numbers, " n"]
+    kinds: tuple[Kind, ...] = eqx.field(static=True)
+
+    def __init__(self, start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray | None = None):
+        """A bounded parameter is seen as the logarithm of its distance from the bound, one between two as a logit.
+
+        Args:
+            start, lower, upper: (n,), infinite where there is no bound.
+            scale: (n,), sizes that matter for parameters that may be 0; NaN for that of the start (1 where it is 0).
+        """
+        self.start, self.lower, self.upper = start, lower, upper
+        own = np.where(start == 0, 1.0, np.abs(start))
+        given = np.full(np.shape(start), np.nan) if scale is None else scale
+        self.scale = np.where(np.isfinite(given), given, own)
+        self.least_size = np.where(np.isfinite(given), given, 0.0)
+        ends = zip(np.isfinite(lower).tolist(), np.isfinite(upper).tolist(), strict=True)
+        self.kinds = tuple(_kind(*pair) for pair in ends)
+
+    @property
+    def num_parameters(self) -> int:
+        """Of the fit."""
+        return len(self.kinds)
+
+    def size(self, value: np.ndarray) -> np.ndarray:
+        """What to measure each parameter by: its value, or where that is smaller the scale that was given."""
+        return np.maximum(np.where(value == 0, np.asarray(self.scale), np.abs(value)), np.asarray(self.least_size))
+
+    def first(self) -> Float[np.ndarray, " n"]:
+        """The z of the start."""
+        return np.array([self.inverse(i, self.start[i]) for i in range(self.num_parameters)])
+
+    def inverse(self, i: int, value: ArrayLike) -> np.ndarray:
+        """The z_i of values of parameter i inside its bounds."""
+        start, lower, upper = (np.asarray(x)[i] for x in (self.start, self.lower, self.upper))
+        value = np.asarray(value)
+        match self.kinds[i]:
+            case "free":
+                z = (value - start) / np.asarray(self.scale)[i]
+            case "bounded below":
+                z = np.log((value - lower) / (start - lower))
+            case "bounded above":
+                z = np.log((upper - value) / (upper - start))
+            case _:
+                z = np.log((value - lower) / (upper - value))
+        return np.asarray(z)
+
+    def parameters(self, z: Float[Numbers, " n"]) -> Float[Array, " n"]:
+        """The parameters at z, inside their bounds."""
+
+        def one(i, kind):
+            if kind == "free":
+                return self.start[i] + self.scale[i] * z[i]
+            if kind == "bounded below":
+                return self.lower[i] + (self.start[i] - self.lower[i]) * jnp.exp(z[i])
+            if kind == "bounded above":
+                return self.upper[i] - (self.upper[i] - self.start[i]) * jnp.exp(z[i])
+            return self.lower[i] + (self.upper[i] - self.lower[i]) * jax.nn.sigmoid(z[i])
+
+        return jnp.stack([one(i, kind) for i, kind in enumerate(self.kinds)])
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which parameters have no bounds."""
+        return np.array([kind == "free" for kind in self.kinds])
+
+    def elsewhere(self, draw: np.ndarray, decades: float) -> "tuple[ParameterSpace, np.ndarray]":
+        """Another start: a space about it, in which a search feels as though it were the given one, and its z.
+
+        What has a bound moves by up to so many powers of ten of its distance from it. Of what has none the size does,
+        and in one draw of four the sign changes.
+
+        Args:
+            draw: (n,), of the uniform distribution over (0, 1).
+            decades: how many powers of ten up and down.
+        """
+        same = draw >= FLIPPED
+        size = np.where(same, (draw - FLIPPED) / (1 - FLIPPED), draw / FLIPPED)
+        sign = np.where(same, 1.0, -1.0) * np.where(self.start < 0, -1.0, 1.0)
+        start = np.where(
+            self.free, sign * self.size(np.asarray(self.start)) * 10 ** (decades * (2 * size - 1)), self.start
+        )
+        given = np.where(self.least_size > 0, self.least_size, np.nan)
+        z = self.first() + np.where(self.free, 0.0, np.log(10) * decades * (2 * draw - 1))
+        return ParameterSpace(start, np.asarray(self.lower), np.asarray(self.upper), given), z
+
+    def seen_from(self, other: "ParameterSpace", z: np.ndarray) -> np.ndarray:
+        """The z here of what is z in a space that differs by the start of what has no bounds."""
+        return np.where(self.free, (other.start + other.scale * z - self.start) / self.scale, z)
+
+    def times_the_start(self, value: np.ndarray) -> np.ndarray:
+        """How many times its start a parameter has grown to, from its bound on; without bounds, shrunk to as well."""
+        size = self.size(np.asarray(self.start))
+
+        def one(i, kind):
+            start, lower, upper = self.start[i], self.lower[i], self.upper[i]
+            if kind == "free":
+                times = np.abs(value[i]) / size[i]
+                return times if start == 0 else max(times, 1 / max(times, TINY))
+            if kind == "between":
+                return 1.0
+            if kind == "bounded below":
+                return (value[i] - lower) / (start - lower)
+            return (upper - value[i]) / (upper - start)
+
+        return np.array([one(i, kind) for i, kind in enumerate(self.kinds)])
+
+    def at_bound(self, value: np.ndarray) -> np.ndarray:
+        """Whether the optimiser pushed a parameter against a bound."""
+        start = np.asarray(self.start)
+        below = value - self.lower < 1e-5 * (start - self.lower)
+        above = self.upper - value < 1e-5 * (self.upper - start)
+        return (np.isfinite(self.lower) & below) | (np.isfinite(self.upper) & above)

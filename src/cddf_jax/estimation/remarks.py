@@ -1,0 +1,163 @@
+"""Remarks of a fit on its parameters and residuals."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.special import ndtr, stdtr
+from scipy.stats import spearmanr
+
+from .determination import TINY, Evidence, spectrum_of, without_nan
+from .levenberg_marquardt import Minimum, minimise
+
+OUTLIER_CHANCE = 0.01
+LEFT_OUT = 1e6  # factor on the noise of a datum that is to have no weight
+NOISE_ROUNDS = 20
+UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals
+WITHIN = 3.0  # standard deviations: data farther off do not decide whether a model explains the others
+AS_GIVEN = 4.0  # mean square of residuals over the given noise, below which the noise explains them
+EXACT = 1e-7  # noise over data, below which it counts as 0
+LEAST_FOR_RANKS = 12  # data
+GROWTH_CHANCE = 1e-3
+ONE_DATUM = 0.5  # of a parameter's variance; one datum should not determine more
+
+
+Place = Callable[[str, int], str]  # in words, where the k-th datum of a group is, k from 0
+
+
+def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
+    """Parameters on a bound, without effect, or determined mostly by one datum."""
+    jacobian, found = evidence.jacobian, []
+    covariance = spectrum_of(jacobian).covariance
+    share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
+    data = [(name, k) for name, rows in evidence.rows.items() for k in range(len(rows))]
+    for i, name in enumerate(evidence.names):
+        if evidence.at_bound[i]:
+            nearer = evidence.nearest_bound[i]
+            otherwise = "" if i in evidence.bounded_above else ", or it has no effect"
+            found.append(f"{name} ended on its bound {nearer:g}: the data put it there or beyond{otherwise}")
+        elif not np.any(jacobian[:, i]):
+            found.append(f"{name} did not move: no datum depends on it")
+        elif len(data) > 2 * len(evidence.names) and np.max(share[i, : len(data)]) > ONE_DATUM:
+            k = int(np.argmax(share[i, : len(data)]))
+            found.append(
+                f"{name} depends on one datum, {place(*data[k])}, for {100 * share[i, k]:.0f} % of its variance"
+            )
+    return found
+
+
+def remarks_on_residuals(evidence: Evidence, minimum: Minimum, degrees_of_freedom: int, place: Place) -> list[str]:
+    """Groups that are met exactly or not at all, data far from all others, noise with few degrees of freedom."""
+    problem, deviations, outcome = minimum
+    found, residuals = [], problem.by_group(outcome.residual)
+    covariance = spectrum_of(evidence.jacobian).covariance
+    if any(evidence.noise_estimated.values()) and degrees_of_freedom in (1, 2):
+        found.append(f"the noise estimate has only {degrees_of_freedom} degree(s) of freedom; measure more")
+    for i, (name, rows) in enumerate(evidence.rows.items()):
+        residual, values, noise = residuals[i], np.ravel(problem.values[i]), np.ravel(deviations[i])
+        estimated = evidence.noise_estimated[name]
+        error, far = residual * noise, None
+        if estimated and np.max(noise) <= EXACT * np.max(np.abs(values), initial=0.0):
+            found.append(
+                f"{name} is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise"
+            )
+            continue
+        if problem.loss == "linear":
+            far = _far_off(residual, np.einsum("ki,ij,kj->k", rows, covariance, rows), estimated)
+        of_one = far is not None and np.max(error**2) > 0.5 * np.sum(error**2)  # which alone makes it look so
+        if values.size > 2 and np.std(error) > UNEXPLAINED * np.std(values) > 0 and not of_one:
+            found.append(
+                f"{name} is hardly explained at all, no better than by a constant; check its unit and sign, the model "
+                "and the start"
+            )
+        elif problem.loss == "linear":
+            found += _uneven(name, residual, values) if estimated and np.ptp(noise) == 0 else []
+            found += _outlier(place, name, far, _distance(minimum, i, far[0], estimated)) if far else []
+    return found
+
+
+def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
+    """The groups that a model hardly explains, where they hold half of the data or more; none elsewhere.
+
+    Of such a group more is left than a constant would leave (`UNEXPLAINED` of its scatter: less than a fifth of the
+    variance is explained). Repeats of one level, whose scatter is nothing but noise, are not meant: more than half of
+    the sum of squares of the readings must be left too, or the predictions must change more than the readings do.
+    Data beyond 3 standard deviations are left aside, as one gross outlier would hide how well all others are met.
+    Where noise was given, it explains what it is.
+    """
+    problem, noise, outcome = minimum
+    found, at = {}, 0
+    for name, values, sigma in zip(evidence.rows, problem.values, noise, strict=True):
+        values, residual = np.ravel(values), outcome.residual[at : (at := at + np.size(values))]
+        estimated = evidence.noise_estimated[name]
+        near = np.abs(residual) <= WITHIN if estimated else np.full(values.size, True)
+        error, values = (residual * np.ravel(sigma))[near], values[near]
+        if values.size < 3 or not (estimated or np.mean(residual**2) > AS_GIVEN):
+            continue
+        as_a_constant = np.mean(error**2) > UNEXPLAINED**2 * np.var(values)
+        if as_a_constant and (2 * np.sum(error**2) > np.sum(values**2) or np.var(values + error) > np.var(values)):
+            found[name] = values.size
+    return list(found) if 2 * sum(found.values()) >= problem.num_data else []
+
+
+def _uneven(name: str, residual: np.ndarray, values: np.ndarray) -> list[str]:
+    """Whether the residuals grow with the reading, by ranks."""
+    if values.size < LEAST_FOR_RANKS or np.ptp(np.abs(values)) == 0 or np.ptp(np.abs(residual)) == 0:
+        return []
+    chance = np.asarray(spearmanr(np.abs(values), np.abs(residual), alternative="greater"))[1]
+    grown = f'{name}: residuals grow with the reading; let the noise do so, Noise() for it or "0.1 N + 1 %"'
+    return [grown] if chance < GROWTH_CHANCE else []
+
+
+def _far_off(residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> tuple[int, int] | None:
+    """The farthest datum, and how many are so far off that of as many honest ones the farthest is nearer in 99 of 100
+    experiments (Bonferroni). None where there is none."""
+    distance = np.abs(residual) / np.sqrt(np.maximum(1.0 - leverage, 1e-6))
+    freedom = residual.size - np.sum(leverage)
+    chance = 2 * ndtr(-distance)
+    if estimated:  # by the scatter of all the others
+        if freedom < 3:
+            return None
+        distance = distance * np.sqrt((freedom - 1) / np.maximum(freedom - distance**2, 1e-12 * freedom))
+        chance = 2 * stdtr(freedom - 1, -distance)
+    far = np.flatnonzero(chance * residual.size < OUTLIER_CHANCE)
+    return (int(far[np.argmax(distance[far])]), far.size) if far.size else None
+
+
+def _outlier(place: Place, name: str, far: tuple[int, int], distance: float) -> list[str]:
+    worst, count = far
+    others = f" (and {count - 1} more are far off)" if count > 1 else ""
+    number = f"{distance:.0f}" if distance >= 100 else f"{distance:.2g}"
+    how_far = f"{number} standard deviations" if np.isfinite(distance) else "far"
+    return [f"{place(name, worst)} lies {how_far} off the model{others}: check it, or use a robust loss"]
+
+
+def _distance(minimum: Minimum, group: int, k: int, estimated: bool) -> float:
+    """Of one datum from the model as all others have it, in standard deviations of their scatter.
+
+    The externally studentised residual (Cook and Weisberg 1982), by a refit: the outlier may have bent the model far
+    from where its linearisation holds.
+    """
+    problem, noise, outcome = minimum
+    sigma, starts = np.array(noise[group], float), [outcome.z, problem.space.first()]  # it may have led far off
+    first = sum(np.size(values) for values in problem.values[:group])
+    own, others = first + k, np.delete(np.arange(first, first + sigma.size), k)
+    lift = np.ones(sigma.size)
+    lift[k] = LEFT_OUT
+    distance = np.inf
+    for _ in range(NOISE_ROUNDS):
+        without = (*noise[:group], sigma * lift.reshape(sigma.shape), *noise[group + 1 :])
+        ends = [minimise(problem, without, z) for z in starts]
+        there = ends[int(np.argmin([np.nan_to_num(end.cost, nan=np.inf) for end in ends]))]
+        jacobian = without_nan(there.jacobian)
+        covariance = spectrum_of(jacobian).covariance
+        leverage = np.einsum("ki,ij,kj->k", jacobian[others], covariance, jacobian[others])
+        ahead = LEFT_OUT**2 * float(jacobian[own] @ covariance @ jacobian[own])  # variance of what the others predict
+        freedom = max(others.size - np.sum(leverage), 1e-3)
+        scatter = float(np.sqrt(np.sum(there.residual[others] ** 2) / freedom)) if estimated else 1.0
+        if not scatter > 0:
+            return np.inf
+        distance = float(LEFT_OUT * np.abs(there.residual[own]) / (scatter * np.sqrt(1 + ahead)))
+        if abs(scatter - 1) < 1e-3:
+            break
+        sigma, starts = sigma * scatter, [there.z]
+    return distance

@@ -1,0 +1,166 @@
+"""Fits from several starts: where further ones lie, when one is not enough, and which search is taken."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import qmc
+
+from .determination import NOT_IDENTIFIED
+from .levenberg_marquardt import minimise
+from .remarks import UNEXPLAINED
+from .whole_search import BETTER_ELSEWHERE, NO_NUMBER, NOT_SETTLED, STOPPED_SHORT, Ending, FitTask, search_from
+
+ROUNDS = (8, 8, 16)  # further searches; after each round the best is looked at
+DECADES = (1.0, 2.0, 3.0)  # powers of ten, up and down, over which the starts of each round spread; later as the last
+FAR = 1e3  # times its start: an unidentified parameter beyond it went far away from the start
+SAME = 1e-6  # relative difference of costs below which two searches came to the same
+LOWER = 1e-3  # relative difference of costs that makes one the better
+ONE_DATUM = 0.99  # share of one datum in the squared derivatives, from which on it counts as the only one
+EXACT = 1e-9  # a cost that is as good as 0: a residual of nothing but rounding
+FAILURES = {
+    NO_NUMBER: "ended where the model gives no number",
+    STOPPED_SHORT: "stopped short of a minimum",
+    BETTER_ELSEWHERE: "ended beside a better minimum",
+    NOT_SETTLED: "did not settle",
+}
+
+
+class Searched(NamedTuple):
+    """The search that is taken, and what the others came to."""
+
+    ending: Ending
+    cost: np.ndarray  # that the search from each start came down to, the best first; empty where one was enough
+    remark: str = ""  # why there were several starts though none were asked for, and what came of them
+
+
+class _Found(NamedTuple):
+    """Where a search ended with the noise that was first guessed."""
+
+    z: np.ndarray
+    cost: float
+
+
+def search_many(task: FitTask, starts: int, seed: int) -> Searched:
+    """The best of so many searches, the first from the given start."""
+    first = task.problem.space.first()
+    if starts == 1:
+        ending = search_from(task, first)
+        return Searched(ending, np.array([_cost(task, ending)]))
+    found = [_descend(task, first), *_elsewhere(task, slice(0, starts - 1), seed)]
+    return Searched(search_from(task, min(found, key=lambda search: search.cost).z), np.sort(_costs(found)))
+
+
+def search_as_needed(task: FitTask, seed: int) -> Searched:
+    """One search from the given start; where that is in trouble, rounds of others until the best is in none."""
+    ending = first = search_from(task, task.problem.space.first())
+    reason = trouble(task, first)
+    if not reason:
+        return Searched(first, np.empty(0))
+    cost = [np.array([_cost(task, first)])]
+    known = [] if first.lower is None else [_descend(task, first.lower)]
+    for last, count in zip(np.cumsum(ROUNDS), ROUNDS, strict=True):
+        found = [*known, *_elsewhere(task, slice(last - count, last), seed)]
+        ending, known = _better(task, ending, found), []
+        cost.append(_costs(found))
+        if _is_enough(task, ending, found):
+            if ending is first and ending.success:  # all came to the same: the data hold no more anywhere
+                return Searched(first, np.empty(0))
+            break
+    costs = np.sort(np.concatenate(cost))
+    return Searched(ending, costs, _in_words(reason, costs, ending is not first))
+
+
+def _better(task: FitTask, ending: Ending, found: list[_Found]) -> Ending:
+    """The best of what was found if it is lower, or as low and without trouble; else the given ending."""
+    best, cost = min(found, key=lambda search: search.cost), _cost(task, ending)
+    if not best.cost < cost * (1 + SAME) + EXACT:
+        return ending
+    other = search_from(task, best.z)
+    return other if best.cost < (1 - LOWER) * cost - EXACT or not trouble(task, other) else ending
+
+
+def _is_enough(task: FitTask, ending: Ending, found: list[_Found]) -> bool:
+    """Whether all parameters are identified, or all searches of a round ended alike and not on a plateau."""
+    if NOT_IDENTIFIED not in ending.determination.status.values() and not trouble(task, ending):
+        return True
+    cost = _cost(task, ending)
+    alike = np.isfinite(cost) and np.allclose(_costs(found), cost, rtol=SAME, atol=EXACT)
+    plateau = ending.determination.rank < len(task.names) and _is_flat(task, ending)
+    return bool(alike and not plateau)
+
+
+def _in_words(reason: str, cost: np.ndarray, improved: bool) -> str:
+    if not improved:
+        return f"the search {reason}; {len(cost) - 1} searches from other starts found nothing better"
+    same = int(np.sum(cost <= (1 + LOWER) * cost[0] + EXACT))
+    return f"the search from the given start {reason}; {same} of {len(cost)} starts led to the result, the best found"
+
+
+def trouble(task: FitTask, ending: Ending) -> str:
+    """Why searches from other starts are worth while; "" where they are not.
+
+    The search failed: it reached no minimum, or one that hardly explains the data (`unexplained_groups`). Or the data
+    do not determine some parameters there, and one of these went far away from its start, or a single datum depends on
+    them, or the derivatives are singular and the data determine no combination of them.
+    """
+    if ending.result in FAILURES:
+        return FAILURES[ending.result]
+    if not ending.success:
+        return "hardly explained the data"
+    determination, evidence = ending.determination, ending.evidence
+    lost = np.array([word == NOT_IDENTIFIED for word in determination.status.values()])
+    lost[list(evidence.bounded_above)] = False
+    gone = lost & (task.problem.space.times_the_start(ending.minimum.outcome.parameters) > FAR)
+    felt = np.sum(evidence.jacobian[:, lost] ** 2, axis=1)
+    if determination.rank < len(lost) and not (determination.combinations and np.max(felt) < ONE_DATUM * np.sum(felt)):
+        gone = lost
+    names = [name for name, far in zip(determination.names, gone, strict=True) if far]
+    return f"ended where the data do not determine {', '.join(names)}" if names else ""
+
+
+def _is_flat(task: FitTask, ending: Ending) -> bool:
+    """Whether what is left of some group scatters like the group itself."""
+    groups = task.problem.by_group(ending.minimum.outcome.residual)
+    left = [np.std(r * np.ravel(s)) for r, s in zip(groups, ending.minimum.noise, strict=True)]
+    return any(a > UNEXPLAINED * np.std(v) > 0 for a, v in zip(left, task.data.values, strict=True))
+
+
+# --- searches -------------------------------------------------------------------------------------
+
+
+def _elsewhere(task: FitTask, which: slice, seed: int) -> list[_Found]:
+    """Searches from some of the further starts, which a scrambled Sobol sequence spreads; nothing is compiled anew."""
+    space = task.problem.space
+    count = max(which.stop, sum(ROUNDS))
+    draws = qmc.Sobol(space.num_parameters, rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(count))))
+    decades = np.repeat(DECADES, [*ROUNDS[:-1], count])
+    found = []
+    for draw, reach in zip(draws[which], decades[which], strict=True):
+        moved, z = space.elsewhere(np.clip(draw, 1e-6, 1 - 1e-6), reach)
+        problem = eqx.tree_at(lambda p: p.space, task.problem, moved)
+        end = minimise(problem, task.data.first_guess(), z, max_steps=task.max_steps)
+        found.append(_Found(space.seen_from(moved, end.z), _finite(end.cost)))
+    return found
+
+
+def _descend(task: FitTask, z: np.ndarray) -> _Found:
+    end = minimise(task.problem, task.data.first_guess(), z, max_steps=task.max_steps)
+    return _Found(end.z, _finite(end.cost))
+
+
+def _cost(task: FitTask, ending: Ending) -> float:
+    """With the noise that was first guessed."""
+    ratio = [np.ravel(now / then) for now, then in zip(ending.minimum.noise, task.data.first_guess(), strict=True)]
+    residual = ending.minimum.outcome.residual.copy()
+    residual[: task.problem.num_data] *= np.concatenate(ratio)
+    return _finite(np.sum(np.asarray(task.problem.softened(jnp.asarray(residual))) ** 2))
+
+
+def _costs(found: list[_Found]) -> np.ndarray:
+    return np.array([search.cost for search in found])
+
+
+def _finite(cost: float | np.ndarray) -> float:
+    return float(cost) if np.isfinite(cost) else np.inf

@@ -1,0 +1,271 @@
+"""One whole search of a fit: noise from residuals, a look along the valleys, and what the data tell where it ended.
+
+It looks far along the valleys of the sum of squares, where the curvature at its minimum tells too little.
+"""
+
+import itertools
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from .determination import (
+    AT_BOUND,
+    IDENTIFIED,
+    LARGEST_RELATIVE_ERROR,
+    NOT_IDENTIFIED,
+    TINY,
+    Determination,
+    Evidence,
+    determine,
+    spectrum_of,
+    without_nan,
+)
+from .levenberg_marquardt import Minimum, Outcome, evaluate, hold_one, minimise
+from .observations import Observations
+from .parameter_space import ParameterSpace
+from .remarks import unexplained_groups
+from .residuals import LeastSquaresProblem
+from .robust_loss import loss_of
+
+SUCCESSFUL = "successful"
+NO_NUMBER = "the model gave no number at the estimate; start closer, or leave out data beyond its reach"
+NOT_SETTLED = "the noise estimates did not settle; give the noise of some data"
+STOPPED_SHORT = "the optimiser stopped short of a minimum; start closer, search from more starts, or allow more steps"
+BETTER_ELSEWHERE = "a better minimum lies elsewhere; start closer, or search from more starts"
+NOISE_ROUNDS = 50
+STEEPEST = 1e-4  # slope of the cost at a minimum, over what residuals and derivatives could make it
+STEEPEST_UNSOLVED = 1e-6  # the same where the optimiser ran out of steps
+EXACT = 1e-3  # root mean square residual, over the noise, below which the slope is rounding
+NOTEWORTHY_FALL = 0.01  # of the sum of squares beside the minimum
+CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
+EXPECTED_PART = 0.5  # of the rise that the curvature foretells: with less the valley is flatter than it seems
+MOSTLY_LOST = 0.7  # length of a direction within the parameters that are not identified, of 1
+
+
+class Valleys(NamedTuple):
+    """What was found where one parameter after the other was held far from its estimate."""
+
+    open: np.ndarray  # by parameter: whether the sum of squares stayed low at all places tried on a side
+    least_rise: float  # of the sum of squares, over all that was tried
+    lower: np.ndarray | None  # z of the place with the least rise; None where it fell nowhere
+    bounded_above: tuple[int, ...]  # parameters at the lower bound, with an upper 95 % limit
+
+
+class FitTask(NamedTuple):
+    """What stays the same however often a fit is searched."""
+
+    problem: LeastSquaresProblem
+    data: Observations
+    names: tuple[str, ...]  # of the parameters
+    prefer_start: bool  # to end near the start in a valley that the data leave open
+    max_steps: int
+
+
+class Ending(NamedTuple):
+    """Where a search ended with its noise estimated, and what the data tell there."""
+
+    minimum: Minimum
+    evidence: Evidence
+    determination: Determination
+    result: str
+    lower: np.ndarray | None  # z of a place beside it where the cost is lower
+
+    @property
+    def success(self) -> bool:
+        """Whether it ended at a minimum that explains the data."""
+        return self.result == SUCCESSFUL
+
+
+def search_from(task: FitTask, z: np.ndarray) -> Ending:
+    """Weights from residuals, residuals from weights, until they agree; then a look around."""
+    minimum, settled = _settle_noise(task, z)
+    evidence = _evidence(task, minimum.outcome)
+    determination = determine(evidence)
+    valleys = look_along_valleys(minimum, evidence, determination, task.max_steps)
+    result = _result(minimum, evidence, valleys, settled=settled)
+    if task.prefer_start and np.any(valleys.open):
+        minimum = minimum._replace(
+            outcome=nearest_to_start(minimum, valleys.open, determination.quantile, task.max_steps)
+        )
+        evidence = _evidence(task, minimum.outcome)
+    evidence = replace(evidence, open_profile=valleys.open, bounded_above=valleys.bounded_above)
+    if result != SUCCESSFUL:
+        evidence = evidence.after_failure()
+    else:
+        evidence = replace(evidence, products=are_products(minimum, determine(evidence), task.max_steps))
+    return Ending(minimum, evidence, determine(evidence), result, valleys.lower)
+
+
+def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
+    """The minimum with the noise that its residuals tell, and whether the two agreed in the end."""
+    problem, data, _, _, max_steps = task
+    noise, settled = data.first_guess(), False
+    outcome = minimise(problem, noise, z, max_steps=max_steps)
+    for _ in range(NOISE_ROUNDS):
+        improved = data.estimate_noise(noise, problem, outcome)
+        settled = all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
+        if settled and all(map(np.array_equal, noise, improved)):  # it was known
+            break
+        noise, outcome = improved, minimise(problem, improved, outcome.z, max_steps=max_steps)
+        if settled or not np.all(np.isfinite(outcome.residual)):
+            break
+    return Minimum(problem, noise, outcome), settled
+
+
+def _evidence(task: FitTask, outcome: Outcome) -> Evidence:
+    """The scaled Jacobian by groups; all 0 where the model gave no number."""
+    problem, data, names, *_ = task
+    space = problem.space
+    finite = np.all(np.isfinite(outcome.residual))
+    at_bound = space.at_bound(outcome.parameters)  # where the value is no measure of its own precision
+    size = np.where(at_bound, np.maximum(outcome.size, space.scale), outcome.size)
+    jacobian = without_nan(outcome.jacobian * (size / outcome.size)) if finite else np.zeros_like(outcome.jacobian)
+    *rows, prior_rows = np.split(jacobian, np.cumsum([v.size for v in data.values]))
+    if problem.loss != "linear":
+        residuals = problem.by_group(outcome.residual)
+        rows = [row * _efficiency(problem.loss, r, len(names)) for row, r in zip(rows, residuals, strict=True)]
+    return Evidence(
+        names=names,
+        start=np.asarray(space.start),
+        scale=np.asarray(space.scale),
+        lower=np.asarray(space.lower),
+        upper=np.asarray(space.upper),
+        value=outcome.parameters,
+        size=size,
+        at_bound=at_bound,
+        open_profile=np.zeros(len(names), bool),
+        rows=dict(zip(data.names, rows, strict=True)),
+        prior_rows={i: row[None] for i, row in zip(problem.prior, prior_rows, strict=True)},
+        noise_estimated={name: not known for name, known in zip(data.names, data.known, strict=True)},
+    )
+
+
+def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
+    """What a robust loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)."""
+    kind = loss_of(loss)
+    spread = np.sum(kind.influence(residual) ** 2) / max(residual.size - num_parameters, 1)
+    return float(np.mean(kind.slope(residual)) / np.sqrt(max(spread, TINY)))
+
+
+def _result(minimum: Minimum, evidence: Evidence, valleys: Valleys, *, settled: bool) -> str:
+    """ "successful", or what went wrong."""
+    problem, _, outcome = minimum
+    if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
+        return NO_NUMBER
+    if not settled:
+        return NOT_SETTLED
+    free = ~evidence.at_bound  # at a bound the sum of squares may well slope
+    column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
+    slope = np.abs(outcome.jacobian.T @ problem.influence(outcome.residual)) / np.maximum(column * total, TINY)
+    exact = total <= EXACT * np.sqrt(outcome.residual.size)
+    if not exact and np.any(slope[free] > (STEEPEST if outcome.solved else STEEPEST_UNSOLVED)):
+        return STOPPED_SHORT
+    if valleys.least_rise < -NOTEWORTHY_FALL:
+        return BETTER_ELSEWHERE
+    if unexplained := unexplained_groups(evidence, minimum):
+        return (
+            f"hardly anything of {', '.join(unexplained)} is explained (less than a fifth of the variance); "
+            "check units and signs, start closer, or search from more starts"
+        )
+    return SUCCESSFUL
+
+
+# --- valleys --------------------------------------------------------------------------------------
+
+
+class _Walk:
+    """Refits with one parameter held, and the lowest place among them."""
+
+    def __init__(self, minimum: Minimum, quantile: float, max_steps: int):
+        self.minimum, self.quantile, self.max_steps = minimum, quantile, max_steps
+        self.least_rise: float = 0.0
+        self.lower: np.ndarray | None = None
+
+    def closes(self, i: int, error: float, places: list[float]) -> bool:
+        """Whether the sum of squares rises enough at one of the places, the nearest first."""
+        problem, _, best = self.minimum
+        for place in places:
+            held = hold_one(best.z.size, i, place)
+            moved, rise = self.minimum.refit(held, self.max_steps)
+            if rise < self.least_rise:
+                self.least_rise = rise
+                self.lower = np.where(np.isnan(held), moved.z, problem.space.inverse(i, place))
+            expected = ((place - best.parameters[i]) / error) ** 2
+            if not rise <= min(CLOSING_RISE * self.quantile**2, EXPECTED_PART * expected):  # NaN: the model ends there
+                return True
+        return False
+
+
+def look_along_valleys(minimum: Minimum, evidence: Evidence, determination: Determination, max_steps: int) -> Valleys:
+    """Hold each parameter that looks identified at values ever farther off and fit the others again.
+
+    The curvature at a minimum can suggest an interval although the valley is flat farther off. A side is closed where
+    the sum of squares has risen by twice what ends a 95 % interval.
+    """
+    space, best, walk = minimum.problem.space, minimum.outcome, _Walk(minimum, determination.quantile, max_steps)
+    opened = np.zeros(len(determination.names), bool)
+    for i, name in enumerate(determination.names):
+        if determination.status[name] == IDENTIFIED:
+            error = determination.standard_error[name]
+            sides = _sides(space, i, determination.value[name], determination.quantile * error)
+            opened[i] = not all(walk.closes(i, error, places) for places in sides)
+    error = spectrum_of(evidence.jacobian).relative_error * evidence.size
+    near = np.isfinite(space.lower) & (best.parameters - determination.quantile * error <= space.lower)
+    near &= [determination.status[name] in (NOT_IDENTIFIED, AT_BOUND) for name in determination.names]
+    high = best.parameters + determination.quantile * error
+    farther = best.parameters + 2 * determination.quantile * error
+    limited = [
+        i
+        for i in np.flatnonzero(near & np.isfinite(high) & (high < space.upper)).tolist()
+        if walk.closes(i, error[i], [high[i], farther[i]])
+    ]
+    return Valleys(opened, walk.least_rise, walk.lower, tuple(limited))
+
+
+def are_products(minimum: Minimum, determination: Determination, max_steps: int) -> bool:
+    """Whether products of powers of the unidentified parameters are what the data determine.
+
+    They are not where the sum of squares rises as these parameters are doubled or halved along their valley.
+    """
+    space, best = minimum.problem.space, minimum.outcome
+    lost = np.array([determination.status[name] == NOT_IDENTIFIED for name in determination.names])
+    if np.count_nonzero(lost) < 2 or np.any(best.parameters[lost] <= 0) or not np.all(np.isfinite(best.jacobian)):
+        return True
+    _, values, directions = np.linalg.svd(np.linalg.qr(best.jacobian, mode="r"))  # all directions, however many rows
+    for singular, direction in itertools.zip_longest(values, directions, fillvalue=0.0):
+        along = np.where(lost, direction, 0.0)
+        if singular * LARGEST_RELATIVE_ERROR > 1 or np.linalg.norm(along) < MOSTLY_LOST:
+            continue
+        for factor in (0.5, 2.0):
+            place = best.parameters * factor ** (along / np.abs(along).max())
+            if np.any(place <= space.lower) or np.any(place >= space.upper):
+                continue
+            _, rise = minimum.refit(np.where(lost, place, np.nan), max_steps)
+            if not rise <= CLOSING_RISE * determination.quantile**2:
+                return False
+    return True
+
+
+def nearest_to_start(minimum: Minimum, opened: np.ndarray, quantile: float, max_steps: int) -> Outcome:
+    """Any place along an open valley fits alike: take the start of the first open parameter, if it fits."""
+    problem, noise, best = minimum
+    i, first = int(np.argmax(opened)), problem.space.first()
+    held = hold_one(len(first), i, problem.space.start[i])
+    moved, _ = minimum.refit(held, max_steps)
+    there = evaluate(problem, noise, np.where(np.isnan(held), moved.z, first))
+    return there if there.cost - best.cost <= CLOSING_RISE * quantile**2 else best
+
+
+def _sides(space: ParameterSpace, i: int, value: float, half_width: float) -> tuple[list[float], list[float]]:
+    """Places below and above an estimate: 2 and 10 half-widths of its interval off, and a fifth and five times it."""
+    lower, upper = float(space.lower[i]), float(space.upper[i])
+    below, above = ([value + sign * factor * half_width for factor in (2, 10)] for sign in (-1, 1))
+    if np.isfinite(lower):
+        below = [max(place, value - 0.9 * (value - lower)) for place in below]
+    if np.isfinite(upper):
+        above = [min(place, value + 0.9 * (upper - value)) for place in above]
+    if np.isfinite(lower) and not np.isfinite(upper):
+        below.append(lower + (value - lower) / 5)
+        above.append(lower + (value - lower) * 5)
+    return below, above

@@ -1,0 +1,371 @@
+"""What the explorer shows: one body under the numbers of its sliders, solved by a program that is compiled once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import cached_property
+from typing import NamedTuple, SupportsFloat
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ..errors import InputError
+from ..figures.geometry import drawn_radii, stations
+from ..files.manipulator_file import manipulator_text
+from ..identification.bench import Bench, experiment_of, reading, starting_value, stiffness_parameter
+from ..identification.fit import Fit, fit
+from ..measurements.table import Measurements
+from ..mechanics.directions import as_directions
+from ..robot.loads import Loads
+from ..robot.manipulator import Kinematics, Manipulator
+from ..robot.named_numbers import Case, of_tendon
+from ..robot.profiles import Profile
+from ..robot.reshape import tapered
+from ..statics.description import result_in_words, wall_remarks
+from ..statics.equilibrium import RESULTS, Equilibrium, Fields
+from ..statics.solve import solve
+from ..statics.targets import TipAngle
+from ..units import round_number
+
+GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
+NUM_PULLS = 17  # on the curve over the base tension
+NODES = 16  # of the solves in the rows of tables, as `fit` has them
+FITTED = ("friction_coefficient", "youngs_modulus", "stiffness_factor")  # the last two in each other's place
+RADII = ("outer_radius.base", "outer_radius.tip")
+
+
+class Control(NamedTuple):
+    """One number that can be changed, in the unit that is shown: SI times ten to the power of `exponent`."""
+
+    name: str
+    label: str
+    unit: str
+    exponent: int
+    value: float
+    low: float
+    high: float
+    least: float | None = None  # that may be typed
+
+    @property
+    def step(self) -> float:
+        return round_number((self.high - self.low) / 200)
+
+
+class Settings(NamedTuple):
+    """Where the controls stand: numbers in shown units by name of the control, and what is chosen beside them."""
+
+    numbers: Mapping[str, float]
+    direction: tuple[int | None, ...]  # None where it is found from the travel of the tendon
+    kinematics: Kinematics
+
+
+class Sections(NamedTuple):
+    """The body along a grid of arc lengths, m; tendons first."""
+
+    outer_radius: Float[ArrayLike, "*points"]
+    inner_radius: Float[ArrayLike, "*points"]
+    offset: Float[ArrayLike, "tendons *points"]
+
+
+class Picture(NamedTuple):
+    """An equilibrium, its fields and the body along a grid of arc lengths; NumPy, SI."""
+
+    case: Case
+    equilibrium: Equilibrium
+    along: Fields
+    sections: Sections
+    peak_strain: np.ndarray  # of the wall, a fraction
+
+    @property
+    def good(self) -> bool:
+        """Whether there is something to show; other results keep no number, or one to be doubted."""
+        return self.equilibrium.result in GOOD
+
+    @property
+    def message(self) -> str:
+        """What has to be known of the result, as `solve` says it; empty where it is successful."""
+        return " ".join([text for text in (result_in_words(self.equilibrium), *wall_remarks(self.equilibrium)) if text])
+
+    @property
+    def peak_curvature(self) -> float:
+        """The largest |kappa|, 1/m."""
+        return float(np.max(np.abs(self.along.curvature)))
+
+
+class Curve(NamedTuple):
+    """The answer over the base tension of tendon 1, all else as it is set; NaN where no solve is good. SI."""
+
+    base_tension: np.ndarray
+    tip_tension: np.ndarray
+    tip_angle: np.ndarray
+
+
+class Rows(NamedTuple):
+    """A table that no single curve holds, and what the body as it is set would show in its rows; SI."""
+
+    table: Measurements
+    model: dict[str, np.ndarray]  # by column that was read; NaN where a solve is not good
+
+
+class Taper(NamedTuple):
+    """What one taper of the body does, SI; NaN where a solve is not good."""
+
+    tension_loss: float  # of tendon 1 at the tensions that are set
+    tip_angle: float
+    peak_strain: float
+    base_tension: float  # of tendon 1 at which the tip has the angle that is asked for
+    strain_there: float
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """A manipulator, the tables measured on it, and the results for the settings of the controls.
+
+    Raises:
+        InputError: for a table that does not fit the manipulator.
+    """
+
+    manipulator: Manipulator
+    tables: tuple[Measurements, ...] = ()
+
+    def __post_init__(self):
+        for table in self.tables:
+            experiment_of(table, self.manipulator)
+
+    # --- numbers and their ranges ----------------------------------------------------------------
+
+    @cached_property
+    def controls(self) -> tuple[Control, ...]:
+        """Everything that can be changed, with ranges about the numbers of the manipulator."""
+        body = self.manipulator
+        own = [tendon.friction_coefficient is not None for tendon in body.tendons]
+        mu = float(body.friction_coefficient)
+        friction = [Control(FITTED[0], "Friction coefficient", "", 0, mu, 0.0, max(1.0, _above(2 * mu)), 0.0)]
+        return (*self._tensions, *([] if all(own) else friction), self._stiffness, *self._radii, *self._loads)
+
+    @cached_property
+    def _stiffness(self) -> Control:
+        name = stiffness_parameter(self.manipulator)
+        own = starting_value(self.manipulator, name)
+        label, unit, exponent = ("Stiffness factor", "", 0) if name == FITTED[2] else ("Young's modulus", "MPa", -6)
+        value = from_si(own, exponent)
+        return Control(name, label, unit, exponent, value, round_number(0.2 * value), _above(2.5 * value), 1e-6)
+
+    @cached_property
+    def _tensions(self) -> list[Control]:
+        body = self.manipulator
+        s, length = self.arc_length, float(body.length)
+        stiffness, offset = np.asarray(body.stiffness(s)), np.maximum(np.asarray(body.offset(s)), 1e-3 * length)
+        turn = np.max(np.trapezoid(offset / stiffness, s))  # of the tip per tension, without friction
+        most = min(2.0 / turn, 0.3 * float(np.min(stiffness / offset**2)))
+        measured = [float(table["base_tension"].max()) for table in self.tables if "base_tension" in table]
+        high = _above(max([most, *measured]))
+        label = "Base tension" if body.num_tendons == 1 else "Base tension {}"
+        names = [(of_tendon("base_tension", i), label.format(i + 1)) for i in range(body.num_tendons)]
+        return [
+            Control(n, text, "N", 0, 0.0 if i else 0.75 * high, 0.0, high, 0.0) for i, (n, text) in enumerate(names)
+        ]
+
+    @cached_property
+    def _radii(self) -> list[Control]:
+        radius = self.manipulator.outer_radius
+        if radius is None or not self.manipulator.stiffened_by_radii:
+            return []
+        ends = [from_si(radius(s), 3) for s in (0.0, self.manipulator.length)]
+        labels = ("Outer radius at the base", "Outer radius at the tip")
+        return [
+            Control(name, label, "mm", 3, r, 0.5 * r, 1.5 * r, 0.0)
+            for name, label, r in zip(RADII, labels, ends, strict=True)
+        ]
+
+    @cached_property
+    def _loads(self) -> list[Control]:
+        body, length = self.manipulator, float(self.manipulator.length)
+        stiffness = float(np.median(np.asarray(body.stiffness(self.arc_length))))
+        force, moment = _above(0.6 * stiffness / length**2), _above(0.3 * stiffness / length)
+        found = [Control(f"tip_force.{i}", f"Tip force {a}", "N", 0, 0.0, -force, force) for i, a in enumerate("XY")]
+        found.append(Control("tip_moment", "Tip moment", "N m", 0, 0.0, -moment, moment))
+        if body.has_mass:
+            found += [Control(f"gravity.{i}", f"Gravity {a}", "m/s²", 0, 0.0, -10.0, 10.0) for i, a in enumerate("XY")]
+        return found
+
+    @property
+    def start(self) -> Settings:
+        """The manipulator as it is, tendon 1 pulled."""
+        numbers = {control.name: control.value for control in self.controls}
+        count = self.manipulator.num_tendons
+        return Settings(numbers, (1,) if count == 1 else (None,) * count, self.manipulator.kinematics)
+
+    @cached_property
+    def offsets_outside_wall(self) -> bool:
+        """Whether the manipulator itself has tendons in the bore or outside the body."""
+        try:
+            self.manipulator.validate()
+        except InputError:
+            self.manipulator.validate(offsets_outside_wall=True)
+            return True
+        return False
+
+    def case(self, settings: Settings) -> Case:
+        """What is solved, from where the controls stand; of one structure for all numbers, unless loads come or go.
+
+        Raises:
+            InputError: for a body that cannot be, such as one with a tendon outside its wall.
+        """
+        number = {c.name: in_si(settings.numbers[c.name], c.exponent) for c in self.controls}
+        body = replace(self.manipulator, kinematics=settings.kinematics)
+        body = replace(body, **{name: number[name] for name in FITTED if name in number})
+        if self._radii:
+            body = replace(body, outer_radius=self._wall(*(number[name] for name in RADII)))
+        force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
+        loads = Loads(force, number["tip_moment"], gravity) if any((*force, number["tip_moment"], *gravity)) else None
+        pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
+        return Case(body, pulls, loads, as_directions(settings.direction))
+
+    def _wall(self, base: float, tip: float) -> Profile:
+        """The outer radius; whether tendons lie within it is asked once for each."""
+        if (base, tip) not in self._walls:
+            assert self.manipulator.outer_radius is not None
+            wall = tapered(self.manipulator.outer_radius, base, tip, self.manipulator.length)
+            body = replace(self.manipulator, outer_radius=wall)
+            body.validate(offsets_outside_wall=self.offsets_outside_wall)
+            self._walls[base, tip] = wall
+        return self._walls[base, tip]
+
+    @cached_property
+    def _walls(self) -> dict[tuple[float, float], Profile]:
+        return {}
+
+    # --- answers ---------------------------------------------------------------------------------
+
+    @cached_property
+    def arc_length(self) -> np.ndarray:
+        """The grid of pictures, m."""
+        return stations(self.manipulator)
+
+    def picture(self, case: Case) -> Picture:
+        """The equilibrium of a case; look at `good` before it is shown."""
+        return Picture(case, *jax.tree.map(np.asarray, _solved(case, self.arc_length)))
+
+    def curve(self, case: Case) -> Curve:
+        """Tip tension and tip angle over the whole range of the first tension."""
+        pulls = np.linspace(0.0, self.controls[0].high, NUM_PULLS)
+        return Curve(pulls, *map(np.asarray, _over_tension(case, pulls)))
+
+    def in_rows(self, body: Manipulator) -> list[Rows]:
+        """A body in every row of the tables of several tendons, under forces or of tendons that slide out."""
+        experiments = ((table, experiment_of(table, body)) for table in self.tables)
+        apart = [(table, rows) for table, rows in experiments if isinstance(rows, Bench) and not rows.on_one_curve]
+        return [Rows(table, jax.tree.map(np.asarray, _in_rows(rows, body))) for table, rows in apart]
+
+    def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:
+        """The taper of the manipulator itself and that of the settings, all else as it is set.
+
+        Args:
+            settings: where the controls stand.
+            angle: of the tip, rad, for which the tension is asked.
+        """
+        own = {c.name: c.value for c in self._radii}
+        both = (settings._replace(numbers={**settings.numbers, **own}), settings)
+        first, second = (Taper(*map(float, _taper(self.case(s), np.float64(angle)))) for s in both)
+        return first, second
+
+    def fit(self, kinematics: Kinematics) -> Fit:
+        """Friction and modulus from the tables, on the manipulator itself, on which they were measured.
+
+        Raises:
+            InputError: without a table, and as `identification.fit`.
+        """
+        if not self.tables:
+            raise InputError("there is nothing to fit; load a table of measurements first")
+        own = [control.name for control in self.controls if control.name in FITTED]
+        return fit(replace(self.manipulator, kinematics=kinematics), self.tables, own)
+
+    def toml(self, case: Case) -> str:
+        """The body of a case as a file."""
+        return manipulator_text(case.manipulator, offsets_outside_wall=self.offsets_outside_wall)
+
+
+# --- compiled once for each structure of a case ---------------------------------------------------
+
+
+@eqx.filter_jit
+def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Sections, Array]:
+    equilibrium = _solve(case)
+    sections = sections_at(case.manipulator, arc_length)
+    return equilibrium, equilibrium.at(arc_length), sections, _peak_strain(equilibrium)
+
+
+def _peak_strain(equilibrium: Equilibrium) -> Array:
+    return equilibrium.peak_strain if equilibrium.has_wall else jnp.full((), jnp.nan)
+
+
+def sections_at(body: Manipulator, arc_length: Float[ArrayLike, "*points"]) -> Sections:
+    """The body at some places."""
+    return Sections(*drawn_radii(body, arc_length), body.offset(arc_length))
+
+
+def _solve(case: Case) -> Equilibrium:
+    return solve(case.manipulator, case.base_tension, case.loads, direction=case.direction, throw=False)
+
+
+@eqx.filter_jit
+def _over_tension(case: Case, pulls: Float[ArrayLike, " pulls"]) -> tuple[Array, Array]:
+    def at(pull):
+        pulled = eqx.tree_at(lambda c: c.base_tension, case, jnp.asarray(case.base_tension).at[0].set(pull))
+        equilibrium = _solve(pulled)
+        return _where_good(equilibrium, (equilibrium.tip_tension[0], equilibrium.tip_angle))
+
+    return jax.vmap(at)(pulls)
+
+
+@eqx.filter_jit
+def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
+    given = _solve(case)
+    others = [case.base_tension[i] for i in range(1, case.manipulator.num_tendons)]
+    asked = eqx.tree_at(lambda c: c.base_tension, case, [TipAngle(angle), *others], is_leaf=lambda x: x is None)
+    reached = _solve(asked)
+    numbers = given.tension_loss[0], given.tip_angle, _peak_strain(given)
+    there = reached.base_tension[0], _peak_strain(reached)
+    return *_where_good(given, numbers), *_where_good(reached, there)
+
+
+@eqx.filter_jit
+def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
+    equilibrium = rows.solve(body, {}, NODES)
+    readings = tuple(reading(equilibrium, column, {}) for column in rows.columns)
+    return dict(zip(rows.columns, _where_good(equilibrium, readings), strict=True))
+
+
+def _where_good(equilibrium: Equilibrium, numbers: tuple) -> tuple:
+    good = (equilibrium.result == GOOD[0]) | (equilibrium.result == GOOD[1])
+    return tuple(jnp.where(good, number, jnp.nan) for number in numbers)
+
+
+# --- numbers -------------------------------------------------------------------------------------
+
+
+def in_si(value: float, exponent: int) -> float:
+    """The SI number of a shown one, to the last bit: 12.7 mm is 0.0127."""
+    return float(Decimal(repr(float(value))).scaleb(-exponent))
+
+
+def from_si(value: SupportsFloat, exponent: int) -> float:
+    """The other way round."""
+    return in_si(float(value), -exponent)
+
+
+def rounded(value: float, low: float, high: float) -> float:
+    """To what the 95 % interval from low to high tells: two digits of its half-width."""
+    half_width = 0.5 * (high - low)
+    if not 0 < half_width < np.inf:
+        return value
+    return round(value, 1 - int(np.floor(np.log10(half_width))))
+
+
+def _above(value: float) -> float:
+    """The least of 1, 2 and 5 times a power of ten that is not below a positive value."""
+    return 1.0 / round_number(1.0 / value)

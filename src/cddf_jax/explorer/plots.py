@@ -1,0 +1,344 @@
+"""The figures of the explorer: Bokeh, each redrawn by new data alone."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+import jax.numpy as jnp
+import numpy as np
+from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalHead, VeeHead
+from bokeh.plotting import figure
+from jaxtyping import ArrayLike
+
+from ..figures.geometry import Body, drawn_radii
+from ..figures.style import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
+from ..measurements.readings import kind_of, tendon_number
+from ..measurements.table import Measurements
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from .model import Curve, Picture, Rows, Sections, sections_at
+
+Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
+Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
+Columns: TypeAlias = dict[str, Any]  # of a source: arrays and lists by name
+Points: TypeAlias = tuple[np.ndarray, np.ndarray, str]  # places, values and one colour
+
+NUM_ARROWS = 11  # along each tendon
+LONGEST_ARROW = 0.2  # of the length of the body
+DASHES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
+NORMAL, FRICTION = GREEN, VERMILION
+NONE = np.zeros((0, 2))  # points
+NO_POINTS: Columns = {"base": [], "value": [], "color": []}
+
+
+def tendon_look(number: int) -> Look:
+    """Colour and dashes of a tendon, counted from 0."""
+    style = CURVES[number % len(CURVES)]
+    dashes = style["linestyle"]
+    return {"line_color": style["color"], "line_dash": DASHES.get(dashes) if isinstance(dashes, str) else [6, 3]}
+
+
+def _figure(x_label: str, y_label: str, **options: Any) -> Plot:
+    look: Look = {"tools": "", "toolbar_location": None, "sizing_mode": "stretch_width", "min_border": 4}
+    made = figure(x_axis_label=x_label, y_axis_label=y_label, **(look | options))
+    for axis in (*made.xaxis, *made.yaxis):
+        assert isinstance(axis, LinearAxis)
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = "13px"
+        axis.major_label_text_font_size = "12px"
+        axis.axis_line_color = axis.major_tick_line_color = GREY
+        axis.minor_tick_line_color = None
+    made.outline_line_color = None
+    made.grid.grid_line_color = PALE
+    return made
+
+
+def _look_of_legend(fig: Plot) -> None:
+    legend = fig.legend[0]
+    legend.location, legend.label_text_font_size = "top_left", "12px"
+    legend.background_fill_alpha, legend.border_line_color = 0.7, None
+    legend.padding = legend.spacing = 2
+
+
+class BodyPlot:
+    """The body to scale with walls, bore, tendons, force densities and tip loads; the rest shape dotted."""
+
+    def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
+        self.figure = _figure("X (mm)", "Y (mm)", match_aspect=True, height=450, name="body")
+        self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
+        self.sources = {name: ColumnDataSource() for name in ("walls", "midline", "tendons", "ends", "moment")}
+        sections = Sections(*map(np.asarray, sections_at(manipulator, arc_length)))
+        straight = _body(sections, np.stack([arc_length, 0 * arc_length], axis=-1), 0 * arc_length)
+        ends = [np.inf if tendon.end is None else float(tendon.end) for tendon in manipulator.tendons]
+        self.reach = [arc_length <= end for end in ends]
+        self.sides = [tendon.side for tendon in manipulator.tendons]
+        self._show_body(straight, self._tendons(straight, sections))
+        self._draw_surroundings(manipulator, straight)
+        self._draw_body()
+        self._draw_forces()
+        _look_of_legend(self.figure)
+
+    def _draw_surroundings(self, manipulator: Manipulator, straight: Body) -> None:
+        fig, clamp = self.figure, ColumnDataSource(_clamp(manipulator))
+        fig.scatter("x", "y", source=ColumnDataSource(_frame(manipulator)), size=0, alpha=0)
+        bare = {"fill_alpha": 0, "line_alpha": 0, "hatch_pattern": "/", "hatch_color": GREY}
+        fig.quad("left", "right", "bottom", "top", source=clamp, **bare)
+        fig.segment("right", "bottom", "right", "top", source=clamp, color=BLACK, line_width=1.5)
+        rest = ColumnDataSource(_xy(straight.outline))
+        fig.line("x", "y", source=rest, color=GREY, line_dash="dotted", legend_label="at rest")
+
+    def _draw_body(self) -> None:
+        fig, source = self.figure, self.sources
+        fig.patches("xs", "ys", source=source["walls"], fill_color=PALE, line_color=GREY)
+        fig.line("x", "y", source=source["midline"], color=GREY, line_dash="dashdot")
+        look = {"line_color": "color", "line_dash": "dash", "line_width": 1.5, "legend_label": "tendon"}
+        fig.multi_line("xs", "ys", source=source["tendons"], **look)
+        fig.scatter("x", "y", source=source["ends"], color=BLACK, size=6)
+
+    def _draw_forces(self) -> None:
+        for name, color in (("normal", NORMAL), ("friction", FRICTION)):
+            self._arrows(name, NormalHead(size=7, fill_color=color, line_color=color), 2)
+            self.figure.line([np.nan], [np.nan], color=color, line_width=2, legend_label=f"{name} force per length")
+        for name in ("force", "turn"):
+            self._arrows(name, VeeHead(size=12, fill_color=PURPLE, line_color=PURPLE), 3)
+        self.sources["moment"].data = _xy(np.zeros((0, 2)))
+        self.figure.line("x", "y", source=self.sources["moment"], color=PURPLE, line_width=3)
+
+    def _arrows(self, name: str, head: NormalHead | VeeHead, width: float) -> None:
+        source = self.sources[name] = ColumnDataSource(_arrow_data(NONE, NONE))
+        look: Look = {
+            "x_start": "x0",
+            "y_start": "y0",
+            "x_end": "x1",
+            "y_end": "y1",
+            "line_width": width,
+            "line_color": head.line_color,
+        }
+        self.figure.add_layout(Arrow(end=head, source=source, **look))
+
+    def show(self, picture: Picture) -> None:
+        """Draw an equilibrium."""
+        along = picture.along
+        body = _body(picture.sections, along.position, along.heading)
+        tendons = self._tendons(body, picture.sections)
+        self._show_body(body, tendons)
+        greatest, length = greatest_force(picture), 1e3 * float(along.arc_length[-1])
+        for name, force in (("normal", along.normal_force), ("friction", along.friction_force)):
+            arrows = _force_arrows(tendons, force, LONGEST_ARROW * length / max(greatest, 1e-12))
+            self.sources[name].data = _arrow_data(*arrows)
+        self.figure.title.text = f"longest arrow {greatest:.4g} N/m"
+        loads = Loads() if picture.case.loads is None else picture.case.loads
+        self.sources["force"].data = _arrow_data(*_tip_force(loads, body.midline[-1], length))
+        arc = _tip_moment(loads, body, length)
+        self.sources["moment"].data = _xy(arc)
+        self.sources["turn"].data = _arrow_data(arc[-2:-1], arc[-1:])
+
+    def _tendons(self, body: Body, sections: Sections) -> list[np.ndarray]:
+        """The line of each tendon up to its anchor."""
+        lines = zip(self.sides, np.asarray(sections.offset), self.reach, strict=True)
+        return [body.at_distance(side * 1e3 * offset)[there] for side, offset, there in lines]
+
+    def _show_body(self, body: Body, tendons: list[np.ndarray]) -> None:
+        looks = [tendon_look(i) for i in range(len(tendons))]
+        style: Columns = {
+            "color": [look["line_color"] for look in looks],
+            "dash": [look["line_dash"] for look in looks],
+        }
+        self.sources["walls"].data = _lines(_walls(body))
+        self.sources["midline"].data = _xy(body.midline)
+        self.sources["tendons"].data = _lines(tendons) | style
+        self.sources["ends"].data = _xy(np.stack([line[-1] for line in tendons]))
+
+
+def greatest_force(picture: Picture) -> float:
+    """The largest force per length of any tendon, N/m."""
+    forces = np.concatenate([picture.along.normal_force, picture.along.friction_force])
+    return float(np.max(np.linalg.norm(forces, axis=-1)))
+
+
+def _xy(points: np.ndarray) -> Columns:
+    return {"x": points[:, 0], "y": points[:, 1]}
+
+
+def _lines(lines: Sequence[np.ndarray]) -> Columns:
+    return {"xs": [line[:, 0] for line in lines], "ys": [line[:, 1] for line in lines]}
+
+
+def _arrow_data(starts: np.ndarray, ends: np.ndarray) -> Columns:
+    return {"x0": starts[:, 0], "y0": starts[:, 1], "x1": ends[:, 0], "y1": ends[:, 1]}
+
+
+def _frame(manipulator: Manipulator) -> Columns:
+    """What is always in view: the rest shape, and room for the bend."""
+    length, sides = 1e3 * float(manipulator.length), {tendon.side for tendon in manipulator.tendons}
+    low, high = (-0.6 if -1 in sides else -0.2), (0.75 if 1 in sides else 0.2)
+    return _xy(length * np.array([[-0.06, low], [1.1, high]]))
+
+
+def _clamp(manipulator: Manipulator) -> Columns:
+    length, radius = 1e3 * float(manipulator.length), 1e3 * float(drawn_radii(manipulator, jnp.zeros(()))[0])
+    half = radius + 0.06 * length
+    return {"left": [-0.05 * length], "right": [0.0], "bottom": [-half], "top": [half]}
+
+
+def _walls(body: Body) -> list[np.ndarray]:
+    """Two where there is a bore, one where there is none."""
+    if not np.any(body.inner_radius):
+        return [body.outline]
+    outside = [body.at_distance(side * body.outer_radius) for side in (+1, -1)]
+    inside = [body.at_distance(side * body.inner_radius)[::-1] for side in (+1, -1)]
+    return [np.concatenate(pair) for pair in zip(outside, inside, strict=True)]
+
+
+def _body(sections: Sections, position: ArrayLike, heading: ArrayLike) -> Body:
+    """In mm."""
+    radii = (1e3 * np.asarray(radius) for radius in (sections.outer_radius, sections.inner_radius))
+    return Body(1e3 * np.asarray(position), np.asarray(heading), *radii)
+
+
+def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and ends."""
+    at = [np.linspace(0.02 * len(line), 0.98 * len(line) - 1, NUM_ARROWS).astype(int) for line in tendons]
+    starts = np.concatenate([line[i] for line, i in zip(tendons, at, strict=True)])
+    return starts, starts + scale * np.concatenate([force[i] for force, i in zip(np.asarray(forces), at, strict=True)])
+
+
+def _tip_force(loads: Loads, tip: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """An arrow of one length, whatever the force."""
+    force = np.asarray(loads.tip_force)
+    return (tip[None], tip[None] + 0.2 * length * force / np.linalg.norm(force)) if np.any(force) else (NONE, NONE)
+
+
+def _tip_moment(loads: Loads, body: Body, length: float) -> np.ndarray:
+    """An arc ahead of the tip, whatever the moment; no points where there is none."""
+    moment = float(loads.tip_moment)
+    ring = max(1.4 * body.outer_radius[-1], 0.06 * length)
+    angles = body.heading[-1] + np.sign(moment) * np.linspace(-1.6, 1.6, 31)
+    return body.midline[-1] + ring * np.stack([np.cos(angles), np.sin(angles)], axis=-1) if moment else NONE
+
+
+class AlongPlots:
+    """Tension, curvature and the forces per length over the arc length."""
+
+    def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
+        labels = {
+            "tension": "Tension T (N)",
+            "curvature": "Curvature κ (1/m)",
+            "normal": "Normal force (N/m)",
+            "friction": "Friction force (N/m)",
+        }
+        self.ends = [np.inf if tendon.end is None else float(tendon.end) for tendon in manipulator.tendons]
+        columns = [f"{name}_{i}" for name in labels for i in range(manipulator.num_tendons)]
+        at_rest: Columns = {"s": 1e3 * arc_length} | dict.fromkeys(columns, 0 * arc_length)
+        self.figures, self.source = {}, ColumnDataSource(at_rest)
+        for name, label in labels.items():
+            fig = self.figures[name] = _figure(
+                "Arc length s (mm)", label, height=210, name=name, x_range=(0, 1e3 * arc_length[-1])
+            )
+            fig.xaxis.ticker.desired_num_ticks = 4
+            if name != "curvature":
+                fig.y_range.start = 0
+            count = 1 if name == "curvature" else manipulator.num_tendons
+            for i in range(count):
+                look = {"line_color": BLACK} if name == "curvature" else tendon_look(i)
+                fig.line("s", f"{name}_{i}", source=self.source, line_width=2, **look)
+            fig.add_tools(HoverTool(mode="vline", tooltips=[("s", "@s{0.0} mm"), (label, "$y{0.000}")]))
+
+    def show(self, picture: Picture) -> None:
+        along = picture.along
+        data: Columns = {"s": 1e3 * along.arc_length, "curvature_0": along.curvature}
+        for i, end in enumerate(self.ends):
+            there = along.arc_length <= end
+            data[f"tension_{i}"] = np.where(there, along.tension[i], np.nan)
+            data[f"normal_{i}"] = np.where(there, np.linalg.norm(along.normal_force[i], axis=-1), np.nan)
+            data[f"friction_{i}"] = np.where(there, np.linalg.norm(along.friction_force[i], axis=-1), np.nan)
+        self.source.data = data
+
+
+class TensionPlots:
+    """Tip tension and tip angle over base tension: model, where it stands, data, and the model in their rows.
+
+    Tip tensions are drawn over the base tension of the same tendon, the rest over that of tendon 1.
+    """
+
+    def __init__(self, num_tendons: int):
+        self.looks = [tendon_look(i)["line_color"] if num_tendons > 1 else BLACK for i in range(num_tendons)]
+        which = "" if num_tendons == 1 else " of tendon 1"
+        at_rest: Columns = {name: [0.0] for name in ("base", "tension", "angle")}
+        self.curve = ColumnDataSource(at_rest)
+        labels = {
+            "tension": ("Base tension (N)", "Tip tension (N)", f"model{which.replace('of', 'for')}"),
+            "angle": (f"Base tension{which} (N)", "Tip angle (deg)", "model"),
+        }
+        self.points = {name: {kind: ColumnDataSource(NO_POINTS) for kind in ("data", "rows", "now")} for name in labels}
+        self.figures = {name: _figure(x, y, height=255, name=f"tip_{name}") for name, (x, y, _) in labels.items()}
+        free = {"color": GREY, "line_dash": "dotted", "legend_label": "without loss"}
+        self.figures["tension"].line("base", "base", source=self.curve, **free)
+        for name, (_, _, model) in labels.items():
+            self._draw(self.figures[name], name, model)
+
+    def _draw(self, fig: Plot, name: str, model: str) -> None:
+        points = self.points[name]
+        fig.line("base", name, source=self.curve, line_width=2, color=BLUE, legend_label=model)
+        marks = {
+            "data": {"size": 6, "fill_color": "white", "line_color": "color", "legend_label": "data"},
+            "rows": {"size": 7, "marker": "x", "line_color": "color", "legend_label": "model at the data"},
+            "now": {"size": 12, "marker": "diamond", "color": VERMILION, "legend_label": "now"},
+        }
+        for kind, look in marks.items():
+            fig.scatter("base", "value", source=points[kind], name=kind, **look)
+        _look_of_legend(fig)
+        for kind in ("data", "rows"):
+            self._show_kind(fig, kind, False)
+
+    def show_data(self, tables: Sequence[Measurements]) -> None:
+        """Every reading of tip tensions and tip angle."""
+        self._show_points("data", [(table, table.columns) for table in tables if "base_tension" in table])
+
+    def show_rows(self, rows: Sequence[Rows]) -> None:
+        """What the body as set shows in the rows of the data."""
+        self._show_points("rows", [(row.table, row.model) for row in rows])
+
+    def _show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
+        """Readings, or what the model says of them, over the tensions that were set."""
+        found: dict[str, list[Points]] = {name: [] for name in self.points}
+        for table, columns in tables:
+            for column, values in columns.items():
+                if kind_of(column) == "tip_tension":
+                    base = table[column.replace("tip_tension", "base_tension")]
+                    found["tension"].append((base, values, self.looks[tendon_number(column) - 1]))
+                elif column == "tip_angle":
+                    found["angle"].append((table["base_tension"], np.degrees(values), BLACK))
+        for name, parts in found.items():
+            self.points[name][kind].data = _points(parts)
+            self._show_kind(self.figures[name], kind, bool(parts))
+
+    def _show_kind(self, fig: Plot, kind: str, there: bool) -> None:
+        """Points of one kind and their line of the legend."""
+        points = fig.select_one({"name": kind})
+        points.visible = there
+        for item in fig.legend[0].items:
+            if points in item.renderers:
+                item.visible = there
+
+    def show_now(self, picture: Picture) -> None:
+        """Where the sliders stand."""
+        found = picture.equilibrium
+        now = {
+            "tension": (found.base_tension, found.tip_tension, BLACK),
+            "angle": (found.base_tension[:1], np.degrees([found.tip_angle]), BLACK),
+        }
+        for name, part in now.items():
+            self.points[name]["now"].data = _points([part])
+
+    def show_curve(self, curve: Curve) -> None:
+        """The model over the whole range."""
+        angle = np.degrees(curve.tip_angle)
+        self.curve.data = {"base": curve.base_tension, "tension": curve.tip_tension, "angle": angle}
+
+
+def _points(parts: Sequence[Points]) -> Columns:
+    """The data of a source from places, values and one colour for each part."""
+    if not parts:
+        return NO_POINTS
+    base, value = (np.concatenate([np.asarray(part[i], float) for part in parts]) for i in range(2))
+    return {"base": base, "value": value, "color": [color for x, _, color in parts for _ in x]}

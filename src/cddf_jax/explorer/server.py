@@ -1,0 +1,213 @@
+"""`cddf explore`: a local page on which a body is bent by sliders, compared with data and fitted. Panel and Bokeh."""
+
+import webbrowser
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TypeVar
+
+import panel as pn
+from panel.io.server import get_server
+
+from ..errors import InputError
+from ..figures.along import sections_figure
+from ..figures.style import render
+from ..files.cross_sections import SectionColumn
+from ..files.manipulator_file import read_manipulator
+from ..measurements.table import Measurements
+from ..measurements.trials import read_tables
+from ..robot.manipulator import Manipulator, conical
+from .model import Exploration
+from .view import ExplorerView, Threads
+
+T = TypeVar("T")
+
+ADDRESS = "127.0.0.1"  # this machine alone
+TITLE = "cddf explorer"
+PAPER = "the manipulator of Liu et al. (2020), as no file was given"
+PAGE = """
+:host { display: grid !important; gap: 0 16px; grid-template-columns: 290px minmax(0, 1.6fr) minmax(0, 1fr);
+  grid-template-rows: auto auto auto 1fr;
+  grid-template-areas: "side body tension" "side numbers tension" "side along along" "side rest rest"; }
+.body { grid-area: body; } .numbers { grid-area: numbers; } .side { grid-area: side; }
+.tension { grid-area: tension; } .along { grid-area: along; } .rest { grid-area: rest; }
+@media (max-width: 1000px) { :host { grid-template-columns: 260px minmax(0, 1fr); grid-template-rows: none;
+  grid-template-areas: "side body" "side numbers" "side tension" "along along" "rest rest"; } }
+@media (max-width: 640px) { :host { grid-template-columns: minmax(0, 1fr); grid-template-rows: none;
+  grid-template-areas: "body" "numbers" "side" "tension" "along" "rest"; }
+  .body { position: sticky !important; top: 0; z-index: 5; background: white; } }
+"""
+ROOT = ".notice { position: sticky !important; top: 0; z-index: 10; }"
+TITLED = "h2 { font-size: 16px; margin: 8px 0 0; }"
+HEAD = "h1 { font-size: 20px; margin: 4px 0 0; } p { margin: 2px 0; }"
+NOTICE = """
+p { margin: 0; padding: 6px 10px; border-left: 5px solid; font-size: 14px; overflow-wrap: anywhere; }
+p.error { border-color: #d55e00; background: #fdf1e7; }
+p.busy { border-color: #0072b2; background: #eaf4fb; }
+"""
+
+
+def papers_manipulator() -> Manipulator:
+    """The body of Liu et al. (2020), section IV, one tendon parallel to the axis, exact kinematics."""
+    return conical(
+        length=0.140,
+        outer_radius=(0.020, 0.013),
+        inner_radius=0.007,
+        tendon_offset=0.010,
+        youngs_modulus=1.4e6,
+        friction_coefficient=0.42,
+    )
+
+
+@dataclass(frozen=True)
+class PageContent:
+    """What a page shows when it is opened, and after a file was loaded."""
+
+    manipulator: Manipulator
+    tables: tuple[Measurements, ...]
+    source: str  # of the manipulator, in words
+    columns: tuple[SectionColumn, ...]  # of its table of cross-sections; none where it has none
+    threads: Threads
+
+    def new_page(self) -> pn.Column:
+        """For one more browser."""
+        return Page(self).layout
+
+
+class Page:
+    """One browser's page: files are loaded here, and the view of a manipulator is renewed with each."""
+
+    def __init__(self, content: PageContent):
+        self.content = content
+        self.notice = pn.pane.HTML("", stylesheets=[NOTICE], sizing_mode="stretch_width", css_classes=["notice"])
+        self.head = pn.pane.HTML("", stylesheets=[HEAD], margin=(0, 8))
+        self.robot_file = pn.widgets.FileInput(accept=".toml", name="Manipulator (TOML)", width=175, margin=(0, 4))
+        self.data_files = pn.widgets.FileInput(
+            accept=".csv,.tsv,.txt,.lvm,.xlsx", name="Data (CSV or .xlsx, one or several)", multiple=True, width=185
+        )
+        self.robot_file.param.watch(lambda _: self._load(self._read_robot), "value")
+        self.data_files.param.watch(lambda _: self._load(self._read_data), "value")
+        self.view: ExplorerView | None = None
+        self.place = pn.Column(stylesheets=[PAGE], sizing_mode="stretch_width", margin=0)
+        self._renew(Exploration(content.manipulator, content.tables))
+
+    @property
+    def layout(self) -> pn.Column:
+        """The whole page."""
+        head = pn.FlexBox(self.head, self.robot_file, self.data_files, align_items="center", gap="4px 12px")
+        return pn.Column(head, self.notice, self.place, stylesheets=[ROOT], sizing_mode="stretch_width")
+
+    def say(self, text: str, kind: str) -> None:
+        """One line at the head of the page, or none."""
+        self.notice.object = f'<p class="{kind}" role="alert">{_escaped(text)}</p>' if text else ""
+
+    def _renew(self, exploration: Exploration) -> None:
+        if self.view is not None:
+            self.view.close()
+        view = ExplorerView(exploration, self.say, self.content.threads)
+        parts = view.parts
+        if self.content.columns:
+            parts["rest"].append(sections_as_read(self.content.columns))
+        for name, part in parts.items():
+            part.css_classes = [*part.css_classes, name]  # a mark may be there already
+        self.place[:] = list(parts.values())
+        tables = self.content.tables
+        data = ", ".join(table.name for table in tables) or "no data loaded"
+        notes = [f"<p>{_escaped(line)}</p>" for table in tables for line in table.read_as]
+        self.head.object = f"<h1>{TITLE}</h1><p>{_escaped(self.content.source)}; {_escaped(data)}</p>{''.join(notes)}"
+        self.view = view
+
+    def _load(self, read: Callable[[], PageContent]) -> None:
+        """Read a file that was chosen; a bad one leaves everything as it was."""
+        try:
+            content = read()
+            exploration = Exploration(content.manipulator, content.tables)
+        except InputError as error:
+            self.say(str(error), "error")
+            return
+        self.content = content
+        self.say("", "")
+        self._renew(exploration)
+
+    def _read_robot(self) -> PageContent:
+        """A file that a browser sends cannot name a table of cross-sections beside it."""
+        name = str(self.robot_file.filename)
+        manipulator = _read(lambda paths: read_manipulator(paths[0]), {name: self.robot_file.value})
+        return replace(self.content, manipulator=manipulator, source=name, columns=())
+
+    def _read_data(self) -> PageContent:
+        files = zip(map(str, self.data_files.filename), self.data_files.value, strict=True)
+        return replace(self.content, tables=_read(read_tables, dict(files)))
+
+
+def sections_as_read(columns: Sequence[SectionColumn]) -> pn.Column:
+    """The table of cross-sections beside what was read of it, as a picture and in words."""
+    picture = pn.pane.PNG(
+        render(sections_figure(columns), "sections")["sections.png"],
+        alt_text="Cross-sections: the points of the table and the profiles that were read",
+        sizing_mode="scale_width",
+    )
+    lines = "".join(f"<p>{_escaped(str(column))}</p>" for column in columns)
+    return pn.Column(
+        pn.pane.HTML("<h2>Cross-sections as read</h2>" + lines, stylesheets=[HEAD + TITLED]), picture, max_width=800
+    )
+
+
+def _escaped(text: str) -> str:
+    return escape(" ".join(text.split()))
+
+
+def _read(reader: Callable[[list[Path]], T], files: Mapping[str, bytes]) -> T:
+    """What `reader` makes of files that were sent by the browser; its messages name the file alone."""
+    with TemporaryDirectory() as folder:
+        paths = [Path(folder) / Path(name).name for name in files]
+        for path, content in zip(paths, files.values(), strict=True):
+            path.write_bytes(content)
+        try:
+            return reader(paths)
+        except InputError as error:
+            raise error.at(
+                *(Path(place).name if place.startswith(folder) else place for place in error.where)
+            ) from None
+
+
+def serve(
+    manipulator: Manipulator,
+    tables: Sequence[Measurements],
+    source: str,
+    columns: Sequence[SectionColumn] = (),
+    *,
+    port: int = 0,
+    browser: bool = True,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Serve the page on this machine alone until Ctrl-C.
+
+    Args:
+        manipulator: the body.
+        tables: measurements on it.
+        source: what the page says of where the manipulator comes from.
+        columns: of its table of cross-sections, of `section_columns`; none where it has none.
+        port: 0 for a free one.
+        browser: whether to open it.
+        say: takes a line with the address once the page is there.
+
+    Raises:
+        InputError: for a table that does not fit the manipulator, or a port that cannot be had.
+    """
+    Exploration(manipulator, tuple(tables))
+    pn.extension(respect_explicit_sizing=True)
+    with Threads() as threads:
+        content = PageContent(manipulator, tuple(tables), source, tuple(columns), threads)
+        try:
+            server = get_server(content.new_page, port=port, address=ADDRESS, title=TITLE)
+        except OSError as error:
+            raise InputError(f"--port {port}: {error.strerror}; give another, or leave it out for a free one") from None
+        url = f"http://localhost:{server.port}/"
+        say(f"{url}  (Ctrl-C ends it)")
+        if browser:
+            server.io_loop.add_callback(webbrowser.open, url)
+        server.start()
+        server.io_loop.start()  # Panel ends it on Ctrl-C

@@ -1,0 +1,377 @@
+"""One manipulator on the page: its sliders, its figures and numbers, its fit, and the files it can be saved to."""
+
+import io
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TypeAlias
+
+import jax
+import numpy as np
+import panel as pn
+from bokeh.plotting import figure as BokehFigure  # noqa: N812
+
+from ..errors import InputError, SolveError
+from ..estimation.determination import IDENTIFIED
+from ..figures.body import equilibrium_figure
+from ..figures.style import render
+from ..identification.fit import Fit
+from ..reports.export import fields_csv
+from ..reports.fit_report import fit_in_words
+from ..reports.fit_results import make_report
+from ..robot.manipulator import KINEMATICS, Kinematics
+from .model import Control, Exploration, Picture, Settings, from_si, rounded
+from .plots import AlongPlots, BodyPlot, TensionPlots
+from .words import lines_html, numbers_html, tapers_html
+
+SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
+COMPILED: set[tuple[object, int]] = set()  # structures of cases with the number of arc lengths
+COMPILING = "Compiling for this kind of body and load, some seconds ..."
+WORDS = """
+:host { font-size: 14px; }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
+th { text-align: left; font-weight: normal; color: #595959; }
+td:not(:first-child) { white-space: nowrap; }
+td, th { padding: 2px 8px 2px 0; border-bottom: 1px solid #e8e8e8; }
+.tiles { display: flex; flex-wrap: wrap; gap: 4px 22px; margin-bottom: 6px; font-variant-numeric: tabular-nums; }
+.tile span { display: block; color: #595959; font-size: 12px; }
+.tile b, td b { font-weight: 600; }
+p { margin: 4px 0; overflow-wrap: anywhere; }
+p.known { border-left: 4px solid #009e73; padding-left: 8px; }
+p.lost { border-left: 4px solid #d55e00; padding-left: 8px; }
+"""
+GRID = """
+:host { display: grid !important; gap: 4px 16px; }
+:host { grid-template-columns: repeat(auto-fit, minmax(min(100%%, %dpx), 1fr)); }
+"""
+# no picture is good (stale); a newer one is being computed, which is said where it takes more than a moment
+MARKS = """
+:host(.stale) { opacity: 0.35; filter: grayscale(1); }
+:host(.computing)::after { content: "computing ..."; position: absolute; top: 0; right: 8px; z-index: 4;
+  padding: 1px 8px; background: #eaf4fb; color: #0072b2; font-size: 13px; animation: appear 0.2s 0.3s both; }
+@keyframes appear { from { opacity: 0; } to { opacity: 1; } }
+"""
+UNSEEN = "label { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }"
+
+Part: TypeAlias = pn.viewable.Viewable
+Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "error", "busy" or "" for none
+
+
+def grid(*parts: Part, least: int) -> pn.Column:
+    """Side by side while each has so many pixels, below each other where not."""
+    return column(*parts, stylesheets=[GRID % least])
+
+
+def column(*parts: Part, stylesheets: Sequence[str] = ()) -> pn.Column:
+    """Parts below each other, as wide as the page."""
+    return pn.Column(*parts, sizing_mode="stretch_width", margin=0, stylesheets=list(stylesheets))
+
+
+def words(name: str) -> pn.pane.HTML:
+    return pn.pane.HTML("", stylesheets=[WORDS], sizing_mode="stretch_width", margin=(4, 8), css_classes=[name])
+
+
+class Threads:
+    """Three, so that what is quick never waits for what may take long, least of all for a compiler."""
+
+    def __init__(self):
+        self.pictures, self.comparisons, self.fits = self.all = [ThreadPoolExecutor(1) for _ in range(3)]
+
+    def __enter__(self) -> "Threads":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for threads in self.all:
+            threads.shutdown(cancel_futures=True)
+
+
+def plot(figure: BokehFigure) -> pn.pane.Bokeh:
+    return pn.pane.Bokeh(figure, sizing_mode="stretch_width", margin=0)
+
+
+class ExplorerView:
+    """The sliders and what follows from them.
+
+    Every change is solved on a thread of its own and then drawn; while sliders move faster than that, what has been
+    overtaken is left out.
+    """
+
+    def __init__(self, exploration: Exploration, say: Say, threads: Threads):
+        self.exploration, self.say, self.threads = exploration, say, threads
+        assert pn.state.curdoc is not None
+        self.document = pn.state.curdoc
+        self.settings: Settings = exploration.start
+        self.picture: Picture | None = None
+        self.fitted: Fit | None = None
+        body, s = exploration.manipulator, exploration.arc_length
+        self.several = body.num_tendons > 1
+        self.body, self.along, self.tension = BodyPlot(body, s), AlongPlots(body, s), TensionPlots(body.num_tendons)
+        self.tension.show_data(exploration.tables)
+        self._make_controls()
+        self._make_words()
+        parts = {
+            "body": plot(self.body.figure),
+            "numbers": self.numbers,
+            "along": grid(*map(plot, self.along.figures.values()), least=230),
+            "tension": grid(*map(plot, self.tension.figures.values()), least=330),
+            "what_if": self.what_if,
+        }
+        self.drawn = {name: column(part, stylesheets=[MARKS]) for name, part in parts.items()}
+        self.closed = False
+        pn.state.on_session_destroyed(lambda _: self.close())
+        pn.state.onload(self.change)
+
+    def close(self) -> None:
+        """Draw no more."""
+        self.closed = True
+
+    # --- widgets ---------------------------------------------------------------------------------
+
+    def _make_controls(self) -> None:
+        self.sliders = {control.name: _slider(control) for control in self.exploration.controls}
+        self.directions = [
+            pn.widgets.Select(name=f"Tendon {i}", options=SLIDES, value=direction or 0, width=105)
+            for i, direction in enumerate(self.settings.direction, 1)
+        ]
+        kinematics = self.settings.kinematics
+        self.kinematics = pn.widgets.Select(name="Kinematics", options=list(KINEMATICS), value=kinematics, width=105)
+        self.angle = pn.widgets.FloatInput(
+            name="Tip angle asked for (deg)",
+            value=45.0 * self.exploration.manipulator.tendons[0].side,
+            step=5.0,
+            width=180,
+        )
+        self.reset = pn.widgets.Button(
+            name="Back to the file's numbers", on_click=lambda _: self.move_to(self.exploration.start)
+        )
+        for widget in (*self.sliders.values(), *self.directions, self.kinematics, self.angle):
+            widget.param.watch(lambda _: self.change(), "value")
+
+    def _make_words(self) -> None:
+        self.numbers, self.what_if, self.verdict = words("numbers"), words("what-if"), words("verdict")
+        self.fit_button = pn.widgets.Button(
+            name="Fit friction and modulus", button_type="primary", on_click=lambda _: self.start_fit()
+        )
+        self.take_over = pn.widgets.Button(
+            name="Set the sliders to the fit", visible=False, on_click=lambda _: self._take_over()
+        )
+        self.fit_button.disabled = not self.exploration.tables
+
+    def _downloads(self) -> list[pn.widgets.FileDownload]:
+        kinds: list[tuple[str, str, Callable[[Picture], str | bytes]]] = [
+            ("Figure (PDF)", "explorer.pdf", lambda picture: _figure(picture, "explorer.pdf")),
+            ("Figure (PNG)", "explorer.png", lambda picture: _figure(picture, "explorer.png")),
+            ("Body as set (TOML)", "body.toml", lambda picture: self.exploration.toml(picture.case)),
+            ("Fields along the body (CSV)", "fields.csv", lambda picture: fields_csv(picture.along, self.notes)),
+        ]
+        return [
+            pn.widgets.FileDownload(callback=partial(self._file, make), filename=name, label=label, width=210)
+            for label, name, make in kinds
+        ]
+
+    def _file(self, make: Callable[[Picture], str | bytes]) -> io.BytesIO:
+        if self.picture is None:
+            raise InputError("there is nothing to save yet; wait for the first picture")
+        made = make(self.picture)
+        return io.BytesIO(made.encode() if isinstance(made, str) else made)
+
+    @property
+    def sidebar(self) -> pn.Column:
+        """The sliders, and what is chosen beside them."""
+        chosen = [*(self.directions if self.several else []), self.kinematics]
+        return column(*self.sliders.values(), pn.FlexBox(*chosen), self.reset)
+
+    @property
+    def parts(self) -> dict[str, pn.Column]:
+        """What stands where on the page, by the names of `explorer.PAGE`."""
+        compared = column(_title("What if the taper were another"), self.angle, self.drawn["what_if"])
+        buttons = pn.FlexBox(self.fit_button, self.take_over)
+        fit = column(_title("What the data tell"), buttons, self.verdict)
+        files = column(_title("Save"), pn.FlexBox(*self._downloads()))
+        return {
+            "body": self.drawn["body"],
+            "numbers": self.drawn["numbers"],
+            "side": self.sidebar,
+            "tension": self.drawn["tension"],
+            "along": self.drawn["along"],
+            "rest": column(grid(compared, fit, least=400), files),
+        }
+
+    # --- changes ---------------------------------------------------------------------------------
+
+    def move_to(self, settings: Settings) -> None:
+        """Set the sliders."""
+        for name, value in settings.numbers.items():
+            slider = self.sliders[name]
+            slider.param.update(start=min(slider.start, value), end=max(slider.end, value), value=value)
+        for widget, direction in zip(self.directions, settings.direction, strict=True):
+            widget.value = direction or 0
+        self.kinematics.value = settings.kinematics
+
+    def change(self) -> None:
+        """Solve for where the sliders stand now."""
+        numbers = {name: float(slider.value) for name, slider in self.sliders.items()}
+        directions = tuple(widget.value or None for widget in self.directions)
+        self.settings = Settings(numbers, directions, self.kinematics.value)
+        self._mark("computing", True, self.drawn)
+        self.threads.pictures.submit(self._guarded, self._draw, self.settings, float(self.angle.value or 0.0))
+
+    def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
+        """On a thread: unless something newer is wanted; what goes wrong is said on the page."""
+        if settings is not self.settings or self.closed:
+            return
+        try:
+            function(settings, *arguments)
+        except (InputError, SolveError) as error:
+            self._on_page(self._refuse, str(error))
+        except Exception as error:
+            logging.getLogger(__name__).exception("explorer")
+            self._on_page(self._refuse, f"{type(error).__name__}: {error}")
+
+    def _draw(self, settings: Settings, angle: float) -> None:
+        """The picture, and then on another thread what takes longer."""
+        case = self.exploration.case(settings)
+        kind = jax.tree.structure(case), self.exploration.arc_length.size
+        if kind not in COMPILED:
+            self._on_page(self.say, COMPILING, "busy")
+        picture = self.exploration.picture(case)
+        self._on_page(self._show, settings, picture)
+        if picture.good:
+            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture)
+        COMPILED.add(kind)
+
+    def _compare(self, settings: Settings, angle: float, picture: Picture) -> None:
+        curve = self.exploration.curve(picture.case)
+        self._on_page(self.tension.show_curve, curve)
+        rows = self.exploration.in_rows(picture.case.manipulator)
+        self._on_page(self.tension.show_rows, rows)
+        self._on_page(self._done, settings, ["tension"])
+        if not self.exploration.manipulator.stiffened_by_radii:
+            told = "The bending stiffness of this body is given: another taper would not change how it bends."
+            self._on_page(setattr, self.what_if, "object", told)
+            self._on_page(self._done, settings, ["what_if"])
+            return
+        tapers = self.exploration.tapers(settings, np.radians(angle))
+        self._on_page(setattr, self.what_if, "object", tapers_html(tapers, angle, self.several))
+        self._on_page(self._done, settings, ["what_if"])
+
+    def _on_page(self, function: Callable[..., None], *arguments: object) -> None:
+        """Call on the thread of the page, everything that changes sent together."""
+        if not self.closed:
+            self.document.add_next_tick_callback(partial(_held, function, *arguments))
+
+    def _show(self, settings: Settings, picture: Picture) -> None:
+        if not picture.good:
+            self._refuse(picture.message)
+            return
+        self.picture = picture
+        self._mark("stale", False, self.drawn)
+        self._done(settings, ["body", "numbers", "along"])
+        self.body.show(picture)
+        self.along.show(picture)
+        self.tension.show_now(picture)
+        self.numbers.object = numbers_html(picture)
+        self.say(picture.message, "error")
+
+    def _done(self, settings: Settings, parts: Iterable[str]) -> None:
+        """Parts are computed, unless something newer is wanted."""
+        if settings is self.settings:
+            self._mark("computing", False, parts)
+
+    def _mark(self, mark: str, on: bool, parts: Iterable[str]) -> None:
+        for part in map(self.drawn.__getitem__, parts):
+            part.css_classes = [name for name in part.css_classes if name != mark] + [mark] * on
+
+    def _refuse(self, message: str) -> None:
+        """Say what is wrong; the last good picture stays, in grey."""
+        self._mark("computing", False, self.drawn)
+        self._mark("stale", True, self.drawn)
+        self.say(message, "error")
+
+    # --- the fit ---------------------------------------------------------------------------------
+
+    def start_fit(self) -> None:
+        """Fit on a thread of its own."""
+        self.fit_button.loading = True
+        self.take_over.visible = False
+        self.verdict.object = '<p role="status">Fitting, some seconds ...</p>'
+        self.threads.fits.submit(self._fit, self.settings.kinematics)
+
+    def _fit(self, kinematics: Kinematics) -> None:
+        try:
+            fitted = self.exploration.fit(kinematics)
+            text = fit_in_words(make_report(fitted, with_profiles=False))
+            text += "\nbody: that of the file, wherever the sliders stand"
+            if not fitted.success:
+                text += f"\nthe fit failed: {fitted.result}"
+            self._on_page(self._show_fit, fitted, text)
+        except Exception as error:
+            if not isinstance(error, InputError):
+                logging.getLogger(__name__).exception("explorer")
+            self._on_page(self._show_fit, None, str(error))
+
+    def _show_fit(self, fitted: Fit | None, text: str) -> None:
+        self.fitted, self.fit_button.loading = fitted, False
+        self.verdict.object = lines_html(text)
+        self.take_over.visible = bool(self._identified())
+
+    def _identified(self) -> dict[str, tuple[float, tuple[float, float]]]:
+        """What the data determine with its 95 % interval, SI; nothing else is ever taken over."""
+        fitted = self.fitted
+        if fitted is None or not fitted.success:
+            return {}
+        known = [name for name in fitted.names if fitted.status[name] == IDENTIFIED]
+        return {name: (fitted.value[name], fitted.confidence_interval[name]) for name in known}
+
+    def _take_over(self) -> None:
+        """Set the sliders, to as many digits as the intervals tell."""
+        exponent = {control.name: control.exponent for control in self.exploration.controls}
+        found = {}
+        for name, (value, (low, high)) in self._identified().items():
+            number, *interval = (from_si(x, exponent[name]) for x in (value, low, high))
+            found[name] = rounded(number, *interval)
+        self.move_to(self.settings._replace(numbers={**self.settings.numbers, **found}))
+
+    # --- files -----------------------------------------------------------------------------------
+
+    @property
+    def notes(self) -> list[str]:
+        """Where the sliders stand, for the head of a file."""
+        controls = self.exploration.controls
+        numbers = [f"{c.label} = {self.settings.numbers[c.name]:.10g} {c.unit}".strip() for c in controls]
+        return ["cddf explore", *numbers, f"kinematics {self.settings.kinematics}"]
+
+
+def _held(function: Callable[..., None], *arguments: object) -> None:
+    """Call, and send everything that changes together."""
+    with pn.io.hold():
+        function(*arguments)
+
+
+def _slider(control: Control) -> pn.widgets.EditableFloatSlider:
+    unit = f" ({control.unit})" if control.unit else ""
+    slider = pn.widgets.EditableFloatSlider(
+        name=f"{control.label}{unit}",
+        value=control.value,
+        start=control.low,
+        end=control.high,
+        step=control.step,
+        fixed_start=control.least,
+        sizing_mode="stretch_width",
+        format="0[.][0000000000]",
+        margin=(4, 12),
+    )
+    for field in slider.select(pn.widgets.FloatInput):  # a label of its own, for those who do not see the slider's
+        field.name, field.stylesheets = slider.name, [*field.stylesheets, UNSEEN]
+    return slider
+
+
+def _title(text: str) -> pn.pane.HTML:
+    return pn.pane.HTML(f"<h2>{text}</h2>", stylesheets=["h2 { font-size: 16px; margin: 8px 0 0; }"], margin=(0, 8))
+
+
+def _figure(picture: Picture, name: str) -> bytes:
+    case = picture.case
+    files = render(equilibrium_figure(case.manipulator, picture.equilibrium, case.loads), name.partition(".")[0])
+    return files[name]

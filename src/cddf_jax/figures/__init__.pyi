@@ -1,0 +1,41 @@
+"""The public drawing functions: each one once, where it is defined."""
+
+from .along import (
+    draw_along as draw_along,
+    draw_section_column as draw_section_column,
+    sections_figure as sections_figure,
+)
+from .body import (
+    draw_force_arrows as draw_force_arrows,
+    draw_shape as draw_shape,
+    equilibrium_figure as equilibrium_figure,
+)
+from .designs import (
+    design_figure as design_figure,
+    draw_design as draw_design,
+    draw_trade_off as draw_trade_off,
+    pareto_figure as pareto_figure,
+)
+from .estimates import (
+    bootstrap_figure as bootstrap_figure,
+    correlation_figure as correlation_figure,
+    draw_correlation as draw_correlation,
+    draw_profile as draw_profile,
+    profiles_figure as profiles_figure,
+)
+from .fit import (
+    draw_fit as draw_fit,
+    draw_residuals as draw_residuals,
+    residuals_figure as residuals_figure,
+    table_figures as table_figures,
+)
+from .plan import draw_plan as draw_plan, plan_figure as plan_figure
+from .style import (
+    DOUBLE_COLUMN as DOUBLE_COLUMN,
+    SINGLE_COLUMN as SINGLE_COLUMN,
+    house_style as house_style,
+    new_figure as new_figure,
+    render as render,
+    save as save,
+)
+from .sweeps import draw_lines as draw_lines, draw_map as draw_map, sweep_figure as sweep_figure

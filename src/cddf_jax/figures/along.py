@@ -1,0 +1,144 @@
+"""Lines over arc length: what an equilibrium holds along the body, and a table of cross-sections as it was read."""
+
+from collections.abc import Callable, Sequence
+from itertools import cycle
+
+import numpy as np
+from jaxtyping import ArrayLike
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..errors import InputError
+from ..files.cross_sections import SectionColumn
+from ..quantities import QUANTITIES
+from ..robot.manipulator import Manipulator
+from ..robot.profiles import Constant, breakpoints
+from ..statics.equilibrium import Equilibrium, Fields
+from . import style as draw
+from .geometry import fields_along, reached, stations
+
+MARKERS = ("", "o", "s", "^", "D", "v", "x")  # one for each round through the dash patterns
+HEIGHT, SECTION_HEIGHT = 2.2, 1.9  # of a panel, inches
+MANY_POINTS = 60  # of a table, which are then drawn small
+
+
+def _size(vectors: ArrayLike) -> np.ndarray:
+    return np.linalg.norm(vectors, axis=-1)
+
+
+def _strain(manipulator: Manipulator, along: Fields) -> np.ndarray:
+    """Of the outer wall, per cent."""
+    return 100 * np.abs(manipulator.outer_strain(along.arc_length, along.curvature))
+
+
+# values in the unit of their label, (points,) or (tendons, points)
+ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
+    "tension": lambda _, along: along.tension,
+    "curvature": lambda _, along: along.curvature,
+    "normal_force": lambda _, along: _size(along.normal_force),
+    "friction_force": lambda _, along: _size(along.friction_force),
+    "strain": _strain,
+    "heading": lambda _, along: np.degrees(along.heading),
+}
+
+
+def draw_along(
+    manipulator: Manipulator, equilibrium: Equilibrium, quantity: str, axes: Axes | None = None, **style: draw.LookValue
+) -> Axes:
+    """A quantity over arc length, mm, one line for each tendon where each has its own.
+
+    Lines of tendons end where these are anchored, differ by dashes and markers, and have their numbers at
+    their ends.
+
+    Args:
+        manipulator: the body that was solved.
+        equilibrium: its equilibrium.
+        quantity: "tension" (N); "curvature" (1/m); "normal_force" or "friction_force", the size of the force of a
+            tendon on the body per length (N/m); "strain", the greatest of a cross-section that bends (%); "heading"
+            (deg).
+        axes: where to draw; None for a new figure, one column wide.
+        style: of the lines, as `Axes.plot` takes it: color, label, ...
+
+    Raises:
+        InputError: for another quantity, or when the solve failed.
+    """
+    if quantity not in ALONG:
+        raise InputError(f"draw_along: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
+    values_of = ALONG[quantity]
+    s = stations(manipulator)
+    values = np.asarray(values_of(manipulator, fields_along(equilibrium, s)))
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        if values.ndim == 1:
+            look: draw.Look = {"color": draw.BLACK} | style
+            axes.plot(1e3 * s, values, **look)
+        else:
+            _draw_tendons(axes, 1e3 * s, np.where(reached(manipulator, s), values, np.nan), style)
+        axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
+        axes.set_xlim(0.0, 1e3 * s[-1] * (1.06 if values.ndim > 1 and len(values) > 1 else 1.0))
+        draw.include_zero(axes)
+    return axes
+
+
+def _draw_tendons(axes: Axes, s: np.ndarray, values: np.ndarray, style: draw.Look) -> None:
+    """One line per tendon with dashes of its own, then markers of its own, and its number at the end."""
+    count, dashes = len(values), cycle([look["linestyle"] for look in draw.CURVES])
+    for i, (line, dash) in enumerate(zip(values, dashes, strict=False)):
+        marker = MARKERS[i // len(draw.CURVES) % len(MARKERS)]
+        look: draw.Look = {"color": draw.BLACK, "linestyle": dash, "marker": marker, "markevery": 25}
+        look |= {"markerfacecolor": "white", "label": f"tendon {i + 1}" if count > 1 else ""}
+        axes.plot(s, line, **(look | style))
+        if count > 1:
+            last = np.flatnonzero(np.isfinite(line))[-1]
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+            at = (s[last], line[last])
+            axes.annotate(str(i + 1), at, (3, 0), textcoords="offset points", va="center", fontsize=7.5, bbox=box)
+    if count > 1:
+        draw.legend_above(axes, 3)
+
+
+# --- a table of cross-sections ------------------------------------------------------------------
+
+
+def draw_section_column(column: SectionColumn, axes: Axes | None = None) -> Axes:
+    """The points of a column, and the profile that was taken for it, over the arc length, mm.
+
+    Args:
+        column: of `section_columns`.
+        axes: where to draw; None for a new figure, one column wide.
+    """
+    points, values = 1e3 * column.arc_length, 1e3 * column.values
+    s = _section_stations(column)
+    with draw.axes_or_new(axes, SECTION_HEIGHT) as axes:
+        axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=draw.BLUE, label="as read")
+        size = 1.2 if len(points) > MANY_POINTS else 3.2
+        look = {"markersize": size, "markerfacecolor": "white", "markeredgewidth": 0.7}
+        axes.plot(points, values, "o", color=draw.VERMILION, label="points of the table", **look)
+        low, high = axes.dataLim.intervaly
+        constant = isinstance(column.profile, Constant)
+        margin = (0.1 * high or 0.1) if constant else 0.08 * (high - low)
+        axes.set_ylim(low - margin, high + margin)
+        axes.set(xlabel="Arc length $s$ (mm)", ylabel=f"{column.name.replace('_', ' ').capitalize()} (mm)")
+        draw.legend_above(axes)
+    return axes
+
+
+def sections_figure(columns: Sequence[SectionColumn]) -> Figure:
+    """A panel for each column of a table of cross-sections, with one legend.
+
+    Args:
+        columns: of `section_columns`.
+    """
+    with draw.house_style():
+        figure, panels = draw.panel_axes(len(columns), 2, SECTION_HEIGHT)
+        for panel, column in zip(panels, columns, strict=True):
+            draw_section_column(column, panel)
+        draw.common_legend(figure, panels)
+    return figure
+
+
+def _section_stations(column: SectionColumn) -> np.ndarray:
+    """Arc lengths, m: a grid, and both sides of every joint."""
+    length = column.arc_length[-1]
+    joints = np.asarray(breakpoints(column.profile), float)
+    sides = np.concatenate([joints - 1e-9 * length, joints])
+    return np.unique(np.clip(np.concatenate([np.linspace(0.0, length, 1001), sides]), 0.0, length))

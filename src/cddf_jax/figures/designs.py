@@ -1,0 +1,221 @@
+"""Figures of a design: the body before and after, to scale; and the trade-off between two objectives."""
+
+import re
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..designing.pareto import ParetoFront
+from ..designing.results import Design
+from ..robot.manipulator import Manipulator
+from ..units import preferred
+from . import style as draw
+from .along import draw_along
+from .geometry import Body, bent_body, fields_along, stations, straight_body, tendon_paths
+
+START: dict[str, Any] = {"color": draw.GREY, "linestyle": (0, (4, 2)), "label": "before"}
+END: dict[str, Any] = {"color": draw.BLUE, "linestyle": "-", "label": "after"}
+HEIGHT, FRONT_HEIGHT = 3.5, 2.6  # inches
+LINE = 10.0  # points, of a line of text
+
+
+def design_figure(design: Design) -> Figure:
+    """Left the straight bodies before and after and the designed one bent; right curvature and strain along them.
+
+    The first load case is drawn. Walls and tendons are to scale, one scale for all three bodies. There is no strain
+    where the bodies have no radii.
+    """
+    with draw.house_style():
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4)
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.45, 1))
+        draw_design(design, figure.add_subplot(grid[:, 0]))
+        has_wall = design.manipulator.has_radii
+        curvature = figure.add_subplot(grid[0, 1] if has_wall else grid[:, 1])
+        _draw_before_and_after(design, "curvature", curvature)
+        curvature.legend(loc="best")
+        if has_wall:
+            _draw_before_and_after(design, "strain", figure.add_subplot(grid[1, 1]))
+            curvature.set_xlabel("")
+            curvature.tick_params(labelbottom=False)
+    return figure
+
+
+def _draw_before_and_after(design: Design, quantity: str, axes: Axes) -> None:
+    draw_along(design.start, design.equilibria_at_start[0], quantity, axes, **START)
+    draw_along(design.manipulator, design.equilibria[0], quantity, axes, **END)
+
+
+def draw_design(design: Design, axes: Axes | None = None) -> Axes:
+    """The straight bodies before and after, and the designed one bent in its first load case; to one scale, mm.
+
+    Outer and inner diameters at both ends are written beside the straight bodies, where they have radii. The bent body
+    from which the search began is dashed.
+
+    Args:
+        design: of `design`.
+        axes: where to draw; None for a new figure, one column wide.
+    """
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        _draw_bodies(axes, design)
+    return axes
+
+
+def _draw_bodies(axes: Axes, design: Design) -> None:
+    before, after = design.start, design.manipulator
+    s = stations(after)
+    bent = bent_body(after, fields_along(design.equilibria[0], s))
+    paths = tendon_paths(after, bent, s)
+    old = bent_body(before, fields_along(design.equilibria_at_start[0], stations(before)))
+    drawn = np.concatenate([bent.outline, old.outline, paths.reshape(-1, 2)])
+    numbers = " (numbers: outer/inner diameter, mm)" if before.has_radii else ""
+    rows = [_Row.of(after, "after"), _Row.of(before, f"before{numbers}")]
+    point = _size_of_point(axes, drawn, rows)
+    level = top = float(np.nanmax(drawn[:, 1]))
+    for row in rows:
+        level += 1.5 * LINE * point + row.reach_below(point)
+        _draw_straight(axes, row, level, point)
+        level += row.reach_above(point) + 1.3 * LINE * point
+    draw.draw_clamp(axes, 1.2 * max(row.reach_at_base for row in rows), 0.6 * LINE * point)
+    draw.draw_body(axes, bent)
+    axes.plot(*old.outline.T, color=draw.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
+    axes.plot(*bent.outline.T, color=draw.BLUE, linewidth=0.7)
+    for path in paths:
+        axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
+    axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
+    draw.to_scale(axes)
+    left, right = (max(row.width_of_text(end) for row in rows) * point for end in (0, -1))
+    axes.update_datalim(np.array([(-left, level), (1e3 * s[-1] + right, level)]))  # room for what is written
+    axes.autoscale_view()
+    bottom = axes.get_ylim()[0]  # ticks beyond it would move it
+    axes.set_yticks([tick for tick in axes.get_yticks() if bottom <= tick <= top + 1e-9])
+
+
+class _Row(NamedTuple):
+    """A straight body above the bent one, its axis at the height 0, mm."""
+
+    label: str
+    body: Body
+    tendons: np.ndarray  # (tendons, points, 2)
+    has_radii: bool
+
+    @classmethod
+    def of(cls, manipulator: Manipulator, label: str) -> "_Row":
+        s = stations(manipulator)
+        body = straight_body(manipulator, s)
+        return cls(label, body, tendon_paths(manipulator, body, s), manipulator.has_radii)
+
+    @property
+    def heights(self) -> np.ndarray:
+        """Of all that is drawn."""
+        return np.concatenate([self.body.outline[:, 1], self.tendons[..., 1].ravel()])
+
+    @property
+    def reach_at_base(self) -> float:
+        return float(max(self.body.outer_radius[0], np.max(np.abs(self.tendons[:, 0, 1]))))
+
+    def reach_above(self, point: float) -> float:
+        """From the axis up, mm: body and tendons, or half a line of text."""
+        return max(float(np.nanmax(self.heights)), LINE * point / 2)
+
+    def reach_below(self, point: float) -> float:
+        return max(-float(np.nanmin(self.heights)), LINE * point / 2)
+
+    def text(self, end: int) -> str:
+        """Both diameters; none where the body has no radii."""
+        if not self.has_radii:
+            return ""
+        return f"{2 * self.body.outer_radius[end]:.3g}/{2 * self.body.inner_radius[end]:.3g}"
+
+    def width_of_text(self, end: int) -> float:
+        """Beside the body, points."""
+        return 4.0 * len(self.text(end)) + 6.0
+
+
+def _size_of_point(axes: Axes, drawn: np.ndarray, rows: Sequence[_Row]) -> float:
+    """How many mm a point of the figure is when all fits: what is drawn has a size in mm, what is written in points."""
+    width, height = np.array(axes.get_window_extent().size) * 72 / draw.figure_of(axes).dpi
+    length = max(row.body.midline[-1, 0] for row in rows)
+    beside = sum(max(row.width_of_text(end) for row in rows) for end in (0, -1))
+    across = max(length, np.nanmax(drawn[:, 0])) - min(0.0, np.nanmin(drawn[:, 0]))
+    high = np.ptp(drawn[np.isfinite(drawn[:, 1]), 1]) + sum(np.ptp(row.heights) for row in rows)
+    wide, tall = max(0.3 * width, 0.9 * width - beside), max(0.3 * height, 0.9 * height - 3.8 * LINE * len(rows))
+    return float(max(across / wide, high / tall))
+
+
+def _draw_straight(axes: Axes, row: _Row, level: float, point: float) -> None:
+    """A body at rest with its axis at a height, its diameters at both ends, what it is above it."""
+    body = row.body._replace(midline=row.body.midline + np.array([0.0, level]))
+    draw.draw_body(axes, body)
+    for path in row.tendons:
+        axes.plot(path[:, 0], path[:, 1] + level, color=draw.BLACK, linewidth=0.6)
+    for end, align, gap in ((0, "right", -3.0), (-1, "left", 3.0)):
+        look: dict[str, Any] = {"textcoords": "offset points", "ha": align, "va": "center", "fontsize": 7}
+        axes.annotate(row.text(end), tuple(body.midline[end]), (gap, 0.0), **look)
+    middle = (float(np.mean(body.midline[[0, -1], 0])), level + row.reach_above(point))
+    axes.annotate(row.label, middle, (0.0, 1.5), textcoords="offset points", ha="center", va="bottom", fontsize=7.5)
+
+
+def pareto_figure(front: ParetoFront) -> Figure:
+    """The trade-off as a figure of one column."""
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, FRONT_HEIGHT)
+        draw_trade_off(front, figure.subplots())
+    return figure
+
+
+def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
+    """The two objectives against each other: every design a point, the start apart.
+
+    Designs that are not stationary are hollow. A start that would squash the front is named in words.
+
+    Args:
+        front: of `pareto_front`.
+        axes: where to draw; None for a new figure, one column wide.
+    """
+    scale = [preferred(dimension) for dimension in front.dimensions]
+    x, y = (front.values[:, k] * scale[k][0] for k in (0, 1))
+    good = np.array([design.success for design in front.designs])
+    with draw.axes_or_new(axes, FRONT_HEIGHT) as axes:
+        axes.plot(x[np.isfinite(x)], y[np.isfinite(y)], color=draw.BLUE, linewidth=0.8)
+        axes.plot(x[good], y[good], "o", color=draw.BLUE, label="designs")
+        if np.any(~good & np.isfinite(x)):
+            axes.plot(x[~good], y[~good], "o", color=draw.VERMILION, markerfacecolor="white", label="not stationary")
+        _draw_start(axes, [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)], (x, y))
+        for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
+            set_label(f"{_words(name)}{f' ({_raised(unit)})' if unit else ''}")
+        axes.ticklabel_format(useOffset=False)
+        _widen(axes, x, y)
+        axes.legend(loc="lower left", frameon=False)
+    return axes
+
+
+def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.ndarray]) -> None:
+    """The start as a square; where it would squash the front, in words at its side of the figure."""
+    spans = [(np.nanmin(values), np.nanmax(values)) for values in points]
+    within = [2 * low - high <= value <= 2 * high - low for value, (low, high) in zip(start, spans, strict=True)]
+    if all(within):
+        axes.plot(*start, "s", color=draw.GREY, label="start")
+        return
+    text = f"start: {start[0]:.3g}, {start[1]:.3g} (off the figure)"
+    axes.annotate(text, (0.98, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7, color=draw.GREY)
+
+
+def _widen(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    """Axis limits around designs that hardly differ, so that their last digits do not look like a trade-off."""
+    for values, set_limits in ((x, axes.set_xlim), (y, axes.set_ylim)):
+        middle = float(np.nanmean(values))
+        if np.nanmax(values) - np.nanmin(values) < 1e-3 * abs(middle):
+            set_limits(middle - 0.05 * abs(middle), middle + 0.05 * abs(middle))
+
+
+def _raised(unit: str) -> str:
+    """With exponents as they are set: cm^3."""
+    return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
+
+
+def _words(name: str) -> str:
+    kind, _, quantity = name.partition(" ")
+    return quantity.replace("_", " ").capitalize() if kind in ("least", "most") else name.replace("_", " ").capitalize()

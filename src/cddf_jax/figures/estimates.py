@@ -1,0 +1,244 @@
+"""How the estimates of a fit hang together: their correlation, and bootstraps."""
+
+from collections.abc import Mapping
+from textwrap import fill
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+from matplotlib.ticker import MaxNLocator
+from scipy import stats
+
+from ..errors import InputError
+from ..estimation.bootstrap import Bootstrap
+from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
+from ..estimation.profile_likelihood import Profile
+from ..identification.fit import Fit
+from ..identification.fit_diagnostics import moving_names, own_names
+from . import style as draw
+from .fit import PANEL_HEIGHT, shown_scale
+
+CORRELATION_COLOURS = LinearSegmentedColormap.from_list("correlation", [draw.BLUE, "#FFFFFF", draw.VERMILION])
+
+
+def correlated_names(fit: Fit) -> list[str]:
+    """The parameters whose correlation the data determine."""
+    if fit.rank == len(fit.names):
+        return moving_names(fit)
+    return [name for name in moving_names(fit) if fit.status[name] != NOT_IDENTIFIED]
+
+
+def correlation_figure(fit: Fit) -> Figure:
+    """The correlation of the estimates, as large as it needs to be."""
+    width = float(np.clip(1.5 + 0.6 * len(correlated_names(fit)), draw.SINGLE_COLUMN, draw.DOUBLE_COLUMN))
+    with draw.house_style():
+        figure = draw.new_figure(width, 0.8 * width)
+        draw_correlation(fit, figure.subplots())
+    return figure
+
+
+def draw_correlation(fit: Fit, axes: Axes | None = None) -> Axes:
+    """The correlation of the estimates that the data determine, as numbers on colours.
+
+    Args:
+        fit: of `fit`.
+        axes: where to draw; None for a new figure, one column wide.
+
+    Raises:
+        InputError: where fewer than two parameters are determined.
+    """
+    names = correlated_names(fit)
+    if len(names) < 2:
+        raise InputError(
+            f"draw_correlation: needs two parameters that the data determine, there are {len(names)}; see fit.verdict"
+        )
+    index = [fit.names.index(name) for name in names]
+    with draw.axes_or_new(axes, 0.8 * draw.SINGLE_COLUMN) as axes:
+        image = axes.imshow(fit.correlation[np.ix_(index, index)], cmap=CORRELATION_COLOURS, vmin=-1, vmax=1)
+        _write_numbers(axes, fit.correlation[np.ix_(index, index)])
+        _name_rows(axes, [fill(shown_scale(name)[1].partition(" (")[0], 14) for name in names])
+        draw.figure_of(axes).colorbar(image, ax=axes, label="Correlation", shrink=0.9, ticks=[-1, -0.5, 0, 0.5, 1])
+    return axes
+
+
+def _write_numbers(axes: Axes, matrix: np.ndarray) -> None:
+    for (i, k), number in np.ndenumerate(matrix):
+        digits = 2 if abs(number) < 0.995 or i == k else 4
+        text = f"{round(number, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+        axes.text(k, i, text, ha="center", va="center", color="white" if abs(number) > 0.8 else "black")
+
+
+def _name_rows(axes: Axes, labels: list[str]) -> None:
+    """Names of rows and columns, and white lines between these."""
+    count = len(labels)
+    turn = {} if count < 4 else {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
+    axes.set_xticks(range(count), labels, **turn)
+    axes.set_yticks(range(count), labels)
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    between = np.arange(1, count) - 0.5
+    axes.hlines(between, -0.5, count - 0.5, color="white", linewidth=1.5)
+    axes.vlines(between, -0.5, count - 0.5, color="white", linewidth=1.5)
+
+
+def bootstrap_figure(fit: Fit, bootstrap: Bootstrap) -> Figure:
+    """Histograms of each parameter, and each pair as points about the 95 % ellipse of the fit."""
+    names = moving_names(fit)
+    labels = [fill(shown_scale(name)[1], 24 if len(names) < 3 else 16) for name in names]
+    scales = np.array([shown_scale(name)[0] for name in names])
+    index = [fit.names.index(name) for name in names]
+    points, estimate = scales * bootstrap.estimates[:, index], scales * bootstrap.estimate[index]
+    covariance = np.outer(scales, scales) * fit.covariance[np.ix_(index, index)]
+    width = draw.SINGLE_COLUMN if len(names) < 3 else draw.DOUBLE_COLUMN
+    with draw.house_style():
+        figure = draw.new_figure(width, 0.9 * width + 0.25)
+        axes = figure.subplots(len(names), len(names), squeeze=False, sharex="col")
+        for (i, k), panel in np.ndenumerate(axes):
+            if i < k:
+                panel.remove()
+            elif i == k:
+                _draw_histogram(panel, points[:, i], float(estimate[i]))
+            else:
+                known = {names[i], names[k]} <= set(correlated_names(fit))
+                pair = covariance[np.ix_([k, i], [k, i])] if known else None
+                _draw_pair(panel, points[:, [k, i]], estimate[[k, i]], pair, _stretch(fit))
+            _label_corner(panel, i, k, labels)
+        figure.align_labels()
+        draw.common_legend(figure, [axes[0, 0], axes[-1, 0]])
+    return figure
+
+
+def _stretch(fit: Fit) -> float:
+    """Of the ellipse of one standard deviation to that of 95 %."""
+    if fit.noise_estimated:
+        return float(np.sqrt(2 * stats.f.ppf(0.95, 2, max(fit.degrees_of_freedom, 1))))
+    return float(np.sqrt(stats.chi2.ppf(0.95, 2)))
+
+
+def _draw_histogram(axes: Axes, values: np.ndarray, estimate: float) -> None:
+    bins = int(np.clip(np.sqrt(values.size), 5, 40))
+    axes.hist(values, bins=bins, color=draw.SKY, alpha=0.7)
+    for end, label in zip(np.percentile(values, [2.5, 97.5]), ("percentiles 2.5, 97.5", None), strict=True):
+        axes.axvline(end, color=draw.VERMILION, linestyle="--", linewidth=0.9, label=label)
+    axes.axvline(estimate, color=draw.BLACK, linestyle=":", label="estimate")
+
+
+def _draw_pair(
+    axes: Axes, points: np.ndarray, estimate: np.ndarray, covariance: np.ndarray | None, stretch: float
+) -> None:
+    axes.plot(*points.T, ".", color=draw.GREY, markersize=2.5, markeredgewidth=0, alpha=0.7, label="refits")
+    axes.plot(*estimate, "x", color=draw.BLACK, markersize=5, zorder=4)
+    if covariance is None:
+        return
+    sizes, axes_of = np.linalg.eigh(covariance)
+    width, height = 2 * stretch * np.sqrt(np.maximum(sizes[::-1], 0.0))
+    angle = np.degrees(np.arctan2(axes_of[1, 1], axes_of[0, 1]))
+    look = {"facecolor": "none", "edgecolor": draw.BLUE, "linewidth": 1.1, "zorder": 3}
+    axes.add_patch(Ellipse(tuple(estimate), width, height, angle=angle, label="95 % ellipse of the fit", **look))
+    axes.autoscale_view()
+
+
+def _label_corner(axes: Axes, i: int, k: int, labels: list[str]) -> None:
+    """Labels at the rim only."""
+    if i < k:
+        return
+    axes.xaxis.set_major_locator(MaxNLocator(3))
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=i == k))
+    axes.ticklabel_format(useOffset=False)
+    axes.tick_params(labelbottom=i == len(labels) - 1)
+    if i == len(labels) - 1:
+        axes.set_xlabel(labels[k])
+    if i == k:
+        axes.set_ylabel("Refits")
+    elif k == 0:
+        axes.set_ylabel(labels[i])
+    else:
+        axes.tick_params(labelleft=False)
+
+
+def draw_profile(fit: Fit, profile: Profile | str, axes: Axes | None = None) -> Axes:
+    """The root of the rise of the sum of squares over a parameter; for a linear model straight lines.
+
+    The 95 % interval lies where it stays below the dashed line; where that is never crossed the side is open, and
+    said to be. What is positive and open is drawn on a logarithmic axis, without an estimate.
+
+    Args:
+        fit: of `fit`.
+        profile: of `fit.profile`, or the name of a parameter that was fitted, which is then profiled: that is a few
+            dozen fits.
+        axes: where to draw; None for a new figure, one column wide.
+
+    Raises:
+        InputError: for a name that was not fitted.
+    """
+    name = profile if isinstance(profile, str) else profile.name
+    if name not in own_names(fit):
+        raise InputError(f"draw_profile: {name!r} was not fitted; there are {', '.join(own_names(fit))}")
+    drawn = fit.profile(profile) if isinstance(profile, str) else profile
+    scale, label = shown_scale(name)
+    with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
+        _draw_profile(axes, drawn, scale, fit.value[name], fit.status[name])
+        axes.set(xlabel=label, ylabel="Root of the rise in squares")
+        draw.legend_above(axes)
+    return axes
+
+
+def profiles_figure(fit: Fit, profiles: Mapping[str, Profile]) -> Figure:
+    """A panel for each profile, with one legend."""
+    with draw.house_style():
+        figure, axes = draw.panel_axes(len(profiles), 2, PANEL_HEIGHT)
+        for panel, profile in zip(axes, profiles.values(), strict=True):
+            draw_profile(fit, profile, panel)
+        draw.common_legend(figure, axes)
+    return figure
+
+
+def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, status: str) -> None:
+    interval, valley = profile.confidence_interval, _is_valley(profile, status)
+    low, high = _valley_reach(profile, estimate) if valley else _reach(profile, estimate)
+    axes.set_xscale("log" if valley else "linear")
+    axes.set_xlim(scale * low, scale * high)
+    if not valley:
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+    limit = np.sqrt(profile.threshold)
+    axes.set_ylim(-0.1 * limit, 1.9 * limit)
+    known = [closed or ends for closed, ends in zip(profile.closed, profile.model_ends, strict=True)]
+    ends = [end if there else edge for end, there, edge in zip(interval, known, (low, high), strict=True)]
+    ends = np.clip(ends, max(low, interval[0]), min(high, interval[1]))
+    axes.axvspan(scale * ends[0], scale * ends[1], color=draw.SKY, alpha=0.35, linewidth=0, label="95 % interval")
+    root = np.sqrt(np.maximum(profile.rise, 0.0))
+    axes.plot(scale * profile.value, root, "o-", color=draw.BLUE, markersize=2.2, label="profile")
+    axes.axhline(limit, color=draw.VERMILION, linestyle="--", label="95 % limit")
+    if status != NOT_IDENTIFIED:
+        axes.axvline(scale * estimate, color=draw.BLACK, linestyle=":", label="estimate")
+    patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+    look = {"transform": axes.transAxes, "va": "top", "color": draw.VERMILION, "bbox": patch}
+    if not profile.closed[0]:
+        word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
+        axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
+    if not profile.closed[1]:
+        axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
+
+
+def _is_valley(profile: Profile, status: str) -> bool:
+    """Whether what is positive is open on a side, best seen on a logarithmic axis."""
+    return status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
+
+
+def _valley_reach(profile: Profile, estimate: float) -> tuple[float, float]:
+    """Lowest and highest value to show: two decades each way, or where the valley ends."""
+    (low, high), known = profile.confidence_interval, np.logical_or(profile.closed, profile.model_ends)
+    low, high = low / 1.5 if known[0] else estimate / 100, 1.5 * high if known[1] else 100 * estimate
+    return max(low, float(profile.value[0])), min(high, float(profile.value[-1]))
+
+
+def _reach(profile: Profile, estimate: float) -> tuple[float, float]:
+    """Lowest and highest value to show: somewhat more than the interval, or an open side some sizes far."""
+    reach = []
+    for sign, end, closed in zip((-1, +1), profile.confidence_interval, profile.closed, strict=True):
+        outward = np.sort(sign * (profile.value - estimate))
+        reach.append(1.6 * abs(end - estimate) if closed else outward[max(-4, -outward.size)])
+    least = 0.05 * max(reach) or 1e-12
+    return estimate - max(reach[0], least), estimate + max(reach[1], least)

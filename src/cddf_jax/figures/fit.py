@@ -1,0 +1,303 @@
+"""The figures of a fit: data and model, residuals over what was set, and residuals against normal quantiles."""
+
+import re
+from textwrap import fill
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import ArrayLike
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import stats
+
+from ..errors import InputError
+from ..identification.bench import parameter_named
+from ..identification.fit import Fit
+from ..identification.fit_diagnostics import (
+    ModelCurve,
+    experiment_named,
+    half_width,
+    has_numbers,
+    model_curve,
+    normality_of,
+    on_one_curve,
+    standardised_residuals,
+    table_named,
+    tables_without_numbers,
+)
+from ..measurements.readings import kind_of
+from ..measurements.table import Measurements
+from ..quantities import QUANTITIES, dimension_of
+from ..units import preferred
+from . import style as draw
+
+DEGREE = np.degrees(1.0)
+PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
+MOST_ACROSS = 3  # panels side by side
+INTERVAL: draw.Look = {"fmt": "none", "ecolor": draw.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
+
+
+def shown_scale(name: str) -> tuple[float, str]:
+    """What to multiply a parameter by, and its label with the unit that then holds."""
+    parameter = parameter_named(name)
+    scale, unit = preferred(parameter.dimension)
+    words = QUANTITIES[name].label if name == parameter.name else name.replace("_", " ").capitalize()
+    return scale, f"{words} ({unit})" if unit else words
+
+
+# --- data and model ------------------------------------------------------------------------------
+
+
+def draw_fit(
+    fit: Fit, table: str | Measurements | None = None, column: str | None = None, axes: Axes | None = None
+) -> Axes:
+    """The readings of a column over base tension, N, and the fitted model with its 95 % band.
+
+    Readings of one level are drawn as their mean with one standard deviation. A pulley test is drawn as pulling
+    tension per weight over wrap angle, deg, so that one curve holds every weight. No single curve holds the rows of a
+    table with several tendons, forces on the tip or tendons that slide out: each reading is then drawn over what the
+    model predicts for its row, with the 95 % interval of the prediction.
+
+    Args:
+        fit: of `fit`.
+        table: one of the tables that were fitted, or its name as in `fit.alone`; may be left out where there is one.
+        column: "tip_tension", "tip_tension_2", ... (N), "tip_angle" (deg), "tip_x" or "tip_y" (mm); may be left out
+            where there is one.
+        axes: where to draw; None for a new figure, one column wide.
+
+    Raises:
+        InputError: for another table or column, or where the model gave no numbers.
+    """
+    name, column = _chosen("draw_fit", fit, table, column)
+    readings, curve = _drawable("draw_fit", fit, name, column)
+    with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
+        if curve is None:
+            _draw_over_prediction(axes, readings)
+        else:
+            low, high = curve.value - curve.half_width, curve.value + curve.half_width
+            draw_band(axes, curve.grid, low, high, label="95 % band of the model")
+            axes.plot(curve.grid, curve.value, color=draw.BLUE, label="model")
+            draw_levels(axes, readings.x, readings.observed, label=readings.data_label)
+        axes.set(xlabel=readings.x_label, ylabel=f"{readings.words} ({readings.unit})")
+        axes.legend(loc="best", frameon=False)
+    return axes
+
+
+def draw_residuals(
+    fit: Fit, table: str | Measurements | None = None, column: str | None = None, axes: Axes | None = None
+) -> Axes:
+    """What the fitted model leaves of a column, observed less predicted, over base tension, N (wrap angle, deg).
+
+    Every reading is a dot; over them mean and standard deviation of each level, and about zero the 95 % band of the
+    model. Where no single curve holds the rows, the residuals are drawn over the prediction, as `draw_fit` does.
+
+    Args:
+        fit, table, column, axes: as of `draw_fit`.
+
+    Raises:
+        InputError: for another table or column, or where the model gave no numbers.
+    """
+    name, column = _chosen("draw_residuals", fit, table, column)
+    readings, curve = _drawable("draw_residuals", fit, name, column)
+    with draw.axes_or_new(axes, RESIDUAL_HEIGHT) as axes:
+        if curve is not None:
+            draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
+        elif np.all(np.isfinite(readings.half_width)):
+            axes.errorbar(readings.x, 0 * readings.x, yerr=readings.half_width, **INTERVAL)
+        draw_about_zero(axes, readings.x, readings.residual, levels=curve is not None)
+        axes.set(xlabel=readings.x_label, ylabel=f"Residual ({readings.unit})")
+    return axes
+
+
+def table_figures(fit: Fit) -> dict[str, Figure]:
+    """One figure for each table, as `draw_fit` above and `draw_residuals` below draw it, a panel for each column.
+
+    There is none where the model gave no numbers: `tables_without_numbers`.
+    """
+    lost = tables_without_numbers(fit)
+    return {
+        "fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_"): _table_figure(fit, name)
+        for name in fit.alone
+        if name not in lost
+    }
+
+
+def _table_figure(fit: Fit, name: str) -> Figure:
+    """Data and model above, residuals below; one column fills that of a page, up to three stand side by side."""
+    columns = list(experiment_named(fit, name).columns)
+    across, down = min(len(columns), MOST_ACROSS), -(-len(columns) // MOST_ACROSS)
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN if across == 1 else draw.DOUBLE_COLUMN, 3.2 * down)
+        rows = figure.subfigures(down, 1, squeeze=False)[:, 0]
+        for first, row in enumerate(rows):
+            axes = row.subplots(2, across, squeeze=False, sharex="col", height_ratios=(3, 1)).T
+            own = columns[first * across : (first + 1) * across]
+            for (above, below), column in zip(axes, own, strict=False):
+                draw_fit(fit, name, column, above).set_xlabel("")
+                draw_residuals(fit, name, column, below)
+            for unused in axes[len(own) :].ravel():
+                unused.set_axis_off()
+            row.align_ylabels()
+        if across > 1:
+            draw.common_legend(figure, [axes for row in rows for axes in row.axes])
+    return figure
+
+
+class _Readings(NamedTuple):
+    """One column over what was set, or over its prediction, in the units of the labels.
+
+    residual = observed - predicted; `half_width` is that of the 95 % interval of the predictions.
+    """
+
+    x: np.ndarray
+    observed: np.ndarray
+    residual: np.ndarray
+    x_label: str
+    words: str
+    unit: str
+    data_label: str
+    half_width: np.ndarray | float = np.nan  # where x is what was set, the curve has it
+
+
+def _chosen(who: str, fit: Fit, table: str | Measurements | None, column: str | None) -> tuple[str, str]:
+    """The names of a table and of one of its columns."""
+    names = list(fit.alone)
+    if isinstance(table, Measurements):
+        table = next((name for name, own in zip(names, fit.tables, strict=True) if own is table), table.name)
+    name = _the_one(who, "table", table, names)
+    return name, _the_one(who, "column", column, list(experiment_named(fit, name).columns))
+
+
+def _the_one(who: str, what: str, given: str | None, there: list[str]) -> str:
+    if given is None and len(there) == 1:
+        return there[0]
+    if given not in there:
+        raise InputError(f"{who}: {what} must be one of {', '.join(there)}; got {given!r}")
+    return given
+
+
+def _drawable(who: str, fit: Fit, name: str, column: str) -> tuple[_Readings, ModelCurve | None]:
+    """The readings of a column and the curve of the model, None without a single one, in the units of the labels."""
+    if not has_numbers(fit, name, column):
+        raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
+    curve = model_curve(fit, name, column)
+    if curve is not None:
+        grid, value, half = curve
+        scale = 1.0 if column == "pulling_tension" else preferred(dimension_of(kind_of(column)))[0]
+        curve = ModelCurve(DEGREE * grid if column == "pulling_tension" else grid, scale * value, scale * half)
+    return _readings(fit, name, column), curve
+
+
+def _draw_over_prediction(axes: Axes, readings: _Readings) -> None:
+    """Readings over predictions, with the intervals of these, and the line on which they would be equal."""
+    ends = [np.min(readings.x), np.max(readings.x)]
+    axes.plot(ends, ends, color=draw.BLUE, label="measured = predicted")
+    if np.all(np.isfinite(readings.half_width)):
+        label = "95 % interval of the model"
+        axes.errorbar(readings.x, readings.observed, xerr=readings.half_width, label=label, **INTERVAL)
+    look = {"color": draw.BLACK, "markerfacecolor": "none", "zorder": 3}
+    axes.plot(readings.x, readings.observed, "o", label=readings.data_label, **look)
+
+
+def _readings(fit: Fit, name: str, column: str) -> _Readings:
+    table, residual = table_named(fit, name), fit.residuals[f"{name}: {column}"]
+    there, observed = table.has(column), table.read(column)
+    label = ("simulated data" if table.simulated else "data") + (", mean ± sd" if on_one_curve(fit, name) else "")
+    if column == "pulling_tension":
+        x, weight = DEGREE * table["wrap_angle"][there], table["weight"][there]
+        words = "Pulling tension / weight"
+        return _Readings(x, observed / weight, residual / weight, "Wrap angle (deg)", words, "N/N", label)
+    kind = kind_of(column)
+    scale, unit = preferred(dimension_of(kind))
+    number = column.removeprefix(kind)  # "_2" of tendon 2
+    words = f"{QUANTITIES[kind].label}{number.replace('_', ' ')}"
+    numbers = scale * observed, scale * residual
+    if on_one_curve(fit, name):
+        return _Readings(table["base_tension"][there], *numbers, "Base tension (N)", words, unit, label)
+    predicted, x_label = numbers[0] - numbers[1], f"Predicted {_lower(words)} ({unit})"
+    words, interval = f"Measured {_lower(words)}", scale * half_width(fit, name, column)
+    return _Readings(predicted, *numbers, x_label, words, unit, label, interval)
+
+
+def _lower(words: str) -> str:
+    """With a small first letter."""
+    return words[0].lower() + words[1:]
+
+
+# --- residuals -----------------------------------------------------------------------------------
+
+
+def residuals_figure(fit: Fit) -> Figure:
+    """Residuals over their noise against normal quantiles, one panel for each group of data."""
+    groups = standardised_residuals(fit)
+    with draw.house_style():
+        figure, axes = draw.panel_axes(len(groups), 2, PANEL_HEIGHT)
+        for panel, (name, residual) in zip(axes, groups.items(), strict=True):
+            _draw_quantiles(panel, residual)
+            panel.set_title(fill(name, 44))
+            panel.set(xlabel="Normal quantile", ylabel="Residual / noise")
+        draw.common_legend(figure, axes)
+    return figure
+
+
+def _draw_quantiles(axes: Axes, residual: np.ndarray) -> None:
+    """Sorted residuals, the line on which they would lie, and where 95 % of normal draws do, place by place."""
+    count, rank = residual.size, np.arange(1, residual.size + 1)
+    quantile = stats.norm.ppf((rank - 0.375) / (count + 0.25))
+    lower, upper = (stats.norm.ppf(stats.beta.ppf(level, rank, count + 1 - rank)) for level in (0.025, 0.975))
+    draw_band(axes, quantile, lower, upper, label="95 % of normal draws")
+    axes.plot(quantile, quantile, color=draw.BLUE, label="normal")
+    axes.plot(quantile, np.sort(residual), "o", color=draw.BLACK, markerfacecolor="none", markersize=2.8, label="data")
+    p_value = normality_of(residual).p_value
+    text = f"{count} residuals" + (f"\nShapiro-Wilk p = {p_value:.2g}" if np.isfinite(p_value) else "")
+    axes.text(0.04, 0.96, text, transform=axes.transAxes, va="top")
+
+
+# --- readings by level ---------------------------------------------------------------------------
+
+
+class Levels(NamedTuple):
+    """Repeated readings gathered by level; `deviation` is NaN where a level was read once."""
+
+    x: np.ndarray
+    mean: np.ndarray
+    deviation: np.ndarray  # standard deviation over the readings of a level
+    lowest: np.ndarray
+    highest: np.ndarray
+
+
+def by_level(x: ArrayLike, y: ArrayLike) -> Levels:
+    """Gather the readings y whose x agree within 2 % of the range of x, the scatter of a set point."""
+    x, y = np.asarray(x, float), np.asarray(y, float)
+    order = np.argsort(x, kind="stable")
+    new_level = np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1
+    groups = np.split(order, new_level)
+    return Levels(
+        x=np.array([x[group].mean() for group in groups]),
+        mean=np.array([y[group].mean() for group in groups]),
+        deviation=np.array([y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]),
+        lowest=np.array([y[group].min() for group in groups]),
+        highest=np.array([y[group].max() for group in groups]),
+    )
+
+
+def draw_band(axes: Axes, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, **style: draw.LookValue) -> None:
+    """The region between two lines."""
+    axes.fill_between(x, lower, upper, **({"color": draw.SKY, "alpha": 0.5, "linewidth": 0} | style))
+
+
+def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: draw.LookValue) -> None:
+    """Mean and standard deviation of y at each level of x, as markers with error bars."""
+    levels = by_level(x, y)
+    look = {"fmt": "o", "color": draw.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
+    axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
+
+
+def draw_about_zero(axes: Axes, x: np.ndarray, residual: np.ndarray, *, levels: bool = True) -> None:
+    """Every residual as a dot about a line at zero; over them mean and standard deviation at each level of x."""
+    axes.axhline(0.0, color=draw.BLUE)
+    axes.plot(x, residual, ".", color=draw.GREY, markersize=3.5, markeredgewidth=0)
+    if levels:
+        draw_levels(axes, x, residual, markersize=2.5)
+    reach = 1.15 * np.max(np.abs(residual), initial=0.0) or 1.0
+    axes.set_ylim(-reach, reach)

@@ -1,0 +1,92 @@
+"""Arrays that figures and the explorer draw: the outline of a body, its tendons, and fields along it. No Matplotlib."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ..errors import InputError
+from ..robot.manipulator import Manipulator
+from ..statics.equilibrium import Equilibrium, Fields, fields_on
+
+
+class Body(NamedTuple):
+    """A bent body as it is drawn: lengths in one unit, headings in radians, points along the body first."""
+
+    midline: np.ndarray  # (points, 2)
+    heading: np.ndarray
+    outer_radius: np.ndarray
+    inner_radius: np.ndarray
+
+    def at_distance(self, distance: ArrayLike) -> np.ndarray:
+        """The line at a signed distance to the left of the midline, (points, 2)."""
+        left = np.stack([-np.sin(self.heading), np.cos(self.heading)], axis=-1)
+        return self.midline + np.asarray(distance)[..., None] * left
+
+    @property
+    def outline(self) -> np.ndarray:
+        """The outer surface, up one side and back on the other, (2 points, 2)."""
+        return np.concatenate([self.at_distance(self.outer_radius), self.at_distance(-self.outer_radius)[::-1]])
+
+
+def stations(manipulator: Manipulator) -> np.ndarray:
+    """Arc lengths, m: a grid, the joints of the body and the ends of tendons, and a point just behind each."""
+    length = float(manipulator.length)
+    joints = np.asarray(manipulator.breakpoints, float)
+    joints = joints[(joints > 0) & (joints < length)]
+    return np.unique(np.concatenate([np.linspace(0.0, length, 201), joints, joints + 1e-9 * length]))
+
+
+def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
+    """The fields at some arc lengths as NumPy arrays.
+
+    Raises:
+        InputError: when the solve failed.
+    """
+    fields = jax.tree.map(np.asarray, fields_on(equilibrium, arc_length))
+    if not np.all(np.isfinite(fields.position)):
+        raise InputError("the solve failed, there is no shape to draw; see its result")
+    return fields
+
+
+def reached(manipulator: Manipulator, arc_length: np.ndarray) -> np.ndarray:
+    """Which arc lengths each tendon reaches, (tendons, points)."""
+    ends = [np.inf if tendon.end is None else float(tendon.end) for tendon in manipulator.tendons]
+    return arc_length <= np.asarray(ends)[:, None]
+
+
+def bent_body(manipulator: Manipulator, fields: Fields) -> Body:
+    """The body in an equilibrium, from the fields along it."""
+    return _body(manipulator, np.asarray(fields.arc_length), np.asarray(fields.position), np.asarray(fields.heading))
+
+
+def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float = 0.0) -> Body:
+    """The body at rest, its axis at the height `level`, mm."""
+    midline = np.stack([arc_length, np.full_like(arc_length, 1e-3 * level)], axis=-1)
+    return _body(manipulator, arc_length, midline, 0.0 * arc_length)
+
+
+def tendon_paths(manipulator: Manipulator, body: Body, arc_length: np.ndarray) -> np.ndarray:
+    """The line of each tendon in the plane of a drawn body, mm, (tendons, points, 2); NaN beyond its anchor."""
+    side = np.asarray([tendon.side for tendon in manipulator.tendons])[:, None]
+    distance = side * 1e3 * np.asarray(manipulator.offset(arc_length))
+    distance = np.where(reached(manipulator, arc_length), distance, np.nan)
+    return np.stack([body.at_distance(d) for d in distance])
+
+
+def drawn_radii(
+    manipulator: Manipulator, arc_length: Float[ArrayLike, "*points"]
+) -> tuple[Float[Array, "*points"], Float[Array, "*points"]]:
+    """Outer and inner radius to draw, m; for a body without radii the offset of its outermost tendon, and 0."""
+    if manipulator.has_radii:
+        return manipulator.radii(arc_length)
+    outer = jnp.max(manipulator.offset(arc_length), axis=0)
+    return outer, jnp.zeros_like(outer)
+
+
+def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:
+    """From m."""
+    outer, inner = map(np.asarray, drawn_radii(manipulator, arc_length))
+    return Body(1e3 * midline, heading, 1e3 * outer, 1e3 * inner)

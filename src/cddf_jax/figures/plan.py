@@ -1,0 +1,86 @@
+"""The figure of `cddf plan`: how well each candidate would tell each parameter."""
+
+from textwrap import fill
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..estimation.determination import Determination
+from ..identification.bench import parameter_named
+from ..identification.experiment_design import Plan
+from ..units import shown
+from . import style as draw
+
+ROW_HEIGHT = 0.28  # inches
+MANY = 300  # of the largest over the smallest error: then only powers of ten are written
+
+
+def plan_figure(plan: Plan) -> Figure:
+    """The plan over both columns of a page."""
+    with draw.house_style():
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, _height(plan))
+        axes = draw_plan(plan, figure.subplots())
+        draw.common_legend(figure, [axes])
+    return figure
+
+
+def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
+    """Expected standard errors, per cent, one row for each candidate, the best on top.
+
+    Of what may be zero they are per cent of a size that matters, told in the legend. What stays open is hollow at the
+    right edge. The first row is what is known now.
+
+    Args:
+        plan: of `plan`.
+        axes: where to draw; None for a new figure, one column wide.
+    """
+    rows = [("now", plan.now), *((ranked.candidate.name, ranked.expected) for ranked in plan.ranking)]
+    names = plan.now.names
+    errors = np.array([[_relative(told, name) for name in names] for _, told in rows])
+    known = errors[np.isfinite(errors) & (errors > 0)]
+    edge = 5 * known.max(initial=10.0)
+    with draw.axes_or_new(axes, _height(plan)) as axes:
+        axes.axhspan(-0.5, 0.5, color=draw.PALE, linewidth=0)
+        for k, name in enumerate(names):
+            look: draw.Look = draw.CURVES[k % len(draw.CURVES)] | {"linestyle": "none", "markersize": 4.5}
+            height = np.arange(len(rows)) + 0.16 * (k - (len(names) - 1) / 2)
+            there = np.isfinite(errors[:, k])
+            axes.plot(errors[there, k], height[there], **look, label=_label(name))
+            axes.plot(np.full((~there).sum(), edge), height[~there], **look, markerfacecolor="none")
+        axes.axvline(edge, color=draw.GREY, linewidth=0.6, linestyle=":")
+        _scale_errors(axes, 0.5 * known.min(initial=10.0), edge)
+        axes.set_yticks(range(len(rows)), [fill(name, 24) for name, _ in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        draw.legend_above(axes)
+    return axes
+
+
+def _height(plan: Plan) -> float:
+    return 1.1 + ROW_HEIGHT * (len(plan.ranking) + 1)
+
+
+def _scale_errors(axes: Axes, low: float, edge: float) -> None:
+    """A logarithmic axis with round numbers, and "open" at the edge."""
+    axes.set_xscale("log")
+    axes.set_xlim(low, 1.5 * edge)
+    digits = (1, 2, 5) if edge / low < MANY else (1,)
+    ticks = np.outer(10.0 ** np.arange(-6, 7), digits).ravel()
+    ticks = ticks[(ticks >= low) & (ticks < 0.4 * edge)]
+    axes.set_xticks([*ticks, edge], [*(f"{tick:g}" for tick in ticks), "open"])
+    between = np.outer(10.0 ** np.arange(-6, 7), np.arange(2, 10)).ravel()
+    between = between[(between >= low) & (between < edge)]
+    axes.set_xticks(between, [""] * between.size, minor=True)
+    axes.grid(axis="x", color=draw.PALE)
+    axes.set_xlabel("Expected standard error (%)")
+
+
+def _relative(told: Determination, name: str) -> float:
+    """Per cent of the value; of what may be zero, per cent of a size that matters."""
+    kind = parameter_named(name)
+    return 100 * told.standard_error[name] / (abs(told.value[name]) if kind.positive else kind.scale)
+
+
+def _label(name: str) -> str:
+    kind = parameter_named(name)
+    return name if kind.positive else f"{name}, of {shown(kind.scale, kind.dimension)}"

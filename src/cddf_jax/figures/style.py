@@ -1,0 +1,292 @@
+"""The house style, and drawing from plain arrays.
+
+Figures are `matplotlib.figure.Figure` objects without pyplot: no display is needed and no global state
+is touched. Colours (Okabe and Ito's, safe for colour-blind readers) always come with a line style or a
+marker of their own, so that a grey print can be read.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch, Rectangle
+from matplotlib.path import Path as Outline
+from matplotlib.quiver import Quiver
+
+from ..errors import InputError
+from ..files.artifacts import write_all
+from .geometry import Body
+
+LookValue: TypeAlias = Any  # what Matplotlib takes for one property of what it draws: a colour, a width, a marker
+Look: TypeAlias = dict[str, LookValue]
+Settings: TypeAlias = dict[Any, LookValue]  # by the names of Matplotlib's rcParams
+
+SINGLE_COLUMN, DOUBLE_COLUMN = 3.5, 7.16  # inches, the columns of IEEE's two-column page
+BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
+    *("#000000", "#E69F00", "#56B4E9", "#009E73"),
+    *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
+)
+GREY, PALE = "#7F7F7F", "#E8E8E8"
+# perceptually uniform, for colour-blind readers and grey prints alike: the higher the tension the darker
+TENSION_COLOURS = LinearSegmentedColormap.from_list("tension", mpl.colormaps["viridis_r"](np.linspace(0.05, 1.0, 256)))
+# one style per curve: a colour, a dash pattern and a marker that belong together
+CURVES: tuple[Look, ...] = tuple(
+    {"color": color, "linestyle": dashes, "marker": marker}
+    for color, dashes, marker in (
+        (BLUE, "-", "o"),
+        (VERMILION, "--", "s"),
+        (GREEN, "-.", "^"),
+        (PURPLE, ":", "D"),
+        (ORANGE, (0, (5, 1, 1, 1, 1, 1)), "v"),
+        (BLACK, (0, (6, 2)), "x"),
+    )
+)
+# of files: sharp in print, fonts that editors of journals accept, the same bytes for figures made alike
+FILES: Settings = {
+    "savefig.dpi": 300,
+    "savefig.bbox": None,
+    "pdf.fonttype": 42,
+    "svg.hashsalt": "cddf",
+}
+METADATA: dict[str, dict[str, None]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}, "svg": {"Date": None}}
+STYLE: Settings = FILES | {
+    "font.family": "STIXGeneral",
+    "font.size": 8.5,
+    "mathtext.fontset": "stix",
+    "axes.titlesize": 8.5,
+    "axes.labelsize": 8.5,
+    "axes.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.2,
+    "errorbar.capsize": 1.8,
+    "figure.dpi": 150,  # on a screen
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The house style within the block, nothing changed outside it."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(STYLE)
+        yield
+
+
+class HouseFigure(Figure):
+    """A figure that is drawn in the house style, wherever it is shown or saved."""
+
+    def draw(self, renderer: Any) -> None:  # a RendererBase, or what Matplotlib passes in its place
+        """Draw it; ticks take their look from the style only now."""
+        with house_style():
+            super().draw(renderer)
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches; call it within `house_style`."""
+    return HouseFigure(figsize=(width, height), layout="constrained")
+
+
+def panel_axes(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels of one height, in; call it within `house_style`."""
+    columns = min(count, columns)
+    rows = -(-count // columns)
+    figure = new_figure(SINGLE_COLUMN if columns == 1 else DOUBLE_COLUMN, height * rows + 0.3)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for unused in axes[count:]:
+        unused.remove()
+    return figure, axes[:count]
+
+
+@contextmanager
+def axes_or_new(axes: Axes | None, height: float) -> Iterator[Axes]:
+    """The axes to draw into: those given, in their own style, or a new figure's as wide as a column, in the house's."""
+    if axes is not None:
+        yield axes
+        return
+    with house_style():
+        yield new_figure(SINGLE_COLUMN, height).subplots()
+
+
+def figure_of(axes: Axes) -> Figure:
+    """The whole figure that holds some axes."""
+    return cast(Figure, axes.get_figure(root=True))
+
+
+def legend_above(axes: Axes, columns: int = 2) -> None:
+    """The legend of what is labelled, if anything is, over the axes."""
+    handles, labels = axes.get_legend_handles_labels()
+    if labels:
+        look = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "columnspacing": 1.2, "borderpad": 0.1}
+        axes.legend(handles, labels, ncols=min(columns, len(labels)), **look)
+
+
+def common_legend(figure: Figure, panels: Sequence[Axes]) -> None:
+    """One legend for all panels, above them, in place of their own."""
+    found: dict[str, Artist] = {}
+    for panel in panels:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+        if (own := panel.get_legend()) is not None:
+            own.remove()
+    if found:
+        columns = min(2 if figure.get_figwidth() < DOUBLE_COLUMN else 4, len(found))
+        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=columns)
+
+
+def include_zero(axes: Axes) -> None:
+    """The limits of y: all that is drawn so far, and zero."""
+    low, high = axes.dataLim.intervaly
+    low, high = min(low, 0.0), max(high, 0.0)
+    margin = 0.05 * (high - low) or 1.0
+    axes.set_ylim(low - margin * (low < 0), high + margin * (high > 0 or low == 0))
+
+
+def to_scale(axes: Axes) -> None:
+    """One scale for x and y: the limits give way, or the axes where their limits are those of others too."""
+    groups = axes.get_shared_x_axes(), axes.get_shared_y_axes()
+    shared = all(len(group.get_siblings(axes)) > 1 for group in groups)
+    axes.set_aspect("equal", adjustable="box" if shared else "datalim")
+
+
+def render(figure: Figure, name: str) -> dict[str, bytes]:
+    """The figure as PDF and PNG (300 dpi) by file name; the same bytes for figures made alike."""
+    return {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure to a file, at its size in inches; the file is whole or as it was before.
+
+    Args:
+        figure: which; that of an axis `axes` is `axes.figure`.
+        path: where; its suffix says what: .pdf or .svg, or .png with 300 dpi. Its folder is made if it is missing.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: for another suffix.
+        OSError: when the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in METADATA:
+        raise InputError(f"save: {path.name!r} must end in .pdf, .png or .svg, which says what is written")
+    write_all(path.parent, {path.name: _bytes(figure, suffix)})
+    return path
+
+
+def _bytes(figure: Figure, suffix: str) -> bytes:
+    buffer = BytesIO()
+    with mpl.rc_context(FILES):
+        figure.savefig(buffer, format=suffix, metadata=METADATA[suffix])
+    return buffer.getvalue()
+
+
+# --- the body and the forces on it ---------------------------------------------------------------
+
+
+def draw_body(axes: Axes, body: Body) -> None:
+    """Wall and bore to scale, the midline dash-dotted."""
+    look = {"facecolor": PALE, "edgecolor": GREY, "linewidth": 0.5}
+    if np.any(body.inner_radius):
+        for side in (+1, -1):
+            outside, inside = body.at_distance(side * body.outer_radius), body.at_distance(side * body.inner_radius)
+            axes.fill(*np.concatenate([outside, inside[::-1]]).T, **look)
+    else:
+        axes.fill(*body.outline.T, **look)
+    axes.plot(*body.midline.T, color=GREY, linestyle=(0, (8, 2, 1, 2)), linewidth=0.6)
+    axes.set_aspect("equal")
+
+
+def draw_arrows(axes: Axes, points: np.ndarray, vectors: np.ndarray, scale: float, **style: LookValue) -> Quiver:
+    """Vectors as arrows from points, both (points, 2); `scale` is vector units per unit of the axes."""
+    look = {"angles": "xy", "scale_units": "xy", "units": "inches", "width": 0.011, "zorder": 3}
+    axes.update_datalim(points + vectors / scale)
+    axes.autoscale_view()
+    return axes.quiver(*points.T, *vectors.T, scale=scale, **(look | style))
+
+
+_ARROW: Look = {
+    "arrowstyle": "-|>",
+    "mutation_scale": 8,
+    "linewidth": 1.2,
+    "shrinkA": 0,
+    "shrinkB": 0,
+    "zorder": 6,
+    "fill": True,
+}
+
+
+def draw_arrow(axes: Axes, points: np.ndarray, **style: LookValue) -> None:
+    """An arrow along a line of points, (points, 2), with its head at the last."""
+    axes.update_datalim(points)
+    axes.add_patch(FancyArrowPatch(path=Outline(points), **(_ARROW | style)))
+
+
+def draw_coloured_line(axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize) -> None:
+    """A line with a dark rim, coloured by a value at each of its points (points, 2); none where it is NaN."""
+    axes.plot(*np.where(np.isnan(values)[:, None], np.nan, points).T, color=BLACK, linewidth=2.2, zorder=4)
+    pieces = np.stack([points[:-1], points[1:]], axis=1)
+    between = 0.5 * (values[:-1] + values[1:])
+    there = np.isfinite(between)
+    look = {"cmap": TENSION_COLOURS, "norm": norm, "linewidth": 1.5, "capstyle": "round", "zorder": 4.5}
+    axes.add_collection(LineCollection(list(pieces[there]), array=between[there], **look))
+
+
+def draw_clamp(axes: Axes, half_width: float, depth: float) -> None:
+    """The wall to which a body is clamped: at X = 0, hatched on the far side."""
+    look = {"facecolor": "white", "edgecolor": GREY, "hatch": "///////", "linewidth": 0.0, "zorder": 0}
+    axes.add_patch(Rectangle((-depth, -half_width), depth, 2 * half_width, **look))
+    axes.plot([0.0, 0.0], [-half_width, half_width], color=BLACK, linewidth=1.0, zorder=3)
+
+
+def place_label(axes: Axes, text: str, point: np.ndarray, obstacles: np.ndarray) -> np.ndarray:
+    """Write beside a point, where least is covered; call it when the limits of the axes are final.
+
+    Args:
+        axes: where to write.
+        text: what to write.
+        point: beside which, in data.
+        obstacles: points on what is to stay uncovered, on the display, (points, 2).
+
+    Returns:
+        The obstacles with those of the label added.
+    """
+    label = axes.annotate(text, tuple(point), (0, 0), textcoords="offset points", ha="center", va="center", zorder=7)
+    size = np.array([label.get_window_extent().width, label.get_window_extent().height])
+    pixels = figure_of(axes).dpi / 72
+    centre, frame = axes.transData.transform(point), axes.get_window_extent().get_points()
+    best, least = np.zeros(2), np.inf
+    for gap in (3.0, 5.0, 8.0, 12.0, 17.0):
+        for angle in np.arange(16) * np.pi / 8:
+            offset = (size / 2 + gap * pixels) * np.array([np.cos(angle), np.sin(angle)])
+            low, high = centre + offset - size / 2 - 3, centre + offset + size / 2 + 3
+            covered = np.sum(np.all((obstacles > low) & (obstacles < high), axis=-1))
+            outside = np.any(low < frame[0] + 4) or np.any(high > frame[1] - 4)
+            cost = covered + 1000 * outside + gap / 100
+            if cost < least:
+                best, least = offset, cost
+    label.xyann = tuple(best / pixels)
+    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 5)), axis=-1).reshape(-1, 2)
+    return np.concatenate([obstacles, centre + best + grid * size])

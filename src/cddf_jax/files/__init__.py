@@ -1,0 +1,1 @@
+"""Files in and out: tables, cross-sections, robot files, safe writing."""

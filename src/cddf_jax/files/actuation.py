@@ -1,0 +1,131 @@
+"""Tensions, targets and loads out of text: "75 N", "tip_angle=45 deg", "0 N, -5 N"."""
+
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
+from typing import TypeVar, cast
+
+import numpy as np
+
+from ..errors import InputError
+from ..quantities import dimension_of
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..statics.targets import CurvatureAt, Displacement, Target, TipAngle, TipStiffness, TipTension, TotalTension
+from ..units import quantity, shown, vector
+
+Entry = TypeVar("Entry")
+TARGETS: dict[str, Callable[..., object]] = {
+    kind.quantity: kind for kind in (Displacement, TipAngle, TipTension, CurvatureAt, TotalTension, TipStiffness)
+}
+_EXAMPLES = {
+    "displacement": "displacement=12 mm",
+    "tip_angle": "tip_angle=45 deg",
+    "tip_tension": "tip_tension=40 N",
+    "curvature": "curvature=8 1/m at 70 mm",
+    "total_tension": "total_tension=100 N",
+    "tip_stiffness": "tip_stiffness=350 N/m",
+}
+
+
+def as_option(name: str) -> str:
+    """How the command line calls a quantity: "--base-tension"."""
+    return f"--{name.replace('_', '-')}"
+
+
+def read_actuation(
+    texts: Sequence[str], manipulator: Manipulator, *, called: Callable[[str], str] = as_option
+) -> list[float | Target]:
+    """Tensions (N) and targets out of texts such as "75 N" and "tip_angle=45 deg": one for all tendons or one each.
+
+    Args:
+        texts: as typed.
+        manipulator: whose tendons are pulled.
+        called: how messages call a quantity, by its name.
+
+    Raises:
+        InputError: names the quantity, the text and the remedy.
+    """
+    name, count = called("base_tension"), manipulator.num_tendons
+    entries = [_entry(name, text, manipulator) for text in texts]
+    if any(isinstance(entry, Target) for entry in entries):
+        if len(entries) != count:
+            what = f"{len(entries)} given with a target among them"
+            raise InputError(what, where=name, remedy=f"give one tension or target for each of {count}")
+        return entries
+    return one_for_each_tendon(name, entries, count)
+
+
+def one_for_each_tendon(name: str, values: list[Entry], count: int) -> list[Entry]:
+    """The values of an option that may be given once for all tendons."""
+    if len(values) not in (1, count):
+        raise InputError(f"{len(values)} given; give one for all, or one for each of {count}", where=name)
+    return values * count if len(values) == 1 else values
+
+
+def _entry(name: str, text: str, manipulator: Manipulator) -> float | Target:
+    kind, equals, value = (part.strip() for part in text.partition("="))
+    first, where = kind.split(" ")[0], f"{name} {text!r}"
+    if equals:
+        entry = _target(name, where, kind, value, manipulator)
+    elif first in TARGETS:
+        raise InputError(f"write a target with = as in {_EXAMPLES[first]!r}", where=where)
+    else:
+        kind, entry = "base_tension", quantity(text, "force", name)
+    wanted = entry.value if isinstance(entry, Target) else entry
+    if kind in ("base_tension", "tip_tension", "total_tension") and wanted < 0:
+        raise InputError("a tendon cannot push; give 0 N or more", where=where)
+    if kind == "tip_stiffness" and wanted <= 0:
+        raise InputError("a stiffness is positive; give more than 0 N/m", where=where)
+    return entry
+
+
+def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulator) -> Target:
+    if kind not in TARGETS:
+        close = get_close_matches(kind, TARGETS, 1)
+        remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(TARGETS)}"
+        raise InputError(f"unknown target {kind!r}", where=where, remedy=remedy)
+    if kind != "curvature":
+        return cast(Target, TARGETS[kind](quantity(value, dimension_of(kind), f"{name} {kind}")))
+    curvature, at, place = (part.strip() for part in value.partition(" at "))
+    if not at:
+        raise InputError(f"say where the curvature is wanted as in {_EXAMPLES[kind]!r}", where=where)
+    arc_length = quantity(place, "length", f"{name} curvature at")
+    if not 0 <= arc_length <= float(manipulator.length):
+        remedy = f"give an arc length from 0 mm to {shown(manipulator.length, 'length')}"
+        raise InputError(f"{place} is not on the body", where=where, remedy=remedy)
+    target = CurvatureAt(quantity(curvature, "curvature", f"{name} curvature"), arc_length)
+    return cast(Target, target)  # the converter of a field hides its type from a checker
+
+
+def read_loads(
+    tip_force: str | None,
+    tip_moment: str | None,
+    gravity: str | None,
+    has_weight: bool,
+    *,
+    called: Callable[[str], str] = as_option,
+) -> Loads | None:
+    """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where no text is given.
+
+    Args:
+        tip_force, tip_moment, gravity: as typed.
+        has_weight: whether the body has a mass.
+        called: how messages call a quantity, by its name.
+
+    Raises:
+        InputError: for text that cannot be read, and for gravity on a body without mass.
+    """
+    if tip_force is None and tip_moment is None and gravity is None:
+        return None
+    loads = Loads(
+        (0.0, 0.0) if tip_force is None else vector(tip_force, "force", called("tip_force")),
+        0.0 if tip_moment is None else quantity(tip_moment, "moment", called("tip_moment")),
+        (0.0, 0.0) if gravity is None else vector(gravity, "acceleration", called("gravity")),
+    )
+    if np.any(loads.gravity) and not has_weight:
+        raise InputError(
+            "the body has no weight, since its density is 0",
+            where=f"{called('gravity')} {gravity!r}",
+            remedy='give in its file density = "1070 kg/m^3", mass_per_length = "0.12 kg/m" or a [[point_mass]]',
+        )
+    return loads

@@ -1,0 +1,72 @@
+"""Results written to files: all of a set or none, and never half of one."""
+
+import json
+import math
+import os
+import secrets
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+# what JSON knows, nested; a type that names itself cannot be checked while a program runs
+JsonValue: TypeAlias = dict[str, Any] | list[Any] | str | bool | int | float | None
+
+
+def write_all(folder: str | Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Write several files into a folder, which is made if it is missing.
+
+    Every file is first written under a temporary name beside its place; only when all are complete
+    do they take their places, each in one step. A failure before that leaves what was there.
+
+    Args:
+        folder: where the files go.
+        contents: text (written as UTF-8) or bytes by file name.
+
+    Returns:
+        The paths in the order of `contents`.
+
+    Raises:
+        OSError: when the folder cannot be made or written to.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    suffix = f".{secrets.token_hex(4)}.tmp"
+    places = {folder / name: folder / f".{name}{suffix}" for name in contents}
+    try:
+        for temporary, content in zip(places.values(), contents.values(), strict=True):
+            temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        for place, temporary in places.items():
+            os.replace(temporary, place)
+    finally:
+        for temporary in places.values():
+            temporary.unlink(missing_ok=True)
+    return list(places)
+
+
+def as_json(value: object) -> str:
+    """JSON text of a result that may hold arrays; what is infinite or NaN becomes null."""
+    return json.dumps(plain(value), indent=2, ensure_ascii=False) + "\n"
+
+
+def plain(value: object) -> JsonValue:
+    """The same result in what JSON knows; a named tuple becomes a dictionary of its fields."""
+    match value:
+        case str() | bool() | int() | None:
+            return value
+        case float():
+            return float(value) if math.isfinite(value) else None
+        case Mapping():
+            return {str(key): plain(item) for key, item in value.items()}
+        case tuple() if (as_dict := getattr(value, "_asdict", None)) is not None:
+            return plain(as_dict())
+        case list() | tuple():
+            return [plain(item) for item in value]
+    return plain(np.asarray(value).tolist())
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]], right: Collection[str] = ()) -> list[str]:
+    """The lines of a table in Markdown; the columns named in `right` are aligned to the right."""
+    rules = ["---:" if name in right else "---" for name in head]
+    return [f"| {' | '.join(cells)} |" for cells in (head, rules, *rows)]

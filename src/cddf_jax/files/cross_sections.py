@@ -1,0 +1,240 @@
+"""The cross-sections along a body as a table: CSV from and for CAD, one row for each arc length.
+
+    arc_length [mm], outer_radius [mm], inner_radius [mm], offset_1 [mm], offset_2 [mm]
+    0,   20,   7, 10, -10
+    70,  16.5, 7, 10, -10
+    140, 13,   7, 10,
+
+`offset_1`, `offset_2`, ... (one alone may be called `offset`) are distances of the tendons from the neutral axis,
+negative for a tendon with side = -1; a tendon ends where its cells do. The first row is the base, the last the tip.
+A step is written as two rows of one arc length, the body before it and behind it. `table_source` says which
+separators, decimal marks and encodings are understood.
+
+Between its points a table is read as straight lines, unless a smooth curve passes all of them at the tolerance, stays
+within the values of neighbouring points and does not turn back between them. `section_columns` says which profile was
+taken, `cddf_jax.figures.sections_figure` draws it, and every command that reads the body prints it.
+"""
+
+import os
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..errors import InputError, within
+from ..robot.manipulator import Manipulator, Tendon
+from ..robot.profiles import Polyline, Profile
+from ..units import Dimension, shown
+from .csv_table import read_table, table_csv
+from .simplest_profile import simplest_profile
+from .table_header import Kind, short
+
+TOLERANCE = 1e-6  # m
+ROWS = 201  # that are written, besides those at joints
+ZIGZAG = 10  # a tendon whose turns add up to more than this times the range of its directions zigzags
+_COLUMNS = "arc_length, outer_radius, inner_radius, offset_1, offset_2, ..."
+_OFFSET = re.compile("offset(_[1-9][0-9]*)?")
+
+
+class CrossSections(NamedTuple):
+    """The body in a table of cross-sections; `Manipulator(**sections._asdict(), youngs_modulus=..., ...)` takes it."""
+
+    length: float  # m
+    outer_radius: Profile
+    inner_radius: Profile
+    tendons: tuple[Tendon, ...]
+
+
+class SectionColumn(NamedTuple):
+    """A column of a table of cross-sections as it was read; `print` says which profile was taken, and why."""
+
+    name: str
+    arc_length: np.ndarray  # m, of the points in the table
+    values: np.ndarray  # m, radii, or distances of a tendon from the neutral axis
+    profile: Profile
+    taken: str  # the profile in words
+    reason: str  # why it is no smooth curve, "" where there is nothing to say
+
+    @property
+    def words(self) -> str:
+        """What was taken, and why."""
+        return f"{self.taken} ({self.reason})" if self.reason else self.taken
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.words}"
+
+
+def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLERANCE) -> CrossSections:
+    """The body in a CSV file of cross-sections; the module's text shows the columns.
+
+    Each column becomes the simplest profile that passes every point at `tolerance` or less: a number, a straight
+    line, a cubic spline of few knots that stays between neighbouring points, or straight lines from point to point.
+    `section_columns` says which.
+
+    Args:
+        path: the file.
+        tolerance: m, by how much a profile may miss the points, about what they are measured or rounded to.
+
+    Raises:
+        InputError: names the file, row (line), column, value and remedy.
+    """
+    return _read(path, tolerance)[0]
+
+
+def section_columns(path: str | os.PathLike[str], *, tolerance: float = TOLERANCE) -> tuple[SectionColumn, ...]:
+    """What `read_cross_sections` makes of each column: its points, the profile that was taken, and why.
+
+    Args:
+        path: the file.
+        tolerance: as for `read_cross_sections`.
+
+    Raises:
+        InputError: as `read_cross_sections`.
+    """
+    return _read(path, tolerance)[1]
+
+
+def in_one_line(columns: Sequence[SectionColumn]) -> str:
+    """How a table was read."""
+    return f"cross-sections: {'; '.join(map(str, columns))}"
+
+
+def cross_sections_csv(manipulator: Manipulator) -> str:
+    """The text that `read_cross_sections` reads, in mm: rows on a grid and at joints of the body, two at a step."""
+    with jax.enable_x64(True):  # the two sides of a step are distinguished, whatever the caller computes in
+        return table_csv(_rows(manipulator))
+
+
+def _rows(manipulator: Manipulator) -> dict[str, np.ndarray]:
+    """The columns that are written; a step of a radius has two rows."""
+    length = float(manipulator.length)
+    joints = np.unique(np.asarray(manipulator.breakpoints, float))
+    joints = joints[(joints > 0) & (joints < length)]
+    before = joints - 1e-9 * length
+    jumps = np.abs(np.subtract(manipulator.radii(joints), manipulator.radii(before))) > TOLERANCE
+    steps = joints[np.any(jumps, axis=0)]
+    s = np.sort(np.concatenate([np.union1d(np.linspace(0.0, length, ROWS), joints), steps]))
+    at = np.where(np.append(np.diff(s) == 0, False), s - 1e-9 * length, s)
+    outer, inner = map(np.asarray, manipulator.radii(at))
+    columns = {"arc_length [mm]": 1e3 * s, "outer_radius [mm]": 1e3 * outer, "inner_radius [mm]": 1e3 * inner}
+    for i, tendon in enumerate(manipulator.tendons, 1):
+        end = length if tendon.end is None else float(tendon.end)
+        columns[f"offset_{i} [mm]"] = np.where(s <= end, 1e3 * tendon.side * np.asarray(tendon.offset(s)), np.nan)
+    return columns
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+def _dimension_of(column: str) -> Dimension:
+    if column in ("arc_length", "outer_radius", "inner_radius") or _OFFSET.fullmatch(column):
+        return "length"
+    raise InputError(_objection(column))
+
+
+def _objection(name: str) -> str:
+    return f"unknown column {short(name)}; known are {_COLUMNS}"
+
+
+_KIND = Kind(
+    _dimension_of,
+    "cross-sections",
+    "arc_length [mm], outer_radius [mm], inner_radius [mm], offset_1 [mm]",
+    gaps=lambda column: column.startswith("offset"),
+    objection=_objection,
+)
+
+
+def _read(path: str | os.PathLike[str], tolerance: float) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
+    """The body, and its columns one by one."""
+    if not (np.isfinite(tolerance) and tolerance > 0):
+        raise InputError(f"tolerance must be a positive length in m, got {tolerance}")
+    table = read_table(path, _KIND)
+    with within(path):
+        return _sections(table.columns, table.rows, tolerance)
+
+
+def _sections(
+    columns: dict[str, np.ndarray], rows: list[int], tolerance: float
+) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
+    for column in ("arc_length", "outer_radius", "inner_radius"):
+        if column not in columns:
+            raise InputError(f"the column {column} is missing; add it")
+    s = _arc_length(columns["arc_length"], rows)
+    names = _offset_columns(columns)
+    for column, values in columns.items():
+        if column not in names and not np.all(np.isfinite(values)):
+            raise InputError(f"row {rows[int(np.argmin(np.isfinite(values)))]}, column {column}: must be finite")
+    outer, inner = (_column(name, s, columns[name], tolerance) for name in ("outer_radius", "inner_radius"))
+    read, tendons = [outer, inner], []
+    for name in names:
+        side, count = _side_and_count(columns[name], rows, name)
+        distance = side * columns[name][:count]
+        if s[count - 1] == s[count - 2] and abs(distance[-1] - distance[-2]) > tolerance:
+            remedy = "fill one of the two cells there"
+            raise InputError(f"row {rows[count - 1]}, column {name}: the tendon ends in a step; {remedy}")
+        offset = _column(name, s[:count], distance, tolerance)
+        read.append(_with_kinks(offset))
+        tendons.append(Tendon(offset.profile, side, end=None if s[count - 1] == s[-1] else float(s[count - 1])))
+    return CrossSections(float(s[-1]), outer.profile, inner.profile, tuple(tendons)), tuple(read)
+
+
+def _column(name: str, s: np.ndarray, values: np.ndarray, tolerance: float) -> SectionColumn:
+    return SectionColumn(name, s, values, *simplest_profile(s, values, tolerance, name))
+
+
+def _with_kinks(offset: SectionColumn) -> SectionColumn:
+    """The same with words on how much the kinks of straight lines turn the tendon, since each turn adds friction."""
+    if not isinstance(offset.profile, Polyline):
+        return offset
+    s, d = np.asarray(offset.profile.arc_length), np.asarray(offset.profile.values)
+    angle = np.arctan(np.diff(d) / np.diff(s))
+    turned = np.sum(np.abs(np.diff(angle)))
+    taken = f"{offset.taken}, whose kinks turn the tendon by {np.degrees(turned):.3g} deg in all"
+    zigzag = "they zigzag, which rubs: a greater tolerance takes out what is noise"
+    reason = f"{offset.reason}; {zigzag}" if turned > ZIGZAG * np.ptp(angle) else offset.reason
+    return offset._replace(taken=taken, reason=reason)
+
+
+def _arc_length(s: np.ndarray, rows: list[int]) -> np.ndarray:
+    def refused(at: int, what: str) -> InputError:
+        return InputError(f"row {rows[at]}, column arc_length: {what.format(shown(s[at], 'length'))}")
+
+    if s[0] != 0.0:
+        raise refused(0, "the first must be 0, the base, got {}")
+    if len(s) < 2:
+        raise InputError("holds one cross-section; give at least those at base and tip")
+    for at in (np.flatnonzero(np.diff(s) < 0) + 1).tolist():
+        raise refused(at, "must increase, got {}; sort the rows")
+    for at in (np.flatnonzero(np.diff(s) == 0) + 1).tolist():
+        at_an_end = s[at] in (s[0], s[-1])
+        if at_an_end or s[at - 1] == s[at - 2]:
+            where = "at an end of the body" if at_an_end else "three times"
+            raise refused(at, f"{{}} is repeated {where}; keep two rows for a step, before it and behind it, else one")
+    return s
+
+
+def _offset_columns(columns: dict[str, np.ndarray]) -> list[str]:
+    """The columns of the tendons in their order, without gaps between the numbers."""
+    found = sorted((c for c in columns if c.startswith("offset")), key=lambda c: int(c.partition("_")[2] or 1))
+    wanted = [["offset"], [f"offset_{i}" for i in range(1, len(found) + 1)]]
+    if not found or found not in wanted:
+        got = ", ".join(found) or "none"
+        raise InputError(f"tendons are numbered offset_1, offset_2, ... without gaps, got {got}; name the columns so")
+    return found
+
+
+def _side_and_count(offset: np.ndarray, rows: list[int], name: str) -> tuple[int, int]:
+    """The side of a tendon, and how many rows it reaches."""
+    there = np.isfinite(offset)
+    count = int(np.sum(there))
+    if count < 2 or not np.all(there[:count]):
+        remedy = "fill them from the base to the end of the tendon, two or more"
+        raise InputError(f"row {rows[int(np.argmin(there))]}, column {name}: cells are empty before the end; {remedy}")
+    own = offset[:count]
+    if np.any(own > 0) and np.any(own < 0):
+        at = int(np.argmax(np.sign(own) != np.sign(own[0])))
+        raise InputError(f"row {rows[at]}, column {name}: the tendon changes sides; keep one sign along it")
+    return (-1 if np.any(own < 0) else +1), count

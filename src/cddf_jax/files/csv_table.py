@@ -1,0 +1,181 @@
+"""Tables with the unit in the header, or in a row below it: a file to columns of SI numbers, and columns to CSV.
+
+`table_source` tells which separators, decimal marks, encodings and spreadsheets are understood.
+"""
+
+import csv
+import io
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, islice
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, within
+from ..units import to_si
+from . import table_header
+from .table_header import Heading, Kind, is_number, number, short
+from .table_source import Row, Source, open_table
+
+# what instruments write where there is no number
+_MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")
+
+
+class Table(NamedTuple):
+    """What a file holds."""
+
+    columns: dict[str, np.ndarray]  # float64 in SI by name, text for labels
+    rows: list[int]  # the line of each row in the file, or its number in the sheet
+    notes: tuple[str, ...]  # the text above the header
+    read_as: tuple[str, ...]  # what was done to read it, where the file is not plain
+    unused: tuple[str, ...]  # columns that the reader does not know
+    missing: tuple[str, ...]  # what was said of columns that are not there
+
+
+def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str] | None = None) -> Table:
+    """The columns of a file.
+
+    Args:
+        path: CSV or .xlsx.
+        kind: of table.
+        columns: by the head of a column in the file, what it is, such as "base_tension [N]"; "" to leave it out.
+
+    Raises:
+        InputError: names the file, row (line), column, value and remedy.
+    """
+    empty = f"is empty; write a header such as {kind.example!r} and rows below it"
+    given = {" ".join(name.split()): text for name, text in (columns or {}).items()}
+
+    def recognised(cells: Sequence[str]) -> int:
+        return sum(table_header.heading_of(cell, kind, given).column is not None for cell in cells)
+
+    with within(path):
+        source = open_table(path, recognised, empty)
+        headings = table_header.headings_of(source.header, source.row, kind, given)
+        below = list(islice(source.rows, 1))
+        if below and (with_units := table_header.with_units_below(headings, *below[0], kind)):
+            headings = with_units
+            source.read_as.append(f"row {below.pop()[0]} holds the units")
+        table_header.check_headings(headings, source.row, kind)
+        names = {text for heading in headings for text in (heading.text, heading.name)}
+        return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
+
+
+def table_csv(columns: Mapping[str, ArrayLike]) -> str:
+    """The text of a table: heads with units, and a row for each place in the columns; NaN becomes an empty cell."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    for row in zip(*(np.asarray(column, float) for column in columns.values()), strict=True):
+        table.writerow("" if np.isnan(x) else f"{x:.9g}" for x in row)
+    return text.getvalue()
+
+
+# --- the rows ------------------------------------------------------------------------------------
+
+
+def _read(
+    rows: Iterator[Row], headings: Sequence[Heading], kind: Kind, source: Source, missing: tuple[str, ...]
+) -> Table:
+    """The columns, each converted as a whole."""
+    at, cells = _split(rows, headings)
+    if not at:
+        raise InputError(
+            f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
+        )
+    unit_of = {heading.column: heading.unit for heading in headings}
+    used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
+    said: dict[str, str] = {}
+    texts = {column: _in_numbers(own, kind.words(column), said) for column, own in used.items()}
+    if source.decimal_commas:
+        texts |= _with_points({column: own for column, own in texts.items() if column not in kind.labels}, at)
+    columns = {
+        column: _labels(column, at, own) if column in kind.labels else _numbers(column, at, own, unit_of[column], kind)
+        for column, own in texts.items()
+    }
+    unused = tuple(
+        heading.text or f"column {i} without a name"
+        for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
+        if heading.column is None and (heading.text or any(text.strip() for text in own))
+    )
+    read_as = (*source.read_as, *_done(headings, unused, said))
+    return Table(columns, at, source.notes, read_as, unused, missing)
+
+
+def _done(headings: Sequence[Heading], unused: Sequence[str], said: Mapping[str, str]) -> Iterator[str]:
+    """In words, what the header and the words of the rows were taken for."""
+    renamed = [h for h in headings if h.column is not None and h.name != h.column]
+    if renamed:
+        yield "read as: " + ", ".join(f"{h.text!r} {h.column}" + (f" [{h.unit}]" if h.unit else "") for h in renamed)
+    if unused:
+        yield f"columns that are not used: {', '.join(map(short, unused))}"
+    if said:
+        yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in said.items())
+
+
+def _split(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[list[int], list[list[str]]]:
+    """The line number of every row, and the text of its cells by column."""
+    width = len(headings)
+    needed = max((i for i, heading in enumerate(headings, 1) if heading.column is not None), default=0)
+    at, texts = [], []
+    for row, cells in rows:
+        while len(cells) > width and not cells[-1].strip():
+            cells.pop()
+        if needed <= len(cells) < width:
+            cells = [*cells, *[""] * (width - len(cells))]
+        if len(cells) != width:
+            surplus = "with decimal commas separate the columns by semicolons, and name every column"
+            remedy = "fill the row" if len(cells) < width else surplus
+            raise InputError(f"row {row} has {len(cells)} cells, the header {width}; {remedy}")
+        at.append(row)
+        texts += cells
+    return at, [texts[column::width] for column in range(width)]
+
+
+def _labels(column: str, rows: Sequence[int], texts: Sequence[str]) -> np.ndarray:
+    labels = [text.strip() for text in texts]
+    if "" in labels:
+        raise InputError(f"row {rows[labels.index('')]}, column {column}: the cell is empty; fill it")
+    return np.array(labels)
+
+
+def _in_numbers(texts: list[str], words: Mapping[str, str], said: dict[str, str]) -> list[str]:
+    """The texts with numbers for words; `said` keeps which."""
+    if not words:
+        return texts
+    said |= {text.strip(): words[text.strip().lower()] for text in texts if text.strip().lower() in words}
+    return [words.get(text.strip().lower(), text) for text in texts]
+
+
+def _with_points(columns: Mapping[str, list[str]], rows: Sequence[int]) -> dict[str, list[str]]:
+    """The texts with points for decimal commas, of which a file has one kind."""
+    cells = [(row, column, text) for column, texts in columns.items() for row, text in zip(rows, texts, strict=True)]
+    comma, point = (
+        next((f"row {row}, column {column}: {short(text)}" for row, column, text in cells if mark in text), "")
+        for mark in ",."
+    )
+    if comma and point:
+        remedy = "write all numbers with the same decimal mark and without thousands separators"
+        raise InputError(f"{comma} has a comma, but {point} a point; {remedy}")
+    return {column: [text.replace(",", ".") for text in texts] for column, texts in columns.items()}
+
+
+def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str | None, kind: Kind) -> np.ndarray:
+    """A column of text as SI numbers."""
+    if kind.gaps(column):
+        texts = ["nan" if text.strip().lower() in _MISSING else text for text in texts]
+    try:
+        values = np.fromiter(map(number, texts), float, len(texts))
+    except ValueError:
+        bad = next(i for i, text in enumerate(texts) if not is_number(text))
+        text = texts[bad].strip()
+        found = f"{short(text)} is not a number" if text else "the cell is empty"
+        remedy = f"write {', '.join(kind.words(column))}" if kind.words(column) else "give a number or remove the row"
+        if re.fullmatch(r"[+-]?\d+([,.'’\s]\d+)+", text):
+            remedy = "write it with a decimal point and without thousands separators"
+        raise InputError(f"row {rows[bad]}, column {column}: {found}; {remedy}") from None
+    dimension = kind.dimension_of(column)
+    return values if dimension is None or unit is None else to_si(values, unit, dimension, column)

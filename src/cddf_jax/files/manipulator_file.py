@@ -1,0 +1,401 @@
+"""Manipulators in TOML files with units.
+
+    name = "Smooth-Sil 940"              # optional free text, like description; for people, not kept
+    length = "140 mm"
+    outer_radius = { base = "20 mm", tip = "13 mm" }
+    inner_radius = "7 mm"
+    youngs_modulus = "1.4 MPa"
+    friction_coefficient = 0.42
+    density = "1070 kg/m^3"              # optional, 0 unless given
+    drag = "0.5 N/m"                     # optional, none unless given: friction per length, tension or not
+    yield_strain = "0.8 %"               # optional, or 0.008: `cddf solve` warns where the wall is strained more
+    kinematics = "published"             # optional, "exact" unless given
+    offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
+    mass_per_length = "0.12 kg/m"        # optional: of what density does not weigh, such as many discs or cables
+    stiffness_factor = 0.93              # optional, 1 unless given: multiplies the bending stiffness, as a fit finds it
+
+    [[tendons]]                          # one such table per tendon
+    offset = "10 mm"
+    side = 1                             # optional, 1 or -1
+    end = "100 mm"                       # optional, the tip unless given
+    friction_coefficient = 0.3           # optional, the manipulator's unless given
+    drag = "0.2 N/m"                     # optional, the manipulator's unless given
+    axial_stiffness = "12 kN"            # optional, E A of the tendon, which does not stretch unless given
+    free_length = "300 mm"               # optional, 0 unless given: outside the body, up to the actuator
+
+    [[point_mass]]                       # one such table per disc, camera or magnet, if there are any
+    at = "140 mm"                        # arc length
+    mass = "25 g"
+
+Where E I is known, bending_stiffness = "0.02 N m^2" stands in place of youngs_modulus; both radii may then be left out.
+
+A profile (radius, offset, mass_per_length, bending_stiffness, youngs_modulus) is written in one of these forms, in its
+own unit; arc lengths count from the base:
+
+    "7 mm"                                                               Constant
+    { base = "20 mm", tip = "13 mm" }                                    Linear; length = "..." if not the body's
+    { ends = ["40 mm"], pieces = ["20 mm", { base = ..., tip = ... }] }  Piecewise, of profiles in turn
+    { lines = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ...] }             Piecewise.linear: [arc length, value]
+    { spline = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ...] }            Spline: [arc length, value], four or more
+
+The cross-sections may be a table of their own, measured or from CAD (`cross_sections` shows its columns); then length,
+radii and offsets are left out here, and a table [[tendons]] for each column of offsets only where there is more to say:
+
+    cross_sections = "body.csv"          # beside this file; or { file = "body.csv", tolerance = "10 um" }
+
+A passive tip link is a body that goes on beyond the `end` of its tendons, of any radius:
+
+    outer_radius = { lines = [["0 mm", "15 mm"], ["300 mm", "6 mm"], ["350 mm", "5 mm"]] }     and     end = "300 mm"
+
+What is written reads back to the last bit, in float64.
+"""
+
+import dataclasses
+import os
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ..errors import InputError, within
+from ..quantities import dimension_of
+from ..robot.manipulator import KINEMATICS, Manipulator, PointMass, Tendon
+from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Scalar, Spline, as_profile
+from ..units import Dimension, quantity, written
+from .artifacts import write_all
+from .cross_sections import TOLERANCE, CrossSections, SectionColumn, read_cross_sections, section_columns
+
+_Table = Mapping[str, Any]
+_NUMBERS = ("length", "friction_coefficient", "density", "drag", "yield_strain", "stiffness_factor")
+_TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "drag")
+_RADII = ("outer_radius", "inner_radius")
+_MORE_PROFILES = ("youngs_modulus", "bending_stiffness", "mass_per_length")
+_REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
+_OPTIONAL = (
+    *("density", "drag", "kinematics", "offsets_outside_wall", "name", "description"),
+    *("mass_per_length", "point_mass", "stiffness_factor", "yield_strain"),
+)
+_SECTIONS = "cross_sections"
+_FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
+
+
+def read_manipulator(path: str | os.PathLike[str]) -> Manipulator:
+    """The manipulator in a TOML file, validated; the module's text shows the format.
+
+    Raises:
+        InputError: names the file, the key, the value and the remedy.
+    """
+    with within(path, ValueError):
+        table = read_toml(path, 'length = "140 mm"')
+        outside = table.get("offsets_outside_wall", False)
+        if not isinstance(outside, bool):
+            raise InputError(f"offsets_outside_wall must be true or false, got {outside!r}")
+        return _manipulator(table, Path(path).parent).validate(offsets_outside_wall=outside)
+
+
+def read_toml(path: str | os.PathLike[str], example: str) -> dict[str, Any]:
+    """The tables of a TOML file; `example` is a line of such a file.
+
+    Raises:
+        InputError: without the name of the file.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror}); check the path") from None
+    except UnicodeDecodeError:
+        raise InputError("is not UTF-8 text; save it as UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not TOML: {error}; quantities are quoted, as in {example}") from None
+
+
+def allows_offsets_outside_wall(path: str | os.PathLike[str]) -> bool:
+    """What a file that `read_manipulator` reads says of tendons in the bore or outside the body."""
+    return tomllib.loads(Path(path).read_text(encoding="utf-8-sig")).get("offsets_outside_wall", False)
+
+
+def section_columns_of(path: str | os.PathLike[str]) -> tuple[SectionColumn, ...]:
+    """The columns of the table of cross-sections that a manipulator's file names; none where it names none.
+
+    Args:
+        path: a file that `read_manipulator` has read without an error.
+    """
+    table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    if _SECTIONS not in table:
+        return ()
+    file, tolerance = _named(table[_SECTIONS], Path(path).parent)
+    return section_columns(file, tolerance=tolerance)
+
+
+def write_manipulator(
+    manipulator: Manipulator, path: str | os.PathLike[str], *, offsets_outside_wall: bool = False
+) -> None:
+    """Write a manipulator as TOML, complete or not at all.
+
+    Args:
+        manipulator: its profiles must be those of this package.
+        path: the file, replaced if there is one.
+        offsets_outside_wall: allow tendons in the bore or outside the body, and say so in the file.
+
+    Raises:
+        InputError: for a manipulator that `validate` refuses, a profile of another kind, or a file
+            that cannot be written.
+        TypeError: for something else than a manipulator and a path, in this order.
+    """
+    if not isinstance(manipulator, Manipulator) or not isinstance(path, str | os.PathLike):
+        raise TypeError(
+            "write_manipulator needs a Manipulator and a path, in this order, "
+            f"got {type(manipulator).__name__} and {type(path).__name__}"
+        )
+    text, path = manipulator_text(manipulator, offsets_outside_wall=offsets_outside_wall), Path(path)
+    try:
+        write_all(path.parent, {path.name: text})
+    except OSError as error:
+        what = f"cannot be written ({error.strerror})"
+        raise InputError(what, where=str(path), remedy="check the folder and its permissions") from None
+
+
+def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = False) -> str:
+    """What `write_manipulator` writes.
+
+    Raises:
+        InputError: for a manipulator that `validate` refuses, or a profile of another kind.
+    """
+    import tomli_w
+
+    manipulator.validate(offsets_outside_wall=offsets_outside_wall)
+    table = _table(manipulator)
+    if offsets_outside_wall:
+        table["offsets_outside_wall"] = True
+    return tomli_w.dumps(table)
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+def _manipulator(table: _Table, folder: Path) -> Manipulator:
+    if _SECTIONS in table:
+        sections = _with_tables(_read_sections(table, folder), table)._asdict()
+    else:
+        check_keys("", table, *_keys(table, _REQUIRED))
+        sections = _sections(table)
+    numbers = _numbers(table, _NUMBERS)
+    for key in table.keys() & set(_MORE_PROFILES):
+        numbers[key] = _number_or_profile(table[key], sections["length"], key)
+    masses = enumerate(_tables(table, "point_mass", "mass"), 1)
+    numbers["point_masses"] = [_point_mass(mass, f"point_mass {i}") for i, mass in masses]
+    kinematics = table.get("kinematics", "exact")
+    if kinematics not in KINEMATICS:
+        raise InputError(f"kinematics must be one of {KINEMATICS}, got {kinematics!r}")
+    return Manipulator(**numbers | sections, kinematics=kinematics)
+
+
+def _numbers(table: _Table, keys: Iterable[str], where: str = "") -> dict[str, Any]:
+    """What the table has of them, in SI."""
+    return {key: quantity(table[key], dimension_of(key), f"{where}{key}") for key in keys if key in table}
+
+
+def _keys(table: _Table, required: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The keys that a file must have, and those that it may have."""
+    if "bending_stiffness" not in table:
+        return list(required), [*_OPTIONAL, "bending_stiffness", _SECTIONS]
+    if "youngs_modulus" in table:
+        raise InputError("youngs_modulus and bending_stiffness are both given; leave one of them out")
+    radii = [key for key in _RADII if key in required]
+    must = [key for key in required if key not in ("youngs_modulus", *radii)]
+    return must, [*_OPTIONAL, *radii, "bending_stiffness", _SECTIONS]
+
+
+def _number_or_profile(value: object, length: float, key: str) -> Scalar | Profile:
+    """A plain modulus stays a number, which has the name of the whole."""
+    profile = _profile(value, length, key, dimension_of(key))
+    return profile.value if key == "youngs_modulus" and isinstance(profile, Constant) else profile
+
+
+def _point_mass(table: _Table, where: str) -> PointMass:
+    check_keys(f"{where}: ", table, ("at", "mass"), ())
+    return PointMass(quantity(table["at"], "length", f"{where}: at"), **_numbers(table, ["mass"], f"{where}: "))
+
+
+def _sections(table: _Table) -> dict[str, Any]:
+    """The body as its keys say."""
+    length = _numbers(table, ["length"])["length"]
+    tables = enumerate(_tables(table, "tendons", "tendon"), 1)
+    tendons = [_tendon(tendon, length, f"tendon {number}") for number, tendon in tables]
+    radii = {key: _profile(table[key], length, key) for key in _RADII if key in table}
+    return {"length": length, "tendons": tendons, **radii}
+
+
+def _tables(table: _Table, key: str, one: str) -> list[_Table]:
+    """The tables below the lines [[key]], one for each `one`; a key that is there for tendons needs a table."""
+    found = table.get(key, [])
+    empty = key == "tendons" and not found
+    if empty or not isinstance(found, list) or not all(isinstance(own, dict) for own in found):
+        raise InputError(f"{key} must be one table per {one}; write each below a line [[{key}]]")
+    return found
+
+
+def _read_sections(table: _Table, folder: Path) -> CrossSections:
+    """The body in the CSV file that is named."""
+    for key in ("length", *_RADII):
+        if key in table:
+            raise InputError(f"{key} is in the table of {_SECTIONS} too; leave one of them out")
+    must, may = _keys(table, [key for key in _REQUIRED if key not in CrossSections._fields])
+    check_keys("", table, must, [*may, "tendons"])
+    file, tolerance = _named(table[_SECTIONS], folder)
+    return read_cross_sections(file, tolerance=tolerance)
+
+
+def _named(value: object, folder: Path) -> tuple[Path, float]:
+    """The CSV file that is named, and its tolerance, m."""
+    match value:
+        case str(file):
+            return folder / file, TOLERANCE
+        case {"file": str(file), "tolerance": str(tolerance), **rest} if not rest:
+            return folder / file, quantity(tolerance, "length", f"{_SECTIONS}: tolerance")
+    raise InputError(f'{_SECTIONS} must name a CSV file, "body.csv" or {{ file = "body.csv", tolerance = "10 um" }}')
+
+
+def _with_tables(sections: CrossSections, table: _Table) -> CrossSections:
+    """The same with what the tables of the tendons add."""
+    if "tendons" not in table:
+        return sections
+    tables, count = _tables(table, "tendons", "tendon"), len(sections.tendons)
+    if len(tables) != count:
+        raise InputError(f"tendons: {len(tables)} tables for {count} columns of offsets; write as many, or none")
+    tendons = []
+    for i, (tendon, own) in enumerate(zip(sections.tendons, tables, strict=True), 1):
+        check_keys(f"tendon {i}: ", own, (), [key for key in _TENDON_NUMBERS if key != "end"])
+        tendons.append(dataclasses.replace(tendon, **_numbers(own, own, f"tendon {i}: ")))
+    return sections._replace(tendons=tuple(tendons))
+
+
+def _tendon(table: _Table, length: float, where: str) -> Tendon:
+    check_keys(f"{where}: ", table, ("offset",), ("side", *_TENDON_NUMBERS))
+    side = table.get("side", 1)
+    if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
+        raise InputError(f"{where}: side must be 1 or -1, got {side!r}")
+    offset = _profile(table["offset"], length, f"{where}: offset")
+    return Tendon(offset, int(side), **_numbers(table, _TENDON_NUMBERS, f"{where}: "))
+
+
+def _profile(value: object, length: float, where: str, kind: Dimension = "length") -> Profile:
+    match value:
+        case str() | int() | float():
+            return Constant(quantity(value, kind, where))
+        case {"base": base, "tip": tip, **rest} if rest.keys() <= {"length"}:
+            ends = quantity(base, kind, f"{where}: base"), quantity(tip, kind, f"{where}: tip")
+            return Linear(*ends, length=quantity(rest["length"], "length", f"{where}: length") if rest else length)
+        case {"ends": list(ends), "pieces": list(pieces), **rest} if not rest:
+            joints = [quantity(end, "length", f"{where}: ends") for end in ends]
+            parts = [_profile(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(pieces, 1)]
+            return _built(where, Piecewise, joints, parts)
+        case {"lines": list(points), **rest} if not rest:
+            return _built(where, Piecewise.linear, *_points(points, f"{where}: lines", kind))
+        case {"spline": list(points), **rest} if not rest:
+            return _built(where, Spline, *_points(points, f"{where}: spline", kind))
+    raise InputError(f"{where} is no profile, got {value!r}; write {_FORMS}")
+
+
+def _points(points: Sequence[object], where: str, kind: Dimension) -> tuple[list[float], list[float]]:
+    knots, values, before = [], [], None
+    for point in points:
+        if not isinstance(point, list) or len(point) != 2:
+            raise InputError(f'{where} holds pairs [arc length, value], got {point!r}; write ["60 mm", "15 mm"]')
+        knots.append(quantity(point[0], "length", where))
+        values.append(quantity(point[1], kind, where))
+        if len(knots) > 1 and knots[-1] <= knots[-2]:
+            raise InputError(f"{where}: arc lengths must increase, got {point[0]!r} after {before!r}")
+        before = point[0]
+    return knots, values
+
+
+def _built(where: str, make: Callable[..., Profile], *arguments: object) -> Profile:
+    """The profile, or its own complaint about the number of values with the place in the file."""
+    with within(where, ValueError):
+        return make(*arguments)
+
+
+def check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
+    """Refuse keys that are not known, and demand those that are required.
+
+    Raises:
+        InputError: begins with `where`, names the key and what is near.
+    """
+    known = (*required, *optional)
+    for key in table:
+        if key not in known:
+            close = get_close_matches(key, known, 1)
+            remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+            raise InputError(f"{where}unknown key {key!r}; {remedy}")
+    for key in required:
+        if key not in table:
+            raise InputError(f"{where}{key} is missing; add it")
+
+
+# --- writing -------------------------------------------------------------------------------------
+
+
+def _table(manipulator: Manipulator) -> dict[str, object]:
+    length = manipulator.length
+    profiles = (*_RADII, *_MORE_PROFILES)
+    own = {key: getattr(manipulator, key) for key in (*profiles, *_NUMBERS)}
+    own = {key: value for key, value in own.items() if value is not None}
+    masses = [{"at": _text(point.arc_length), "mass": _text(point.mass, "mass")} for point in manipulator.point_masses]
+    return {
+        "length": _text(length),
+        **{key: _form(as_profile(own[key]), length, key, dimension_of(key)) for key in profiles if key in own},
+        **{key: _number_text(own[key], key) for key in _NUMBERS if key in own},
+        "kinematics": manipulator.kinematics,
+        **({"point_mass": masses} if masses else {}),
+        "tendons": [
+            _tendon_table(tendon, length, f"tendon {number}") for number, tendon in enumerate(manipulator.tendons, 1)
+        ],
+    }
+
+
+def _number_text(value: ArrayLike, key: str) -> float | str:
+    dimension = dimension_of(key)
+    return float(np.asarray(value)) if dimension in ("dimensionless", "strain") else _text(value, dimension)
+
+
+def _tendon_table(tendon: Tendon, length: ArrayLike, where: str) -> dict[str, object]:
+    table = {"offset": _form(tendon.offset, length, f"{where}: offset"), "side": tendon.side}
+    for key in _TENDON_NUMBERS:
+        value = getattr(tendon, key)
+        if value is not None and not (key == "free_length" and value == 0):
+            table[key] = _number_text(value, key)
+    return table
+
+
+def _form(profile: Profile, length: ArrayLike, where: str, kind: Dimension = "length") -> object:
+    """A profile in one of the forms that `_profile` reads."""
+
+    def value(x: ArrayLike) -> str:
+        return _text(x, kind)
+
+    match profile:
+        case Constant():
+            return value(profile.value)
+        case Linear():
+            own = {} if profile.length == length else {"length": _text(profile.length)}
+            return {"base": value(profile.base), "tip": value(profile.tip), **own}
+        case Piecewise():
+            pieces = [_form(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(profile.pieces, 1)]
+            return {"ends": [_text(end) for end in profile.ends], "pieces": pieces}
+        case Polyline() | Spline():
+            points = zip(profile.arc_length, profile.values, strict=True)
+            form = "lines" if isinstance(profile, Polyline) else "spline"
+            return {form: [[_text(s), value(v)] for s, v in points]}
+    raise InputError(
+        f"{where}: a profile of type {type(profile).__name__} cannot be written to a file; "
+        "sample it into a Spline or Piecewise.linear"
+    )
+
+
+def _text(value: ArrayLike, kind: Dimension = "length") -> str:
+    return written(float(np.asarray(value)), kind)

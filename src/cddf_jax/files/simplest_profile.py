@@ -1,0 +1,151 @@
+"""Points along the body to the simplest profile that passes them all at a tolerance, and its words.
+
+Nothing is made up between two points: straight lines, unless a smooth curve that passes the points stays between them.
+"""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import BSpline, PPoly, make_lsq_spline
+
+from ..errors import InputError
+from ..robot.profiles import Constant, Linear, Piecewise, Profile, Spline
+from ..units import shown
+
+MOST_KNOTS = 64  # of a spline
+MOST_LINES = 1000
+
+
+class Taken(NamedTuple):
+    """The profile that was taken, what it is in words, and why it is no smooth curve."""
+
+    profile: Profile
+    words: str
+    reason: str = ""
+
+
+def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Taken:
+    """A number, a straight line, a cubic spline or a chain of straight lines; where an arc length is repeated, a step.
+
+    A spline is taken where it needs no more knots than the chain has points, stays within the values of neighbouring
+    points everywhere between them, and does not turn back there, all at the tolerance. The chain passes points of the
+    table, as few as will do. Values on both sides of a step that differ by no more than the tolerance are one value,
+    their mean.
+
+    Args:
+        arc_length: m, the first 0, increasing but for those that are given twice, which are neither first nor last.
+        values: m, at these arc lengths; of a step the left one first.
+        tolerance: m, the most by which the profile may miss a value.
+        name: of the quantity, with which an error begins.
+
+    Raises:
+        InputError: where more lines are needed than a solve should have.
+    """
+    parts = _between_steps(arc_length, values, tolerance)
+    pieces = [_straight(*part, tolerance) or _curved(*part, tolerance, name) for part in parts]
+    if len(pieces) == 1:
+        return pieces[0]
+    profile = Piecewise([float(s[-1]) for s, _ in parts[:-1]], [piece.profile for piece in pieces])
+    words = ", ".join(piece.words for piece in pieces)
+    reasons = dict.fromkeys(piece.reason for piece in pieces if piece.reason)
+    return Taken(profile, f"{len(pieces)} pieces that meet in steps: {words}", "; ".join(reasons))
+
+
+def _between_steps(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The points of each part without steps."""
+    twice = np.flatnonzero(np.diff(s) == 0)
+    jumps = np.abs(values[twice + 1] - values[twice]) > tolerance
+    values, same = values.copy(), twice[~jumps]
+    values[same] = 0.5 * (values[same] + values[same + 1])
+    steps = np.concatenate([[0], twice[jumps] + 1, [len(s)]])
+    kept = [np.setdiff1d(np.arange(first, last), same + 1) for first, last in pairwise(steps)]
+    return [(s[part], values[part]) for part in kept]
+
+
+def _straight(s: np.ndarray, values: np.ndarray, tolerance: float) -> Taken | None:
+    """A number or one straight line, where that is near enough."""
+    if np.ptp(values) <= 2 * tolerance:
+        value = 0.5 * (np.min(values) + np.max(values))
+        return Taken(Constant(value), f"constant {shown(value, 'length')}")
+    slope, base = np.polyfit(s / s[-1], values, 1)
+    if np.max(np.abs(base + slope * s / s[-1] - values)) > tolerance:
+        return None
+    ends = s[[0, -1]]
+    line = Piecewise.linear(ends, base + slope * ends / s[-1]) if s[0] > 0 else Linear(base, base + slope, s[-1])
+    return Taken(line, "a straight line")
+
+
+def _curved(s: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Taken:
+    """A spline or a chain of straight lines."""
+    corners = _corners(s, values, tolerance)
+    spline, reason = _spline(s, values, tolerance, len(corners))
+    if spline is not None:
+        return Taken(spline, f"a smooth curve, a cubic spline of {len(spline.values)} knots")
+    if len(corners) > MOST_LINES + 1:
+        raise InputError(
+            f"{name}: neither {MOST_KNOTS} knots of a spline nor {MOST_LINES} straight lines pass its points at "
+            f"{shown(tolerance, 'length')}; give a greater tolerance, or smooth the points"
+        )
+    of_all = "" if len(corners) == len(s) else f" of {len(s)}"
+    words = f"straight lines through {len(corners)}{of_all} points"
+    return Taken(Piecewise.linear(s[corners], values[corners]), words, reason)
+
+
+def _corners(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[int]:
+    """The points at which a chain of straight lines bends: the worst point becomes a corner, again and again."""
+    corners = [0, len(s) - 1]
+    while len(corners) <= MOST_LINES + 1:
+        miss = np.abs(np.interp(s, s[corners], values[corners]) - values)
+        if miss.max() <= tolerance:
+            break
+        corners = sorted([*corners, int(miss.argmax())])
+    return corners
+
+
+# --- smooth curves -------------------------------------------------------------------------------
+
+
+def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> tuple[Spline | None, str]:
+    """The least-squares spline of the fewest evenly spaced knots that will do; None and the reason if none does."""
+    if len(s) < 4:
+        return None, "a smooth curve needs four points"
+    limit = min(MOST_KNOTS, len(s))
+    reason = f"no smooth curve of up to {limit} knots passes the points at {shown(tolerance, 'length')}"
+    reason = reason if most >= limit else "they take fewer numbers than a smooth curve"
+    for knots in range(4, min(limit, most) + 1):
+        at = np.linspace(s[0], s[-1], knots)
+        every = np.concatenate([[s[0]] * 4, at[2:-2], [s[-1]] * 4])  # not-a-knot: none at the second and last but one
+        try:
+            curve = make_lsq_spline(s, values, every)
+        except (ValueError, np.linalg.LinAlgError):  # too few points between two knots
+            break
+        if np.max(np.abs(curve(s) - values)) <= tolerance:
+            strays = _strays(curve, s, values, tolerance)
+            if not strays:
+                return Spline(at, curve(at)), ""
+            reason = f"a smooth curve would {strays}"
+    return None, reason
+
+
+def _strays(curve: BSpline, s: np.ndarray, values: np.ndarray, tolerance: float) -> str:
+    """What a cubic spline does between the points though they give no reason for it, "" for nothing.
+
+    It is at an end of an interval, where it is near enough, or level where it is highest and lowest there: these
+    places are the roots of a quadratic in each piece, so that nothing is missed between two stations.
+    """
+    level = PPoly.from_spline(curve).derivative().roots(discontinuity=False, extrapolate=False)
+    level = np.sort(np.concatenate([level, curve.t]))  # a piece may be level all along, from knot to knot
+    level = level[np.isfinite(level) & (level > s[0]) & (level < s[-1])]
+    i = np.clip(np.searchsorted(s, level, side="right") - 1, 0, len(s) - 2)
+    height, before, after = curve(level), values[i], values[i + 1]
+    beyond = np.maximum(np.minimum(before, after) - height, height - np.maximum(before, after))
+    if np.any(beyond > tolerance):
+        worst = int(np.argmax(beyond))
+        much, where = (shown(float(f"{x[worst]:.3g}"), "length") for x in (beyond, level))
+        return f"leave the range of neighbouring points by {much} at s = {where}"
+    for own in np.unique(i):
+        rise = np.sign(values[own + 1] - values[own]) * height[i == own]
+        if np.max(np.maximum.accumulate(rise) - rise) > 2 * tolerance:  # no monotone curve is that near
+            return f"turn back between s = {shown(s[own], 'length')} and {shown(s[own + 1], 'length')}"
+    return ""

@@ -1,0 +1,172 @@
+"""The header of a table: which column each cell means, and in which unit it is.
+
+A unit stands in brackets, in parentheses, behind the name or in a row below the header.
+"""
+
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InputError
+from ..units import Dimension, to_si, unit_fits
+
+_MARKED = re.compile(r"(.*\S)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))")  # a name with its unit
+_BEHIND = re.compile(r"(.*[^\s_])[\s_]+([^\s_]+)")  # `Tbase_N`
+
+
+class Kind(NamedTuple):
+    """What the columns of a kind of table are."""
+
+    dimension_of: Callable[[str], Dimension | None]  # of a column, None without; raises InputError for an unknown one
+    content: str  # of a row, in the plural
+    example: str  # of a header
+    meant: Callable[[str], str | None] = lambda name: name  # the column that a name in a file means; None: left out
+    labels: Collection[str] = ()  # columns of text
+    gaps: Callable[[str], bool] = lambda column: False  # whether cells of a column may be empty, which gives NaN
+    words: Callable[[str], Mapping[str, str]] = lambda column: {}  # numbers that the cells of a column give in words
+    objection: Callable[[str], str] = lambda name: ""  # to an unknown column; "" where it is just not used
+
+
+class Heading(NamedTuple):
+    """The head of a column."""
+
+    text: str  # as in the file, on one line
+    column: str | None  # None where it is not used
+    unit: str | None
+
+    @property
+    def name(self) -> str:
+        """The text without a unit in brackets or parentheses."""
+        return _MARKED.sub(r"\1", self.text)
+
+
+def heading_of(cell: str, kind: Kind, given: Mapping[str, str]) -> Heading:
+    """What a cell of the header says of its column."""
+    text = " ".join(cell.split()) if len(cell) < 10_000 else short(cell)
+    own = _as_written(text, kind)
+    name = _MARKED.fullmatch(text)
+    said = given.get(text, given.get(name[1]) if name else None)
+    if said is None:
+        return own
+    if not said.strip():
+        return Heading(text, None, None)
+    column, unit = _as_written(said, kind)[1:]
+    if column is None:
+        kind.dimension_of(said)  # raises and says what there is
+    if unit is None:
+        marked = name and (name[2] if name[2] is not None else name[3])
+        unit = marked.strip() if marked else _unit_behind(text, kind.dimension_of(str(column)))
+    return Heading(text, column, unit)
+
+
+def _as_written(text: str, kind: Kind) -> Heading:
+    """By a name and its unit in brackets, in parentheses or behind it."""
+    if name := _MARKED.fullmatch(text):
+        column = _known(name[1], kind)
+        unit = name[2] if name[2] is not None else name[3]
+        if column is not None and kind.dimension_of(column) is None and (name[3] is not None or unit in ("-", "1")):
+            unit = None  # direction (in/out)
+        return Heading(text, column, None if column is None or unit is None else unit.strip())
+    if (column := _known(text, kind)) is not None:
+        return Heading(text, column, None)
+    if name := _BEHIND.fullmatch(text):
+        column = _known(name[1], kind)
+        unit = None if column is None else _unit_behind(text, kind.dimension_of(column))
+        return Heading(text, column if unit else None, unit)
+    return Heading(text, None, None)
+
+
+def _known(name: str, kind: Kind) -> str | None:
+    """The column that a name means, where there is one."""
+    column = kind.meant(name)
+    try:
+        if column is not None:
+            kind.dimension_of(column)
+    except InputError:
+        return None
+    return column
+
+
+def _unit_behind(text: str, dimension: Dimension | None) -> str | None:
+    name = _BEHIND.fullmatch(text)
+    return name[2] if name and dimension and unit_fits(name[2], dimension) else None
+
+
+def headings_of(cells: list[str], row: int, kind: Kind, given: Mapping[str, str]) -> list[Heading]:
+    """Of every column.
+
+    Raises:
+        InputError: for what is no header, or a name that is to be another.
+    """
+    while len(cells) > 1 and not cells[-1].strip():  # spreadsheets leave separators at the end
+        cells = cells[:-1]
+    headings = [heading_of(cell, kind, given) for cell in cells]
+    known = any(heading.column for heading in headings)
+    remedy = f"write names and units such as {kind.example!r}"
+    if not known and all(is_number(cell) for cell in cells if cell.strip()):
+        raise InputError(f"row {row}: there is no header above the numbers; {remedy}")
+    if not known and len(cells) == 1:
+        said = "and commas, semicolons or tabs between columns"
+        raise InputError(f"row {row}: {short(cells[0])} is no column; {remedy}, {said}")
+    for heading in headings:
+        is_said = heading.text in given or heading.name in given
+        if heading.column is None and not is_said and (objection := kind.objection(heading.name)):
+            raise InputError(f"row {row}: {objection}")
+    return headings
+
+
+def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str], kind: Kind) -> list[Heading] | None:
+    """The headings with the units in the row below them; None where that row holds numbers already."""
+    units = {}
+    for i, (heading, cell) in enumerate(zip(headings, cells, strict=False)):
+        dimension = None if heading.column is None else kind.dimension_of(heading.column)
+        unit = cell.strip().strip("[]()").strip()
+        if dimension is None or not unit:
+            continue
+        if is_number(unit.replace(",", ".")) or not unit_fits(unit, dimension):
+            return None
+        units[i] = unit
+    for i, unit in units.items():
+        _, column, own = headings[i]
+        if own not in (None, unit):
+            raise InputError(f"row {row}, column {column}: the unit is {unit}, but {own} in the header; keep one")
+    return [heading._replace(unit=units.get(i, heading.unit)) for i, heading in enumerate(headings)] if units else None
+
+
+def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
+    """Every column once, and with a unit where it has one."""
+    seen: dict[str, str] = {}
+    for text, column, unit in headings:
+        if column is None:
+            continue
+        if column in seen:
+            same = f"the column {column} appears twice; remove one"
+            both = f"{seen[column]!r} and {text!r} both are the column {column}; remove one"
+            raise InputError(f"row {row}: {same if seen[column] == text else both}")
+        seen[column] = text
+        dimension = kind.dimension_of(column)
+        if dimension is None and unit is not None:
+            raise InputError(f"row {row}: the column {column} has no unit, got [{unit}]; leave it out")
+        if dimension is not None:
+            to_si(np.zeros(0), unit or "", dimension, f"row {row}: the column {column}")
+
+
+def number(text: str) -> float:
+    """The number that a text is; unlike Python, no reader takes 1_000 for one."""
+    return float(text if "_" not in text else "")
+
+
+def is_number(text: str) -> bool:
+    try:
+        number(text)
+    except ValueError:
+        return False
+    return True
+
+
+def short(text: str) -> str:
+    """A piece of a file for a message: quoted, on one line, not long."""
+    text = text.strip()
+    return repr(text if len(text) <= 60 else text[:57] + "...")

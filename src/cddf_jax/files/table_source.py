@@ -1,0 +1,217 @@
+"""The cells of a table in a file, from its header on: CSV in the dialects of instruments and spreadsheets, and .xlsx.
+
+Separators are commas, or semicolons or tabs, and then decimal commas are understood too, or what a first line such as
+`sep=;` says. Blank lines, lines with # between the rows and separators at the end of a line are passed over. UTF-8,
+UTF-16 with its mark, and Windows-1252 (Latin-1) where it is neither.
+"""
+
+import codecs
+import csv
+import io
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from typing import NamedTuple
+
+from ..errors import InputError, needed
+
+Recognised = Callable[[Sequence[str]], int]  # how many cells are heads of columns
+Row = tuple[int, list[str]]  # its line in the file, or its number in the sheet, and its cells
+
+_BLANK = ' \t\r\n,;"'
+_LOOKED_AT = 200  # rows, for the header
+_ENOUGH = 2  # columns, by which a header is recognised at once
+_COMMENT = re.compile(r'[ \t"]*#(?!N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!)', re.I)  # not an error of a spreadsheet
+_CONTROL = re.compile("[\x00-\x08\x0e-\x1f]")  # characters that no text holds
+_ZIP, _OLD_SPREADSHEET = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
+_NO_TEXT = "is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8"
+
+
+class Source(NamedTuple):
+    """A table in a file."""
+
+    row: int  # of the header
+    header: list[str]
+    rows: Iterator[Row]  # below it
+    notes: tuple[str, ...]  # the text above the header
+    decimal_commas: bool  # whether a number may have one
+    read_as: list[str]  # what was done to read it, complete when the rows are read
+
+
+def open_table(path: str | os.PathLike[str], recognised: Recognised, empty: str) -> Source:
+    """The table in a file.
+
+    Args:
+        path: of the file.
+        recognised: how many of some cells are heads of columns, by which the header is found.
+        empty: what is said of a file without any text.
+
+    Raises:
+        InputError: without the name of the file.
+    """
+    try:
+        with open(path, "rb") as file:
+            content = file.read()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror}); check the path") from None
+    if content.startswith(_OLD_SPREADSHEET):
+        raise InputError("is a spreadsheet in the old format .xls; save it as .xlsx or as CSV UTF-8")
+    source = _of_sheets(content, recognised) if content.startswith(_ZIP) else _of_text(content, recognised)
+    if source is None:
+        raise InputError(empty)
+    return source
+
+
+# --- text ----------------------------------------------------------------------------------------
+
+
+def _of_text(content: bytes, recognised: Recognised) -> Source | None:
+    text, read_as = _decoded(content)
+    lines = list(io.StringIO(text, newline=None))
+    start, separators = 0, ";,\t"
+    if lines and (said := re.fullmatch(r'"?sep=(.)"?[ \t,;]*\n?', lines[0], re.I)):
+        start, separators = 1, said[1]
+    plain = [i for i in range(start, len(lines)) if lines[i].strip(_BLANK) and not _COMMENT.match(lines[i])]
+    if not plain:
+        return None
+    at, separator = _find_header(lines, plain[:_LOOKED_AT], separators, recognised)
+    header, below = _cells(lines, at, separator)
+    if _COMMENT.match(lines[at]):
+        header[0] = header[0].lstrip(" #")
+    notes = [line.strip(_BLANK).lstrip("#").strip() for line in lines[start:at] if line.strip(_BLANK)]
+    if head := [i + 1 for i in plain if i < at]:
+        read_as.append(f"the header is row {at + 1}; the text above it from row {head[0]} on is taken for notes")
+    rows = _rows(lines, below, separator, read_as)
+    return Source(at + 1, header, rows, tuple(notes), separator != ",", read_as)
+
+
+def _decoded(content: bytes) -> tuple[str, list[str]]:
+    read_as = []
+    try:
+        marked = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # "Unicode text" of spreadsheets
+        text = content.decode("utf-16" if marked else "utf-8-sig")
+    except UnicodeDecodeError:
+        try:
+            text = content.decode("cp1252")
+        except UnicodeDecodeError:
+            raise InputError(_NO_TEXT) from None
+        read_as.append("the file is not UTF-8; it was read as Windows-1252 (Latin-1)")
+    if _CONTROL.search(text):
+        raise InputError(_NO_TEXT)
+    return text, read_as
+
+
+def _find_header(
+    lines: Sequence[str], plain: Sequence[int], separators: str, recognised: Recognised
+) -> tuple[int, str]:
+    """Line and separator: where two columns are recognised or one; else a comment above numbers; else the widest."""
+    known: tuple[int, int, str] = (0, 0, "")
+    widest = (0, plain[0], separators[0])
+    for i in plain:
+        for mark in [mark for mark in separators if mark in lines[i]] or [","]:
+            cells = _header_cells(lines, i, mark)
+            known = max(known, (recognised(cells), i, mark), key=lambda found: found[0])
+            widest = max(widest, (sum(map(bool, cells)), i, mark), key=lambda found: found[0])
+        if known[0] >= _ENOUGH:
+            break
+    if known[0]:
+        return known[1:]
+    above = max((i for i in range(plain[0]) if lines[i].strip(_BLANK)), default=-1)  # as NumPy's savetxt writes it
+    for mark in separators if above >= 0 else "":
+        if recognised([cell.lstrip(" #") for cell in _header_cells(lines, above, mark)]) >= _ENOUGH:
+            return above, mark
+    return widest[1:]
+
+
+def _header_cells(lines: Sequence[str], at: int, separator: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in _cells(lines, at, separator)[0]]
+    except InputError:  # astray quotation marks: no header
+        return []
+
+
+def _rows(lines: Sequence[str], below: int, separator: str, read_as: list[str]) -> Iterator[Row]:
+    """Every row that is neither blank nor a comment."""
+    broken = 0
+    while below < len(lines):
+        at, line = below, lines[below]
+        if not line.strip(_BLANK) or ("#" in line and _COMMENT.match(line)):
+            below += 1
+            continue
+        cells, below = _cells(lines, at, separator)
+        broken = broken or (at + 1 if below > at + 1 else 0)
+        yield at + 1, cells
+    if broken:
+        read_as.append(
+            f"cells hold line breaks (row {broken}); rows are numbered by the lines of the file, as in an editor"
+        )
+
+
+def _cells(lines: Sequence[str], at: int, separator: str) -> tuple[list[str], int]:
+    """The cells of a row and the line below it; within quotation marks a line may break, and separators are text."""
+    if '"' not in lines[at]:
+        return lines[at].rstrip("\n").split(separator), at + 1
+    reader = csv.reader(islice(lines, at, None), delimiter=separator, skipinitialspace=True, strict=True)
+    try:
+        return next(reader), at + reader.line_num
+    except csv.Error as error:
+        raise InputError(f"row {at + 1}: quotation marks are astray ({error}); take them out") from None
+
+
+# --- spreadsheets --------------------------------------------------------------------------------
+
+
+def _of_sheets(content: bytes, recognised: Recognised) -> Source | None:
+    """The one sheet that holds a table."""
+    sheets = {name: rows for name, rows in _sheets(content).items() if rows}
+    found = {name: _header_of(rows, recognised) for name, rows in sheets.items()}
+    tables = [name for name, (count, _) in found.items() if count] or list(sheets)[:1]
+    if len(tables) > 1:
+        raise InputError(f"holds tables in the sheets {', '.join(map(repr, tables))}; save each in a file of its own")
+    if not tables:
+        return None
+    name, read_as = tables[0], []
+    at = found[name][1]
+    if others := [repr(other) for other in sheets if other != name]:
+        read_as.append(f"the sheet {name!r} is read; not used: {', '.join(others)}")
+    above, (row, header), below = sheets[name][:at], sheets[name][at], sheets[name][at + 1 :]
+    notes = tuple(" ".join(cell for cell in cells if cell).lstrip("#").strip() for _, cells in above)
+    if head := [number for number, cells in above if not _COMMENT.match(_first(cells))]:
+        read_as.append(f"the header is row {row}; the text above it from row {head[0]} on is taken for notes")
+    rows = ((number, cells) for number, cells in below if not _COMMENT.match(_first(cells)))
+    return Source(row, header, rows, notes, True, read_as)
+
+
+def _header_of(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int]:
+    """How many columns are recognised, and in which row; without any the first."""
+    best = (0, 0)
+    for i, (_, cells) in enumerate(rows[:_LOOKED_AT]):
+        best = max(best, (recognised(cells), i), key=lambda found: found[0])
+        if best[0] >= _ENOUGH:
+            break
+    return best
+
+
+def _sheets(content: bytes) -> dict[str, list[Row]]:
+    """The rows of each sheet that are not blank, all of one width, as text that gives every number exactly."""
+    openpyxl = needed("openpyxl", "excel")
+    try:
+        book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
+        sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
+    except Exception as error:  # of many kinds: a zip archive may hold anything
+        raise InputError(f"is no spreadsheet in the format .xlsx ({error}); save it as .xlsx or as CSV UTF-8") from None
+    found = {}
+    for name, rows in sheets.items():
+        width = max((i + 1 for cells in rows for i, value in enumerate(cells) if value is not None), default=0)
+        texts = ((i, [_text(value) for value in cells[:width]]) for i, cells in enumerate(rows, 1))
+        found[name] = [(i, cells + [""] * (width - len(cells))) for i, cells in texts if any(cells)]
+    return found
+
+
+def _text(value: object) -> str:
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value).strip()
+
+
+def _first(cells: Sequence[str]) -> str:
+    return next((cell for cell in cells if cell), "")

@@ -1,0 +1,321 @@
+"""What a bench shows: a pulley test, and a manipulator whose cells, angle and dimensions are not quite what they read.
+
+The parameters of a bench are those of the manipulator and the errors of its instruments and dimensions. A cell
+reads gain * tension + zero; what it reads is counted from a tendon that is already under `pretension`.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from ..errors import InputError
+from ..measurements.readings import READINGS, columns_of, kind_of, tendon_number
+from ..measurements.table import Measurements
+from ..mechanics.capstan import pulling_tension
+from ..quantities import dimension_of
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..robot.profiles import shifted
+from ..statics.equilibrium import RESULTS, Equilibrium
+from ..statics.solve import solve
+from ..units import Dimension, si_unit
+
+TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
+LANES = 128  # rows are solved in multiples of these: few sizes, so that tables and curves share compiled programs
+
+Parameters = Mapping[str, ArrayLike]  # numbers by name; that of TRIALS is one for each trial
+
+
+class Parameter(NamedTuple):
+    """What may be fitted."""
+
+    name: str
+    start: float | None  # None: the manipulator's own
+    positive: bool
+    scale: float  # a size that matters, where the parameter may be 0; SI
+
+    @property
+    def dimension(self) -> Dimension:
+        return dimension_of(self.name)
+
+
+PARAMETERS = {
+    parameter.name: parameter
+    for parameter in (
+        Parameter("friction_coefficient", None, True, 1.0),
+        Parameter("youngs_modulus", None, True, 1.0),
+        Parameter("stiffness_factor", 1.0, True, 1.0),  # of a body without a single modulus
+        Parameter("length", None, True, 1.0),
+        Parameter("drag", 1.0, True, 1.0),
+        Parameter("outer_radius_error", 0.0, False, 1e-4),  # true less stated, all along the body
+        Parameter("tendon_offset_error", 0.0, False, 1e-4),
+        Parameter("base_gain", 1.0, True, 0.02),
+        Parameter("tip_gain", 1.0, True, 0.02),
+        Parameter("base_zero", 0.0, False, 0.5),
+        Parameter("tip_zero", 0.0, False, 0.5),
+        Parameter("pretension", 1.0, True, 0.5),  # of every tendon, not read by the cells
+        Parameter("angle_zero", 0.0, False, 0.02),
+    )
+}
+
+
+def stiffness_parameter(manipulator: Manipulator) -> str:
+    """The parameter of stiffness: the modulus where that is one number, else the factor on the stiffness."""
+    modulus = manipulator.youngs_modulus
+    return "stiffness_factor" if modulus is None or callable(modulus) else "youngs_modulus"
+
+
+def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) -> tuple[str, ...]:
+    """The names that were asked for, or else those of friction and stiffness.
+
+    Raises:
+        InputError: for an unknown name, or a parameter that this body does not have.
+    """
+    names = ("friction_coefficient", stiffness_parameter(manipulator)) if free is None else free
+    names = (names,) if isinstance(names, str) else tuple(names)
+    for name in names:
+        parameter_named(name)
+    if "youngs_modulus" in names and stiffness_parameter(manipulator) != "youngs_modulus":
+        raise InputError("the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness")
+    if "outer_radius_error" in names and not manipulator.stiffened_by_radii:
+        raise InputError("outer_radius_error changes nothing where bending_stiffness is given; fit stiffness_factor")
+    return names
+
+
+def starting_value(manipulator: Manipulator, name: str) -> float:
+    """Where the search for a parameter starts."""
+    start = parameter_named(name).start
+    own = getattr(manipulator, name, None)
+    return float(own) if own is not None and (start is None or own > 0) else float(start or 0.0)
+
+
+def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipulator:
+    """The manipulator with its numbers replaced and its dimensions corrected; other parameters are not its own."""
+    names = tuple(name for name in parameters if hasattr(manipulator, name))
+    numbers = [parameters[name] for name in names]
+    body = eqx.tree_at(lambda m: [getattr(m, n) for n in names], manipulator, numbers, is_leaf=lambda x: x is None)
+    if "outer_radius_error" in parameters:
+        radius = shifted(body.outer_radius, parameters["outer_radius_error"])
+        body = eqx.tree_at(lambda m: m.outer_radius, body, radius)
+    if "tendon_offset_error" in parameters:
+        offsets = [shifted(tendon.offset, parameters["tendon_offset_error"]) for tendon in body.tendons]
+        body = eqx.tree_at(lambda m: [tendon.offset for tendon in m.tendons], body, offsets)
+    return body
+
+
+class Evaluation(NamedTuple):
+    """What a bench shows, one row each."""
+
+    readings: dict[str, np.ndarray]  # by column, (rows,), SI
+    derivatives: dict[str, np.ndarray]  # by column, (rows, parameters), in the flat order of the parameters
+    results: RESULTS  # how the solves went
+    against: np.ndarray  # (rows, tendons), whether a tendon travels against its direction
+
+
+class Pulley(eqx.Module):
+    """A pulley test."""
+
+    weight: Float[np.ndarray | Array, " rows"]
+    wrap_angle: Float[np.ndarray | Array, " rows"]
+    name: str = eqx.field(default="", static=True)
+    columns: tuple[str, ...] = eqx.field(default=("pulling_tension",), static=True)
+
+    def predict(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> dict[str, Array]:
+        mu = with_parameters(manipulator, parameters).friction_coefficient
+        return {"pulling_tension": pulling_tension(self.weight, mu, self.wrap_angle)}
+
+
+class Bench(eqx.Module):
+    """Rows of one table of a manipulator, or of levels to predict at."""
+
+    base_tension: Float[np.ndarray | Array, "rows tendons"]  # as read
+    direction: tuple[Float[np.ndarray | Array, " rows"] | None, ...]  # one per tendon, None where it is to be found
+    tip_force: Float[np.ndarray | Array, "rows 2"] | None = None
+    trial: Int[np.ndarray | Array, " rows"] | None = None  # which of the trial deviations holds
+    columns: tuple[str, ...] = eqx.field(default=(), static=True)
+    name: str = eqx.field(default="", static=True)
+    read_in: Mapping[str, Int[np.ndarray | Array, " readings"]] = eqx.field(default_factory=dict)
+    # the rows in which a column was read; a column that is not here was read in all
+
+    @property
+    def on_one_curve(self) -> bool:
+        """Whether the rows lie on the curve of a free body of one tendon that is pulled in."""
+        slides_out = any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
+        return self.base_tension.shape[1] == 1 and self.tip_force is None and not slides_out
+
+    def solve(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Equilibrium:
+        """The rows, in equilibrium."""
+        body = with_parameters(manipulator, parameters)
+        readings = jnp.asarray(self.base_tension)
+        gain, zero = (_of_cells(parameters, name, readings) for name in ("base_gain", "base_zero"))
+        tension = jnp.maximum((readings - zero) / gain + parameters.get("pretension", 0.0), 0.0)
+
+        def one(tension, direction, force, deviation):
+            there = body
+            if deviation is not None:
+                mu = jnp.asarray(body.friction_coefficient) * jnp.exp(deviation)
+                there = eqx.tree_at(lambda m: m.friction_coefficient, body, mu)
+            loads = None if force is None else Loads(tip_force=force)
+            return solve(there, tension, loads, direction=direction, nodes=nodes, throw=False)
+
+        by_trial = self.trial is not None and TRIALS in parameters
+        deviation = jnp.asarray(parameters[TRIALS])[self.trial] if by_trial else None
+        force = None if self.tip_force is None else jnp.asarray(self.tip_force)
+        return jax.vmap(one)(tension, jax.tree.map(jnp.asarray, self.direction), force, deviation)
+
+    def predict(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> dict[str, Array]:
+        """What the instruments read, each column in the rows in which it was read."""
+        equilibrium = self.solve(manipulator, parameters, nodes)
+        found = {column: reading(equilibrium, column, parameters) for column in self.columns}
+        return found | {column: found[column][rows] for column, rows in self.read_in.items()}
+
+    def evaluate(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Evaluation:
+        """Every reading of every row with its derivatives, whether it was read or not."""
+        rows = self.base_tension.shape[0]
+        fill = -rows % LANES
+        arrays = self.base_tension, self.direction, self.tip_force, self.trial
+        padded = jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
+        answer = _evaluate(Bench(*padded), manipulator, jax.tree.map(jnp.asarray, parameters), nodes)
+        return jax.tree.map(lambda x: x[:rows], jax.device_get(answer))
+
+
+def _of_cells(parameters: Parameters, name: str, readings: Array) -> Array:
+    """A parameter of the cells, one per tendon: `base_gain` for all of them, or `base_gain_2` for that of tendon 2."""
+    common = parameters.get(name, PARAMETERS[name].start)
+    tendons = range(1, readings.shape[-1] + 1)
+    return jnp.stack([jnp.asarray(parameters.get(f"{name}_{i}", common)) for i in tendons])
+
+
+@eqx.filter_jit
+def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Array], nodes: int) -> Evaluation:
+    flat, unravel = jax.flatten_util.ravel_pytree(parameters)
+
+    def observe(flat):
+        parameters = unravel(flat)
+        equilibrium = bench.solve(manipulator, parameters, nodes)
+        columns = columns_of(manipulator.num_tendons)
+        readings = {column: reading(equilibrium, column, parameters) for column in columns}
+        return readings, (equilibrium.result, equilibrium.direction_contradicted)
+
+    def push(tangent):
+        return jax.jvp(observe, (flat,), (tangent,), has_aux=True)
+
+    values, slopes, (results, against) = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(flat.size))
+    return Evaluation(values, slopes, results, against)
+
+
+def reading(equilibrium: Equilibrium, column: str, parameters: Parameters) -> Array:
+    """What the instrument of a column shows, one per row."""
+    kind = READINGS[kind_of(column)]
+    values = kind.of(equilibrium)
+    if kind.by_cell:
+        gain, zero = (_of_cells(parameters, name, values) for name in ("tip_gain", "tip_zero"))
+        values = gain * (values - parameters.get("pretension", 0.0)) + zero
+    if kind.zero:
+        values = values + parameters.get(kind.zero, 0.0)
+    return values[..., tendon_number(column) - 1] if kind.per_tendon else values
+
+
+def unit_of(name: str) -> str:
+    """The SI unit of a parameter, or of a product of powers of some, such as "1/Pa".
+
+    "1" for a plain number, such as the friction of a trial over that of all; "" for an unknown name.
+    """
+    above, below, place = [], [], 0
+    for word in name.split(" "):
+        if word in ("*", "/"):
+            place = int(word == "/")
+            continue
+        stem, _, power = word.partition("^")
+        try:
+            unit = "1" if stem == "1" or stem.startswith(TRIALS) else si_unit(parameter_named(stem).dimension)
+        except InputError:
+            return ""
+        if unit != "1":
+            whole = f"({unit})" if "/" in unit or " " in unit else unit
+            (below if place else above).append(f"{whole}^{power}" if power else whole if place else unit)
+    return "".join([" ".join(above) or "1", *(f"/{unit}" for unit in below)])
+
+
+def parameter_named(name: str) -> Parameter:
+    """What a parameter is; `tip_gain_2` is that of the cell of tendon 2.
+
+    Raises:
+        InputError: for an unknown name.
+    """
+    stem, _, tendon = name.rpartition("_")
+    if tendon.isdigit() and stem.endswith(("_gain", "_zero")) and stem != "angle_zero":
+        name = stem
+    if name not in PARAMETERS:
+        raise InputError(f"{name!r} is no parameter that can be fitted; there are {', '.join(PARAMETERS)}")
+    return PARAMETERS[name]
+
+
+class BenchModel(eqx.Module):
+    """Every table's readings from the parameters."""
+
+    manipulator: Manipulator
+    experiments: tuple[Pulley | Bench, ...]
+    nodes: int = eqx.field(static=True)
+
+    def __call__(self, parameters: dict[str, Array]) -> dict[str, Array]:
+        predictions = {}
+        for experiment, name in zip(self.experiments, self.names, strict=True):
+            for column, values in experiment.predict(self.manipulator, parameters, self.nodes).items():
+                predictions[f"{name}: {column}"] = values
+        return predictions
+
+    @property
+    def names(self) -> list[str]:
+        """Of the tables, with a number where two have the same name."""
+        names = [experiment.name for experiment in self.experiments]
+        return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
+
+
+def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: int = 0) -> Pulley | Bench:
+    """A table as the model takes it.
+
+    Args:
+        table: a pulley test or rows of the manipulator.
+        manipulator: whose tendons the columns must fit.
+        first_trial: the number of trials in the tables before.
+
+    Raises:
+        InputError: for columns that are missing, too many, or observe nothing.
+    """
+    if "pulling_tension" in table:
+        return Pulley(table["weight"], table["wrap_angle"], table.name)
+    count = manipulator.num_tendons
+    pulled = ["base_tension", *(f"base_tension_{i}" for i in range(2, count + 1))]
+    for column in pulled:
+        if column not in table:
+            raise InputError(f"no column {column!r}; a manipulator of {count} tendons needs it", where=table.name)
+    columns = [column for column in table.columns if kind_of(column)]
+    if not columns:
+        raise InputError(
+            "nothing observed; add a column tip_tension [N], tip_angle [deg] or tip_x [mm]", where=table.name
+        )
+    for column in table.columns:
+        if column not in READINGS and column != "trial" and tendon_number(column) > count:
+            raise InputError(f"column {column!r}, but the manipulator has {count} tendon(s)", where=table.name)
+    tension = np.stack([table[column] for column in pulled], axis=1)
+    direction = tuple(
+        table.columns.get(column) for column in ("direction", *(f"direction_{i}" for i in range(2, count + 1)))
+    )
+    none = np.zeros(len(table))
+    force = np.stack([table.columns.get(column, none) for column in ("tip_force_x", "tip_force_y")], axis=1)
+    return Bench(
+        tension,
+        direction,
+        force if np.any(force) else None,
+        first_trial + table["trial"].astype(int) if "trial" in table else None,
+        tuple(columns),
+        table.name,
+        {column: np.flatnonzero(table.has(column)) for column in columns if not np.all(table.has(column))},
+    )

@@ -1,0 +1,92 @@
+"""Which model explains the data best: information criteria, and the prediction of data that were left out.
+
+Several fits of the same tables, with and without a drag, say, or with and without errors of the cells.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..estimation.levenberg_marquardt import minimise_all, residuals_at
+from .fit import Fit
+
+ROW_FOLDS = 6  # where there are no trials
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One model among others; the lower each of these, the better."""
+
+    name: str  # as it was given
+    num_parameters: int  # with the noise that was estimated
+    AIC: float  # Akaike's criterion
+    BIC: float  # Schwarz's criterion
+    cross_validation: float  # root mean square of what was left out, in standard deviations of the first fit's noise
+    mean_relative_error: float  # of the tip tensions, the measure of Liu et al. (2020)
+    success: bool  # whether the fit ended well
+
+
+def compare(fits: Mapping[str, Fit]) -> list[Comparison]:
+    """Fits of the same tables, the one of least AIC first.
+
+    Cross-validation measures all of them by the noise of the first, so that they can be compared; alone, each is
+    measured by its own.
+
+    Raises:
+        InputError: for fewer than two fits, or fits of different data.
+    """
+    if len(fits) < 2:
+        raise InputError("compare: needs two fits or more, by name")
+    checksums = {name: [table.checksum for table in fit.tables] for name, fit in fits.items()}
+    first, *others = checksums.items()
+    for name, found in others:
+        if found != first[1]:
+            raise InputError(f"compare: {name!r} was fitted to other data than {first[0]!r}; fit the same tables")
+    noise = next(iter(fits.values())).minimum.noise
+    found = [
+        Comparison(
+            name,
+            fit.num_estimated,
+            **fit.information_criteria,
+            cross_validation=cross_validation(fit, noise),
+            mean_relative_error=fit.mean_relative_error,
+            success=fit.success,
+        )
+        for name, fit in fits.items()
+    ]
+    return sorted(found, key=lambda comparison: comparison.AIC)
+
+
+def cross_validation(fit: Fit, noise: tuple[np.ndarray, ...] | None = None) -> float:
+    """Each trial (or sixth of the rows of a table without trials) predicted by a fit to all the others.
+
+    Args:
+        fit: the model.
+        noise: to measure by, one array for each group of data; the fit's own if not given.
+
+    Returns:
+        Root mean square of the errors of prediction over the noise; NaN where a fit to the others failed.
+    """
+    problem, own, best = fit.minimum
+    folds = _folds(fit)
+    with np.errstate(divide="ignore"):  # what is left out has infinite noise
+        reduced = tuple(s / np.where(out, 0.0, 1.0) for s, out in zip(own, folds, strict=True))
+    count = folds[0].shape[0]
+    found = minimise_all(problem, reduced, np.broadcast_to(best.z, (count, best.z.size)))
+    errors = residuals_at(problem, own if noise is None else noise, found.z)[:, : problem.num_data]
+    left_out = np.concatenate([out.reshape(count, -1) for out in folds], axis=1)
+    return float(np.sqrt(np.mean(errors[left_out] ** 2)))
+
+
+def _folds(fit: Fit) -> list[np.ndarray]:
+    """By group of data, which entries each fold leaves out, (folds, entries)."""
+    marks, clusters = [], fit.clusters
+    groups = [clusters[name] for name in fit.evidence.rows]  # in the order of the noise
+    with_trials = {table for table, labels in groups if len(np.unique(labels)) < len(labels)}
+    for table, labels in groups:
+        trials = table in with_trials
+        marks.append([(table, label if trials else int(label) % ROW_FOLDS) for label in labels.tolist()])
+    every = list(dict.fromkeys(mark for group in marks for mark in group))
+    return [np.array([[mark == fold for mark in group] for fold in every]) for group in marks]

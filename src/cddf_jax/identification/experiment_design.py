@@ -1,0 +1,264 @@
+"""`plan`: which measurement next, by the Fisher information that candidates would add to what is known.
+
+The expected standard errors are those of the linearised model at the estimate (D- and c-optimal design, as in
+Atkinson, Donev and Tobias, Optimum Experimental Designs, 2007, ch. 10). Where a parameter is not identified yet, the
+estimate is one of many that fit, and the plan is as good as that guess.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ..errors import InputError
+from ..estimation.determination import Determination, Evidence, determine
+from ..estimation.observations import Noise
+from ..estimation.parameter_space import Priors, priors_of
+from ..measurements.table import Measurements
+from ..robot.manipulator import Manipulator
+from ..statics.equilibrium import NOTEWORTHY, RESULTS
+from .bench import Bench, Parameters, Pulley, experiment_of, free_parameters, parameter_named, starting_value
+from .fit import Fit
+
+BEFOREHAND = 100.0  # relative standard error before any data, for designs that leave a parameter undetermined
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An experiment that could be done.
+
+    Args:
+        name: for the table.
+        conditions: columns of a bench or of a pulley test that are set, SI, numbers or lists of one length.
+        noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
+        repeats: how often all of it is done.
+        cost: of all of it, for instance in hours; candidates are ranked by gain per cost.
+    """
+
+    name: str
+    conditions: Mapping[str, ArrayLike]
+    noise: Mapping[str, float | Noise]
+    repeats: int = 1
+    cost: float = 1.0
+
+    def __post_init__(self):
+        known = all(not isinstance(noise, Noise) or None not in noise for noise in self.noise.values())
+        if not self.noise or not known or not all(_deviation(noise, 1.0) > 0 for noise in self.noise.values()):
+            raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")
+        if self.repeats < 1:
+            raise InputError(f"candidate {self.name!r}: repeats must be 1 or more, got {self.repeats}")
+        if not 0 < self.cost < np.inf:
+            raise InputError(f"candidate {self.name!r}: cost must be a number > 0, got {self.cost}")
+
+
+def _deviation(noise: float | Noise, reading: np.ndarray | float) -> np.ndarray:
+    """The standard deviation of each reading."""
+    if isinstance(noise, Noise):
+        return np.hypot(noise.floor or 0.0, (noise.fraction or 0.0) * reading)
+    return np.full(np.shape(reading), noise)
+
+
+Rows = tuple[np.ndarray, tuple[str, ...]]  # of the scaled Jacobian, and warnings
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate added to what is known."""
+
+    candidate: Candidate
+    expected: Determination
+    gain: float  # by the criterion: increase of ln det of the information, or decrease of ln of the standard error
+    warnings: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Candidates by what each would add alone, and the few to do in turn."""
+
+    criterion: str  # "D" or the name of a parameter
+    now: Determination  # what is determined so far
+    ranking: tuple[Ranked, ...]  # the best first, by gain per cost
+    chosen: tuple[Ranked, ...]  # in turn: each is the best after those before it; `expected` counts all of them
+
+    def __str__(self) -> str:
+        lines = [f"{ranked.candidate.name}: gain {ranked.gain:.4g}" for ranked in self.ranking]
+        return "\n".join([f"by {self.criterion}, the best first:", *lines])
+
+
+def plan(
+    known: Manipulator | Fit,
+    candidates: Sequence[Candidate],
+    free: Sequence[str] | None = None,
+    *,
+    priors: Priors | None = None,
+    criterion: str = "D",
+    num: int = 3,
+    nodes: int = 16,
+) -> Plan:
+    """Rank candidates by what they would add to the knowledge of the parameters.
+
+    Args:
+        known: a fit, to whose data the candidates would be added; or a manipulator, before any data.
+        candidates: what could be measured; one may be chosen more than once.
+        free: parameters to determine, of `bench.PARAMETERS`; None as in `fit`. A fit has its own.
+        priors: by parameter, mean and standard deviation, SI. A fit has its own.
+        criterion: "D" for all parameters together (the volume of their joint interval), or the name of the one
+            whose standard error is to become smallest (c-optimal).
+        num: how many to choose in turn.
+        nodes: as in `solve`.
+
+    Raises:
+        InputError: without candidates, for unknown parameters or an unknown criterion.
+    """
+    if not candidates:
+        raise InputError("plan: there is no candidate")
+    if isinstance(known, Fit):
+        if known.trial_effects:
+            raise InputError("plan: needs a fit whose friction is the same in every trial; fit without per_trial")
+        body, parameters, nodes = known.model.manipulator, known.parameters, known.model.nodes
+        evidence = known.evidence
+    else:
+        body, parameters = known, {name: starting_value(known, name) for name in free_parameters(known, free)}
+        evidence = _nothing_measured(parameters, priors or {})
+    if criterion != "D" and criterion not in evidence.names:
+        raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.names)}")
+    evidence = replace(evidence, noise_estimated=dict.fromkeys(evidence.rows, False))
+    rows = [_rows(body, parameters, candidate, evidence.size, nodes) for candidate in candidates]
+    ranking = _rank(evidence, candidates, rows, criterion)
+    chosen, so_far = [], evidence
+    for _ in range(num):
+        best = _rank(so_far, candidates, rows, criterion)[0]
+        k = next(i for i, candidate in enumerate(candidates) if candidate is best.candidate)
+        so_far = _with(so_far, rows[k][0])
+        chosen.append(best)
+    return Plan(criterion, determine(evidence), tuple(ranking), tuple(chosen))
+
+
+def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Evidence:
+    names = tuple(sorted(parameters))
+    kinds = [parameter_named(name) for name in names]
+    value = np.array([parameters[name] for name in names])
+    scale = np.array([kind.scale for kind in kinds])
+    size = np.where(value == 0, scale, np.abs(value))
+    prior_rows = {
+        i: np.eye(len(names))[i : i + 1] * size[i] / float(prior.standard_deviation)
+        for i, prior in priors_of(names, priors).items()
+    }
+    return Evidence(
+        names=names,
+        start=value,
+        scale=scale,
+        lower=np.where([kind.positive for kind in kinds], 0.0, -np.inf),
+        upper=np.full(len(names), np.inf),
+        value=value,
+        size=size,
+        at_bound=np.zeros(len(names), bool),
+        open_profile=np.zeros(len(names), bool),
+        rows={"before": np.zeros((len(names), len(names)))},  # nothing
+        prior_rows=prior_rows,
+        noise_estimated={"before": False},
+    )
+
+
+def _with(evidence: Evidence, rows: np.ndarray) -> Evidence:
+    """The evidence with more rows; what was open is judged anew."""
+    name = f"candidate {len(evidence.rows)}"
+    return replace(
+        evidence,
+        rows={**evidence.rows, name: rows},
+        noise_estimated={**evidence.noise_estimated, name: False},
+        open_profile=np.zeros_like(evidence.open_profile),
+        at_bound=np.zeros_like(evidence.at_bound),
+    )
+
+
+def _rank(evidence: Evidence, candidates: Sequence[Candidate], rows: Sequence[Rows], criterion: str) -> list[Ranked]:
+    before = _merit(evidence, criterion)
+    ranked = []
+    for candidate, (more, warnings) in zip(candidates, rows, strict=True):
+        after = _with(evidence, more)
+        ranked.append(Ranked(candidate, determine(after), _merit(after, criterion) - before, warnings))
+    return sorted(ranked, key=lambda r: -r.gain / r.candidate.cost)
+
+
+def _merit(evidence: Evidence, criterion: str) -> float:
+    """What grows as the data tell more."""
+    jacobian = evidence.jacobian
+    information = jacobian.T @ jacobian + np.eye(len(evidence.names)) / BEFOREHAND**2
+    if criterion == "D":
+        return float(np.linalg.slogdet(information)[1])
+    i = evidence.names.index(criterion)
+    return -0.5 * float(np.log(np.linalg.inv(information)[i, i]))
+
+
+def _rows(body: Manipulator, parameters: Parameters, candidate: Candidate, size: np.ndarray, nodes: int) -> Rows:
+    """The scaled Jacobian of what a candidate reads, and warnings of rows that have no solution and so tell nothing."""
+    experiment = _experiment(body, candidate)
+    warnings: list[str] = []
+    if isinstance(experiment, Pulley):
+        flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, parameters))
+
+        def read(x):
+            return experiment.predict(body, unravel(x), nodes)["pulling_tension"]
+
+        values = {"pulling_tension": np.asarray(read(flat))}
+        slopes = {"pulling_tension": np.asarray(jax.jacfwd(read)(flat))}
+    else:
+        values, slopes, codes, _ = experiment.evaluate(body, parameters, nodes)
+        for code in NOTEWORTHY:
+            count = int(np.sum(codes == code))
+            warnings += [f"{count} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if count else []
+    deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 without a floor of noise tells nothing
+        scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]
+    rows = np.concatenate(scaled) * np.sqrt(candidate.repeats)
+    return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
+
+
+def _experiment(body: Manipulator, candidate: Candidate) -> Pulley | Bench:
+    """The candidate as a table whose readings are not known yet."""
+    conditions = {name: np.atleast_1d(np.asarray(value, float)) for name, value in candidate.conditions.items()}
+    count = max(values.size for values in conditions.values()) if conditions else 0
+    for tendon in range(2, body.num_tendons + 1):
+        conditions.setdefault(f"base_tension_{tendon}", np.zeros(1))
+    if "weight" in conditions:
+        conditions = {name: value for name, value in conditions.items() if not name.startswith("base_tension")}
+    name = f"candidate {candidate.name!r}"
+    lengths = {column: values.size for column, values in conditions.items() if values.size not in (1, count)}
+    if lengths:
+        raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
+    columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
+    columns |= {column: np.zeros(count) for column in candidate.noise}
+    return experiment_of(Measurements.from_columns(name, notes=(), **columns), body)
+
+
+def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candidate]:
+    """The usual measurements on a bench, six readings each, with the noise of usual instruments.
+
+    Args:
+        manipulator: with two tendons or more, pulling the second one as well is among them.
+        tension: the largest base tension, N.
+    """
+    levels = tension * np.arange(1, 7) / 6
+    cell, angle, place = 0.01 * tension, np.radians(1.0), 1e-3
+    wraps = np.radians([45.0, 90.0, 135.0, 180.0, 225.0, 270.0])
+    found = [
+        Candidate("pulley test", {"wrap_angle": wraps, "weight": 0.1 * tension}, {"pulling_tension": cell}),
+        Candidate("tip tensions", {"base_tension": levels}, {"tip_tension": cell}),
+        Candidate("tip angles", {"base_tension": levels}, {"tip_angle": angle}),
+        Candidate("tip tensions and angles", {"base_tension": levels}, {"tip_tension": cell, "tip_angle": angle}),
+        Candidate("tip positions", {"base_tension": levels}, {"tip_x": place, "tip_y": place}),
+        Candidate(
+            "tip tensions under a tip weight of 1 N",
+            {"base_tension": levels, "tip_force_y": -1.0},
+            {"tip_tension": cell},
+        ),
+    ]
+    if manipulator.num_tendons > 1:
+        pulled = {"base_tension": levels, "base_tension_2": 0.3 * levels}
+        found.append(Candidate("tip tensions, second tendon pulled as well", pulled, {"tip_tension": cell}))
+    return found

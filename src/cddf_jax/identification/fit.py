@@ -1,0 +1,319 @@
+"""`fit`: friction, modulus and the errors of the bench from measurements, and what these do not determine."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple, Unpack
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ..errors import InputError, within
+from ..estimation.bootstrap import Bootstrap, BootstrapOptions
+from ..estimation.determination import FIXED, Determination, Estimate, spectrum_of
+from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
+from ..estimation.observations import Noise
+from ..estimation.parameter_space import Bounds, Priors
+from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
+from ..measurements.table import Measurements
+from ..robot.manipulator import Manipulator
+from .bench import (
+    TRIALS,
+    BenchModel,
+    experiment_of,
+    free_parameters,
+    parameter_named,
+    starting_value,
+    stiffness_parameter,
+    with_parameters,
+)
+from .predictions import Numbers, Prediction, beyond_the_data, predicted_rows
+from .random_effects import fit_trials
+from .verdict import doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
+
+POSITIVE = (0.0, None)
+
+
+class Group(NamedTuple):
+    """One column that was read in one table: a group of data with its own noise."""
+
+    label: str  # "table: column"
+    name: str  # of the table
+    column: str
+    table: Measurements
+
+    @property
+    def there(self) -> np.ndarray:
+        """(rows,), in which rows of the table the column was read."""
+        return self.table.has(self.column)
+
+    @property
+    def observed(self) -> np.ndarray:
+        """The readings, SI."""
+        return self.table.read(self.column)
+
+
+def groups_of(tables: Sequence[Measurements], model: BenchModel) -> list[Group]:
+    """One for each observed column of each table."""
+    return [
+        Group(f"{name}: {column}", name, column, table)
+        for table, name, experiment in zip(tables, model.names, model.experiments, strict=True)
+        for column in experiment.columns
+    ]
+
+
+class Alone(Determination):
+    """What one table by itself would have determined."""
+
+    def __str__(self) -> str:
+        return "\n".join(estimates_in_words(self))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit(LeastSquaresFit):
+    """Friction, modulus and more from measurements, SI units; parameters that were not free are "fixed"."""
+
+    manipulator: Manipulator  # with the estimates; where a parameter is not identified, one of many that fit
+    tables: tuple[Measurements, ...]  # the data
+    model: BenchModel  # of the bench: parameters to readings
+    alone: dict[str, Determination]  # what each table by itself, without priors, would have determined
+    trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty unless asked for
+    trial_spread: float  # standard deviation of ln(mu) over trials; 0 where there is none, NaN where not asked for
+    warnings: tuple[str, ...]  # of tables, statistics and solver, in words
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """In words: what was determined, what was not, and what measurement would help."""
+        return tuple(verdict_of(self, self.tables, self.trial_spread))
+
+    @property
+    def groups(self) -> list[Group]:
+        """The groups of data, in the order of the tables and their columns."""
+        return groups_of(self.tables, self.model)
+
+    @property
+    def mean_relative_error(self) -> float:
+        """Of the tip tensions, the measure of Liu et al. (2020): mean of |predicted - read| / read; NaN without any."""
+        pairs = [(self.residuals[g.label], g.observed) for g in self.groups if g.column.startswith("tip_tension")]
+        errors = [np.abs(residual[read > 0] / read[read > 0]) for residual, read in pairs]
+        return float(np.mean(np.concatenate(errors))) if errors else float("nan")
+
+    @property
+    def num_estimated(self) -> int:
+        """Parameters and numbers of the noise; of friction that differs between trials the spread alone."""
+        return super().num_estimated - len(self.evidence.random) + bool(self.evidence.random)
+
+    @property
+    def information_criteria(self) -> dict[str, float]:
+        """AIC and BIC of the Gaussian likelihood, over all that the trials could have been (Laplace's method)."""
+        random = list(self.evidence.random)
+        if not random:
+            return super().information_criteria
+        size, effects = self.evidence.size[random], self.minimum.outcome.parameters[random]
+        spread = size / np.array([self.evidence.prior_rows[i][0, i] for i in random])
+        columns = np.concatenate([*self.evidence.rows.values()])[:, random] / size * spread
+        more = np.linalg.slogdet(np.eye(len(random)) + columns.T @ columns)[1] + np.sum((effects / spread) ** 2)
+        return {name: value + float(more) for name, value in super().information_criteria.items()}
+
+    def __str__(self) -> str:
+        return "\n".join(self.verdict)
+
+    def predict(
+        self, column: str, base_tension: Numbers, tip_force: Numbers = (0.0, 0.0), direction: Numbers | None = None
+    ) -> Prediction:
+        """A reading with its 95 % band.
+
+        Args:
+            column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x" or "tip_y".
+            base_tension: N, (rows,) where every tendon is pulled alike, or (rows, tendons).
+            tip_force: N, (2,) or (rows, 2).
+            direction: 1 where tendons slide in and -1 where they slide out, broadcast to (rows, tendons); None where
+                it is to be found, as in `solve`.
+
+        Raises:
+            InputError: for another column, or conditions of other shapes.
+        """
+        bench = predicted_rows(base_tension, tip_force, direction, self.manipulator.num_tendons)
+        shown = bench.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
+        if column not in shown.readings:
+            raise InputError(f"predict: {column!r} is no reading; there are {', '.join(shown.readings)}")
+        band = self.band(shown.derivatives[column])
+        return Prediction(shown.readings[column], band, beyond_the_data(bench, self.model))
+
+    def bootstrap(
+        self, kind: str = "parametric", replicates: int = 1000, **options: Unpack[BootstrapOptions]
+    ) -> Bootstrap:
+        """Refits to data drawn anew; "cases" draws whole trials where there are trials, and whole rows elsewhere."""
+        if kind == "cases":
+            options.setdefault("clusters", self.clusters)
+        return super().bootstrap(kind, replicates, **options)
+
+    def place(self, group: str, k: int) -> str:
+        """In words, by the row of the file (1, 2, ... where there is none)."""
+        name, _, column = group.rpartition(": ")
+        table = self.tables[list(self.alone).index(name)]
+        row = table.place(int(np.flatnonzero(table.has(column))[k]))
+        return f"{row}, {column}" if table.files else f"{row} of {group}"
+
+    @property
+    def rows(self) -> dict[str, np.ndarray]:
+        """By group of data, the row of each datum in its file."""
+        return {group.label: group.table.rows[group.there] for group in self.groups}
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Those of any fit, and where samples of one hold are no independent readings."""
+        alike = ((label, one.remark) for label, one in self.serial_correlation.items())
+        return (*super().remarks, *(f"{label}: {remark}" for label, remark in alike if remark))
+
+    @property
+    def serial_correlation(self) -> dict[str, SerialCorrelation]:
+        """By group of data, how alike the residuals within holds are: consecutive rows at one level."""
+        covariance, found = spectrum_of(self.evidence.jacobian).covariance, {}
+        noise = dict(zip(self.evidence.rows, self.minimum.noise, strict=True))
+        for group in self.groups:
+            rows, residual = self.evidence.rows[group.label], self.residuals[group.label] / noise[group.label]
+            taken = float(np.einsum("ki,ij,kj->", rows, covariance, rows))
+            found[group.label] = serial_correlation(residual, holds_of(group.table)[group.there], taken)
+        return found
+
+    @property
+    def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
+        """By group of data, the table whose trials (or rows) are drawn together, and their labels."""
+        return {group.label: (group.name, _labels(group.table)[group.there]) for group in self.groups}
+
+
+def _labels(table: Measurements) -> np.ndarray:
+    """What is drawn together: the trial of each row, or the row itself."""
+    return table["trial"] if "trial" in table else np.arange(len(table))
+
+
+def fit(
+    manipulator: Manipulator,
+    data: Measurements | Sequence[Measurements],
+    free: Sequence[str] | None = None,
+    priors: Priors | None = None,
+    *,
+    bounds: Bounds | None = None,
+    noise: Mapping[str, ArrayLike | Noise] | None = None,
+    per_trial: bool = False,
+    loss: str = "linear",
+    starts: int | None = None,
+    seed: int = 0,
+    nodes: int = 16,
+) -> Fit:
+    """Fit parameters of a manipulator and its bench to one or several tables at once.
+
+    A table with `weight`, `pulling_tension` and `wrap_angle` is a pulley test and determines friction alone.
+    Any other has `base_tension` (and `base_tension_2`, ... for further tendons) and one or more of
+    `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`; `direction`, `tip_force_x`,
+    `tip_force_y` and `trial` are optional.
+
+    Args:
+        manipulator: the body; its numbers are the start.
+        data: a table or several.
+        free: what is fitted, of `bench.PARAMETERS`; None for friction and modulus, of a body without a single modulus
+            friction and `stiffness_factor`. It may also be the constant drag per length,
+            gain and zero of the cells (`tip_gain`, `base_zero`, `tip_gain_2` for the cell of tendon 2),
+            `pretension`, `angle_zero`, and errors of dimensions (`outer_radius_error`), best with priors.
+        priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
+        bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
+        noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
+            what is not given is estimated, for each column of each table, from the residuals.
+        per_trial: let friction differ from trial to trial, ln(mu) by a Gaussian whose spread is estimated.
+        loss, starts, seed: as in `least_squares_fit`.
+        nodes: as in `solve`.
+
+    Raises:
+        InputError: for float32, unknown parameters or columns, tables that do not fit the manipulator.
+        TypeError: if the first argument is not a manipulator.
+    """
+    if not isinstance(manipulator, Manipulator):
+        raise TypeError(f"fit: the first argument must be a Manipulator, got {type(manipulator).__name__}")
+    tables = (data,) if isinstance(data, Measurements) else tuple(data)
+    with within("fit"):
+        free = free_parameters(manipulator, free)
+    if not all(isinstance(table, Measurements) for table in tables):
+        raise InputError("fit: data must be tables as read_measurements gives them, one or several")
+    own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
+    if "friction_coefficient" in free and all(own):
+        raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
+    if not tables or not free:
+        raise InputError("fit: needs a table of measurements and a free parameter")
+    kinds = {name: parameter_named(name) for name in free}
+    before = np.cumsum([0, *(len(_trials(table)) for table in tables)])
+    experiments = (experiment_of(table, manipulator, int(first)) for table, first in zip(tables, before, strict=False))
+    model = BenchModel(manipulator, tuple(experiments), nodes)
+    groups = groups_of(tables, model)
+    start = {name: starting_value(manipulator, name) for name in free}
+    bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive} | dict(bounds or {})
+    scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
+    data_of = {"observed": {group.label: group.observed for group in groups}, "sigma": noise_of(groups, noise or {})}
+    search = partial(least_squares_fit, model, **data_of, bounds=bounds, loss=loss, seed=seed, prefer_start=True)
+    if not per_trial:
+        statistics = search(start, priors=priors, scales=scales, starts=starts)
+        return _conclude(statistics, tables, model, float("nan"))
+    if "friction_coefficient" not in free or before[-1] < 2:
+        remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
+        raise InputError(f"fit: per_trial {remedy}")
+    statistics, spread = fit_trials(search, int(before[-1]), start, priors or {}, scales, starts)
+    return _conclude(statistics, tables, model, spread)
+
+
+def _trials(table: Measurements) -> tuple[str, ...]:
+    """The labels of trials in which the friction may differ; a pulley test has the mean of all."""
+    return () if "pulling_tension" in table else table.trial_labels
+
+
+def noise_of(groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise]) -> dict[str, ArrayLike | Noise | None]:
+    """By group, the noise of its column as it was given; of one number per row, those of the rows that were read.
+
+    Raises:
+        InputError: for a column that no table holds.
+    """
+    columns = {group.column for group in groups}
+    for column in set(noise) - columns:
+        held = ", ".join(sorted(columns))
+        raise InputError(f"fit: noise is given for {column!r}, which no table holds; they hold {held}")
+    found: dict[str, ArrayLike | Noise | None] = {}
+    for group in groups:
+        given = noise.get(group.column)
+        per_row = given is not None and not isinstance(given, Noise) and np.shape(given) == group.there.shape
+        found[group.label] = np.asarray(given)[group.there] if per_row else given
+    return found
+
+
+def _conclude(
+    statistics: LeastSquaresFit, tables: tuple[Measurements, ...], model: BenchModel, trial_spread: float
+) -> Fit:
+    """The fit of a manipulator from the statistics: the estimates in its place, and a look at each table's solves."""
+    body = model.manipulator
+    looks = list(looks_at(statistics.parameters, tables, model))
+    if statistics.success and (reason := next(filter(None, map(doubt, looks)), "")):
+        statistics = statistics.doubted(reason)
+    both = "friction_coefficient", stiffness_parameter(body)
+    fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
+    own = [name for name in statistics.names if not name.startswith(TRIALS)]
+    fields = vars(statistics) | {
+        "value": {n: statistics.value[n] for n in own} | fixed,
+        "standard_error": {n: statistics.standard_error[n] for n in own} | dict.fromkeys(fixed, 0.0),
+        "confidence_interval": {n: statistics.confidence_interval[n] for n in own}
+        | {n: (v, v) for n, v in fixed.items()},
+        "status": {n: statistics.status[n] for n in own} | dict.fromkeys(fixed, FIXED),
+    }
+    labels = {name: [g.label for g in groups_of(tables, model) if g.name == name] for name in model.names}
+    trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in _trials(table)]
+    spread = np.sqrt(np.diag(statistics.covariance))
+    effects = [Estimate(statistics.value[n], float(spread[i])) for i, n in enumerate(statistics.names) if n not in own]
+    kept = [name for name in statistics.names if name not in own]
+    fit = Fit(
+        **fields,
+        manipulator=with_parameters(body, statistics.parameters),
+        tables=tables,
+        model=model,
+        alone={n: Alone(**vars(statistics.told_by(*labels[n], with_priors_of=kept))) for n in model.names},
+        trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
+        trial_spread=trial_spread,
+        warnings=(),
+    )
+    return replace(fit, warnings=tuple(fit_warnings(fit, tables, model, looks)))

@@ -1,0 +1,126 @@
+"""What a fitted model predicts for the rows of its tables, and the residuals: observed less predicted."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from ..estimation.determination import AT_BOUND
+from ..measurements.table import Measurements
+from ..mechanics.capstan import pulling_tension
+from .bench import TRIALS, Bench, Pulley
+from .fit import Fit
+
+SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds
+GRID = 100  # points of a curve
+
+
+def own_names(fit: Fit) -> list[str]:
+    """The parameters that were fitted, without the deviations of trials."""
+    return [name for name in fit.names if not name.startswith(TRIALS)]
+
+
+def moving_names(fit: Fit) -> list[str]:
+    """The fitted parameters that are not at a bound."""
+    return [name for name in own_names(fit) if fit.status[name] != AT_BOUND]
+
+
+# --- residuals over their noise ------------------------------------------------------------------
+
+
+class Normality(NamedTuple):
+    """Whether the residuals of a group could be draws from a normal distribution."""
+
+    rows: int
+    p_value: float  # Shapiro and Wilk (1965); NaN where the test does not apply
+
+
+def standardised_residuals(fit: Fit) -> dict[str, np.ndarray]:
+    """Observed less predicted, over the noise, by group of data."""
+    return {
+        name: np.ravel(fit.residuals[name] / noise)
+        for name, noise in zip(fit.evidence.rows, fit.minimum.noise, strict=True)
+    }
+
+
+def normality(fit: Fit) -> dict[str, Normality]:
+    """The test of Shapiro and Wilk for each group of data."""
+    return {name: normality_of(residual) for name, residual in standardised_residuals(fit).items()}
+
+
+def normality_of(residual: np.ndarray) -> Normality:
+    """The test of Shapiro and Wilk; not of few, very many, equal or infinite residuals."""
+    low, high = SHAPIRO_ROWS
+    fit_for_it = low <= residual.size <= high and np.all(np.isfinite(residual)) and np.ptp(residual) > 0
+    return Normality(residual.size, float(stats.shapiro(residual).pvalue) if fit_for_it else float("nan"))
+
+
+# --- the model beside the rows -------------------------------------------------------------------
+
+
+class ModelCurve(NamedTuple):
+    """The fitted model over a grid, SI units: base tension, or wrap angle (then pulling tension per weight)."""
+
+    grid: np.ndarray
+    value: np.ndarray
+    half_width: np.ndarray  # of the 95 % band
+
+
+def experiment_named(fit: Fit, table: str) -> Pulley | Bench:
+    """The model's form of a table, by its name in `fit.alone`."""
+    return fit.model.experiments[list(fit.alone).index(table)]
+
+
+def table_named(fit: Fit, table: str) -> Measurements:
+    """A table that was fitted, by its name in `fit.alone`."""
+    return fit.tables[list(fit.alone).index(table)]
+
+
+def on_one_curve(fit: Fit, table: str) -> bool:
+    """Whether a single curve holds the rows of a table."""
+    rows = experiment_named(fit, table)
+    return isinstance(rows, Pulley) or rows.on_one_curve
+
+
+def model_curve(fit: Fit, table: str, column: str) -> ModelCurve | None:
+    """The model over all base tensions (wrap angles) of a table; None where no single curve holds its rows."""
+    rows = table_named(fit, table)
+    if not on_one_curve(fit, table):
+        return None
+    if column != "pulling_tension":
+        grid = np.linspace(max(rows["base_tension"].min(), 0.0), rows["base_tension"].max(), GRID)
+        return ModelCurve(grid, *fit.predict(column, grid)[:2])
+    grid = np.linspace(0.0, rows["wrap_angle"].max(), GRID)
+    ratio = np.asarray(pulling_tension(1.0, fit.value["friction_coefficient"], grid))
+    slope = np.zeros((grid.size, len(fit.names)))
+    if "friction_coefficient" in fit.names:
+        slope[:, fit.names.index("friction_coefficient")] = grid * ratio
+    return ModelCurve(grid, ratio, fit.band(slope))
+
+
+def half_width(fit: Fit, table: str, column: str) -> np.ndarray:
+    """Of the 95 % intervals of the predictions for the rows of a table of the manipulator, SI."""
+    rows = experiment_named(fit, table)
+    assert isinstance(rows, Bench)
+    shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    return fit.band(shown.derivatives[column][table_named(fit, table).has(column)])
+
+
+def has_numbers(fit: Fit, table: str, column: str) -> bool:
+    """Whether the model gave a finite prediction for each row, and along the whole curve where there is one."""
+    if not np.all(np.isfinite(fit.residuals[f"{table}: {column}"])):
+        return False
+    curve = model_curve(fit, table, column)
+    return curve is None or bool(np.all(np.isfinite(curve.value)))
+
+
+def tables_without_numbers(fit: Fit) -> dict[str, str]:
+    """By table, in words, the columns that the model gave no numbers for; such a table cannot be drawn."""
+    lost = {}
+    for table in fit.alone:
+        missing = [column for column in experiment_named(fit, table).columns if not has_numbers(fit, table, column)]
+        if missing:
+            rows = max(np.sum(~np.isfinite(fit.residuals[f"{table}: {column}"])) for column in missing)
+            where = f" in {rows} of {len(table_named(fit, table))} rows" if rows else " between the rows"
+            lost[table] = f"the model gave no numbers for {', '.join(missing)}{where}"
+    return lost

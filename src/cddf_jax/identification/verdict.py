@@ -1,0 +1,198 @@
+"""What a fit says in words: what was determined and what was not, why it is to be doubted, and what deserves a look."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import f_oneway
+
+from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
+from ..estimation.least_squares import LeastSquaresFit
+from ..estimation.remarks import EXACT
+from ..measurements.readings import OF_SHAPE
+from ..measurements.table import Measurements
+from ..measurements.trials import repeated_tables
+from ..statics.equilibrium import NOTEWORTHY, RESULTS
+from ..units import preferred
+from .bench import TRIALS, Bench, BenchModel, Parameters, parameter_named, starting_value, unit_of
+
+LARGEST_FRICTION = 2.0  # beyond it a warning
+CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
+MOST = 0.5  # part of a table's rows; with more of them without a solution, the fit describes another body
+OUTSIDE = {  # results of rows without a solution, by their names in messages
+    "not physical": RESULTS.unphysical,
+    "locked": RESULTS.locked,
+    "not converged": RESULTS.not_converged,
+    "load limit": RESULTS.load_limit,
+    "crossing": RESULTS.crossing,
+    "unstable": RESULTS.unstable,
+}
+
+
+class Look(NamedTuple):
+    """How the solves of a table's rows went at the estimate."""
+
+    name: str
+    table: Measurements
+    results: RESULTS
+    contradicted: np.ndarray  # (rows,), whether a tendon travels against its direction, which the table did not state
+
+    def rows(self, *codes: RESULTS) -> np.ndarray:
+        """The rows whose solve ended so, 0, 1, ...; `table.place` tells where each is in the file."""
+        return np.flatnonzero(np.any([np.asarray(self.results == code) for code in codes], axis=0))
+
+
+def looks_at(parameters: Parameters, tables: Sequence[Measurements], model: BenchModel) -> Iterator[Look]:
+    """One for each table of the manipulator."""
+    for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
+        if isinstance(experiment, Bench):
+            shown = experiment.evaluate(model.manipulator, parameters, model.nodes)
+            found = [way is None for way in experiment.direction]  # a direction that the table states is believed
+            contradicted = np.asarray(shown.results == RESULTS.direction_contradicted)
+            yield Look(name, table, shown.results, contradicted & np.any(shown.against[:, found], axis=1))
+
+
+def doubt(look: Look) -> str:
+    """Why these rows cannot have determined a parameter; "" where they can."""
+    rows, count = look.rows(*OUTSIDE.values()), len(look.table)
+    if len(rows) > MOST * count:
+        kinds = ", ".join(words for words, code in OUTSIDE.items() if len(look.rows(code)))
+        return (
+            f"most rows of {look.name} have no solution in the model ({len(rows)} of {count}, the first is "
+            f"{look.table.place(rows[0])}: {kinds}); check the units of the table and the dimensions of the body"
+        )
+    rows = np.flatnonzero(look.contradicted)
+    if len(rows):
+        return (
+            f"tendons travel against the direction that was found for them in {len(rows)} of {count} rows of "
+            f"{look.name} (the first is {look.table.place(rows[0])}); state it in columns direction, direction_2, ..., "
+            "or leave these rows out"
+        )
+    return ""
+
+
+def fit_warnings(
+    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, looks: Sequence[Look]
+) -> list[str]:
+    """What the tables, the statistics and the solver have to say at the estimate."""
+    found = [f"{table.name}: {warning}" for table in tables for warning in table.warnings]
+    found += repeated_tables(tables)
+    if model.manipulator.kinematics == "published" and any(c in table for table in tables for c in OF_SHAPE):
+        found.append(
+            "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
+            "use the exact one for a real body"
+        )
+    found += [remark for remark in fit.remarks if not remark.startswith(TRIALS)]
+    found += [f"{label} {remark}" for label, remark in _of_readings(fit, tables, model)]
+    mu = fit.value.get("friction_coefficient", 0.0)
+    if mu > LARGEST_FRICTION and fit.status["friction_coefficient"] == IDENTIFIED:
+        found.append(
+            f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
+            "for instance radians in a column of degrees"
+        )
+    for look in looks:
+        for code in NOTEWORTHY:
+            contradicted = code is RESULTS.direction_contradicted
+            rows = np.flatnonzero(look.contradicted) if contradicted else look.rows(code)
+            if len(rows):
+                where = f"{len(rows)} of {len(look.table)} rows (the first is {look.table.place(rows[0])})"
+                found.append(f"{look.name}: {where}: {RESULTS[code]}")
+    return found
+
+
+def _of_readings(fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel) -> Iterator[tuple[str, str]]:
+    """Columns of the wrong sign, and columns that differ from trial to trial."""
+    body = model.manipulator
+    for table, name, experiment in zip(tables, model.names, model.experiments, strict=True):
+        for column in experiment.columns:
+            label, there = f"{name}: {column}", table.has(column)
+            observed = table[column][there]
+            residual = fit.residuals[label]
+            by_trial = "trial" in table and TRIALS not in fit.parameters
+            lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
+            if lost and column in OF_SHAPE and isinstance(experiment, Bench):
+                # what the body would show with the parameters that it was given with
+                start = {n: v if n.startswith(TRIALS) else starting_value(body, n) for n, v in fit.parameters.items()}
+                shown_at_start = experiment.evaluate(body, start, model.nodes).readings[column]
+                if np.sum(observed * shown_at_start[there]) >= 0:
+                    continue
+                yield label, "has the sign opposite to the model's; check the side of the tendon and the column's sign"
+            elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"][there]):
+                yield label, "differs from trial to trial by more than its scatter; try per_trial"
+
+
+def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
+    """Whether means over trials differ, by an analysis of variance."""
+    groups = [residual[trial == label] for label in np.unique(trial)]
+    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * size  # what is left is rounding
+    if exact or len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
+        return False
+    return bool(f_oneway(*groups).pvalue < CHANCE)
+
+
+def shown_unit(name: str) -> tuple[float, str]:
+    """The factor from SI to the unit in which engineers write a parameter, and that unit behind a space."""
+    scale, unit = preferred(parameter_named(name).dimension)
+    return scale, f" {unit}" if unit else ""
+
+
+def parameter_shown(told: Determination, name: str) -> tuple[float, float, float, float, str]:
+    """Value, standard error and interval of a parameter in the unit in which engineers write it, and that unit."""
+    scale, unit = shown_unit(name)
+    numbers = told.value[name], told.standard_error[name], *told.confidence_interval[name]
+    value, error, low, high = (scale * number for number in numbers)
+    return value, error, low, high, unit
+
+
+def verdict_of(fit: LeastSquaresFit, tables: Sequence[Measurements], trial_spread: float) -> list[str]:
+    """What was determined, what was not, and what measurement would help."""
+    lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
+    lines += estimates_in_words(fit, fit.bounded_above)
+    if TRIALS in fit.parameters:
+        lines.append(f"friction differs from trial to trial by {100 * trial_spread:.2g} % (standard deviation)")
+    lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
+    return lines + [_advice(fit, tables, lost)] * bool(lost and fit.success)
+
+
+def estimates_in_words(told: Determination, bounded_above: Sequence[str] = ()) -> list[str]:
+    """A line for each parameter and combination, in the unit in which engineers write it."""
+    lines = []
+    for name, status in told.status.items():
+        if name.startswith(TRIALS):
+            continue
+        value, error, low, high, unit = parameter_shown(told, name)
+        if status == IDENTIFIED:
+            lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
+        elif status != NOT_IDENTIFIED:
+            limit = f", at most {high:.4g}{unit} (95 %)" if name in bounded_above else ""
+            lines.append(f"{name} = {value:.4g}{unit}: {status}{limit}")
+        elif name in bounded_above:
+            lines.append(f"{name}: at the lower bound {low:.4g}{unit}, at most {high:.4g}{unit} (95 %): not identified")
+        else:
+            lines.append(f"{name}: not identified")
+    for name, (value, error) in told.combinations.items():
+        lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, although its factors are not")
+    return lines
+
+
+def _advice(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
+    """What would separate the parameters that these data leave together."""
+    if any(column in table for table in tables for column in OF_SHAPE):
+        return (
+            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "
+            "the warnings. A pulley test or a prior would help."
+        )
+    stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
+    if lost == {"friction_coefficient", stiffness} and fit.combinations:
+        return (
+            f"Tensions of one tendon determine only friction_coefficient / {stiffness}. To separate the two, add a "
+            "pulley test (friction alone), tip angles or tip positions measured with the tensions, or a prior on "
+            "either."
+        )
+    if lost == {stiffness} and all("pulling_tension" in table for table in tables):
+        return (
+            "A pulley test determines the friction alone. Add tip tensions, tip angles or tip positions of the "
+            "manipulator."
+        )
+    names = ", ".join(sorted(lost))
+    return f"The data do not determine {names}. Add tip angles or positions, a pulley test, or a prior."

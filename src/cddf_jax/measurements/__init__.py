@@ -1,0 +1,1 @@
+"""The user's measured tables: columns with units, trials, holds, and what looks wrong in them."""

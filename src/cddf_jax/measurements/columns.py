@@ -1,0 +1,96 @@
+"""The columns of a table of measurements: what they are called, how laboratories write them, what they measure."""
+
+import re
+from difflib import get_close_matches
+
+from ..errors import InputError
+from ..files.table_header import short
+from ..quantities import QUANTITIES
+from ..units import Dimension
+from .readings import READINGS, kind_of
+
+_WITHOUT_UNIT = ("trial", "direction")
+COLUMNS = (
+    *("trial", "direction", "base_tension", *READINGS, "tip_force_x", "tip_force_y"),
+    *("wrap_angle", "weight", "pulling_tension"),
+)
+PULLEY = ("wrap_angle", "weight", "pulling_tension")
+PER_TENDON = ("base_tension", "direction", *(name for name, kind in READINGS.items() if kind.per_tendon))
+# other spellings, in small letters and without what separates words
+_SPELLINGS = {
+    "tbase": "base_tension",
+    "tensionbase": "base_tension",
+    "ttip": "tip_tension",
+    "tensiontip": "tip_tension",
+    "angletip": "tip_angle",
+    "xtip": "tip_x",
+    "ytip": "tip_y",
+    "ftipx": "tip_force_x",
+    "ftipy": "tip_force_y",
+    "trialno": "trial",
+    "trialnr": "trial",
+    "trialnumber": "trial",
+    "trialid": "trial",
+} | {name.replace("_", ""): name for name in COLUMNS}
+_LIKENESS = 0.85  # of a name to a known one, from which it is rather misspelt than another column
+
+_IN = ("loading", "load", "pulling", "pull", "in", "up", "+")
+_OUT = ("unloading", "unload", "releasing", "release", "out", "down", "-", "−", "−1")
+DIRECTIONS = {word: way for words, way in ((_IN, "1"), (_OUT, "-1")) for word in words}
+
+
+def column_meant(name: str) -> str | None:
+    """The column that a name in a file means, `base_tension` for "T base" or "Tbase_1"; None where it is none."""
+    stem, number = _parts(name)
+    column = _SPELLINGS.get(stem)
+    if column is None or not number or (column in PER_TENDON and number == "1"):
+        return column
+    return f"{column}_{number}" if column in PER_TENDON and number != "0" else None
+
+
+def column_resembled(name: str) -> str | None:
+    """The column whose name a name was perhaps to be; None for one that is clearly something else."""
+    stem, number = _parts(name)
+    if number == "0" and _SPELLINGS.get(stem) in PER_TENDON:
+        return _SPELLINGS[stem]
+    written = re.sub(r"\W+", "_", name.lower())
+    close = get_close_matches(written, COLUMNS, 1, _LIKENESS)
+    if not close or close[0] in written:  # base_tension_set is qualified, not misspelt
+        return None
+    other_component = re.fullmatch(".*_[a-z]", written) and written[:-1] == close[0][:-1]  # tip_force_z
+    return None if other_component else close[0]
+
+
+def _parts(name: str) -> tuple[str, str]:
+    """Letters and number of a name, without what separates words."""
+    key = re.sub(r"[\s_.#-]+", "", name.lower())
+    stem = key.rstrip("0123456789")
+    number = key[len(stem) :]
+    return stem, number.lstrip("0") or number[:1]
+
+
+def column_dimension(column: str) -> Dimension | None:
+    """What a column measures; None for labels and signs.
+
+    Raises:
+        InputError: for an unknown column.
+    """
+    stem, _, tendon = column.rpartition("_")
+    if stem in PER_TENDON and re.fullmatch("[2-9]|[1-9][0-9]+", tendon):
+        column = stem
+    if column not in COLUMNS:
+        close = get_close_matches(column.lower(), COLUMNS, 1)
+        remedy = f"did you mean {close[0]}? Known are" if close else "known are"
+        more = [f"{name}_2" for name in PER_TENDON]
+        raise InputError(f"unknown column {short(column)}; {remedy} {', '.join([*COLUMNS, *more])}, ...")
+    return None if column in _WITHOUT_UNIT else QUANTITIES[column].dimension
+
+
+def is_reading(column: str) -> bool:
+    """Whether an instrument reads it, so that a cell of it may be missing; else it was set, and is needed."""
+    return bool(kind_of(column)) or column == "pulling_tension"
+
+
+def is_direction(column: str) -> bool:
+    """Of tendon 1, `direction`, or of another, `direction_2`."""
+    return column.startswith("direction")

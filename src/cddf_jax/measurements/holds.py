@@ -1,0 +1,175 @@
+"""Holds and repeats: rows that were read one after the other while nothing was changed are no independent readings.
+
+A hold is a run of consecutive rows of one trial at the same commanded level. The same level later, or in another
+trial, is a repeat. Samples of one hold share what drifts slowly; repeats do not.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import ndtri
+
+from .columns import is_reading
+from .table import Measurements
+
+SAME_LEVEL = 0.01  # of the largest of a column: levels that differ by less are one, where the data show no other noise
+NO_STEP = 5e-4  # of the largest: a smaller change is no step
+CLEAR_GAP = 3.0  # between the largest change within holds and the smallest step from hold to hold
+LARGEST_NOISE = 0.05  # of the largest: changes beyond are steps, whatever the gaps
+ONE_WAY = 0.8  # net change over the sum of all changes within holds: where it is larger, the rows are a ramp
+LEAST_CHANGES = 4  # of a hold that can show a ramp
+ALARM = float(ndtri(1 - 1e-3))  # standard deviations of a correlation of independent readings
+LEAST_PAIRS = 10
+
+
+class SerialCorrelation(NamedTuple):
+    """How alike the residuals within holds are."""
+
+    num_readings: int
+    num_holds: int
+    lag_one: float  # correlation of a residual with the one before it in its hold; NaN where no hold has two
+    num_effective: float  # so many independent readings would give means that are as certain
+    alarming: bool  # whether independent readings would hardly ever be so alike
+
+    @property
+    def remark(self) -> str:
+        """What is wrong and what helps; "" where nothing is."""
+        if not self.alarming:
+            return ""
+        return (
+            f"readings of one hold are alike (correlation {self.lag_one:.2f} of residuals from row to row), and "
+            f"{self.num_readings} in {self.num_holds} holds count as about {self.num_effective:.0f} independent ones: "
+            "standard errors are too small; fit one reading for each hold (average_holds, --average-holds)"
+        )
+
+
+def hold_labels(levels: ArrayLike, trial: ArrayLike) -> np.ndarray:
+    """The hold of each row, counted from 0 in the order of the rows.
+
+    Two rows in a row are of one hold where no level changes by more than the noise of the levels: up to the widest
+    gap among the changes where at least half of them lie below it, else 1 % of the largest level. Rows that then
+    change in one direction within holds, as in a slow ramp, are each a hold of their own.
+
+    Args:
+        levels: (rows, columns), what was set.
+        trial: (rows,), labels; a hold does not go on into another trial.
+    """
+    scaled = np.asarray(levels, float) / np.maximum(np.max(np.abs(levels), axis=0), 1e-300)
+    rows, label = len(scaled), np.asarray(trial)
+    within = label[1:] == label[:-1]
+    change = np.diff(scaled, axis=0)
+    limit, by_gap = _noise_of_levels(np.max(np.abs(change), axis=1, initial=0.0)[within])
+    new = np.append(True, ~within)
+    mean, count = scaled[0].tolist(), 1
+    for row, level in enumerate(scaled.tolist()):
+        if new[row] or any(abs(there - here) > limit for there, here in zip(level, mean, strict=True)):
+            new[row], mean, count = True, level, 1
+        else:
+            count += 1
+            mean = [here + (there - here) / count for there, here in zip(level, mean, strict=True)]
+    labels = np.cumsum(new) - 1
+    return labels if by_gap or not _is_ramp(change[~new[1:]], labels[1:][~new[1:]]) else np.arange(rows)
+
+
+def _noise_of_levels(change: np.ndarray) -> tuple[float, bool]:
+    """The largest change that is noise, and whether a gap in the changes shows it."""
+    if change.size > 1:
+        ordered = np.sort(np.maximum(change, NO_STEP))
+        gap = int(np.argmax(ordered[1:] / ordered[:-1]))
+        below, above = ordered[gap], ordered[gap + 1]
+        if above >= CLEAR_GAP * below and below <= LARGEST_NOISE and 2 * (gap + 1) >= change.size:
+            return float(below), True
+    return SAME_LEVEL, False
+
+
+def _is_ramp(change: np.ndarray, hold: np.ndarray) -> bool:
+    """Whether the level changes in one direction within holds; noise changes it up and down."""
+    if not hold.size:
+        return False
+    enough = np.bincount(hold) >= LEAST_CHANGES
+    net = sum(np.abs(np.bincount(hold, moves))[enough].sum() for moves in change.T)
+    gone = sum(np.bincount(hold, np.abs(moves))[enough].sum() for moves in change.T)
+    return bool(gone > 0 and net > ONE_WAY * gone)
+
+
+def serial_correlation(residual: ArrayLike, labels: ArrayLike, num_parameters: float = 0.0) -> SerialCorrelation:
+    """How alike residuals of a fit are within holds, and how many independent readings they are worth.
+
+    The effective number is n over the ratio of the scatter of hold means to that of as many independent residuals,
+    which sums the correlations of all lags: sum n_h mean_h^2 / (holds - parameters) over the mean square. It lies
+    between the number of holds and that of readings.
+
+    Args:
+        residual: (rows,), over their noise.
+        labels: (rows,), the hold of each; of one hold side by side.
+        num_parameters: how many degrees of freedom the fit took from these readings.
+    """
+    residual, labels = np.asarray(residual, float), np.asarray(labels)
+    hold, size = np.unique(labels, return_inverse=True, return_counts=True)[1:]
+    pairs = labels[1:] == labels[:-1]
+    square = float(np.mean(residual**2)) if residual.size else 0.0
+    count, holds = residual.size, size.size
+    if not np.any(pairs) or not square > 0 or not np.isfinite(square):
+        return SerialCorrelation(count, holds, float("nan"), float(count), False)
+    lag_one = float(np.mean(residual[1:][pairs] * residual[:-1][pairs]) / square)
+    mean = np.bincount(hold, residual) / size
+    of_means = float(np.sum(size * mean**2)) / max(holds - num_parameters, 1.0)
+    of_all = square * count / max(count - num_parameters, 1.0)
+    effective = float(np.clip(count * of_all / max(of_means, 1e-300), holds, count))
+    alarming = bool(np.sum(pairs) >= LEAST_PAIRS and lag_one > ALARM / np.sqrt(np.sum(pairs)))
+    return SerialCorrelation(count, holds, lag_one, effective if alarming else float(count), alarming)
+
+
+def holds_of(table: Measurements) -> np.ndarray:
+    """The hold of each row of a table, by its order, its trials and what was set."""
+    set_to = [column for column in table.columns if column != "trial" and not is_reading(column)]
+    trial = table["trial"] if "trial" in table else np.zeros(len(table))
+    return hold_labels(np.stack([table[column] for column in set_to], axis=1), trial)
+
+
+def average_holds(table: Measurements) -> Measurements:
+    """One reading for each hold: the means of its rows, which a fit may take for independent.
+
+    What a hold reads scatters about the model by all that its rows share, and a fit estimates that noise from the
+    holds themselves, as it does with readings elsewhere. `spread` of the new table has the standard deviation of the
+    rows of each hold, by column. Give it to a fit, `noise=table.spread`, where there are too few holds to estimate
+    the noise from. It is too large where rows are independent, and never too small for what varies within a hold.
+
+    Args:
+        table: as it was read, its rows in the order in which they were taken.
+
+    Returns:
+        The table of means. Each has the row of the file in which its hold begins. A table without holds comes back
+        as it is.
+    """
+    labels = holds_of(table)
+    first, size = np.unique(labels, return_index=True, return_counts=True)[1:]
+    if np.all(size == 1):
+        return table
+    columns = {
+        name: values[first] if name == "trial" else _mean(values, labels) for name, values in table.columns.items()
+    }
+    spread = {column: _spread(table[column], labels) for column in columns if is_reading(column)}
+    for values in columns.values():
+        values.setflags(write=False)
+    note = f"each hold averaged to one reading: {len(table)} rows became {first.size}"
+    return replace(table, columns=columns, rows=table.rows[first], notes=(*table.notes, note), spread=spread)
+
+
+def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Over the rows of each hold that were read; NaN where none was."""
+    there = np.isfinite(values)
+    count = np.bincount(labels, there)
+    total = np.bincount(labels, np.where(there, values, 0.0))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _spread(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Standard deviation of the rows of each hold; that of all holds together where a hold has none."""
+    there = np.isfinite(values)
+    error = np.where(there, values - _mean(values, labels)[labels], 0.0)
+    count, squares = np.bincount(labels, there), np.bincount(labels, error**2)
+    pooled = squares.sum() / max(np.sum(np.maximum(count - 1, 0)), 1)
+    return np.sqrt(np.where(squares > 0, squares / np.maximum(count - 1, 1), pooled))

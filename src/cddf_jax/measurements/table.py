@@ -1,0 +1,329 @@
+"""Tables of measurements: CSV or .xlsx with the unit in the header, SI in memory.
+
+    # simulated, seed 1           lines with # before the header are notes
+    trial, base_tension [N], tip_tension [N], tip_angle [deg], direction
+    A, 5, 4.79, 3.1, 1
+
+| column | unit of | meaning |
+| --- | --- | --- |
+| base_tension, base_tension_2, ... | force | pull at the base on tendon 1, 2, ... |
+| tip_tension, tip_tension_2, ... | force | the same tendon's tension at its tip end |
+| tip_angle | angle | phi(L) |
+| tip_x, tip_y | length | u(L) in the frame at the base |
+| tip_force_x, tip_force_y | force | known dead load on the tip |
+| direction, direction_2, ... | none | +1 where the tendon slides in (pulled), -1 out; without it: as `solve` finds it |
+| wrap_angle | angle | pulley test: angle of contact |
+| weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |
+| trial | none | any label |
+
+A pulley test holds its three columns and no other but trial;
+pulling_tension = weight exp(mu wrap_angle), Liu et al. (2020), eq. (5).
+
+Files as laboratories have them are read too, and what was done is said in `Measurements.read_as`:
+
+- A name in capitals or with spaces, `T_base` and `T_tip`, a unit in parentheses, behind the name or in a row below
+  the header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
+- Other columns are not used. A name that resembles a known one is refused.
+- Text above the header, such as that of LabVIEW, is taken for notes.
+- Cells without a number where an instrument was to be read (empty, nan, n/a, -): that reading is left out, the others
+  of its row stay. What was set (tensions at the base, forces, directions) must be there.
+- `loading`, `in`, `up`, `pull` are direction 1; `unloading`, `out`, `down`, `release` are -1.
+- A tension below 0 by no more than 2 % of the largest: the zero of the cell has drifted.
+
+Rows are counted as the lines of the file, or as the rows of a sheet. `table_source` tells which separators, decimal
+marks and encodings are understood; .xlsx needs the extra `excel`.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, within
+from ..files.csv_table import read_table
+from ..files.table_header import Kind, short
+from ..units import preferred, written
+from .columns import (
+    DIRECTIONS,
+    PER_TENDON,
+    PULLEY,
+    column_dimension,
+    column_meant,
+    column_resembled,
+    is_direction,
+    is_reading,
+)
+from .readings import kind_of
+from .table_warnings import warnings_of
+
+_FROM_CELLS = ("base_tension", "tip_tension", "pulling_tension")
+_NEVER_NEGATIVE = (*_FROM_CELLS, *PULLEY)
+_DRIFT = 0.02  # of the largest tension, by which a cell may read below 0
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """One table of measurements, checked; `table["tip_tension"]` is a column.
+
+    Attributes:
+        name: of the file.
+        columns: float64 in SI by name. "trial" holds the position of the row's label in `trial_labels`.
+        rows: of each measurement, its line in the file, or 1, 2, ... where there is none.
+        trial_labels: as written, in the order of their first appearance.
+        notes: the text above the header.
+        simulated: whether name or notes say so.
+        spread: of means by `average_holds`, by column, the standard deviation of the rows behind each; else None.
+        read_as: what was done to read the file, one line each with its name; empty for a plain one.
+        files: where the trials are files, their names, in the order of `trial_labels`.
+        unread: columns that held no reading in any row and are left out.
+    """
+
+    name: str
+    columns: Mapping[str, np.ndarray]
+    rows: np.ndarray
+    trial_labels: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    simulated: bool = False
+    spread: Mapping[str, np.ndarray] | None = None
+    read_as: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
+
+    @classmethod
+    def from_columns(
+        cls, name: str = "measurements", *, notes: Sequence[str] = (), **columns: ArrayLike
+    ) -> "Measurements":
+        """A table from one sequence per column, in SI units.
+
+        Args:
+            name: of the table, for messages.
+            notes: free text.
+            columns: as in the table at the head of the module; `trial` holds any labels. NaN: a missing reading.
+
+        Raises:
+            InputError: names table, row, column, value and remedy.
+        """
+        with within(name):
+            return _table(name, columns, notes=tuple(notes))
+
+    def __getitem__(self, column: str) -> np.ndarray:
+        return self.columns[column]
+
+    def __contains__(self, column: object) -> bool:
+        return column in self.columns
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.name}: {len(self)} rows of {', '.join(self.columns)}", *self.read_as])
+
+    def has(self, column: str) -> np.ndarray:
+        """Which rows hold a number in a column; a reading may be missing."""
+        return np.isfinite(self.columns[column])
+
+    def read(self, column: str) -> np.ndarray:
+        """The numbers of a column, without the rows in which it is missing."""
+        return self.columns[column][self.has(column)]
+
+    def place(self, row: int) -> str:
+        """Where a row is found, in words: "row 7", counted as in the file, of several files "row 7 of run_2.csv".
+
+        Files of one name have numbers as the trials do: "row 7 of run.csv (2)".
+
+        Args:
+            row: 0, 1, ... as in the columns.
+        """
+        if not self.files:
+            return f"row {self.rows[row]}"
+        trial = int(self.columns["trial"][row])
+        file = self.files[trial]
+        return f"row {self.rows[row]} of {file if self.files.count(file) == 1 else self.trial_labels[trial]}"
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What deserves a look though it can be used, for the report."""
+        return warnings_of(self)
+
+    @cached_property
+    def checksum(self) -> str:
+        """SHA-256 in hexadecimal digits of the column names and numbers, whatever the file and its dialect."""
+        digest = hashlib.sha256()
+        for column, values in self.columns.items():
+            digest.update(f"{column}\0{len(values)}\0".encode())
+            digest.update((values + 0.0).astype("<f8").tobytes())  # + 0.0: no zero is negative
+        return digest.hexdigest()
+
+
+def read_measurements(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> Measurements:
+    """The measurements in a file with the unit in the header; the module's text shows the columns.
+
+    Args:
+        path: CSV, or .xlsx with one sheet that holds a table.
+        columns: by the head of a column in the file, what it is: {"Tbase_N": "base_tension [N]"}; "" to leave it out.
+
+    Raises:
+        InputError: names the file, row (line), column, value and remedy.
+    """
+    table, missing = read_file(path, columns or {})
+    if missing:
+        raise InputError(f"{path}: has no column {missing[0]!r}; the heads are those of its row of names")
+    return table
+
+
+def read_file(path: str | os.PathLike[str], columns: Mapping[str, str]) -> tuple[Measurements, tuple[str, ...]]:
+    """The measurements in a file, and which of `columns` it does not have."""
+    found = read_table(path, _KIND, columns)
+    with within(path):
+        _check_columns(found.columns, found.unused)
+        name = Path(path).name
+        table = _table(name, found.columns, notes=found.notes, rows=found.rows, read_as=found.read_as)
+        return table, found.missing
+
+
+def _misspelt(name: str) -> str:
+    """What is said against a column whose name is nearly one of ours."""
+    meant = column_resembled(name)
+    if meant is None:
+        return ""
+    remedy = f'Rename it or give {_option(name, meant)}, or leave it out by --column "{name}="'
+    return f"unknown column {short(name)}; did you mean {meant}? {remedy}"
+
+
+def _option(name: str, column: str) -> str:
+    """How to say at the command line which column a name means."""
+    dimension = column_dimension(column)
+    unit = f" [{preferred(dimension)[1]}]" if dimension else ""
+    return f'--column "{name}={column}{unit}"'
+
+
+_KIND = Kind(
+    column_dimension,
+    "measurements",
+    "base_tension [N], tip_tension [N]",
+    meant=column_meant,
+    labels=("trial",),
+    gaps=is_reading,
+    words=lambda column: DIRECTIONS if is_direction(column) else {},
+    objection=_misspelt,
+)
+
+
+# --- from columns to a table ---------------------------------------------------------------------
+
+
+def _table(
+    name: str,
+    columns: Mapping[str, ArrayLike],
+    *,
+    notes: tuple[str, ...] = (),
+    rows: Sequence[int] | None = None,
+    read_as: tuple[str, ...] = (),
+) -> Measurements:
+    """Check the columns and put them together."""
+    _check_columns(columns)
+    every = {column: _array(column, values) for column, values in columns.items()}
+    lengths = {column: len(values) for column, values in every.items()}
+    count, *others = set(lengths.values())
+    if others:
+        raise InputError(f"the columns differ in length ({lengths}); give one value per row")
+    if count == 0:
+        raise InputError("has no rows; add measurements")
+    at = np.arange(1, count + 1) if rows is None else np.asarray(rows)
+    numbers = {column: values for column, values in every.items() if column != "trial"}
+    for column, values in numbers.items():
+        _check_values(column, values, at, numbers)
+    unread, kept, left_out = _gaps(numbers, at)
+    arrays = {column: values[kept] for column, values in every.items() if column not in unread}
+    labels: list[str] = arrays.get("trial", np.zeros(0)).tolist()
+    codes = {label: code for code, label in enumerate(dict.fromkeys(labels))}
+    if labels:
+        arrays["trial"] = np.array([codes[label] for label in labels], float)
+    for values in arrays.values():
+        values.setflags(write=False)
+    simulated = any("simulated" in text.lower() for text in (name, *notes))
+    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
+    return Measurements(name, arrays, at[kept], tuple(codes), notes, simulated, read_as=lines, unread=unread)
+
+
+def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, list[str]]:
+    """Columns without a single reading, the rows with one or more, and in words what is missing."""
+    missing = {column: np.isnan(values) for column, values in columns.items() if is_reading(column)}
+    unread = tuple(column for column, where in missing.items() if np.all(where))
+    if missing and len(missing) == len(unread):
+        raise InputError(f"no row holds a reading ({', '.join(missing)}); add the measurements")
+    read = {column: where for column, where in missing.items() if column not in unread}
+    empty = np.all([*read.values(), np.full(len(rows), bool(read))], axis=0)
+    said = [f"{column} holds no number and is not used" for column in unread]
+    if np.any(empty):
+        said.append(f"rows without a reading are left out: {_counted(empty, rows)}")
+    for column, where in read.items():
+        if np.any(where & ~empty):
+            said.append(f"{column} is missing in {_counted(where & ~empty, rows)}; the other readings of a row count")
+    return unread, ~empty, said
+
+
+def _counted(which: np.ndarray, rows: np.ndarray) -> str:
+    first, count = rows[int(np.argmax(which))], np.count_nonzero(which)
+    return f"{count} of {len(rows)} rows (row {first} first)"
+
+
+def _array(column: str, values: ArrayLike) -> np.ndarray:
+    if column == "trial":
+        return np.array([str(label) for label in np.asarray(values, object)])
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"column {column}: not every value is a number; give numbers in SI units") from None
+    if array.ndim != 1:
+        raise InputError(f"column {column}: needs one list of numbers, got shape {array.shape}")
+    return array
+
+
+def _check_columns(columns: Iterable[str], unused: Sequence[str] = ()) -> None:
+    """Every column known, and no column without its companion; `unused` are the unknown columns of a file."""
+    names = set(columns)
+    for column in columns:
+        column_dimension(column)
+    if names & set(PULLEY):
+        needed = set(PULLEY)
+        if other := sorted(names - needed - {"trial"}):
+            raise InputError(f"the column {other[0]} does not belong to a pulley test; put it into a table of its own")
+    else:
+        tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
+        needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
+    if missing := sorted(needed - names):
+        remedy = f"add it (a pulley test has {', '.join(PULLEY)})"
+        if unused:
+            there = ", ".join(map(short, unused[:6])) + (", ..." if len(unused) > 6 else "")
+            remedy = f"say which of {there} it is, by {_option(unused[0], missing[0])}, or add it"
+        raise InputError(f"the column {missing[0]} is missing; {remedy}")
+
+
+def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
+    demand = partial(_demand, column, values, rows)
+    known = np.isfinite(values) | (np.isnan(values) if is_reading(column) else False)
+    demand(known, "must be finite", "give a number or remove the row")
+    if is_direction(column):
+        demand(np.abs(values) == 1, "must be 1 or -1", "write 1 where the tendon slides in, -1 where it slides out")
+    if column.startswith(_FROM_CELLS):
+        tensions = [own for name, own in table.items() if name.startswith((*_FROM_CELLS, "weight"))]
+        largest = max(np.nanmax(own, initial=0.0) for own in tensions)
+        remedy = f"check its sign and the zero of the sensor (a drift of {100 * _DRIFT:g} % of the largest is taken)"
+        demand(~(values < -_DRIFT * largest), "must be 0 or more", remedy)
+    elif column.startswith(_NEVER_NEGATIVE):
+        demand(values >= 0, "must be 0 or more", "check its sign and the zero of the sensor")
+
+
+def _demand(column: str, values: np.ndarray, rows: np.ndarray, good: np.ndarray, rule: str, remedy: str) -> None:
+    """Raise for the first row that is not good."""
+    if not np.all(good):
+        bad = int(np.argmin(good))
+        dimension = column_dimension(column)
+        got = written(values[bad], dimension) if dimension and np.isfinite(values[bad]) else f"{values[bad]:g}"
+        raise InputError(f"row {rows[bad]}, column {column}: {rule}, got {got}; {remedy}")

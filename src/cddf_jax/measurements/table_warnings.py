@@ -1,0 +1,130 @@
+"""What deserves a look in a table of measurements, though it can be used."""
+
+from collections.abc import Callable, Mapping
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+_TIP_ABOVE_BASE = 1.05  # a tip cell may read this much of the base cell before the report mentions it,
+_ZERO_ERROR = 0.005  # and this much of the largest base tension more
+ONE_LEVEL = 0.01  # base tensions that vary by less, relative to the largest, are one level
+_LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are rather degrees than radians
+
+
+@runtime_checkable
+class MeasuredTable(Protocol):
+    """What of a table of measurements is looked at."""
+
+    @property
+    def columns(self) -> Mapping[str, np.ndarray]: ...
+    @property
+    def trial_labels(self) -> tuple[str, ...]: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, column: str, /) -> np.ndarray: ...
+    def place(self, row: int, /) -> str: ...
+
+
+def warnings_of(table: MeasuredTable) -> tuple[str, ...]:
+    """One line each, for the report; what is said of columns names the first of them."""
+    of_rows = [look(table) for look in (_too_few_rows, _repeated_rows, _one_level)]
+    looks = (_below_zero, _tip_above_base, _coming_down, _large_angle)
+    of_columns = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
+    return tuple(filter(None, of_rows + of_columns))
+
+
+def _too_few_rows(table: MeasuredTable) -> str:
+    if len(table) == 1:
+        return "there is one row only, from which no scatter can be estimated"
+    trials = table.columns.get("trial", np.zeros(0)).astype(int)
+    counts = np.bincount(trials)
+    alone = np.flatnonzero(counts == 1)
+    if alone.size == 0 or counts.max() == 1:  # one row in each trial: the trial is but a label of the row
+        return ""
+    first = table.place(int(np.flatnonzero(trials == alone[0])[0]))
+    return (
+        f"trials of one row only: {alone.size} of {counts.size} (trial {table.trial_labels[alone[0]]}, {first}); "
+        "is the rest missing?"
+    )
+
+
+def _repeated_rows(table: MeasuredTable) -> str:
+    if len(table) == 1:
+        return ""
+    columns = [np.nan_to_num(values, nan=np.inf) for values in table.columns.values()]  # gaps are equal to each other
+    measured = [values for column, values in zip(table.columns, columns, strict=True) if column != "trial"]
+    if all(np.all(values == values[0]) for values in measured):
+        return f"all {len(table)} rows are equal, so that nothing follows from their differences"
+    order = np.lexsort(columns)  # stable: of equal rows the earlier stays first
+    same = np.all([values[order][1:] == values[order][:-1] for values in columns], axis=0)
+    if not np.any(same):
+        return ""
+    earlier, later = order[:-1][same], order[1:][same]
+    first = int(np.argmin(later))
+    return (
+        f"rows that repeat an earlier one to the last digit: {later.size} of {len(table)} "
+        f"({table.place(int(later[first]))} is {table.place(int(earlier[first]))} again); were they copied?"
+    )
+
+
+def _one_level(table: MeasuredTable) -> str:
+    pulls = [values for column, values in table.columns.items() if column.startswith("base_tension")]
+    if len(table) == 1 or not pulls or any(np.ptp(values) > ONE_LEVEL * values.max() for values in pulls):
+        return ""
+    level = f"{pulls[0].mean():.4g} N"
+    return f"base_tension hardly varies from {level}, so that no slope can be determined; measure at other levels"
+
+
+def _below_zero(table: MeasuredTable, column: str) -> str:
+    if not column.startswith(("base_tension", "tip_tension", "pulling_tension")):
+        return ""
+    free = f"; if so let {column.replace('tension', 'zero')} be free too"
+    remedy = "has the zero of the cell drifted?" + ("" if column == "pulling_tension" else free)
+    values = table[column]
+    return _rows_with(table, values < 0, f"{column} below 0", lambda i: f"{values[i]:.4g} N", remedy)
+
+
+def _tip_above_base(table: MeasuredTable, column: str) -> str:
+    pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
+    found_later = "base_tension_2" in table.columns and way not in table.columns  # with the equilibrium
+    if not column.startswith("tip_tension") or found_later:
+        return ""
+    base, tip = table[pull], table[column]
+    sliding_in = table.columns.get(way, np.ones(len(table))) > 0
+    above = sliding_in & (tip > _TIP_ABOVE_BASE * base + _ZERO_ERROR * base.max())
+    remedy = f"are the cells swapped or off zero, or does the tendon slide out ({way} -1)?"
+    what = f"{column} more than 5 % above {pull}"
+    return _rows_with(table, above, what, lambda i: f"{tip[i]:.6g} N over {base[i]:.6g} N", remedy)
+
+
+def _coming_down(table: MeasuredTable, column: str) -> str:
+    """Rows below the row before them that do not start anew at the lowest level of their trial."""
+    stated = column.replace("base_tension", "direction")
+    if not column.startswith("base_tension") or stated in table.columns:
+        return ""
+    base, trial = table[column], table.columns.get("trial", np.zeros(len(table))).astype(int)
+    slack, least = ONE_LEVEL * base.max(), np.full(trial.max() + 1, np.inf)
+    np.minimum.at(least, trial, base)
+    falls = np.append(False, (np.diff(base) < -slack) & (np.diff(trial) == 0))
+    what = f"{column} below that of the row before, while no {stated} is stated"
+    remedy = (
+        "each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write "
+        f"{stated} -1 for rows in which all of the tendon slides out, and leave out those right after the "
+        "turn, where part of it still sticks"
+    )
+    down = falls & (base > least[trial] + slack)
+    return _rows_with(table, down, what, lambda i: f"{base[i]:.6g} N after {base[i - 1]:.6g} N", remedy)
+
+
+def _large_angle(table: MeasuredTable, column: str) -> str:
+    values, largest = table[column], _LARGEST_ANGLE.get(column, np.inf)
+    what, remedy = f"{column} beyond {largest / (2 * np.pi):.0f} turn(s)", "are these degrees under a unit of rad?"
+    return _rows_with(table, np.abs(values) > largest, what, lambda i: f"{values[i]:.6g} rad", remedy)
+
+
+def _rows_with(table: MeasuredTable, which: np.ndarray, what: str, value: Callable[[int], str], remedy: str) -> str:
+    """How many rows are concerned, and the first of them; "" for none."""
+    if not np.any(which):
+        return ""
+    first = int(np.argmax(which))
+    count = f"{np.count_nonzero(which)} of {len(table)}"
+    return f"rows with {what}: {count} ({table.place(first)}: {value(first)}); {remedy}"

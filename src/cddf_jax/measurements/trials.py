@@ -1,0 +1,90 @@
+"""Several tables of measurements: files that are the trials of one experiment, and tables that are given twice."""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from .table import Measurements, read_file
+
+
+def read_tables(
+    paths: Iterable[str | os.PathLike[str]], columns: Mapping[str, str] | None = None
+) -> tuple[Measurements, ...]:
+    """The measurements in several files; those that are trials of one experiment become one table.
+
+    Files are trials where two or more have the same columns and none of these is `trial`; each file is then a trial.
+    To keep a table for each file, use `read_measurements`.
+
+    Args:
+        paths: of the files.
+        columns: as of `read_measurements`; a file need not have all of them.
+
+    Raises:
+        InputError: as `read_measurements`.
+    """
+    found = [read_file(path, columns or {}) for path in paths]
+    for name in columns or {}:
+        if found and all(name in missing for _, missing in found):
+            raise InputError(f"{', '.join(table.name for table, _ in found)}: no column {name!r}; check the name")
+    return trials_together([table for table, _ in found])
+
+
+def trials_together(tables: Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Tables with the same columns, none of them `trial`, as the trials of one table; the others as they are.
+
+    A column without a reading in one of them is one of its columns all the same.
+    """
+    alike: dict[frozenset[str], list[Measurements]] = {}
+    for table in tables:
+        alike.setdefault(frozenset((*table.columns, *table.unread)), []).append(table)
+    found = []
+    for columns, group in alike.items():
+        again = len({table.checksum for table in group}) < len(group)  # given twice, of which `fit` warns
+        found += group if len(group) == 1 or "trial" in columns or again else [_joined(group)]
+    order = [table.name for table in tables]
+    return tuple(sorted(found, key=lambda table: min(map(order.index, table.files or (table.name,)))))
+
+
+def _joined(tables: Sequence[Measurements]) -> Measurements:
+    """One table whose trials are the tables."""
+    names = [table.name for table in tables]
+    stems = [Path(name).stem for name in names]
+    labels = stems if len(set(stems)) == len(stems) else [f"{name} ({i})" for i, name in enumerate(names, 1)]
+    columns = {"trial": np.repeat(np.arange(len(tables), dtype=float), [len(table) for table in tables])}
+    gaps = [np.full(len(table), np.nan) for table in tables]  # where a table has no reading of a column
+    for column in dict.fromkeys(column for table in tables for column in table.columns):
+        own = [table.columns.get(column, gap) for table, gap in zip(tables, gaps, strict=True)]
+        columns[column] = np.concatenate(own)
+    for values in columns.values():
+        values.setflags(write=False)
+    said = [line for table in tables for line in table.read_as]
+    every = ", ".join(names)
+    said.append(f"{every}: the same columns and no column trial, so each file is a trial of one experiment")
+    return Measurements(
+        name=every if len(every) <= 60 else f"{names[0]} to {names[-1]}",
+        columns=columns,
+        rows=np.concatenate([table.rows for table in tables]),
+        trial_labels=tuple(labels),
+        notes=tuple(note for table in tables for note in table.notes),
+        simulated=any(table.simulated for table in tables),
+        read_as=tuple(said),
+        files=tuple(names),
+        unread=tuple(column for column in tables[0].unread if column not in columns),
+    )
+
+
+def repeated_tables(tables: Sequence[Measurements]) -> list[str]:
+    """A warning for each table of several that holds the same numbers as an earlier one."""
+    first: dict[str, tuple[int, str]] = {}
+    found = []
+    for number, table in enumerate(tables, 1):
+        earlier, name = first.setdefault(table.checksum, (number, table.name))
+        if earlier != number:
+            found.append(
+                f"{table.name}: table {number} holds the same numbers as table {earlier} ({name}), which thus "
+                "count twice and make standard errors too small; leave one out"
+            )
+    return found

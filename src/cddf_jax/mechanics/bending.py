@@ -1,0 +1,183 @@
+"""The mechanics of one cross-section: where its tendons point, how they turn, how the body bends.
+
+Frame: t along the neutral axis, n to its left; tendon i lies at sigma_i d_i n. A tendon with
+tension T_i puts the force -T_i t_ci on the body outboard of the cross-section; everything here
+follows from that one vector. Two kinematics differ only in how long t_ci is and how fast the
+tendon is said to turn: "published" takes Liu et al. (2020) as written, "exact" normalises t_ci
+and counts the turning of the tendon itself.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..numerics.implicit import slope_along
+from ..robot.manipulator import CrossSection
+from .friction import PerTendon, bending_loss, drag_loss, tension_rate
+
+Number = Float[Array, ""]
+NEWTON_STEPS = 8
+
+
+class Tangent(NamedTuple):
+    """t_ci in the frame (t, n) of the cross-section, and its derivatives at fixed s or fixed kappa."""
+
+    along: PerTendon  # t_ci . t
+    across: PerTendon  # t_ci . n
+    along_rate: PerTendon  # d(along)/ds at fixed kappa
+    along_slope: PerTendon  # d(along)/dkappa at fixed s
+    turning: PerTendon  # the part of psi' without kappa'
+    turning_slope: PerTendon  # what multiplies kappa' in psi'
+
+
+def arm_ratio(section: CrossSection, curvature: Number) -> PerTendon:
+    """The ratio q = 1 - sigma d kappa: length of the fibre through the tendon per length of the neutral axis."""
+    return 1.0 - section.side * section.offset * curvature
+
+
+def tangent(section: CrossSection, curvature: Number) -> Tangent:
+    """t_ci = (q t + sigma d' n), eq. (3), divided by its length in the exact kinematics."""
+    side, d, d1, d2 = section.side, section.offset, section.offset_slope, section.offset_bend
+    q = arm_ratio(section, curvature)
+    if section.kinematics == "published":
+        # eq. (3) and (8): t_c = du_c/ds, theta' = |kappa_c| with kappa_c = kappa / q
+        return Tangent(q, side * d1, -side * d1 * curvature, -side * d, curvature / q, jnp.zeros_like(q))
+    if not section.slanted:
+        still = jnp.zeros_like(q)
+        return Tangent(jnp.ones_like(q), still, still, still, curvature + still, still)
+    # psi = phi + alpha, alpha = atan2(sigma d', q), psi' = kappa + dalpha/ds + dalpha/dkappa kappa'
+    length = jnp.sqrt(q**2 + d1**2)
+    cos, sin = q / length, side * d1 / length
+    alpha_rate = (side * d2 * q + d1**2 * curvature) / length**2
+    alpha_slope = d * d1 / length**2
+    return Tangent(cos, sin, -sin * alpha_rate, -sin * alpha_slope, curvature + alpha_rate, alpha_slope)
+
+
+def tangent_angle(section: CrossSection, curvature: Number) -> PerTendon:
+    """alpha, rad: from t to t_ci in the exact kinematics, where a tendon that bends sharply turns by its jump."""
+    return jnp.arctan2(section.side * section.offset_slope, arm_ratio(section, curvature))
+
+
+def curvature(section: CrossSection, tension: PerTendon, external_moment: float | Number = 0.0) -> Number:
+    """kappa, 1/m, from E J kappa = sum sigma d T (t_c . t) + M_ext.
+
+    This is eq. (13) of Liu et al. (2020) integrated by parts; with T and d constant along s its
+    published form is the integral of eq. (17). External loads add M_ext.
+    """
+    arm = section.side * section.offset
+    pull = jnp.sum(arm * tension) + external_moment
+    if section.kinematics == "published":
+        return pull / (section.stiffness + jnp.sum(tension * section.offset**2))
+    if not section.slanted:
+        return pull * (1.0 / section.stiffness)  # 1 / E J is the same in every pass
+    return _slanted_curvature(section, tension, external_moment)
+
+
+@eqx.filter_custom_jvp
+def _slanted_curvature(section: CrossSection, tension: PerTendon, external_moment: float | Number) -> Number:
+    """The root of the moment gap, which grows with kappa: Newton's method finds it from the unslanted value."""
+
+    def newton_step(_, kappa):
+        value, slope = _gap_and_slope((section, tension, external_moment), kappa)
+        return kappa - value / slope
+
+    pull = jnp.sum(section.side * section.offset * tension) + external_moment
+    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, pull / section.stiffness)
+
+
+@_slanted_curvature.def_jvp
+def _(primals, tangents):
+    kappa = _slanted_curvature(*primals)
+    pushed = slope_along(lambda given: _moment_gap(given, kappa), primals, tangents)
+    return kappa, -pushed / _gap_and_slope(primals, kappa)[1]
+
+
+def _moment_gap(given: tuple[CrossSection, PerTendon, float | Number], kappa: Number) -> Number:
+    """What is missing of the moment at a cross-section with its tensions and M_ext, N m."""
+    section, tension, external_moment = given
+    arm = section.side * section.offset * tension
+    return section.stiffness * kappa - jnp.sum(arm * tangent(section, kappa).along) - external_moment
+
+
+def _gap_and_slope(given: tuple[CrossSection, PerTendon, float | Number], kappa: Number) -> tuple[Number, Number]:
+    return jax.jvp(partial(_moment_gap, given), (kappa,), (jnp.ones_like(kappa),))
+
+
+class Rates(NamedTuple):
+    """Derivatives along s at one cross-section."""
+
+    curvature: Number  # kappa', 1/m^2
+    turning: PerTendon  # psi' of each tendon, signed, rad/m (published: kappa_c)
+
+
+def rates(
+    section: CrossSection,
+    curvature: Number,
+    tension: PerTendon,
+    direction: PerTendon,
+    external_moment_rate: float | Number = 0.0,
+) -> Rates:
+    """The rates kappa' and psi' from the derivative of the equilibrium along s, with the T' of `tension_rate`.
+
+    In the exact kinematics psi' of a slanted tendon contains kappa', which contains T'; the
+    equation is linear once the signs of psi' are known. They are first taken without friction.
+    """
+    t = tangent(section, curvature)
+    arm = section.side * section.offset
+    pull_rate = section.side * section.offset_slope * t.along + arm * t.along_rate
+    force = jnp.sum(tension * pull_rate) - section.stiffness_rate * curvature + external_moment_rate
+    dragged = drag_loss(direction, section, tension)
+    if dragged is not None:
+        force = force - jnp.sum(arm * t.along * dragged)
+    stiffness = section.stiffness - jnp.sum(arm * tension * t.along_slope)
+
+    def with_signs(sign: PerTendon) -> Rates:
+        friction = bending_loss(direction, section, tension) * sign * arm * t.along
+        kappa_rate = (force - jnp.sum(friction * t.turning)) / (stiffness + jnp.sum(friction * t.turning_slope))
+        return Rates(kappa_rate, t.turning + t.turning_slope * kappa_rate if coupled else t.turning)
+
+    coupled = section.kinematics == "exact" and section.slanted
+    if not coupled:
+        return with_signs(jnp.sign(t.turning))
+    frictionless = with_signs(jnp.zeros_like(t.turning))
+    return with_signs(jnp.sign(with_signs(jnp.sign(frictionless.turning)).turning))
+
+
+class Forces(NamedTuple):
+    """What one tendon puts on the body per length of the neutral axis, in the fixed frame, N/m."""
+
+    normal: Float[Array, "tendons 2"]
+    friction: Float[Array, "tendons 2"]
+
+
+def distributed_forces(
+    section: CrossSection, heading: Number, curvature: Number, tension: PerTendon, direction: PerTendon, rate: Rates
+) -> Forces:
+    """F_CDDN = T t_c' and F_CDDF = T' t_c, together the derivative of T t_c.
+
+    Liu et al. (2020), eq. (9) and the second line of eq. (10). Its first line, mu |F_CDDN|, is not
+    the same force, and only the second closes the balance of eq. (13).
+    """
+    t = tangent(section, curvature)
+    axis = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+    left = jnp.stack([-axis[1], axis[0]])
+    along_rate = t.along_rate + t.along_slope * rate.curvature
+    if section.kinematics == "published":
+        across_rate = section.side * section.offset_bend
+        turn = jnp.broadcast_to(curvature, along_rate.shape)
+        along_rate, across_rate = along_rate - t.across * turn, across_rate + t.along * turn
+    else:
+        along_rate, across_rate = -t.across * rate.turning, t.along * rate.turning
+    loss_rate = tension_rate(direction, section, rate.turning, tension)
+
+    def in_fixed_frame(along, across):
+        return along[:, None] * axis + across[:, None] * left
+
+    return Forces(
+        normal=in_fixed_frame(tension * along_rate, tension * across_rate),
+        friction=in_fixed_frame(loss_rate * t.along, loss_rate * t.across),
+    )

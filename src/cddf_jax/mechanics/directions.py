@@ -1,0 +1,135 @@
+"""The direction in which each tendon slides: that of its travel, where the caller does not state it.
+
+A tendon that slides in at the base (+1) loses tension towards the tip, one that slides out (-1) gains tension. Its
+travel is the length pulled in since the straight body, under loads the rate of that while all tensions rise in
+proportion.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool, PyTree
+
+from ..robot.manipulator import Manipulator
+from ..robot.profiles import as_number
+from .friction import PerTendon, unspent
+from .problem import Number, Problem, Solution
+
+LEAST_TRAVEL = 1e-6  # of the length: a tendon that travels less contradicts no direction
+NUM_FLIPS = 3  # choices made by turning round what was contradicted; then all choices in turn
+MOST_LISTED = 64
+
+Answer = TypeVar("Answer")
+Directions = ArrayLike | Sequence[ArrayLike | None] | None  # for all tendons, or one each; None where it is to be found
+
+
+def not_stated(direction: Directions) -> tuple[int, ...]:
+    """The tendons, counted from 0, whose direction is None."""
+    entries = direction if isinstance(direction, tuple | list) else ()
+    return tuple(i for i, entry in enumerate(entries) if entry is None)
+
+
+def as_directions(direction: Directions) -> PyTree:
+    """The directions with their numbers as arrays; None stays where a direction is to be found."""
+    if not_stated(direction):
+        assert isinstance(direction, tuple | list)
+        return tuple(None if entry is None else as_number(entry) for entry in direction)
+    return None if direction is None else as_number(direction)
+
+
+def stated_directions(direction: Directions, num_tendons: int) -> ArrayLike | Sequence[ArrayLike | None]:
+    """The directions: numbers, or one entry per tendon with None where a direction is to be found.
+
+    Args:
+        direction: +1 or -1, for all tendons or one per tendon; None for all or for some of them. A single tendon
+            without a stated direction has +1.
+        num_tendons: of the body.
+
+    Raises:
+        ValueError: when there is neither one direction for all nor one per tendon.
+    """
+    if direction is None:
+        direction = (None,) * num_tendons
+    if not not_stated(direction):
+        return direction
+    assert isinstance(direction, tuple | list)
+    if len(direction) != num_tendons:
+        raise ValueError(f"direction must be a number or one per tendon ({num_tendons}), got {len(direction)} entries")
+    return tuple(direction) if num_tendons > 1 else 1.0
+
+
+def travel_under_tension(problem: Problem, solution: Solution, travel: PerTendon) -> PerTendon:
+    """The travel of each tendon, m, zero for one that has no tension anywhere.
+
+    A drag gives a tendon that slides out more and more tension, so that it may have some without base tension.
+    """
+    pulls = problem.base_tension > 0
+    if problem.base.drag is not None:
+        pulls = pulls | (unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio > 0)
+    return jnp.where(pulls, travel, 0.0)
+
+
+def is_contradicted(direction: PerTendon, travel: PerTendon, length: Number) -> Bool[Array, " tendons"]:
+    """Whether a tendon travels against its direction."""
+    return direction * travel < -LEAST_TRAVEL * length
+
+
+class _DirectionSearch(NamedTuple):
+    direction: PerTendon  # to be tried next
+    best: PyTree  # an answer
+    fewest: Number  # contradictions in the best answer
+    against: PerTendon  # 1 for a tendon to find that the last choice contradicted
+    num_tried: Number
+    ended: Bool[Array, ""]
+
+
+def find_directions(
+    manipulator: Manipulator,
+    base_tension: PerTendon,
+    stated: PerTendon,
+    to_find: tuple[int, ...],
+    attempt: Callable[[PerTendon], tuple[Answer, PerTendon, Bool[Array, ""]]],
+    blank: Answer,
+) -> Answer:
+    """The answer in which no tendon travels against its direction, or else the answer with the fewest that do.
+
+    The first choice follows the moment of the tensions at the base. Then tendons that contradict their direction are
+    turned round. The search ends where one tendon contradicts both of its directions and all others agree: part of
+    such a tendon usually sticks. Otherwise all choices are tried in turn; of more than 6 tendons the first 64.
+
+    Args:
+        manipulator: its tendons.
+        base_tension: T_base, N.
+        stated: the directions, of which those `to_find` are replaced.
+        to_find: numbers of the tendons, from 0.
+        attempt: what a choice of directions leads to, the travel of each tendon in m, and whether there is an
+            equilibrium.
+        blank: any answer of the right structure.
+    """
+    which = jnp.asarray(to_find)
+    zero, one = jnp.zeros_like(stated[0]), jnp.ones_like(stated[0])
+    length = jnp.asarray(manipulator.length)
+    listed = min(2 ** len(to_find), MOST_LISTED)
+
+    def once(search: _DirectionSearch) -> _DirectionSearch:
+        answer, travel, found = attempt(search.direction)
+        against = jnp.where(is_contradicted(search.direction, travel, length)[which], one, zero)
+        count = jnp.where(found, jnp.sum(against), len(to_find) + one)
+        better = count < search.fewest
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), answer, search.best)
+        num_tried = search.num_tried + 1.0
+        bits = ((num_tried - NUM_FLIPS).astype(int) >> jnp.arange(len(to_find))) & 1
+        flipped = search.direction[which] * (one - 2 * against)
+        following = search.direction.at[which].set(jnp.where(num_tried < NUM_FLIPS, flipped, one - 2 * bits))
+        # one tendon, which was turned round just now, slides neither in nor out
+        sticks = (num_tried <= NUM_FLIPS) & (count == 1) & jnp.all(against == search.against)
+        ended = found & ((count == 0) | sticks) | (num_tried >= NUM_FLIPS + listed)
+        return _DirectionSearch(following, best, jnp.minimum(count, search.fewest), against, num_tried, ended)
+
+    arm = jnp.stack([t.side * t.offset(jnp.zeros_like(length)) for t in manipulator.tendons])
+    turned, least = arm * jnp.sum(arm * base_tension), jnp.sum(arm**2 * base_tension) * LEAST_TRAVEL
+    first = stated.at[which].set(jnp.where(turned < -least, -one, one)[which])
+    start = _DirectionSearch(first, blank, zero + jnp.inf, 0 * first[which], zero, zero > 0)
+    return jax.lax.while_loop(lambda search: ~search.ended, once, start).best

@@ -1,0 +1,72 @@
+"""The friction law: how the tension of a tendon changes along the body. It stands here and nowhere else.
+
+    T' = -direction (mu |psi'| T + w)      N/m
+
+Bending by psi' (rad/m) loses in proportion to the tension, the derivative of Liu et al. (2020), eq. (8); a drag w (N/m)
+is lost whatever the tension. The solver integrates what stays regular where T is zero, by variation of constants:
+T = (T_base - c) / r with r' = direction mu |psi'| r and c' = direction w r. All functions here state the same law
+and must be changed together; `tests/mechanics/test_friction.py` compares them.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..robot.manipulator import CrossSection
+
+PerTendon = Float[Array, "... tendons"]  # at one point or several
+
+
+class Pull(NamedTuple):
+    """The integrated friction, from which the tension follows: T = (T_base - c) / r."""
+
+    ratio: Float[Array, "*points tendons"]  # r, which grows by bending; T_base / T without drag
+    spent: Float[Array, "*points tendons"] | None = None  # c, N, used up by drag; None without drag
+
+
+def bending_loss(direction: PerTendon, section: CrossSection, tension: PerTendon) -> PerTendon:
+    """The loss of T per radian by which the tendon turns, N."""
+    return direction * section.friction_coefficient * tension
+
+
+def drag_loss(direction: PerTendon, section: CrossSection, tension: PerTendon) -> PerTendon | None:
+    """The loss of T per length by drag, N/m: 0 where a tendon that slides in is slack; None without drag."""
+    if section.drag is None:
+        return None
+    return jnp.where((tension > 0) | (direction < 0), direction * section.drag, 0.0)
+
+
+def tension_rate(direction: PerTendon, section: CrossSection, turning: PerTendon, tension: PerTendon) -> PerTendon:
+    """T', N/m, of a tendon that turns by psi' = `turning`, rad/m."""
+    by_bending = -bending_loss(direction, section, tension) * jnp.abs(turning)
+    by_drag = drag_loss(direction, section, tension)
+    return by_bending if by_drag is None else by_bending - by_drag
+
+
+def ratio_rate(direction: PerTendon, section: CrossSection, turning: PerTendon, ratio: PerTendon) -> PerTendon:
+    """The growth r' = direction mu |psi'| |r|, 1/m; r is negative only beyond the point where a tendon locks."""
+    return direction * section.friction_coefficient * jnp.abs(turning) * jnp.abs(ratio)
+
+
+def is_proportional(section: CrossSection) -> bool:
+    """Whether a tendon loses in proportion to its tension, so that r' is known with T psi' / T_base; static."""
+    return section.drag is None
+
+
+def ratio_beyond(direction: PerTendon, section: CrossSection, turn: PerTendon, ratio: PerTendon) -> PerTendon:
+    """The ratio r beyond a point where the tendon turns by a finite angle `turn` >= 0, rad."""
+    return ratio * jnp.exp(direction * section.friction_coefficient * turn)
+
+
+def spent_rate(direction: PerTendon, section: CrossSection, ratio: PerTendon) -> PerTendon | None:
+    """The growth c' = direction w r, N/m; None without drag. It goes on where a tendon is slack."""
+    return None if section.drag is None else direction * section.drag * jnp.abs(ratio)
+
+
+def unspent(base_tension: PerTendon, pull: Pull) -> Float[Array, "*points tendons"]:
+    """T_base - c, N: the base tension less the drag so far; 0 where the tendon is slack."""
+    if pull.spent is None:
+        return base_tension
+    left = base_tension - pull.spent
+    return jnp.where(left >= 0, left, 0.0)

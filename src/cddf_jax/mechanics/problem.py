@@ -1,0 +1,369 @@
+"""A body under load, ready to be solved from base to tip, and what holds at each of its cross-sections.
+
+With the tensions at the base and the moment of the dead loads there, M_ext(0), everything outboard follows:
+r_i = T_base,i / T_i grows with friction, Liu et al. (2020) eq. (8), and M_ext' = -(t x N). A drag w uses up
+c_i of the base tension: T_i = (T_base,i - c_i) / r_i with c' = direction w r, which is variation of constants
+in T' = -direction (mu theta' T + w). Both stay regular where T is zero.
+
+First the types and how a `Problem` is laid out on panels; then functions of one cross-section, which the methods
+integrate; last how far tendons slide: the length of their paths through the body, and their own stretch.
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..numerics.arrays import cos_sin, zero_as
+from ..numerics.quadrature import Panels, panels, panels_between
+from ..robot.loads import Loads, force_at_points, force_per_length, planar_cross
+from ..robot.manipulator import CrossSection, Manipulator
+from . import bending
+from .friction import PerTendon, Pull, is_proportional, ratio_beyond, unspent
+
+Number = Float[Array, ""]
+
+
+class Joints(NamedTuple):
+    """Where two smooth pieces of the body may meet: both sides of the start of every panel, leading axis P."""
+
+    before: CrossSection
+    after: CrossSection
+
+
+class Outboard(NamedTuple):
+    """N, N: the sum of the dead loads outboard of a cross-section.
+
+    That is the force on the tip, the weight per length integrated from there to the tip, and the point masses beyond.
+    """
+
+    starts: Float[Array, "P 2"]
+    nodes: Float[Array, "P p 2"]
+    tip: Float[Array, "2"]
+    drops: Float[Array, "P 2"] | None = None  # by which N falls at the start of a panel; None without point masses
+
+
+class Problem(eqx.Module):
+    """A body under load, cut into panels, its cross-sections evaluated once."""
+
+    manipulator: Manipulator
+    base_tension: PerTendon
+    direction: PerTendon
+    panels: Panels
+    base: CrossSection
+    nodes: CrossSection  # leading axes: P panels, p nodes
+    tip: CrossSection
+    joints: Joints | None  # None where no tendon can turn by a finite angle
+    loads: Loads | None
+    outboard: Outboard  # zero without loads
+    base_moment: Number  # M_ext(0), N m; zero without loads
+
+    @property
+    def moment_scale(self) -> Number:
+        """E J / L at the base, N m."""
+        return self.base.stiffness / self.panels.edges[-1]
+
+    @property
+    def is_quadrature(self) -> bool:
+        """Whether theta' r, and with it r', is the same for every r; static.
+
+        So it is where theta' and friction are proportional to T: theta' = d T / (E J) for one unloaded tendon, in the
+        exact kinematics if it is parallel to the neutral axis, in the published ones, as kappa / (1 - d kappa), always.
+        """
+        body = self.manipulator
+        straight = body.kinematics == "published" or not body.slanted
+        return body.num_tendons == 1 and straight and self.loads is None and is_proportional(self.base)
+
+
+class State(NamedTuple):
+    """What is integrated along the body; leading axes may be panels and nodes."""
+
+    pull: Pull
+    wrap_angle: Float[Array, "*points tendons"]  # theta, rad
+    heading: Float[Array, "*points"]  # phi, rad
+    position: Float[Array, "*points 2"]  # u, m
+    moment: Float[Array, "*points"]  # M_ext, N m
+    force: Float[Array, "*points 2"]  # N, N
+
+    @property
+    def ratio(self) -> Float[Array, "*points tendons"]:
+        """The ratio r."""
+        return self.pull.ratio
+
+
+class Solution(NamedTuple):
+    """The answer of a method: the state along the body, and how the iteration ended."""
+
+    starts: State  # at the start of every panel
+    nodes: State  # at every Gauss node
+    tip: State
+    num_iterations: Number
+    residual: Number  # of the method itself, relative: the last change of the fixed point
+    converged: Bool[Array, ""]
+    locked: Bool[Array, ""]  # the tension of a tendon sliding out grows without bound
+
+
+class Nodal(NamedTuple):
+    """The unknowns at the nodes, which each pass improves; everything else follows from them."""
+
+    ratio: Float[Array, "P p tendons"]  # r
+    moment: Float[Array, "P p"] | None  # M_ext over its scale; None without loads
+
+
+@runtime_checkable
+class Method(Protocol):
+    """A way to resolve shape and tension from the base to the tip. Its settings are static."""
+
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Solution:
+        """Solve to the end, from a first guess if there is one."""
+        ...
+
+    def improve(self, problem: Problem, guess: Nodal) -> Solution:
+        """One pass from a guess, `converged` if the guess was right; a method without passes solves to the end."""
+        ...
+
+
+def lay_out(
+    manipulator: Manipulator,
+    base_tension: PerTendon,
+    direction: PerTendon,
+    nodes: int,
+    loads: Loads | None = None,
+    splits: Float[Array, " splits"] | None = None,
+) -> Problem:
+    """Cut the body into panels, at `splits` as well, and evaluate its cross-sections."""
+    cut = cut_into_panels(manipulator, nodes, splits)
+    nudge = edge_nudge(cut)
+    section = jax.vmap(lambda s: guarded_section(manipulator, s))
+    along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
+    turns = manipulator.kinematics == "exact" and manipulator.slanted and manipulator.breakpoints.shape[0] > 0
+    starts = cut.edges[:-1]
+    inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip causes no turn there
+    return Problem(
+        manipulator,
+        base_tension,
+        direction,
+        cut,
+        base=jax.tree.map(lambda x: x[0], along),
+        nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
+        tip=jax.tree.map(lambda x: x[-1], along),
+        joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside)) if turns else None,
+        loads=loads,
+        outboard=_outboard(manipulator, cut, loads, splits),
+        base_moment=jnp.zeros_like(cut.edges[-1]),
+    )
+
+
+def cut_into_panels(manipulator: Manipulator, nodes: int, splits: Float[Array, " splits"] | None = None) -> Panels:
+    """Panels that end where the body or a tendon is not smooth, and at `splits` as well."""
+    if manipulator.point_masses:
+        return panels_between(jnp.sort(_joints(manipulator, splits)), nodes)
+    breaks = manipulator.breakpoints
+    return panels(jnp.asarray(manipulator.length), breaks if splits is None else jnp.append(breaks, splits), nodes)
+
+
+def _joints(manipulator: Manipulator, splits: Float[Array, " splits"] | None) -> Float[Array, " joints"]:
+    """Base, breakpoints, splits and tip, unsorted; a breakpoint at an end keeps its own derivative."""
+    length = jnp.asarray(manipulator.length)
+    points = [manipulator.breakpoints.astype(length.dtype), *([] if splits is None else [splits])]
+    points = jnp.concatenate(points)
+    points = jnp.where(points > length, length, jnp.where(points < 0, 0.0, points))
+    return jnp.concatenate([jnp.zeros_like(length)[None], points, length[None]])
+
+
+def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None, splits: Array | None) -> Outboard:
+    if loads is None:
+        zero = jnp.zeros((*cut.nodes.shape, 2), cut.edges.dtype)
+        return Outboard(zero[:, 0], zero, zero[0, 0])
+    edges, nodes = cut.integrate(load_rate(manipulator, cut.nodes, loads))
+    force = jnp.asarray(loads.tip_force)
+    along = Outboard(force + edges[-1] - edges[:-1], force + edges[-1] - nodes, force)
+    return _with_point_masses(along, manipulator, cut, loads, splits) if manipulator.point_masses else along
+
+
+def _with_point_masses(
+    along: Outboard, manipulator: Manipulator, cut: Panels, loads: Loads, splits: Array | None
+) -> Outboard:
+    """The same with the weights of the point masses, each of which lies where a panel starts.
+
+    The panel follows from the rank of the mass among the joints, also where joints coincide, so that derivatives by its
+    arc length hold there. At the tip itself N is that just before it.
+    """
+    masses = manipulator.point_masses
+    weight = force_at_points(loads, jnp.stack([jnp.asarray(point.mass) for point in masses]))
+    joints = _joints(manipulator, splits)
+    last = manipulator.breakpoints.shape[0] + 1
+    rank = jnp.argsort(jnp.argsort(joints))[last - len(masses) : last]
+    panel, start = jnp.arange(cut.edges.shape[0] - 1)[:, None], rank * ((cut.edges.shape[0] - 1) // (joints.size - 1))
+    beyond = jnp.where(panel < start, 1.0, 0.0) @ weight
+    at_tip = jnp.where(joints[last - len(masses) : last] == cut.edges[-1], 1.0, 0.0) @ weight
+    drops = jnp.where(panel == start, 1.0, 0.0) @ weight
+    return Outboard(along.starts + beyond, along.nodes + beyond[:, None], along.tip + at_tip, drops)
+
+
+def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points 2"]:
+    """The distributed dead loads per length, N/m."""
+    return force_per_length(loads, manipulator.distributed_mass(arc_length))
+
+
+def loaded_to(problem: Problem, fraction: Number, base_moment: Number) -> Problem:
+    """The problem under a fraction of all dead loads, with a value of M_ext(0), N m."""
+    outboard, loads = jax.tree.map(lambda x: fraction * x, (problem.outboard, problem.loads))
+    return eqx.tree_at(
+        lambda problem: (problem.outboard, problem.loads, problem.base_moment), problem, (outboard, loads, base_moment)
+    )
+
+
+def with_tip_force(problem: Problem, tip_force: Float[Array, "2"]) -> Problem:
+    """The problem with another force on its tip."""
+    more = tip_force - problem.outboard.tip
+    starts, nodes, tip, drops = problem.outboard
+    return eqx.tree_at(lambda p: p.outboard, problem, Outboard(starts + more, nodes + more, tip + more, drops))
+
+
+def guarded_section(manipulator: Manipulator, arc_length: Number) -> CrossSection:
+    """The cross-section. EJ is replaced by 1 where it is not positive, so that all numbers are finite."""
+    section = manipulator.cross_section(arc_length)
+    stiffness = jnp.where(section.stiffness > 0, section.stiffness, 1.0)
+    return eqx.tree_at(lambda section: section.stiffness, section, stiffness)
+
+
+def edge_nudge(cut: Panels) -> Number:
+    """The least step off an edge, m, that surely tells its two sides apart."""
+    return 8 * float(jnp.finfo(cut.edges.dtype).eps) * cut.edges[-1]
+
+
+# --- one cross-section ---------------------------------------------------------------------------
+
+
+def tension_of(section: CrossSection, base_tension: PerTendon, pull: Pull) -> PerTendon:
+    """T, N, zero beyond the anchor. Where a tendon locks, r goes on below zero, and its size stands in."""
+    size = jnp.maximum(jnp.abs(pull.ratio), jnp.finfo(pull.ratio.dtype).eps)
+    return jnp.where(section.present, unspent(base_tension, pull) / size, 0.0)
+
+
+def curvature_of(problem: Problem, section: CrossSection, pull: Pull, moment: Number) -> Number:
+    """The curvature kappa, 1/m, from the tensions and the dead loads at one cross-section."""
+    return bending.curvature(section, tension_of(section, problem.base_tension, pull), moment)
+
+
+def rates_of(
+    problem: Problem, section: CrossSection, curvature: Number, pull: Pull, moment_rate: Number
+) -> bending.Rates:
+    """The rates kappa' and psi' at one cross-section; psi' is zero beyond the anchor."""
+    tension = tension_of(section, problem.base_tension, pull)
+    rate = bending.rates(section, curvature, tension, problem.direction, moment_rate)
+    return rate._replace(turning=jnp.where(section.present, rate.turning, 0.0))
+
+
+def moment_rate_of(heading: Float[Array, "*points"], force: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
+    """M_ext' = -(t x N), N."""
+    return -planar_cross(axis_of(heading), force)
+
+
+def axis_of(heading: Float[Array, "*points"]) -> Float[Array, "*points 2"]:
+    """The unit vector t along the neutral axis."""
+    return jnp.stack(cos_sin(heading), axis=-1)
+
+
+def spent_scale(problem: Problem, tip: Pull) -> PerTendon | None:
+    """The scale of c, N: base tension plus c at the tip, or 1 where both are zero; None without drag."""
+    if tip.spent is None:
+        return None
+    scale = problem.base_tension + jnp.abs(tip.spent)
+    return jnp.where(scale > 0, scale, 1.0)
+
+
+def turn_at_joint(problem: Problem, joint: Joints | None, pull: Pull, moment: Number) -> tuple[PerTendon, PerTendon]:
+    """The finite angle by which a tendon turns where two pieces meet (exact kinematics), and r beyond it."""
+    ratio = pull.ratio
+    if joint is None:
+        return jnp.zeros_like(ratio), ratio
+    before, after = joint
+
+    def angle(section, ratio):
+        return bending.tangent_angle(section, curvature_of(problem, section, pull._replace(ratio=ratio), moment))
+
+    arriving = angle(before, ratio)
+
+    def improve(_, guess):  # the angle beyond depends on r there only by mu d d' kappa, so this contracts fast
+        turn = jnp.where(after.present, jnp.abs(angle(after, guess[1]) - arriving), 0.0)
+        return turn, ratio_beyond(problem.direction, before, turn, ratio)
+
+    return jax.lax.fori_loop(0, 6, improve, (jnp.zeros_like(arriving), ratio + jnp.zeros_like(arriving)))
+
+
+def ones_at_base(problem: Problem) -> PerTendon:
+    """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
+    there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
+    return jnp.ones_like(problem.base_tension) + zero_as(there)
+
+
+def at_base(problem: Problem) -> Nodal:
+    """What holds at the base."""
+    ones = ones_at_base(problem)
+    moment = problem.base_moment / problem.moment_scale + zero_as(ones)
+    return Nodal(ones, None if problem.loads is None else moment)
+
+
+def everywhere(cut: Panels, values: Nodal) -> Nodal:
+    """The same values at all nodes."""
+    shape = cut.nodes.shape
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (*shape, *x.shape)), values)
+
+
+def nodal(problem: Problem, solution: Solution) -> Nodal:
+    """The unknowns of a solution, from which the next pass starts."""
+    return Nodal(solution.nodes.ratio, None if problem.loads is None else solution.nodes.moment / problem.moment_scale)
+
+
+def line_up(base: Array, nodes: Array, tip: Array) -> Array:
+    """Base, Gauss nodes and tip in one row of points."""
+    return jnp.concatenate([base[None], nodes.reshape(-1, *base.shape), tip[None]])
+
+
+def all_points(problem: Problem, solution: Solution) -> tuple[CrossSection, State]:
+    """The cross-sections and states at base, Gauss nodes and tip."""
+    base = problem.base, jax.tree.map(lambda x: x[0], solution.starts)
+    return jax.tree.map(line_up, base, (problem.nodes, solution.nodes), (problem.tip, solution.tip))
+
+
+AT_NODES = (None, 0, 0, 0)
+curvature_along = jax.vmap(jax.vmap(curvature_of, AT_NODES), AT_NODES)  # over panels and nodes
+rates_along = jax.vmap(jax.vmap(rates_of, (*AT_NODES, 0)), (*AT_NODES, 0))
+
+
+# --- how far tendons slide ------------------------------------------------------------------------
+
+
+def tendon_displacement(problem: Problem, solution: Solution) -> PerTendon:
+    """Length of each tendon pulled in at the base since the straight body without tension, m.
+
+    The tendon's path shortens by the integral of sqrt(1 + d'^2) - |u_c'|, and the tendon itself stretches
+    by T / (E A), inside the body and along its free length outside.
+    """
+    body = problem.manipulator
+    rate = shortening_along(problem, solution) + stretch_along(problem, solution)
+    outside = problem.base_tension * body.tendon_compliance * body.tendon_free_length
+    return problem.panels.integrate(rate)[0][-1] + outside
+
+
+def stretch_along(problem: Problem, solution: Solution) -> Float[Array, "P p tendons"]:
+    """The stretch of each tendon per arc length, T sqrt(1 + d'^2) / (E A)."""
+    tension = tension_of(problem.nodes, problem.base_tension, solution.nodes.pull)
+    return tension * jnp.sqrt(1.0 + problem.nodes.offset_slope**2) * problem.manipulator.tendon_compliance
+
+
+def shortening_along(problem: Problem, solution: Solution) -> Float[Array, "P p tendons"]:
+    """Length of each tendon in the straight body less that in the bent one, per arc length."""
+
+    def shortening(section, pull, moment):
+        kappa = curvature_of(problem, section, pull, moment)
+        # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
+        bend, slope = section.side * section.offset * kappa, section.offset_slope
+        rate = bend * (2.0 - bend) / (jnp.sqrt(1.0 + slope**2) + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
+        return jnp.where(section.present, rate, 0.0)
+
+    return jax.vmap(jax.vmap(shortening))(problem.nodes, solution.nodes.pull, solution.nodes.moment)

@@ -1,0 +1,317 @@
+"""The minimum of a smooth function under smooth limits: SciPy's optimisers, exact derivatives, multipliers as proof.
+
+The multipliers are computed here, and not taken from SciPy: its SLSQP returns none for bounds, and those of its last
+step only; here they are needed at any point, also where several sets of them meet the conditions.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+from scipy.optimize import NonlinearConstraint, linprog, lsq_linear, minimize
+from scipy.sparse.linalg import LinearOperator
+
+TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
+ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
+REFUSED = 1e3  # times the objective: the value where the function has no answer
+POLISHING = 50  # iterations of the trust region
+
+Vector = Float[np.ndarray, " _"]
+Matrix = Float[np.ndarray, "_ _"]
+
+
+class Point(NamedTuple):
+    """Values and slopes at one point."""
+
+    x: Vector
+    objective: float
+    gradient: Vector
+    inequality: Vector  # may not be negative
+    inequality_slopes: Matrix
+    equality: Vector  # must be zero
+    equality_slopes: Matrix
+    usable: bool = True  # false where the function has no answer
+
+    @property
+    def violation(self) -> float:
+        """The largest, scaled."""
+        return float(max(np.max(-self.inequality, initial=0.0), np.max(np.abs(self.equality), initial=0.0)))
+
+
+class Weights(NamedTuple):
+    """Of the parts of a Lagrangian."""
+
+    objective: float
+    inequality: Vector
+    equality: Vector
+
+
+@runtime_checkable
+class VectorFunction(Protocol):
+    """An objective and its limits, with derivatives."""
+
+    def __call__(self, x: Vector) -> Point: ...
+
+    def curvature(self, x: Vector, weights: Weights, along: Vector) -> Vector:
+        """The Hessian of the weighted sum of objective, inequalities and equalities, times a vector."""
+        ...
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """The first-order conditions of Karush, Kuhn and Tucker at a point, with the multipliers that meet them best."""
+
+    residual: float  # largest entry of the Lagrangian's gradient, over that of the objective's or 1
+    inequality: Vector  # multipliers, zero where there is a margin
+    lower: Vector  # of the bounds
+    upper: Vector
+    equality: Vector
+    active: np.ndarray  # the places of active limits among inequalities, lower bounds, upper bounds, equalities
+    slopes: Matrix  # of the active limits
+
+    def range_of(
+        self,
+        inequality: ArrayLike = 0.0,
+        equality: ArrayLike = 0.0,
+        *,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = 0.0,
+    ) -> tuple[float, float]:
+        """The least and the largest of a weighted sum of multipliers that meet the conditions equally well.
+
+        They differ where several limits are active at one place. By the theory of the optimal value under a
+        perturbation, relaxing is then worth the least, and tightening costs the largest.
+
+        Args:
+            inequality, equality, lower, upper: weights of the multipliers of limits and bounds, one each or for all.
+        """
+        if not self.active.size:
+            return 0.0, 0.0
+        multipliers = self.inequality, self.lower, self.upper, self.equality
+        given = zip((inequality, lower, upper, equality), multipliers, strict=True)
+        cost = np.concatenate([np.broadcast_to(np.asarray(weights), own.shape) for weights, own in given])[self.active]
+        own = np.concatenate(multipliers)[self.active]
+        signed = self.active < sum(map(len, multipliers)) - self.equality.size  # an equality's may be negative
+        options = {
+            "A_eq": self.slopes.T,
+            "b_eq": self.slopes.T @ own,
+            "bounds": [(0.0 if positive else None, None) for positive in signed],
+        }
+        least, most = linprog(cost, **options), linprog(-cost, **options)
+        return least.fun if least.status == 0 else -np.inf, -most.fun if most.status == 0 else np.inf
+
+
+class LocalMinimum(NamedTuple):
+    """Where a search ended."""
+
+    point: Point
+    optimality: Optimality
+    history: list[tuple[float, float]]  # objective and violation of every iterate
+    evaluations: int
+
+    @property
+    def feasible(self) -> bool:
+        return self.point.violation <= TOLERANCE
+
+
+AfterIteration = Callable[[int, Point], None]
+
+
+def minimise_constrained(
+    function: VectorFunction,
+    start: Vector,
+    lower: Vector,
+    upper: Vector,
+    *,
+    max_iterations: int = 300,
+    after: AfterIteration = lambda count, point: None,
+) -> LocalMinimum:
+    """Search from one start with SLSQP; if that ends before a stationary point, go on with Hessian products.
+
+    Args:
+        function: values and exact first derivatives anywhere within the bounds.
+        start: (unknowns,), usable.
+        lower, upper: bounds of the unknowns, infinite for none.
+        max_iterations: of SLSQP.
+        after: called after every iteration with its number and its point.
+    """
+    seen = _Seen(function, np.clip(start, lower, upper))
+    history: list[tuple[float, float]] = []
+
+    def iterated(x: Vector) -> None:
+        point = seen(x)
+        history.append((point.objective, point.violation))
+        after(len(history), point)
+
+    with np.errstate(all="ignore"):
+        found = minimize(
+            lambda x: seen(x).objective,
+            np.clip(start, lower, upper),
+            jac=lambda x: seen(x).gradient,
+            bounds=list(zip(lower, upper, strict=True)),
+            constraints=[
+                {"type": "ineq", "fun": lambda x: seen(x).inequality, "jac": lambda x: seen(x).inequality_slopes},
+                {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
+            ],
+            method="SLSQP",
+            callback=iterated,
+            options={"maxiter": max_iterations, "ftol": 1e-14},
+        )
+    last = seen(np.clip(found.x, lower, upper))
+    point = last if last.usable and last.violation <= max(TOLERANCE, seen.best.violation) else seen.best
+    local = LocalMinimum(point, optimality(point, lower, upper), history, seen.count)
+    if local.feasible and local.optimality.residual > TOLERANCE:
+        local = _polished(seen, local, lower, upper)
+    return local._replace(evaluations=seen.count)
+
+
+class _Seen:
+    """The function, evaluated once at each point; where it has no answer, values that send the optimiser back."""
+
+    def __init__(self, function: VectorFunction, start: Vector):
+        self.function, self.count = function, 1
+        self.last = self.best = function(start)
+
+    def __call__(self, x: Vector) -> Point:
+        if not np.array_equal(x, self.last.x):
+            self.count += 1
+            self.last = self.function(np.array(x))
+            if not self.last.usable:
+                wall = abs(self.best.objective) * REFUSED + REFUSED
+                self.last = self.best._replace(x=np.array(x), objective=wall, usable=False)
+            elif _rank(self.last) < _rank(self.best):
+                self.best = self.last
+        return self.last
+
+
+def _rank(point: Point) -> tuple[float, float]:
+    """Smaller is better: first the violation, then, where both keep to the limits, the objective."""
+    return max(point.violation, TOLERANCE), point.objective
+
+
+def _polished(seen: _Seen, local: LocalMinimum, lower: Vector, upper: Vector) -> LocalMinimum:
+    """The stationary point on the active limits, by SciPy's trust region with exact Hessian products.
+
+    It is taken if it breaks no other limit and is nearer to optimal.
+    """
+    face = _ActiveFace(seen, local)
+    if face.free.size == 0:
+        return local
+    limits = NonlinearConstraint(face.limits, 0.0, 0.0, jac=face.limit_slopes, hess=face.limit_curvature)  # type: ignore[arg-type]
+    found = minimize(
+        lambda y: face(y).objective,
+        face.base[face.free],
+        jac=lambda y: face(y).gradient[face.free],
+        hess=face.objective_curvature,
+        constraints=[limits] if face.rows.size or local.point.equality.size else [],  # type: ignore[arg-type]
+        method="trust-constr",
+        options={"maxiter": POLISHING, "gtol": 1e-10, "xtol": 1e-14, "initial_tr_radius": 1e-3},
+    )
+    point = seen(np.clip(face.full(found.x, face.base), lower, upper))
+    better = local._replace(point=point, optimality=optimality(point, lower, upper))
+    good = point.usable and better.feasible and better.optimality.residual < local.optimality.residual
+    return better if good else local
+
+
+class _ActiveFace:
+    """The function where active limits stay active, in the unknowns that are on no bound."""
+
+    def __init__(self, seen: _Seen, local: LocalMinimum):
+        self.seen, self.base = seen, local.point.x
+        self.rows = np.flatnonzero(local.optimality.inequality > 0)
+        self.free = np.flatnonzero((local.optimality.lower <= 0) & (local.optimality.upper <= 0))
+        self.no_weights = Weights(0.0, np.zeros(local.point.inequality.size), np.zeros(local.point.equality.size))
+
+    def full(self, y: Vector, others: Vector) -> Vector:
+        """All unknowns: the free ones, and the others as given."""
+        x = others.copy()
+        x[self.free] = np.ravel(y)
+        return x
+
+    def __call__(self, y: Vector) -> Point:
+        return self.seen(self.full(y, self.base))
+
+    def limits(self, y: Vector) -> Vector:
+        return np.concatenate([self(y).inequality[self.rows], self(y).equality])
+
+    def limit_slopes(self, y: Vector) -> Matrix:
+        return np.concatenate([self(y).inequality_slopes[self.rows], self(y).equality_slopes])[:, self.free]
+
+    def objective_curvature(self, y: Vector) -> LinearOperator:
+        return self._product(y, self.no_weights._replace(objective=1.0))
+
+    def limit_curvature(self, y: Vector, multipliers: Vector) -> LinearOperator:
+        inequality = self.no_weights.inequality.copy()
+        inequality[self.rows] = multipliers[: self.rows.size]
+        return self._product(y, Weights(0.0, inequality, multipliers[self.rows.size :]))
+
+    def _product(self, y: Vector, weights: Weights) -> LinearOperator:
+        def along(v: np.ndarray) -> Vector:
+            direction = self.full(v, np.zeros_like(self.base))
+            return self.seen.function.curvature(self.full(y, self.base), weights, direction)[self.free]
+
+        size = (self.free.size, self.free.size)
+        return LinearOperator(size, matvec=along, dtype=np.float64)  # type: ignore[call-arg]
+
+
+def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
+    """The multipliers that come nearest to making the Lagrangian stationary, and how near that is."""
+    unit = np.eye(point.x.size)
+    margins = [point.inequality, point.x - lower, upper - point.x, np.zeros(point.equality.size)]
+    slopes = np.concatenate([point.inequality_slopes, unit, -unit, point.equality_slopes])
+    active = np.flatnonzero(np.concatenate(margins) <= ACTIVE)
+    least = np.where(active < len(slopes) - point.equality.size, 0.0, -np.inf)
+    multipliers = np.zeros(len(slopes))
+    if active.size:
+        fit = lsq_linear(slopes[active].T, point.gradient, (least, np.inf), method="bvls", tol=1e-14)
+        multipliers[active] = fit.x
+    left = float(np.max(np.abs(point.gradient - multipliers @ slopes)))
+    parts = np.split(multipliers, np.cumsum([part.size for part in margins[:-1]]))
+    inequality, at_lower, at_upper, equality = parts
+    residual = left / max(1.0, float(np.max(np.abs(point.gradient))))
+    return Optimality(residual, inequality, at_lower, at_upper, equality, active, slopes[active])
+
+
+class RelaxedLimits:
+    """The limits of a function alone, with one more unknown behind the others: by how much each may be broken.
+
+    Its minimum is the least violation possible, and its multipliers tell which limits contradict each other. Its
+    inequalities are those of the function, then its equalities from above, then from below.
+
+    Args:
+        function: whose limits are relaxed.
+        rigid: how many inequalities at the end may not be broken.
+    """
+
+    def __init__(self, function: VectorFunction, rigid: int = 0):
+        self.function, self.rigid = function, rigid
+
+    def __call__(self, x: Vector) -> Point:
+        inner, by = self.function(x[:-1]), float(x[-1])
+        soft = inner.inequality.size - self.rigid
+        give = np.concatenate([np.ones(soft), np.zeros(self.rigid), np.ones(2 * inner.equality.size)])
+        margins = np.concatenate([inner.inequality, inner.equality, -inner.equality]) + by * give
+        slopes = np.concatenate([inner.inequality_slopes, inner.equality_slopes, -inner.equality_slopes])
+        gradient = np.append(np.zeros(x.size - 1), 1.0)
+        none = np.zeros((0, x.size))
+        return Point(x, by, gradient, margins, np.column_stack([slopes, give]), np.zeros(0), none, inner.usable)
+
+    def curvature(self, x: Vector, weights: Weights, along: Vector) -> Vector:
+        inequality, above, below = self.by_kind(weights.inequality, self.function(x[:-1]).equality.size)
+        inner = self.function.curvature(x[:-1], Weights(0.0, inequality, above - below), along[:-1])
+        return np.append(inner, 0.0)
+
+    @staticmethod
+    def by_kind(values: Vector, equalities: int) -> tuple[Vector, Vector, Vector]:
+        """Values by inequality of the relaxed problem: of inequalities, of equalities from above, and from below."""
+        inequality, above, below = np.split(values, [values.size - 2 * equalities, values.size - equalities])
+        return inequality, above, below
+
+
+def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector, rigid: int) -> LocalMinimum:
+    """The point that breaks the limits least, of `RelaxedLimits`; its objective is the largest violation."""
+    relaxed = RelaxedLimits(function, rigid)
+    first = np.append(start, function(start).violation)
+    return minimise_constrained(relaxed, first, np.append(lower, 0.0), np.append(upper, np.inf))

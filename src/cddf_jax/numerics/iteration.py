@@ -1,0 +1,119 @@
+"""A fixed point with implicit derivatives that is at home in jit, vmap, scan and shard_map."""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PyTree
+
+from .arrays import all_finite, computed_once, relative_size, zero_as
+from .implicit import slope_along
+
+Values = TypeVar("Values")  # an array or a tree of arrays
+Scalar = Float[Array, ""]
+
+
+class FixedPointResult(NamedTuple):
+    """What the passes lead to."""
+
+    value: PyTree  # as the start
+    num_passes: Scalar
+    change: Scalar  # in the last pass, as `size` measures it
+    converged: Bool[Array, ""]
+
+
+def minus(a: Values, b: Values) -> Values:
+    """The difference of two trees."""
+    return jax.tree.map(jnp.subtract, a, b)
+
+
+def round_off(dtype: jnp.dtype) -> float:
+    """The relative change below which further passes change nothing but rounding errors."""
+    return 32 * float(jnp.finfo(dtype).eps)
+
+
+def fixed_point(
+    update: Callable[[Values], Values],
+    start: Values,
+    *,
+    tolerance: float,
+    max_passes: int,
+    size: Callable[[Values, Values], Scalar] = relative_size,
+    acceptable: Callable[[Values], Bool[Array, ""]] = all_finite,
+) -> FixedPointResult:
+    """Solve y = update(y) by Picard iteration; differentiate the solution implicitly.
+
+    One evaluation of `update` is a pass. Derivatives come from passes of the same kind on the linearised equation
+    v = update'(y) v + b, in both modes and to any order. No Jacobian is formed, and no exception is raised. Where the
+    passes do not settle, or end on a value that is not acceptable, `converged` is false and the value is `start`. The
+    derivatives are then those of the linearisation at `start`, which are finite if those of `update` are.
+
+    Args:
+        update: the map, a pytree as `jax.tree_util.Partial` makes it. Derivatives are by its leaves; whatever else it
+            closes over must be constant.
+        start: first guess, without derivatives.
+        tolerance: the passes stop when the last change was no larger.
+        max_passes: the largest number of passes.
+        size: (change, value) -> how large a change is, to be compared with `tolerance`. The
+            linearised passes always go on until only rounding errors change.
+        acceptable: whether a value may count as a solution.
+    """
+    settings = {"tolerance": tolerance, "max_passes": max_passes, "size": size, "acceptable": acceptable}
+    return FixedPointResult(*_solve(update, jax.lax.stop_gradient(start), **settings))
+
+
+@eqx.filter_custom_jvp
+def _solve(update, start, *, tolerance, max_passes, size, acceptable):
+    value, change, count = _repeat(update, start, size, tolerance, max_passes)
+    good = (change <= tolerance) & acceptable(value)
+    return jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start), count, change, good
+
+
+@_solve.def_jvp
+def _(primals, tangents, **settings):
+    (update, start), (direction, _) = primals, tangents
+    value, *outcome = _solve(update, start, **settings)
+    pushed = slope_along(lambda update: update(value), update, direction)
+    push = jax.linearize(update, value)[1]
+
+    def solve_linear(operator, b):
+        settled = round_off(jax.tree.leaves(b)[0].dtype)
+
+        def again(v):
+            return jax.tree.map(lambda b, v, w: b + v - w, b, v, operator(v))
+
+        value, change, _ = _repeat(again, b, relative_size, settled, settings["max_passes"])
+        return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
+
+    slope = jax.lax.custom_linear_solve(
+        lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
+    )
+    return (value, *outcome), (slope, None, None, None)
+
+
+def constant_map(
+    update: Callable[[Values], Values], start: Values, acceptable: Callable[[Values], Bool[Array, ""]] = all_finite
+) -> FixedPointResult:
+    """As `fixed_point`, for an update whose result does not depend on its argument: one pass is enough."""
+    value, zero = update(jax.lax.stop_gradient(start)), zero_as(start)
+    change = jnp.where(all_finite(value), zero, jnp.inf)
+    good = computed_once(acceptable(value).astype(zero.dtype)) > 0.5
+    value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
+    return FixedPointResult(value, zero + 1.0, change, good)
+
+
+def _repeat(update, first, size, tolerance, max_passes):
+    zero = zero_as(first)
+
+    def unsettled(carry):
+        _, change, count = carry
+        return (change > tolerance) & (count < max_passes)
+
+    def body(carry):
+        value, _, count = carry
+        new = update(value)
+        return new, size(minus(new, value), new), count + 1.0
+
+    return jax.lax.while_loop(unsettled, body, (first, zero + jnp.inf, zero))

@@ -1,0 +1,1 @@
+"""Results as files: fit report, tables, data sets, the figures of the paper."""

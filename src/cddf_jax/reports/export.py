@@ -1,0 +1,166 @@
+"""Results for other tools: xarray for labelled arrays and NetCDF, pandas for tables and CSV.
+
+A sweep's answer is an `xarray.Dataset` already.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ..errors import InputError, needed
+from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
+from ..files.csv_table import table_csv
+from ..identification.bench import unit_of
+from ..identification.experiment_design import Plan
+from ..measurements.columns import column_dimension
+from ..measurements.table import Measurements
+from ..quantities import QUANTITIES
+from ..statics.description import result_in_words
+from ..statics.equilibrium import Equilibrium, Fields, fields_on
+from ..sweeping.one_solve import COMPONENTS, OUTPUTS
+from ..units import si_unit
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+POINTS = 201  # along the body, where none are given
+ALONG = {
+    "heading": "heading [rad]",
+    "curvature": "curvature [1/m]",
+    "tension": "tension_{tendon} [N]",
+    "normal_force": "normal_force_{tendon}_{component} [N/m]",
+    "friction_force": "friction_force_{tendon}_{component} [N/m]",
+}
+
+
+def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] | None = None) -> "xarray.Dataset":
+    """An equilibrium with labels and units: fields over arc_length (m), tendon (0, 1, ...) and component (X, Y).
+
+    `to_netcdf`, `to_dataframe` and `to_zarr` of the answer write it.
+
+    Args:
+        equilibrium: one; its `result` goes into the attributes in words, also where the solve failed.
+        arc_length: s, m, where the fields are wanted, within 0 to L; 201 places from base to tip unless given.
+
+    Raises:
+        InputError: for a batch of equilibria, arc lengths outside the body, or where xarray is not installed.
+    """
+    xarray = needed("xarray")
+    s = _stations(equilibrium, arc_length)
+    fields = fields_on(equilibrium, s)
+    data = {}
+    for name, own in OUTPUTS.items():
+        if name == "arc_length" or (name.startswith("peak_strain") and not equilibrium.has_wall):
+            continue
+        values = getattr(fields, name) if "point" in own else getattr(equilibrium, name)
+        dims = tuple("arc_length" if dim == "point" else dim for dim in own)
+        known = QUANTITIES[name]
+        units = {"units": known.unit} if known.unit else {}
+        data[name] = (dims, np.asarray(values), {"long_name": known.words} | units)
+    coords = {
+        "arc_length": ("arc_length", s, {"long_name": "arc length", "units": "m"}),
+        "tendon": ("tendon", np.arange(len(equilibrium.base_tension)), {"long_name": "place among the tendons"}),
+        "component": ("component", np.array(COMPONENTS)),
+    }
+    return xarray.Dataset(data, coords, {"result": result_in_words(equilibrium) or "successful"})
+
+
+def as_frame(what: Equilibrium | Determination | Measurements | Plan) -> "pandas.DataFrame":
+    """A table, SI units: of an equilibrium its fields, of a fit its parameters, of measurements their rows, of a plan.
+
+    - Equilibrium: a row for each of 201 arc lengths; columns carry their units, tendons count from 1.
+    - Fit (or any `Determination`): a row for each parameter, and for each combination that is identified in place of
+      its parts, with value, standard_error, lower, upper (95 %), unit and status. What is not identified has no
+      number: NaN, and an infinite standard error.
+    - Measurements: the columns of the file with their units; `trial` in the words of the file.
+    - Plan: a row for each candidate, the best first, with gain, cost and the standard error that each parameter would
+      have, infinite where it would stay open.
+
+    Raises:
+        InputError: for a batch of equilibria, or where pandas is not installed.
+        TypeError: for anything else.
+    """
+    pandas = needed("pandas")
+    match what:
+        case Equilibrium():
+            return pandas.DataFrame(_columns(fields_on_grid(what)))
+        case Determination():
+            return pandas.DataFrame(_parameters(what)).set_index("parameter")
+        case Measurements():
+            return pandas.DataFrame({_head(name): _column(what, name) for name in what.columns})
+        case Plan():
+            return pandas.DataFrame(_candidates(what)).set_index("candidate")
+    raise TypeError(f"as_frame takes an Equilibrium, a Fit, Measurements or a Plan, got {type(what).__name__}")
+
+
+def fields_csv(fields: Fields, notes: Sequence[str] = ()) -> str:
+    """What varies along the body as a table for a CSV file, notes above it."""
+    return "".join(f"# {note}\n" for note in notes) + table_csv(_columns(fields))
+
+
+def fields_on_grid(equilibrium: Equilibrium) -> Fields:
+    """The fields at 201 arc lengths from base to tip.
+
+    Raises:
+        InputError: for a batch of equilibria.
+    """
+    return fields_on(equilibrium, _stations(equilibrium, None))
+
+
+def _columns(fields: Fields) -> dict[str, np.ndarray]:
+    """One number for each arc length, by the head of its column."""
+    x, y = np.asarray(fields.position).T
+    columns = {"arc_length [m]": np.asarray(fields.arc_length), "x [m]": x, "y [m]": y}
+    for name, head in ALONG.items():
+        values = np.asarray(getattr(fields, name))
+        per_tendon = values if "{tendon}" in head else values[None]
+        for tendon, own in enumerate(per_tendon, 1):
+            for component, part in zip("xy", own.T if own.ndim == 2 else own[None], strict=False):
+                columns[head.format(tendon=tendon, component=component)] = part
+    return columns
+
+
+def _stations(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] | None) -> np.ndarray:
+    shape = np.shape(equilibrium.tip_angle)
+    if shape:
+        raise InputError(f"takes one equilibrium, got a batch of shape {shape}; `cddf.sweep` labels batches")
+    length = float(equilibrium.arc_length[-1])
+    if arc_length is None:
+        return np.linspace(0.0, length, POINTS)
+    s = np.atleast_1d(np.asarray(arc_length, float))
+    if s.ndim != 1 or not np.all((s >= 0) & (s <= length)):
+        raise InputError(f"arc_length must be one list within 0 to {length:g} m, the length of the body")
+    return s
+
+
+def _parameters(told: Determination) -> list[dict[str, str | float]]:
+    rows = []
+    for name, status in told.status.items():
+        value = np.nan if status == NOT_IDENTIFIED else told.value[name]
+        lower, upper = told.confidence_interval[name]
+        rows.append((name, value, told.standard_error[name], lower, upper, unit_of(name), status))
+    for name, (value, error) in told.combinations.items():
+        reach = told.quantile * error
+        rows.append((name, value, error, value - reach, value + reach, unit_of(name), IDENTIFIED))
+    heads = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")
+    return [dict(zip(heads, row, strict=True)) for row in rows]
+
+
+def _candidates(plan: Plan) -> list[dict[str, str | float]]:
+    return [
+        {"candidate": ranked.candidate.name, "gain": ranked.gain, "cost": ranked.candidate.cost}
+        | {f"{name} [{unit_of(name)}]": ranked.expected.standard_error[name] for name in plan.now.names}
+        for ranked in plan.ranking
+    ]
+
+
+def _head(column: str) -> str:
+    dimension = column_dimension(column)
+    return column if dimension is None else f"{column} [{si_unit(dimension)}]"
+
+
+def _column(table: Measurements, name: str) -> Sequence[str] | np.ndarray:
+    return [table.trial_labels[int(code)] for code in table[name]] if name == "trial" else table[name]

@@ -1,0 +1,316 @@
+"""A fit as people read it: report.md with its figures, and results.json beside it."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..estimation.bootstrap import Bootstrap
+from ..estimation.determination import NOT_IDENTIFIED, Determination
+from ..estimation.observations import Noise
+from ..figures import style as draw
+from ..figures.estimates import bootstrap_figure, correlated_names, correlation_figure, profiles_figure
+from ..figures.fit import residuals_figure, table_figures
+from ..files.artifacts import as_json, markdown_table, write_all
+from ..identification.bench import TRIALS, unit_of
+from ..identification.fit import Fit
+from ..identification.fit_diagnostics import moving_names, tables_without_numbers
+from ..identification.verdict import parameter_shown, shown_unit
+from ..measurements.columns import column_dimension
+from ..units import preferred
+from .fit_results import Report, fit_as_dict, make_report
+
+
+def write_fit(
+    fit: Fit,
+    folder: str | Path,
+    *,
+    options: Mapping[str, object] | None = None,
+    bootstraps: Sequence[Bootstrap] = (),
+) -> None:
+    """Write report.md, results.json and the figures (PDF and PNG) into a folder, all of them or none.
+
+    Args:
+        fit: of `fit`.
+        folder: made if it is missing.
+        options: arguments that were given to `fit` and that the fit does not remember: `noise` of which only one part
+            was given. The others need not be named.
+        bootstraps: of `fit.bootstrap`, to be reported with it.
+    """
+    write_report(make_report(fit, options=options, bootstraps=bootstraps), folder)
+
+
+def write_report(report: Report, folder: str | Path) -> None:
+    """Write all of it, or nothing."""
+    contents: dict[str, str | bytes] = {}
+    figures = report_figures(report)
+    for name, figure in figures.items():
+        contents |= draw.render(figure, name)
+    contents |= {"report.md": fit_as_markdown(report, tuple(figures)), "results.json": as_json(fit_as_dict(report))}
+    write_all(folder, contents)
+
+
+def report_figures(report: Report) -> dict[str, Figure]:
+    """The figures by file name; `left_out` says why others are missing."""
+    fit, missing = report.fit, left_out(report)
+    figures = table_figures(fit)
+    if "residuals" not in missing:
+        figures["residuals"] = residuals_figure(fit)
+    if "profiles" not in missing:
+        figures["profiles"] = profiles_figure(fit, report.profiles)
+    if "correlation" not in missing:
+        figures["correlation"] = correlation_figure(fit)
+    for bootstrap in report.bootstraps:
+        name = f"bootstrap_{bootstrap.kind}"
+        if name not in missing:
+            figures[name] = bootstrap_figure(fit, bootstrap)
+    return figures
+
+
+def left_out(report: Report) -> dict[str, str]:
+    """By table or figure, why there is none."""
+    fit, failed = report.fit, f"the fit failed: {report.fit.result}"
+    reasons = tables_without_numbers(fit)
+    if not all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
+        reasons["residuals"] = "the model gave no numbers for some rows"
+    if not report.profiles:
+        reasons["profiles"] = "none were asked for" if fit.success else failed
+    if not fit.success:
+        reasons["correlation"] = failed
+    elif len(correlated_names(fit)) < 2:
+        reasons["correlation"] = "the data determine fewer than two parameters, and a correlation needs two"
+    for bootstrap in report.bootstraps:
+        if not moving_names(fit):
+            reasons[f"bootstrap_{bootstrap.kind}"] = "every parameter lies at a bound"
+        elif len(bootstrap.estimates) < 2:
+            reasons[f"bootstrap_{bootstrap.kind}"] = "fewer than two refits succeeded"
+    return reasons
+
+
+# --- report.md -----------------------------------------------------------------------------------
+
+
+def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str:
+    """The report: first in words what was determined and what was not, then the numbers.
+
+    Args:
+        report: what to say.
+        figures: names of the figures beside it; None where no figures are made.
+    """
+    sections = [
+        _in_short(report),
+        _goodness(report.fit),
+        _profile_section(report),
+        _bootstrap_section(report),
+        _alone_section(report.fit),
+        _trial_section(report.fit),
+        _noise_section(report),
+        _model_free_section(report),
+        _warning_section(report.fit),
+        _figure_section(report, figures),
+        _reading_section(report.fit),
+        _repeat_section(report),
+    ]
+    return "\n\n".join("\n".join(section) for section in sections if section) + "\n"
+
+
+def _section(title: str, lines: Sequence[str]) -> list[str]:
+    """A section with its title; none where there is nothing to say."""
+    return [f"## {title}", "", *lines] if lines else []
+
+
+def _in_short(report: Report) -> list[str]:
+    fit, remarks = report.fit, report.fit.remarks
+    lines = [f"- {line}" for line in (*fit.verdict, *(text for text in fit.warnings if text in remarks))]
+    if simulated := _simulated_names(fit):
+        lines += ["", f"The data are simulated: {simulated}."]
+    head = ("parameter", "value", "standard error", "95 % interval", "status")
+    return ["# What the measurements tell", "", *lines, "", *markdown_table(head, parameter_rows(fit))]
+
+
+def _simulated_names(fit: Fit) -> str:
+    return ", ".join(table.name for table in fit.tables if table.simulated)
+
+
+def parameter_rows(determination: Determination) -> list[list[str]]:
+    """Name, value, standard error, interval and status of each parameter and combination."""
+    rows = []
+    for name, status in determination.status.items():
+        if status == NOT_IDENTIFIED:
+            rows.append([name, "-", "-", "-", status])
+            continue
+        value, error, low, high, unit = parameter_shown(determination, name)
+        spread = [f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}"] if np.isfinite(error) else ["-", "-"]
+        rows.append([name, f"{value:.5g}{unit}", *spread, status])
+    for name, (value, error) in determination.combinations.items():
+        unit = unit_of(name)
+        rows.append([name, f"{value:.5g} {unit}", f"{error:.2g} {unit}", "-", "identified"])
+    return rows
+
+
+def _goodness(fit: Fit) -> list[str]:
+    lines = []
+    if np.isfinite(fit.mean_relative_error):
+        error = f"{100 * fit.mean_relative_error:.3g} %"
+        lines.append(f"Mean relative error of the tip tensions, the measure of Liu et al. (2020): {error}.")
+    criteria = ", ".join(f"{name} {value:.5g}" for name, value in fit.information_criteria.items())
+    loss = "" if fit.loss == "linear" else f" Loss {fit.loss}."
+    return [*lines, f"Reduced chi-square {fit.reduced_chi_square:.3g}; {criteria}.{loss}"]
+
+
+def _profile_section(report: Report) -> list[str]:
+    if not report.profiles:
+        return []
+    rows = []
+    for name, profile in report.profiles.items():
+        scale, unit = shown_unit(name)
+        ends = zip(profile.confidence_interval, profile.closed, profile.model_ends, strict=True)
+        rows.append([name, *(_end_in_words(scale * end, unit, closed, gone) for end, closed, gone in ends)])
+    text = "95 % intervals without assuming linearity: a parameter is held at one value after another, the others are "
+    text += "fitted again."
+    return _section("Profiles", [text, "", *markdown_table(("parameter", "from", "to"), rows)])
+
+
+def _end_in_words(end: float, unit: str, closed: bool, model_ends: bool) -> str:
+    if model_ends:
+        return f"open; no solution beyond {end:.5g}{unit}"
+    if not closed:
+        return f"{end:.5g}{unit} (bound)" if np.isfinite(end) else "open"
+    return f"{end:.5g}{unit}"
+
+
+def _bootstrap_section(report: Report) -> list[str]:
+    lines = []
+    head = ("parameter", "standard error", "95 % interval", "bias")
+    for bootstrap in report.bootstraps:
+        drawn = "new noise about the model" if bootstrap.kind == "parametric" else "trials drawn anew, elsewhere rows"
+        lost = f", {bootstrap.num_failed} of them lost" if bootstrap.num_failed else ""
+        count = len(bootstrap.estimates) + bootstrap.num_failed
+        lines += [f"{bootstrap.kind.capitalize()} ({drawn}): {count} refits{lost}, seed {bootstrap.seed}.", ""]
+        rows = []
+        for name in moving_names(report.fit):
+            error, low, high, bias, unit = _shown_bootstrap(bootstrap, name)
+            rows.append([name, f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}", f"{bias:.2g}{unit}"])
+        lines += [*markdown_table(head, rows), ""]
+        lines += [f"**Too narrow:** {bootstrap.remark}.", ""] if bootstrap.remark else []
+    return _section("Bootstrap", lines[:-1])
+
+
+def _shown_bootstrap(bootstrap: Bootstrap, name: str) -> tuple[float, float, float, float, str]:
+    """Standard error, interval and bias of a parameter in the unit in which engineers write it, and that unit."""
+    scale, unit = shown_unit(name)
+    low, high = bootstrap.confidence_interval[name]
+    return scale * bootstrap.standard_error[name], scale * low, scale * high, scale * bootstrap.bias[name], unit
+
+
+def _alone_section(fit: Fit) -> list[str]:
+    if len(fit.tables) < 2 and len(fit.noise) < 2:
+        return []
+    lines = [f"- {name}: {determination_in_words(determination)}" for name, determination in fit.alone.items()]
+    return _section("What each table alone determines", lines)
+
+
+def determination_in_words(determination: Determination) -> str:
+    """One line."""
+    parts = [f"{name} {status}" for name, status in determination.status.items() if not name.startswith(TRIALS)]
+    products = determination.combinations.items()
+    parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} {unit_of(name)}" for name, e in products]
+    return "; ".join(parts)
+
+
+def _trial_section(fit: Fit) -> list[str]:
+    effects = fit.trial_effects.items()
+    rows = [[name, f"{100 * e.value:+.2f} %", f"{100 * e.standard_error:.2g} %"] for name, e in effects]
+    text = f"Friction of a trial against that of all; standard deviation over trials {100 * fit.trial_spread:.2g} %."
+    table = markdown_table(("trial", "friction", "standard error"), rows)
+    return _section("Trials", [text, "", *table] if rows else [])
+
+
+def _noise_section(report: Report) -> list[str]:
+    fit = report.fit
+    head = ("data", "standard deviation", "made of", "normal: Shapiro-Wilk p")
+    head += ("correlation from row to row of a hold", "count as independent")
+    rows = []
+    for label, deviation in fit.noise.items():
+        scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
+        p_value, alike = report.normality[label].p_value, fit.serial_correlation[label]
+        rows.append(
+            [
+                label,
+                f"{scale * deviation:.3g} {unit}",
+                _noise_in_words(fit.noise_model.get(label), scale, unit),
+                f"{p_value:.2g}" if np.isfinite(p_value) else "-",
+                f"{alike.lag_one:.2f}" if np.isfinite(alike.lag_one) else "-",
+                f"{alike.num_effective:.0f} of {alike.num_readings}",
+            ]
+        )
+    kind = "estimated from the residuals" if fit.noise_estimated else "as given"
+    text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
+    return _section("Noise", [*markdown_table(head, rows), "", text])
+
+
+def _noise_in_words(model: Noise | None, scale: float, unit: str) -> str:
+    if model is None:
+        return "the same for all"
+    floor, fraction = model.floor or 0.0, model.fraction or 0.0
+    return f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
+
+
+def _model_free_section(report: Report) -> list[str]:
+    lines = []
+    for name, (friction, compared) in report.model_free.items():
+        lines += [f"- {name}: {line}" for line in friction.verdict]
+        if compared is not None:
+            agrees = f"the fit lies {abs(compared.z):.1f} standard errors from it"
+            lines.append(f"- {name}: {compared.sentence or agrees}")
+    return _section("Model-free friction", lines)
+
+
+def _warning_section(fit: Fit) -> list[str]:
+    """What the first lines have not said already."""
+    remarks = fit.remarks
+    return _section("Warnings", [f"- {warning}" for warning in fit.warnings if warning not in remarks])
+
+
+def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
+    """The figures, and why others are missing."""
+    if figures is None:
+        return []
+    pictures = [f"![{name.replace('_', ' ')}]({name}.png)" for name in figures]
+    missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(report).items()]
+    between = [""] if pictures and missing else []
+    return ["## Figures", "", *pictures, *between, *missing]
+
+
+def _reading_section(fit: Fit) -> list[str]:
+    return _section("How the files were read", [f"- {line}" for table in fit.tables for line in table.read_as])
+
+
+def _repeat_section(report: Report) -> list[str]:
+    fit = report.fit
+    rows = [[table.name, str(len(table)), f"`{table.checksum[:16]}`"] for table in fit.tables]
+    starts, seed, nodes = (report.options[name] for name in ("starts", "seed", "nodes"))
+    starts = "as needed" if starts is None else starts
+    text = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
+    text += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
+    text += " results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
+    return _section("To repeat it", [*markdown_table(("data", "rows", "SHA-256, first digits"), rows), "", text])
+
+
+def fit_in_words(report: Report) -> str:
+    """What the terminal shows."""
+    fit = report.fit
+    lines = list(fit.verdict)
+    for bootstrap in report.bootstraps:
+        lines += ["", f"bootstrap, {bootstrap.kind}, {len(bootstrap.estimates)} refits:"]
+        for name in moving_names(fit):
+            error, low, high, _, unit = _shown_bootstrap(bootstrap, name)
+            lines.append(f"  {name} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit})")
+        lines += [f"  too narrow: {bootstrap.remark}"] if bootstrap.remark else []
+    if len(fit.tables) > 1:
+        lines += ["", "each table alone determines:"]
+        lines += [f"  {name}: {determination_in_words(determination)}" for name, determination in fit.alone.items()]
+    lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
+    lines.append(f"kinematics: {fit.manipulator.kinematics}")
+    return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])

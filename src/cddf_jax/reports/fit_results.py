@@ -1,0 +1,229 @@
+"""All that is found around a fit, and the dictionary of it from which the fit can be repeated."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..errors import InputError
+from ..estimation.bootstrap import Bootstrap
+from ..estimation.determination import Determination
+from ..estimation.profile_likelihood import Profile
+from ..files.manipulator_file import write_manipulator
+from ..identification.bench import unit_of
+from ..identification.fit import Fit
+from ..identification.fit_diagnostics import Normality, normality, own_names
+from ..measurements.table import Measurements
+from ..robot.manipulator import Manipulator
+
+if TYPE_CHECKING:
+    from ..identification.model_free import Disagreement, ModelFreeFriction
+
+PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
+LEAST_ROWS = 3  # for friction without a model
+
+
+class ModelFree(NamedTuple):
+    """Friction without a model of the body, and how far that of the fit lies from it."""
+
+    friction: "ModelFreeFriction"
+    disagreement: "Disagreement | None"  # None where the fit has no friction coefficient to compare
+
+
+class Report(NamedTuple):
+    """A fit and what was found around it."""
+
+    fit: Fit
+    options: dict[str, object]  # arguments of `fit`
+    profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
+    bootstraps: tuple[Bootstrap, ...]
+    normality: dict[str, Normality]
+    model_free: dict[str, ModelFree]  # by table
+
+
+def make_report(
+    fit: Fit,
+    *,
+    options: Mapping[str, object] | None = None,
+    bootstraps: Sequence[Bootstrap] = (),
+    with_profiles: bool = True,
+) -> Report:
+    """Gather all that a report says; profiles take some seconds."""
+    profiles = {name: fit.profile(name) for name in own_names(fit)} if fit.success and with_profiles else {}
+    return Report(
+        fit, _options(fit) | dict(options or {}), profiles, tuple(bootstraps), normality(fit), _model_free(fit)
+    )
+
+
+def _model_free(fit: Fit) -> dict[str, ModelFree]:
+    """Of every table with tip tension and tip angle of one tendon that runs parallel to the axis."""
+    body = fit.manipulator
+    if body.kinematics != "exact" or body.num_tendons != 1 or body.slanted:
+        return {}
+    from ..identification.model_free import COLUMNS, disagreement, model_free_friction
+
+    found = {}
+    for name, table in zip(fit.alone, fit.tables, strict=True):
+        if len(table) < LEAST_ROWS or not all(column in table for column in COLUMNS):
+            continue
+        try:
+            friction = model_free_friction(table)
+        except InputError:  # no row is bent
+            continue
+        mu = "friction_coefficient"
+        determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
+        compared = disagreement(friction, fit.value[mu], fit.standard_error[mu]) if determined else None
+        found[name] = ModelFree(friction, compared)
+    return found
+
+
+# --- results.json --------------------------------------------------------------------------------
+
+
+def fit_as_dict(report: Report) -> dict[str, object]:
+    """Everything that was found and that it was found from, SI units, for JSON: what is infinite becomes null there."""
+    fit = report.fit
+    return {
+        **_determination_as_dict(fit),
+        "result": fit.result,
+        "success": fit.success,
+        "verdict": fit.verdict,
+        "warnings": fit.warnings,
+        "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
+        "noise": fit.noise,
+        "noise_model": fit.noise_model,
+        "noise_estimated": fit.noise_estimated,
+        "serial_correlation": fit.serial_correlation,
+        "normality": report.normality,
+        "trial_effects": fit.trial_effects,
+        "trial_spread": fit.trial_spread,
+        "mean_relative_error": fit.mean_relative_error,
+        "reduced_chi_square": fit.reduced_chi_square,
+        "degrees_of_freedom": fit.degrees_of_freedom,
+        "log_likelihood": fit.log_likelihood,
+        "information_criteria": fit.information_criteria,
+        "cost_from_each_start": fit.starts,
+        "restarted": fit.restarted,
+        "num_steps": fit.num_steps,
+        "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
+        "bootstraps": [_bootstrap_as_dict(bootstrap) for bootstrap in report.bootstraps],
+        "model_free_friction": {name: _model_free_as_dict(found) for name, found in report.model_free.items()},
+        "data": [_table_as_dict(table) for table in fit.tables],
+        "manipulator": _as_toml(fit.model.manipulator),
+        "kinematics": fit.manipulator.kinematics,
+        "options": report.options,
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+    }
+
+
+def _table_as_dict(table: Measurements) -> dict[str, object]:
+    return {
+        "name": table.name,
+        "files": table.files or (table.name,),
+        "rows": len(table),
+        "sha256": table.checksum,
+        "simulated": table.simulated,
+        "holds_averaged": table.spread is not None,
+        "read_as": table.read_as,
+    }
+
+
+def _determination_as_dict(determination: Determination) -> dict[str, object]:
+    return {
+        "names": determination.names,
+        "unit": {name: unit_of(name) for name in (*determination.names, *determination.combinations)},
+        "value": determination.value,
+        "standard_error": determination.standard_error,
+        "confidence_interval": determination.confidence_interval,
+        "status": determination.status,
+        "combinations": determination.combinations,
+        "correlation": determination.correlation,
+        "rank": determination.rank,
+        "condition_number": determination.condition_number,
+        "sloppy_direction": determination.sloppy_direction,
+    }
+
+
+def _profile_as_dict(profile: Profile) -> dict[str, object]:
+    answer: dict[str, object] = {"unit": unit_of(profile.name)}
+    answer |= {field: value for field, value in profile._asdict().items() if field not in ("name", "names")}
+    columns = zip(profile.names, profile.others.T, strict=True)
+    return answer | {"others": {name: values for name, values in columns if name != profile.name}}
+
+
+def _bootstrap_as_dict(bootstrap: Bootstrap) -> dict[str, object]:
+    return {
+        "kind": bootstrap.kind,
+        "seed": bootstrap.seed,
+        "replicates": len(bootstrap.estimates) + bootstrap.num_failed,
+        "num_failed": bootstrap.num_failed,
+        "num_cases": bootstrap.num_cases,
+        "coverage": bootstrap.coverage,
+        "remark": bootstrap.remark,
+        "names": bootstrap.names,
+        "unit": {name: unit_of(name) for name in bootstrap.names},
+        "standard_error": bootstrap.standard_error,
+        "confidence_interval": bootstrap.confidence_interval,
+        "bias": bootstrap.bias,
+        "correlation": bootstrap.correlation,
+        "estimates": bootstrap.estimates,
+    }
+
+
+def _model_free_as_dict(found: ModelFree) -> dict[str, object]:
+    friction, compared = found
+    return {
+        "unit": "1",
+        "value": friction.value,
+        "standard_error": friction.standard_error,
+        "confidence_interval": friction.confidence_interval,
+        "verdict": friction.verdict,
+        "disagreement": compared,
+    }
+
+
+def _options(fit: Fit) -> dict[str, object]:
+    """The arguments of `fit` as far as the fit remembers them; uniform priors are among the bounds."""
+    problem = fit.minimum.problem
+    own = {name: fit.names.index(name) for name in own_names(fit)}
+    limits = zip(np.asarray(problem.space.lower).tolist(), np.asarray(problem.space.upper).tolist(), strict=True)
+    bounds = [tuple(end if np.isfinite(end) else None for end in pair) for pair in limits]
+    return {
+        "free": list(own),
+        "priors": {name: problem.prior[i] for name, i in own.items() if i in problem.prior},
+        "bounds": {name: bounds[i] for name, i in own.items() if bounds[i] != (None, None)},
+        "noise": _given_noise(fit),
+        "per_trial": not np.isnan(fit.trial_spread),
+        "loss": fit.loss,
+        "starts": len(fit.starts) if len(fit.starts) and not fit.restarted else None,
+        "seed": fit.seed,
+        "nodes": fit.model.nodes,
+    }
+
+
+def _given_noise(fit: Fit) -> dict[str, object]:
+    """By column, the noise that was given in full."""
+    noise = {}
+    for label, deviation in zip(fit.evidence.rows, fit.minimum.noise, strict=True):
+        if not fit.evidence.noise_estimated[label]:
+            known = np.ravel(deviation)
+            one_for_all = float(known[0]) if np.ptp(known) == 0 else known.tolist()
+            noise[label.rpartition(": ")[2]] = fit.noise_model.get(label) or one_for_all
+    return noise
+
+
+def _as_toml(manipulator: Manipulator) -> str | None:
+    """The file of the manipulator from which the search started; None for profiles that no file can hold."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "manipulator.toml"
+        for outside in (False, True):
+            try:
+                write_manipulator(manipulator, path, offsets_outside_wall=outside)
+            except InputError:
+                continue
+            return path.read_text(encoding="utf-8")
+    return None

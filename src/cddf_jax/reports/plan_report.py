@@ -1,0 +1,84 @@
+"""The answer of `cddf plan`: in words, as a table, and as plain numbers."""
+
+import numpy as np
+
+from ..estimation.determination import NOT_IDENTIFIED, Determination
+from ..files.artifacts import markdown_table
+from ..identification.bench import parameter_named, unit_of
+from ..identification.experiment_design import Plan, Ranked
+from ..units import shown
+
+
+def plan_as_markdown(plan: Plan) -> str:
+    """First in words what to do, then the table."""
+    head = ("candidate", "cost", "gain", "expected standard error", "told")
+    warnings = [f"- warning: {r.candidate.name}: {text}" for r in plan.ranking for text in r.warnings]
+    lines = ["# What to measure next", "", *(f"- {line}" for line in plan_in_words(plan)), ""]
+    lines += [*markdown_table(head, [_row(ranked) for ranked in plan.ranking]), "", _meaning_of_gain(plan), ""]
+    return "\n".join(lines + warnings)
+
+
+def plan_in_words(plan: Plan) -> list[str]:
+    """What is known now, and what to do in turn."""
+    lines = [f"now: {_known_in_words(plan.now)}"]
+    for i, ranked in enumerate(plan.chosen, 1):
+        lines.append(f"{i}. {ranked.candidate.name}: then {_known_in_words(ranked.expected)}")
+    return lines
+
+
+def _meaning_of_gain(plan: Plan) -> str:
+    gain = (
+        "growth of the logarithm of the determinant of the Fisher information (D-optimality)"
+        if plan.criterion == "D"
+        else f"fall of the logarithm of the standard error of {plan.criterion} (c-optimality)"
+    )
+    return f"Gain: {gain}, each candidate alone; ranked by gain per cost."
+
+
+def _row(ranked: Ranked) -> list[str]:
+    expected = ranked.expected
+    errors = ", ".join(f"{name} {_error(expected, name)}" for name in expected.names)
+    lost = [name for name in expected.names if expected.status[name] == NOT_IDENTIFIED]
+    told = f"not: {', '.join(lost)}" if lost else "all identified"
+    gain = f"{ranked.gain:.2f}".replace("-0.00", "0.00")
+    return [ranked.candidate.name, f"{ranked.candidate.cost:g}", gain, errors, told]
+
+
+def _known_in_words(known: Determination) -> str:
+    parts = [f"{name} +- {_error(known, name)}" for name in known.names if known.status[name] != NOT_IDENTIFIED]
+    parts += [f"{name} +- {100 * e.standard_error / e.value:.2g} %" for name, e in known.combinations.items()]
+    lost = [f"{name} not identified" for name in known.names if known.status[name] == NOT_IDENTIFIED]
+    return "; ".join(parts + lost)
+
+
+def _error(known: Determination, name: str) -> str:
+    """The standard error: relative for a parameter that is positive, else in its unit."""
+    error, value, kind = known.standard_error[name], known.value[name], parameter_named(name)
+    if not np.isfinite(error):
+        return "open"
+    return f"{100 * error / abs(value):.2g} %" if kind.positive else shown(error, kind.dimension)
+
+
+def plan_as_dict(plan: Plan) -> dict[str, object]:
+    """For JSON, SI units; what is infinite becomes null there."""
+    now = {"value": plan.now.value, "standard_error": plan.now.standard_error, "status": plan.now.status}
+    return {
+        "criterion": plan.criterion,
+        "now": now,
+        "ranking": [_ranked_as_dict(ranked) for ranked in plan.ranking],
+        "chosen": [_ranked_as_dict(ranked) for ranked in plan.chosen],
+    }
+
+
+def _ranked_as_dict(ranked: Ranked) -> dict[str, object]:
+    expected = ranked.expected
+    return {
+        "name": ranked.candidate.name,
+        "cost": ranked.candidate.cost,
+        "gain": ranked.gain,
+        "unit": {name: unit_of(name) for name in (*expected.names, *expected.combinations)},
+        "standard_error": expected.standard_error,
+        "status": expected.status,
+        "combinations": expected.combinations,
+        "warnings": ranked.warnings,
+    }

@@ -1,0 +1,303 @@
+"""The figures and numbers of Liu et al. (2020), section IV, computed anew and set beside the paper's."""
+
+import itertools
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from matplotlib.figure import Figure
+
+from ..errors import InputError
+from ..figures import style as draw
+from ..figures.along import draw_along
+from ..figures.body import draw_force_arrows
+from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
+from ..figures.geometry import fields_along, stations
+from ..files.artifacts import as_json, markdown_table, plain, write_all
+from ..measurements.table import Measurements
+from ..robot.manipulator import Manipulator
+from ..statics.equilibrium import RESULTS, Equilibrium
+from ..statics.literal_iteration import IterationHistory, iteration_history
+from ..statics.solve import solve
+
+PULL = 75.0  # N, the base tension of Fig. 4, 5 and 6
+LIGHT_PULL = 10.0  # N, the other one of Fig. 6
+PULLS = np.arange(0.0, 85.1, 2.5)  # N, the model's line in Fig. 8
+HISTORY_PULLS = np.array([10.0, 25.0, 40.0, 55.0, 75.0, 85.0])  # N, Fig. 3
+HISTORY_UPDATES = 10
+
+
+class PaperResults(NamedTuple):
+    """Everything that is drawn and tabulated, as NumPy arrays in SI units."""
+
+    manipulator: Manipulator
+    equilibria: Equilibrium  # base tensions first, `PULLS` and then the load cells'
+    history: IterationHistory  # base tensions `HISTORY_PULLS` first
+    load_cells: Measurements
+    predicted: np.ndarray  # tip tension by the model at the load cells' base tensions
+
+    @property
+    def base_tension_read(self) -> np.ndarray:
+        """Where the tip tension was read too."""
+        return self.load_cells["base_tension"][self.load_cells.has("tip_tension")]
+
+    @property
+    def trials(self) -> str:
+        return "simulated trials" if self.load_cells.simulated else "trials"
+
+    @property
+    def tip_tension(self) -> np.ndarray:
+        """At `PULLS`."""
+        return np.asarray(self.equilibria.tip_tension)[: len(PULLS), 0]
+
+    def at_pull(self, base_tension: float) -> Equilibrium:
+        return jax.tree.map(lambda x: x[np.searchsorted(PULLS, base_tension)], self.equilibria)
+
+    def history_at_pull(self) -> IterationHistory:
+        return jax.tree.map(lambda x: x[np.searchsorted(HISTORY_PULLS, PULL)], self.history)
+
+
+def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Path) -> dict[str, object]:
+    """Write the paper's Fig. 3, 4, 5, 6 and 8 (PDF and PNG) and a table of its numbers beside ours.
+
+    Args:
+        manipulator: the paper's, with one tendon.
+        load_cells: trials with the columns base_tension and tip_tension; what is simulated is called so.
+        out: folder for the figures, reproduction.md and reproduction.json; all are written or none.
+
+    Returns:
+        What reproduction.json holds: `table`, a list of rows in SI units, and `files`, their names.
+
+    Raises:
+        InputError: for a manipulator with several tendons, or trials without tip tensions.
+        SolveError: when the body has no equilibrium at one of the tensions.
+    """
+    if manipulator.num_tendons != 1:
+        raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; leave one")
+    if "tip_tension" not in load_cells:
+        raise InputError(f"{load_cells.name}: the column tip_tension is missing; Fig. 8 shows it over base_tension")
+    results = _compute(manipulator, load_cells)
+    figures = {
+        "fig3_tip_error": tip_error_figure(results),
+        "fig4_iterations": iterations_figure(results),
+        "fig5_distributed_forces": distributed_forces_figure(results),
+        "fig6_shapes": shapes_figure(results),
+        "fig8_tip_tension": tip_tension_figure(results),
+    }
+    contents: dict[str, str | bytes] = {}
+    for name, figure in figures.items():
+        contents |= draw.render(figure, name)
+    rows = compared_numbers(results)
+    contents["reproduction.md"] = reproduction_as_markdown(rows)
+    answer = {"table": plain([row.as_dict() for row in rows]), "files": [*contents, "reproduction.json"]}
+    write_all(out, contents | {"reproduction.json": as_json(answer)})
+    return answer
+
+
+def _compute(manipulator: Manipulator, load_cells: Measurements) -> PaperResults:
+    pulls = np.concatenate([PULLS, load_cells["base_tension"][load_cells.has("tip_tension")]])
+    equilibria, good = jax.tree.map(np.asarray, _pull(manipulator, pulls))
+    if not np.all(good):
+        solve(manipulator, pulls[np.argmin(good)])  # raises and says why
+    history = jax.tree.map(np.asarray, _histories(manipulator, HISTORY_PULLS))
+    predicted = np.asarray(equilibria.tip_tension)[len(PULLS) :, 0]
+    return PaperResults(manipulator, equilibria, history, load_cells, predicted)
+
+
+@eqx.filter_jit
+def _pull(
+    manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]
+) -> tuple[Equilibrium, Bool[Array, " pulls"]]:
+    """The equilibrium at each base tension, and whether all is well."""
+
+    def one(pull):
+        equilibrium = solve(manipulator, pull, throw=False)
+        return equilibrium, equilibrium.result == RESULTS.successful
+
+    return jax.vmap(one)(base_tension)
+
+
+@eqx.filter_jit
+def _histories(manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]) -> IterationHistory:
+    def one(pull):
+        return iteration_history(manipulator, pull, max_updates=HISTORY_UPDATES, nodes=64)
+
+    return jax.vmap(one)(base_tension)
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def tip_error_figure(results: PaperResults) -> Figure:
+    """Fig. 3: how far each update of the paper's algorithm moves the tip."""
+    history = results.history
+    updates = np.arange(1, HISTORY_UPDATES + 1)
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 2.5)
+        axes = figure.subplots()
+        for pull, error, curve in zip(HISTORY_PULLS, history.tip_error, draw.CURVES, strict=True):
+            axes.semilogy(updates, 1e3 * error, label=f"{pull:g} N", **curve)
+        threshold = 1e3 * history.tip_tolerance
+        axes.axhline(threshold, color=draw.GREY, linewidth=0.8)
+        axes.text(
+            HISTORY_UPDATES, 1.1 * threshold, f"$e_\\mathrm{{tip,th}}$ = {threshold:g} mm", ha="right", va="bottom"
+        )
+        axes.set(xlabel="Update", ylabel="Tip error $e_\\mathrm{tip}$ (mm)", ylim=(1e-5, 1e2), xticks=updates)
+        axes.legend(title="$T_\\mathrm{base}$", ncols=2)
+    return figure
+
+
+def iterations_figure(results: PaperResults) -> Figure:
+    """Fig. 4: the midline at each iteration, from the frictionless start."""
+    history = results.history_at_pull()
+    midlines = 1e3 * history.position[: int(history.num_updates) + 1]
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 2.45)
+        axes = figure.subplots()
+        near_tip = axes.inset_axes((0.09, 0.42, 0.48, 0.56))
+        axes.plot(*midlines[0].T, color=draw.BLACK, linestyle="--", label="start, no friction")
+        for k, curve in zip(range(1, len(midlines)), itertools.cycle(draw.CURVES)):
+            axes.plot(*midlines[k].T, **dict(curve, marker=""))
+            near_tip.plot(*midlines[k].T, **curve, markevery=[-1])
+            axes.plot([], [], **curve, label=f"update {k}")
+        middle, reach = np.mean(midlines[1:, -1], axis=0), np.ptp(midlines[1:, -1], axis=0)
+        low, high = middle - 0.9 * reach, middle + 0.9 * reach
+        near_tip.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        near_tip.spines[:].set_visible(True)
+        axes.indicate_inset_zoom(near_tip, edgecolor=draw.GREY, linewidth=0.5)
+        axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)", aspect="equal")
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def distributed_forces_figure(results: PaperResults) -> Figure:
+    """Fig. 5: normal and friction force per length, and the tension, along the body."""
+    body, equilibrium = results.manipulator, results.at_pull(PULL)
+    normal = {"color": draw.BLUE, "label": "normal, $|F_\\mathrm{CDDN}|$"}
+    friction = {"color": draw.VERMILION, "linestyle": "--", "label": "friction, $|F_\\mathrm{CDDF}|$"}
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 3.2)
+        forces, tension = figure.subplots(2, sharex=True, height_ratios=(3, 2))
+        draw_along(body, equilibrium, "normal_force", forces, **normal)
+        draw_along(body, equilibrium, "friction_force", forces, **friction)
+        forces.set(xlabel="", ylabel="Distributed force (N/m)")
+        forces.legend()
+        draw_along(body, equilibrium, "tension", tension)
+        figure.align_ylabels()
+    return figure
+
+
+def shapes_figure(results: PaperResults) -> Figure:
+    """Fig. 6: the body to scale with the forces of its tendon, under a light and a strong pull."""
+    with draw.house_style():
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.6)
+        for axes, pull in zip(figure.subplots(1, 2, sharex=True, sharey=True), (LIGHT_PULL, PULL), strict=True):
+            draw_force_arrows(results.manipulator, results.at_pull(pull), axes)
+            axes.set_title(f"$T_\\mathrm{{base}}$ = {pull:g} N")
+            axes.label_outer()
+    return figure
+
+
+def tip_tension_figure(results: PaperResults) -> Figure:
+    """Fig. 8: tip over base tension, the model's line and the simulated trials, with what lies between them below."""
+    base, tip = results.base_tension_read, results.load_cells.read("tip_tension")
+    trials, left = by_level(base, tip), by_level(base, tip - results.predicted)
+    with draw.house_style():
+        figure = draw.new_figure(draw.SINGLE_COLUMN, 3.6)
+        axes, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+        axes.plot(PULLS, PULLS, ":", color=draw.GREY, label="no friction, $T_\\mathrm{tip} = T_\\mathrm{base}$")
+        axes.plot(PULLS, results.tip_tension, color=draw.BLUE, label="model")
+        draw_band(axes, trials.x, trials.lowest, trials.highest, label=f"{results.trials}, range")
+        draw_levels(axes, base, tip, label=f"{results.trials}, mean ± sd")
+        axes.set(ylabel="Tip tension $T_\\mathrm{tip}$ (N)", ylim=(0, None), xlim=(0, None))
+        axes.legend()
+        draw_band(below, left.x, left.lowest, left.highest)
+        draw_about_zero(below, base, tip - results.predicted)
+        below.set(xlabel="Base tension $T_\\mathrm{base}$ (N)", ylabel="Trials − model (N)")
+        figure.align_ylabels()
+    return figure
+
+
+# --- table ---------------------------------------------------------------------------------------
+
+
+class NumberForm(NamedTuple):
+    """How a quantity in SI units is written."""
+
+    unit: str  # the SI unit
+    factor: float
+    form: str
+
+
+FRACTION, COUNT = NumberForm("", 100.0, "{:.2f} %"), NumberForm("", 1.0, "{:.0f}")
+FORCE, FORCE_PER_LENGTH = NumberForm("N", 1.0, "{:.2f} N"), NumberForm("N/m", 1.0, "{:.1f} N/m")
+LENGTH, ANGLE = NumberForm("m", 1e3, "{:.2f} mm"), NumberForm("rad", 180 / np.pi, "{:.2f}°")
+NO_NUMBER = "not comparable: no number printed"
+
+
+class ComparedNumber(NamedTuple):
+    """One number of the paper beside ours, in SI units; `paper` is None where the paper prints none."""
+
+    name: str
+    quantity: str
+    form: NumberForm
+    ours: float
+    paper: float | None = None
+    comparable: bool = False
+    note: str = NO_NUMBER
+
+    @property
+    def difference(self) -> float | None:
+        return self.ours - self.paper if self.comparable and self.paper is not None else None
+
+    def as_dict(self) -> dict[str, str | float | None]:
+        kept = ("name", "quantity", "paper", "ours", "difference", "comparable", "note")
+        return {"unit": self.form.unit} | {key: getattr(self, key) for key in kept}
+
+    def cells(self) -> list[str]:
+        """Of its row in the table."""
+        return [self.quantity, *map(self._written, (self.paper, self.ours, self.difference)), self.note]
+
+    def _written(self, value: float | None) -> str:
+        return "-" if value is None else self.form.form.format(self.form.factor * value)
+
+
+def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
+    """The numbers of section IV that the paper prints, and those that its figures only show."""
+    fields = fields_along(results.at_pull(PULL), stations(results.manipulator))
+    history = results.history_at_pull()
+    base, observed = results.base_tension_read, results.load_cells.read("tip_tension")
+    tip, updates = results.tip_tension[np.searchsorted(PULLS, PULL)], int(history.num_updates)
+    levels = len(by_level(base, observed).x)
+    error = float(np.mean(np.abs(results.predicted - observed)[observed > 0] / observed[observed > 0]))
+    strongest = [np.max(np.linalg.norm(force[0], axis=-1)) for force in (fields.normal_force, fields.friction_force)]
+    x, y = map(float, fields.position[-1])
+    at = f"at {PULL:g} N"
+    return [
+        ComparedNumber("tension_loss", f"tension loss {at}", FRACTION, 1 - tip / PULL, 0.40, comparable=True,
+            note='the paper: "about 40 %"; the difference is in percentage points'),
+        ComparedNumber("iterations", f"iterations {at}", COUNT, updates + 1, 6, comparable=True,
+            note=f'the paper: "6 iterations", which counts the start; ours: the start and {updates} updates'),
+        ComparedNumber("levels", "levels of base tension", COUNT, levels, 18, comparable=True,
+            note="5 to 85 N in 5 N steps, as the paper says too, are 17 levels"),
+        ComparedNumber("mean_error", "mean error of the tip tension", FRACTION, error, 0.1466,
+            note=f"not comparable: the paper's is against its measured trials, ours against {results.trials}"),
+        ComparedNumber("tip_tension", f"tip tension {at}", FORCE, tip),
+        ComparedNumber("tip_angle", f"tip angle {at}", ANGLE, float(fields.heading[-1])),
+        ComparedNumber("tip_x", f"tip position X {at}", LENGTH, x),
+        ComparedNumber("tip_y", f"tip position Y {at}", LENGTH, y),
+        ComparedNumber("normal_force", f"largest normal force {at}", FORCE_PER_LENGTH, strongest[0],
+            note=f"{NO_NUMBER}; ours by eq. (9)"),
+        ComparedNumber("friction_force", f"largest friction force {at}", FORCE_PER_LENGTH, strongest[1],
+            note=f"{NO_NUMBER}; ours by the second line of eq. (10), the one that closes eq. (13)"),
+    ]  # fmt: skip
+
+
+def reproduction_as_markdown(rows: list[ComparedNumber]) -> str:
+    """The table as Markdown."""
+    numbers = ("the paper", "ours", "difference")
+    lines = markdown_table(("quantity", *numbers, "note"), [row.cells() for row in rows], right=numbers)
+    return "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"

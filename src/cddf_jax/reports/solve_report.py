@@ -1,0 +1,87 @@
+"""The answer of `cddf solve`, in words and as plain numbers."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..quantities import dimension_of
+from ..robot.loads import Loads
+from ..statics.contact import self_contact
+from ..statics.description import last_lines, strain_line, tendon_lines, tip_line
+from ..statics.equilibrium import RESULTS, Equilibrium
+from ..statics.targets import CurvatureAt, Target
+from ..units import shown
+
+FIELDS = (  # of an equilibrium, in the order of the file
+    *("tip_tension", "tension_loss", "tip_position", "tip_angle", "tendon_displacement", "base_tension"),
+    *("target_miss", "base_moment", "load_fraction", "num_load_steps", "stable", "error_estimate"),
+    *("num_iterations", "direction", "direction_contradicted", "arc_length", "curvature", "heading", "position"),
+    *("tension", "wrap_angle", "normal_force", "friction_force"),
+)
+
+
+def solve_as_dict(
+    equilibrium: Equilibrium, actuation: Sequence[float | Target], loads: Loads | None
+) -> dict[str, object]:
+    """Everything about an equilibrium, SI units, for JSON; loads and targets where there are any.
+
+    Args:
+        equilibrium: one.
+        actuation: the tension (N) or target of each tendon.
+        loads: the dead loads; None for none.
+    """
+    answer: dict[str, object] = {"result": RESULTS[equilibrium.result] or "successful", "remarks": equilibrium.remarks}
+    if any(isinstance(entry, Target) for entry in actuation):
+        answer["targets"] = [_target_as_dict(entry) if isinstance(entry, Target) else None for entry in actuation]
+    if loads is not None:
+        answer["loads"] = {name: getattr(loads, name) for name in ("tip_force", "tip_moment", "gravity")}
+    answer["self_contact"] = self_contact(equilibrium)
+    for name in ("peak_strain", "peak_strain_at"):
+        answer[name] = getattr(equilibrium, name) if equilibrium.has_wall else None
+    return answer | {name: getattr(equilibrium, name) for name in FIELDS}
+
+
+def _target_as_dict(target: Target) -> dict[str, object]:
+    answer: dict[str, object] = {target.quantity: target.value}
+    return answer | {"arc_length": target.arc_length} if isinstance(target, CurvatureAt) else answer
+
+
+def solve_in_words(
+    equilibrium: Equilibrium, actuation: Sequence[float | Target], texts: Sequence[str], loads: Loads | None
+) -> str:
+    """The answer for people.
+
+    Args:
+        equilibrium, actuation, loads: as of `solve_as_dict`.
+        texts: the tension or target of each tendon as it was typed.
+    """
+    found = [
+        f"base tension {tension:.4f} N gives {texts[i].strip()}" if isinstance(actuation[i], Target) else ""
+        for i, tension in enumerate(equilibrium.base_tension)
+    ]
+    lines = [tip_line(equilibrium), *tendon_lines(equilibrium, found), strain_line(equilibrium)]
+    lines += _loads_in_words(loads, equilibrium) if loads is not None else []
+    return "\n".join([*lines, *last_lines(equilibrium)])
+
+
+def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
+    force, gravity = ("({:.5g}, {:.5g})".format(*np.asarray(pair)) for pair in (loads.tip_force, loads.gravity))
+    steps = int(equilibrium.num_load_steps)
+    return [
+        f"loads: tip force {force} N, tip moment {shown(loads.tip_moment, 'moment')}, gravity {gravity} m/s^2; "
+        f"put on in {steps} step{'s' if steps > 1 else ''}",
+        f"moment of the loads at the base: {shown(equilibrium.base_moment, 'moment')}",
+    ]
+
+
+def missed_targets_in_words(equilibrium: Equilibrium, actuation: Sequence[float | Target], texts: Sequence[str]) -> str:
+    """How near to its targets a solve came, and at which tensions; arguments as of `solve_in_words`."""
+    slack = equilibrium.result == RESULTS.slack
+    why = "the tendon would have to push" if slack else "no tension between slack and crossing fibres gives it"
+    missed = []
+    numbers = zip(actuation, texts, equilibrium.target_miss, equilibrium.base_tension, strict=True)
+    for target, text, miss, tension in numbers:
+        if isinstance(target, Target):
+            value = shown(target.value + miss, dimension_of(target.quantity))
+            missed.append(f"--base-tension {text!r}: {why}, the nearest is {value} at {shown(tension, 'force')}")
+    return f"{'; '.join(missed)}; change the target"

@@ -1,0 +1,70 @@
+"""What `print` shows of a manipulator: numbers with units, in a few lines."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from ..quantities import dimension_of
+from ..units import Dimension, shown
+from .manipulator import Manipulator, Tendon
+from .profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
+
+_PROFILES = ("outer_radius", "inner_radius", "bending_stiffness", "mass_per_length", "youngs_modulus")
+_MATERIAL = ("youngs_modulus", "stiffness_factor", "friction_coefficient", "density", "drag", "yield_strain")
+_OF_TENDON = ("friction_coefficient", "end", "axial_stiffness", "free_length", "drag")
+
+
+def manipulator_in_words(manipulator: Manipulator) -> str:
+    """Dimensions, material and tendons; of a batch or under jit the names and shapes of what it holds."""
+    leaves = jax.tree.leaves(manipulator)
+    if any(isinstance(leaf, Tracer) for leaf in leaves) or np.ndim(manipulator.length) > 0:
+        return eqx.tree_pformat(manipulator)
+    length = float(manipulator.length)
+    varies = callable(manipulator.youngs_modulus)
+    return "\n".join(
+        [
+            f"Manipulator of {shown(length, 'length')}, {manipulator.kinematics} kinematics",
+            *(
+                f"{name} {_profile(as_profile(getattr(manipulator, name)), length, dimension_of(name))}"
+                for name in _PROFILES
+                if getattr(manipulator, name) is not None and (name != "youngs_modulus" or varies)
+            ),
+            ", ".join(_numbers(manipulator, _MATERIAL[1:] if varies else _MATERIAL)),
+            *(
+                f"point mass {i}: {shown(point.mass, 'mass')} at s = {shown(point.arc_length, 'length')}"
+                for i, point in enumerate(manipulator.point_masses, 1)
+            ),
+            *(f"tendon {i}: {_tendon(tendon, length)}" for i, tendon in enumerate(manipulator.tendons, 1)),
+        ]
+    )
+
+
+def _numbers(owner: Manipulator | Tendon, names: Sequence[str]) -> list[str]:
+    """Names and numbers of what is there; of all but friction, zero is the same as absent."""
+    values = {name: getattr(owner, name) for name in names}
+    return [
+        f"{name} {shown(value, dimension_of(name))}"
+        for name, value in values.items()
+        if value is not None and (value or name == "friction_coefficient")
+    ]
+
+
+def _tendon(tendon: Tendon, length: float) -> str:
+    offset = _profile(tendon.offset, length if tendon.end is None else float(tendon.end))
+    return ", ".join([f"offset {offset}", f"side {tendon.side:+d}", *_numbers(tendon, _OF_TENDON)])
+
+
+def _profile(profile: Profile, length: float, kind: Dimension = "length") -> str:
+    """A profile by its values at the base and the tip, and what lies between."""
+    if isinstance(profile, Constant):
+        return shown(profile.value, kind)
+    s = np.linspace(0.0, length, 201)
+    values = np.asarray(profile(s))
+    ends = f"{shown(values[0], kind)} at the base, {shown(values[-1], kind)} at s = {shown(length, 'length')}"
+    if isinstance(profile, Linear):
+        return ends
+    form = f"{type(profile).__name__}, " if isinstance(profile, Piecewise | Polyline | Spline) else ""
+    return f"{ends} ({form}from {shown(values.min(), kind)} to {shown(values.max(), kind)})"

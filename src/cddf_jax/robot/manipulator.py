@@ -1,0 +1,382 @@
+"""The manipulator: a conical or free-form body, its tendons and its material, as one pytree."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from ..errors import InputError
+from .profiles import Constant, Linear, Number, Points, Profile, Scalar, as_number, as_profile, breakpoints
+
+Kinematics = Literal["published", "exact"]
+KINEMATICS = ("published", "exact")
+Taper = ArrayLike | Sequence[ArrayLike]  # one number, or a pair (base, tip)
+
+
+def _as_optional_number(value: object) -> Any:
+    return None if value is None else as_number(value)
+
+
+def _as_optional_profile(value: Profile | ArrayLike | None) -> Profile | None:
+    return None if value is None else as_profile(value)
+
+
+def _as_modulus(value: Profile | ArrayLike | None) -> Profile | Number | None:
+    """A number stays a number, named as the whole modulus; what varies along the body is a profile."""
+    return _as_optional_profile(value) if callable(value) else _as_optional_number(value)
+
+
+class Tendon(eqx.Module):
+    """A tendon at the distance `offset` from the neutral axis, on side +1 or -1 of it.
+
+    Args:
+        offset: d(s) >= 0, profile or number, m.
+        side: sigma, +1 or -1. A tendon with side +1 pulled alone bends the body towards +n.
+        end: arc length at which it is anchored, m; None for the tip of the body.
+        friction_coefficient: its own mu; None for the manipulator's.
+        axial_stiffness: E A of the tendon, N; None for a tendon that does not stretch.
+        free_length: of the tendon between body and actuator, m, which stretches as well.
+        drag: its own w, N/m; None for the manipulator's.
+
+    Raises:
+        ValueError: when side is neither +1 nor -1.
+    """
+
+    offset: Profile = eqx.field(converter=as_profile)
+    side: int = eqx.field(default=+1, static=True)
+    end: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    friction_coefficient: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    axial_stiffness: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    free_length: Scalar = eqx.field(default=0.0, converter=as_number)
+    drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+
+    def __check_init__(self):
+        if self.side not in (+1, -1):
+            raise ValueError(f"Tendon: side must be +1 or -1, got {self.side!r}")
+
+
+class PointMass(eqx.Module):
+    """A mass on the neutral axis, such as a disc, a camera or a magnet; gravity makes a dead load of it.
+
+    Args:
+        arc_length: where it is fixed, s, m, above 0 and at most the length of the body.
+        mass: kg.
+    """
+
+    arc_length: Scalar = eqx.field(converter=as_number)
+    mass: Scalar = eqx.field(converter=as_number)
+
+
+class CrossSection(eqx.Module):
+    """The properties of a cross-section at one arc length; primes are derivatives along s."""
+
+    stiffness: Float[Array, ""]  # E J, N m^2
+    stiffness_rate: Float[Array, ""]  # (E J)', N m
+    offset: Float[Array, " tendons"]  # d, m
+    offset_slope: Float[Array, " tendons"]  # d', -
+    offset_bend: Float[Array, " tendons"]  # d'', 1/m
+    side: Float[Array, " tendons"]  # sigma, +-1
+    friction_coefficient: Float[Array, " tendons"]  # mu, -
+    drag: Float[Array, " tendons"] | None  # w, N/m, zero beyond the anchor; None where no tendon has any
+    present: Bool[Array, " tendons"]  # false beyond the anchor of a tendon
+    kinematics: Kinematics = eqx.field(static=True)
+    slanted: bool = eqx.field(static=True)  # false when every offset is Constant
+
+
+class Manipulator(eqx.Module):
+    """A tendon-driven continuum manipulator in the plane; SI units.
+
+    Its bending stiffness is E J, from radii and modulus with J of eq. (12), or `bending_stiffness`. Its weight under
+    gravity is that of density, `mass_per_length` and `point_masses` together.
+
+    Args:
+        length: L of the neutral axis, m.
+        outer_radius, inner_radius: of the annular section, profiles or numbers, m. Both may be left out where
+            bending_stiffness is given; if they are there all the same, they tell wall, strain and what density weighs.
+        tendons: one or several `Tendon`.
+        youngs_modulus: E, Pa, a number, or a profile where it varies along the body.
+        friction_coefficient: mu between tendon and body, for every tendon without its own.
+        density: rho, kg/m^3, of the material between the radii; it matters under gravity only.
+        kinematics: "exact" follows the tendon itself, "published" takes the paper as written; see `mechanics`.
+        drag: w >= 0, N/m, friction per length of the neutral axis that is there without tension and curvature, as
+            of a sheath that squeezes the tendon: T' = -direction (mu |psi'| T + w). For every tendon without its
+            own; None for none. A tendon is slack, T = 0, from where drag has used its tension up.
+        yield_strain: above 0, a fraction: the largest bending strain of the wall from which the body comes back. A
+            solve is remarked on where its `peak_strain` is larger; nothing else follows from it. None where unknown.
+        mass_per_length: kg/m, profile or number, of what density does not weigh: many discs, a sleeve, cables.
+        point_masses: one or several `PointMass`.
+        bending_stiffness: E I, N m^2, profile or number, in place of the modulus.
+        stiffness_factor: by which the stiffness is multiplied, -; None for 1. It is what a fit finds of a body that
+            has no single modulus.
+
+    Values are not checked here, as they may be traced: `validate` does that on the host.
+
+    Raises:
+        ValueError: for unknown kinematics, no tendon, no friction coefficient, one radius without the other, and
+            unless either modulus (with radii) or bending_stiffness is given; for a density without radii.
+    """
+
+    length: Scalar = eqx.field(converter=as_number)
+    outer_radius: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    inner_radius: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    tendons: tuple[Tendon, ...] = eqx.field(default=(), converter=tuple)
+    youngs_modulus: Any = eqx.field(default=None, converter=_as_modulus)  # Scalar | Profile | None
+    friction_coefficient: Scalar = eqx.field(default=None, converter=_as_optional_number)
+    density: Scalar = eqx.field(default=0.0, converter=as_number)
+    kinematics: Kinematics = eqx.field(default="exact", static=True)
+    drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    yield_strain: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    mass_per_length: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    point_masses: tuple[PointMass, ...] = eqx.field(default=(), converter=tuple)
+    bending_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    stiffness_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+
+    def __check_init__(self):
+        if self.kinematics not in KINEMATICS:
+            raise ValueError(f"Manipulator: kinematics must be one of {KINEMATICS}, got {self.kinematics!r}")
+        if not self.tendons or not all(isinstance(tendon, Tendon) for tendon in self.tendons):
+            raise ValueError("Manipulator: tendons must hold one Tendon or more, e.g. (Tendon(offset=5e-3),)")
+        if not all(isinstance(mass, PointMass) for mass in self.point_masses):
+            example = "(PointMass(arc_length=0.1, mass=5e-3),)"
+            raise ValueError(f"Manipulator: point_masses must hold PointMass, e.g. {example}")
+        if self.friction_coefficient is None:
+            raise ValueError("Manipulator: friction_coefficient is missing; give mu, 0 for none")
+        self._check_stiffness()
+
+    def _check_stiffness(self):
+        if (self.outer_radius is None) != (self.inner_radius is None):
+            raise ValueError(
+                "Manipulator: outer_radius and inner_radius belong together; give both (inner_radius=0 for a solid "
+                "body), or neither with bending_stiffness"
+            )
+        if self.bending_stiffness is not None and self.youngs_modulus is not None:
+            raise ValueError("Manipulator: youngs_modulus and bending_stiffness are both given; leave one of them out")
+        if self.bending_stiffness is None and (self.youngs_modulus is None or self.outer_radius is None):
+            raise ValueError(
+                "Manipulator: give outer_radius, inner_radius and youngs_modulus, or bending_stiffness in their place"
+            )
+        if not self.has_radii and isinstance(self.density, np.ndarray) and np.any(self.density != 0):
+            raise ValueError("Manipulator: density needs outer_radius and inner_radius; give mass_per_length instead")
+
+    def __str__(self) -> str:
+        from .description import manipulator_in_words
+
+        return manipulator_in_words(self)
+
+    @property
+    def num_tendons(self) -> int:
+        return len(self.tendons)
+
+    @property
+    def profiles(self) -> dict[str, Profile]:
+        """What may vary along the body, as far as it is there, by name, such as "outer_radius", "tendons.0.offset"."""
+        found: dict[str, Any] = {name: getattr(self, name) for name in ("outer_radius", "inner_radius")}
+        found |= {f"tendons.{i}.offset": tendon.offset for i, tendon in enumerate(self.tendons)}
+        found |= {name: getattr(self, name) for name in ("youngs_modulus", "bending_stiffness", "mass_per_length")}
+        return {name: found[name] for name in found if callable(found[name])}
+
+    @property
+    def has_radii(self) -> bool:
+        """Whether outer and inner radius are known."""
+        return self.outer_radius is not None
+
+    @property
+    def stiffened_by_radii(self) -> bool:
+        """Whether the radii make the bending stiffness, E J; not where it is given in its place."""
+        return self.bending_stiffness is None
+
+    @property
+    def has_mass(self) -> bool:
+        """Whether gravity acts on the body; a density whose value is not known yet counts as a mass."""
+        if self.mass_per_length is not None or self.point_masses or isinstance(self.density, Tracer):
+            return True
+        return bool(np.any(np.asarray(self.density)))
+
+    @property
+    def breakpoints(self) -> Float[Array, " n"]:
+        """Arc lengths (m), unsorted, at which the body or a tendon is not smooth."""
+        ends = [jnp.asarray(tendon.end)[None] for tendon in self.tendons if tendon.end is not None]
+        places = [jnp.asarray(mass.arc_length)[None] for mass in self.point_masses]  # the last, see `problem`
+        found = (*map(breakpoints, self.profiles.values()), *ends, *places)
+        named = [points for points in found if points.shape[0] > 0]
+        return jnp.concatenate(named) if named else jnp.zeros_like(jnp.asarray(self.length), shape=0)
+
+    @property
+    def slanted(self) -> bool:
+        """Whether any tendon may change its distance from the neutral axis."""
+        return not all(isinstance(tendon.offset, Constant) for tendon in self.tendons)
+
+    @property
+    def tendon_friction(self) -> Float[Array, " tendons"]:
+        """The friction coefficient mu of each tendon."""
+        own = (tendon.friction_coefficient for tendon in self.tendons)
+        return jnp.stack([jnp.asarray(self.friction_coefficient if mu is None else mu) for mu in own])
+
+    @property
+    def tendon_drag(self) -> Float[Array, " tendons"] | None:
+        """The drag w of each tendon, N/m; None where no tendon has any."""
+        drags = [self.drag if tendon.drag is None else tendon.drag for tendon in self.tendons]
+        if all(drag is None for drag in drags):
+            return None
+        none = jnp.zeros_like(jnp.asarray(self.length))
+        return jnp.stack([none if drag is None else jnp.asarray(drag) for drag in drags])
+
+    @property
+    def tendon_compliance(self) -> Float[Array, " tendons"]:
+        """Strain per tension of each tendon, 1 / (E A), 1/N; zero for one that does not stretch."""
+        stiffness = (tendon.axial_stiffness for tendon in self.tendons)
+        rigid = jnp.zeros_like(jnp.asarray(self.length))
+        return jnp.stack([rigid if EA is None else 1.0 / jnp.asarray(EA) for EA in stiffness])
+
+    @property
+    def tendon_free_length(self) -> Float[Array, " tendons"]:
+        """The length of each tendon outside the body, m."""
+        return jnp.stack([jnp.asarray(tendon.free_length) for tendon in self.tendons])
+
+    def offset(self, arc_length: Points) -> Float[Array, "tendons *points"]:
+        """The offset d of each tendon, m."""
+        return jnp.stack([tendon.offset(arc_length) for tendon in self.tendons])
+
+    def radii(self, arc_length: Points) -> tuple[Float[Array, "*points"], Float[Array, "*points"]]:
+        """R_outer and r_inner, m.
+
+        Raises:
+            InputError: for a body without.
+        """
+        if self.outer_radius is None or self.inner_radius is None:
+            raise InputError("the body has no radii; give it outer_radius and inner_radius")
+        return self.outer_radius(arc_length), self.inner_radius(arc_length)
+
+    def area(self, arc_length: Points) -> Float[Array, "*points"]:
+        """A = pi (R_outer^2 - r_inner^2), m^2."""
+        outer, inner = self.radii(arc_length)
+        return jnp.pi * (outer**2 - inner**2)
+
+    def second_moment(self, arc_length: Points) -> Float[Array, "*points"]:
+        """J = pi/4 (R_outer^4 - r_inner^4), m^4. Liu et al. (2020), eq. (12)."""
+        outer, inner = self.radii(arc_length)
+        return jnp.pi / 4 * (outer**4 - inner**4)
+
+    def stiffness(self, arc_length: Points) -> Float[Array, "*points"]:
+        """The bending stiffness, N m^2: E J, or what is given in its place, times the stiffness factor."""
+        if self.bending_stiffness is not None:
+            found = self.bending_stiffness(arc_length)
+        else:
+            modulus = self.profiles.get("youngs_modulus")
+            E = jnp.asarray(self.youngs_modulus) if modulus is None else modulus(arc_length)
+            found = E * self.second_moment(arc_length)
+        return found if self.stiffness_factor is None else jnp.asarray(self.stiffness_factor) * found
+
+    def distributed_mass(self, arc_length: Points) -> Float[Array, "*points"]:
+        """What the body weighs per length without its point masses, kg/m: rho A and mass_per_length together."""
+        parts = [jnp.asarray(self.density) * self.area(arc_length)] if self.has_radii else []
+        parts += [] if self.mass_per_length is None else [self.mass_per_length(arc_length)]
+        return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(jnp.asarray(arc_length))
+
+    def outer_strain(self, arc_length: Points, curvature: Points) -> Float[Array, "*points"]:
+        """R_outer kappa, -: the bending strain of the outer surface, with the sign of the curvature (1/m).
+
+        NaN where the body has no radii.
+        """
+        if self.outer_radius is None:
+            return jnp.full_like(jnp.asarray(curvature), jnp.nan)
+        return self.outer_radius(arc_length) * curvature
+
+    def cross_section(self, arc_length: Float[ArrayLike, ""]) -> CrossSection:
+        """Everything that the mechanics needs at one arc length."""
+        s = jnp.asarray(arc_length)
+        one = jnp.ones_like(s)
+        stiffness, stiffness_rate = jax.jvp(self.stiffness, (s,), (one,))
+        offset, offset_slope = jax.jvp(self.offset, (s,), (one,))
+        _, offset_bend = jax.jvp(lambda s: jax.jvp(self.offset, (s,), (one,))[1], (s,), (one,))
+        reach = [jnp.inf if tendon.end is None else tendon.end for tendon in self.tendons]
+        present, drag = jnp.stack([s <= jnp.asarray(end) for end in reach]), self.tendon_drag
+        return CrossSection(
+            stiffness=stiffness,
+            stiffness_rate=stiffness_rate,
+            offset=offset,
+            offset_slope=offset_slope,
+            offset_bend=offset_bend,
+            side=jnp.asarray([tendon.side for tendon in self.tendons], s.dtype),
+            friction_coefficient=self.tendon_friction,
+            drag=None if drag is None else jnp.where(present, drag, 0.0),
+            present=present,
+            kinematics=self.kinematics,
+            slanted=self.slanted,
+        )
+
+    def validate(self, *, offsets_outside_wall: bool = False) -> "Manipulator":
+        """Check on the host that the numbers describe a body; return the manipulator itself.
+
+        Args:
+            offsets_outside_wall: allow tendons in the bore or outside the body (on spacer disks, say).
+
+        Raises:
+            ValueError: names the quantity, the arc length, the value and the remedy.
+            TypeError: when a number is traced; validate before `jit`, `grad` or `vmap`.
+        """
+        from .validation import check_manipulator
+
+        check_manipulator(self, offsets_outside_wall)
+        return self
+
+
+def conical(
+    *,
+    length: ArrayLike,
+    outer_radius: Taper,
+    inner_radius: Taper,
+    tendon_offset: Taper,
+    youngs_modulus: Profile | ArrayLike,
+    friction_coefficient: ArrayLike,
+    density: ArrayLike = 0.0,
+    num_tendons: int = 1,
+    kinematics: Kinematics = "exact",
+    drag: ArrayLike | None = None,
+    yield_strain: ArrayLike | None = None,
+) -> Manipulator:
+    """The conical manipulator of Liu et al. (2020), section II: every dimension tapers linearly.
+
+    Args:
+        length: L, m.
+        outer_radius, inner_radius, tendon_offset: a pair (base, tip) or one number, m.
+        youngs_modulus: E, Pa.
+        friction_coefficient: mu.
+        density: kg/m^3.
+        num_tendons: 1 (side +1) or 2 (sides +1 and -1).
+        kinematics: "exact" or "published".
+        drag: w, N/m; None for none.
+        yield_strain: a fraction; None where unknown.
+
+    Raises:
+        ValueError: for a number of tendons other than 1 or 2, or a dimension that is neither a number nor a pair.
+    """
+    if num_tendons not in (1, 2):
+        remedy = "pass tendons to Manipulator for more"
+        raise ValueError(f"conical: num_tendons must be 1 or 2, got {num_tendons!r}; {remedy}")
+    offset = _taper("tendon_offset", tendon_offset, length)
+    return Manipulator(
+        length=length,
+        outer_radius=_taper("outer_radius", outer_radius, length),
+        inner_radius=_taper("inner_radius", inner_radius, length),
+        tendons=tuple(Tendon(offset, side) for side in (+1, -1)[:num_tendons]),
+        youngs_modulus=youngs_modulus,
+        friction_coefficient=friction_coefficient,
+        density=density,
+        kinematics=kinematics,
+        drag=drag,
+        yield_strain=yield_strain,
+    )
+
+
+def _taper(name: str, value: Any, length: ArrayLike) -> Constant | Linear:
+    pair = isinstance(value, tuple | list)  # whose numbers may be traced
+    shape = (len(value), *(np.shape(value[0]) if value else ())) if pair else np.shape(value)
+    if shape not in ((), (2,)):
+        raise ValueError(f"conical: {name} must be a number or a pair (base, tip), got shape {shape}")
+    return Linear(value[0], value[1], length) if shape else Constant(value)

@@ -1,0 +1,236 @@
+"""Checks on the host that the numbers of a manipulator describe a body, with messages for people."""
+
+import re
+from collections.abc import Callable, Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array
+
+from ..errors import InputError
+from ..quantities import QUANTITIES
+from .loads import Loads
+from .manipulator import Manipulator, PointMass, Tendon
+from .profiles import Number, Piecewise, Polyline, Profile, Spline, breakpoints
+
+_SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
+_POINTS = 1001
+_ABOVE_ZERO = ("length", "youngs_modulus", "stiffness_factor", "yield_strain", "arc_length", "axial_stiffness", "end")
+_ZERO_OR_MORE = ("friction_coefficient", "drag", "density", "mass", "free_length")
+_DEMANDED_ALONG = {"youngs_modulus": "above 0", "bending_stiffness": "above 0", "mass_per_length": "0 or more"}
+
+
+def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> None:
+    """Check numbers, wall and tendons, the latter two along the whole length.
+
+    Args:
+        manipulator: one manipulator, not a batch.
+        offsets_outside_wall: allow tendons in the bore or outside the body.
+
+    Raises:
+        InputError: for the first violation from the base; names quantity, arc length, value and remedy.
+        TypeError: when a number is traced.
+    """
+    _check_leaves(manipulator)
+    _check_scalars(manipulator)
+    _check_knots(manipulator)
+    with jax.enable_x64(True):  # a profile is judged in float64, whatever the caller computes in
+        s = _stations(manipulator)
+        _check_wall(manipulator, s)
+        _check_stiffness_and_mass(manipulator, s)
+        for number, tendon in enumerate(manipulator.tendons, 1):
+            _check_tendon(f"tendon {number}", manipulator, tendon, s, offsets_outside_wall)
+
+
+def check_weight(manipulator: Manipulator, loads: Loads | None) -> None:
+    """Refuse gravity on a body without mass, where both are known; what is traced is not looked at.
+
+    Raises:
+        InputError: names what is missing and the remedy.
+    """
+    if loads is None or isinstance(loads.gravity, Tracer) or manipulator.has_mass:
+        return
+    if np.any(np.asarray(loads.gravity)):
+        raise InputError(
+            "loads.gravity: the body has no weight, since its density is 0; give it density, mass_per_length or "
+            "point_masses, or leave gravity out"
+        )
+
+
+# --- single numbers ------------------------------------------------------------------------------
+
+
+def _check_leaves(manipulator: Manipulator) -> None:
+    """Every number concrete and finite."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(manipulator):
+        name = jax.tree_util.keystr(path).removeprefix(".")
+        if isinstance(leaf, Tracer):
+            raise TypeError(f"validate: {name} is traced; call validate() before jit, grad or vmap")
+        values = np.ravel(leaf) if isinstance(leaf, jax.Array | np.ndarray) else np.zeros(0)
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}; correct its value")
+
+
+def _check_scalars(manipulator: Manipulator) -> None:
+    length = manipulator.length
+    _check_numbers("", manipulator)
+    for number, point in enumerate(manipulator.point_masses, 1):
+        _check_numbers(f"point mass {number}: ", point)
+        if point.arc_length > length:
+            what = f"arc_length {_mm(point.arc_length)} lies beyond the tip at {_mm(length)}; put it on the body"
+            raise InputError(what, where=f"point mass {number}")
+    for number, tendon in enumerate(manipulator.tendons, 1):
+        _check_numbers(f"tendon {number}: ", tendon)
+        if tendon.end is not None and tendon.end > length:
+            what = f"end at s = {_mm(tendon.end)} lies beyond the tip at {_mm(length)}"
+            remedy = "anchor it on the body, or leave end out for the tip"
+            raise InputError(what, where=f"tendon {number}", remedy=remedy)
+
+
+def _check_numbers(prefix: str, owner: Manipulator | PointMass | Tendon) -> None:
+    """Those of an owner that are there and do not vary along the body: one number each, and not too small."""
+    for name in (*_ABOVE_ZERO, *_ZERO_OR_MORE):
+        value = getattr(owner, name, None)
+        if value is None or callable(value):
+            continue
+        if np.ndim(value) != 0:
+            what = f"{prefix}{name} must be one number, got shape {np.shape(value)}"
+            raise InputError(what, remedy="validate one manipulator at a time")
+        demand, good = ("above 0", value > 0) if name in _ABOVE_ZERO else ("0 or more", value >= 0)
+        if not good:
+            unit = QUANTITIES[name].unit.removeprefix("1")
+            number = f"{float(value):.6g} {unit}".strip()
+            raise InputError(f"{prefix}{name} must be {demand}, got {number}; correct its value")
+
+
+def _check_knots(manipulator: Manipulator) -> None:
+    """Knots and joints increasing."""
+    for name, profile in manipulator.profiles.items():
+        words = re.sub(r"tendons\.(\d+)\.", lambda found: f"tendon {int(found[1]) + 1}: ", name)
+        for part in _parts(profile):
+            through = isinstance(part, Polyline | Spline)
+            knots = np.asarray(part.ends if isinstance(part, Piecewise) else part.arc_length if through else ())
+            falls = np.flatnonzero(np.diff(knots) <= 0)
+            if falls.size:
+                left, right = knots[falls[0]], knots[falls[0] + 1]
+                raise InputError(f"{words}: its knots must increase, got {_mm(left)} before {_mm(right)}; sort them")
+
+
+def _parts(profile: Profile) -> Iterator[Profile]:
+    """The profile, and if it is piecewise the pieces in it."""
+    yield profile
+    if isinstance(profile, Piecewise):
+        for piece in profile.pieces:
+            yield from _parts(piece)
+
+
+# --- along the length ----------------------------------------------------------------------------
+
+
+def _stations(manipulator: Manipulator) -> np.ndarray:
+    """Arc lengths at which to look: a dense grid and both sides of every breakpoint."""
+    length = float(manipulator.length)
+    return np.sort(np.concatenate([np.linspace(0.0, length, _POINTS), *_sides(manipulator.breakpoints, length)]))
+
+
+def _sides(breakpoints: Array, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Just before and just behind each breakpoint; those not between base and `end` have both sides in one place."""
+    joints, nudge = np.sort(np.asarray(breakpoints, float)), 1e-9 * end
+    return np.clip(joints - nudge, 0.0, end - nudge), np.clip(joints + nudge, 0.0, end - nudge)
+
+
+def _check_stiffness_and_mass(manipulator: Manipulator, s: np.ndarray) -> None:
+    profiles = manipulator.profiles
+    found = {name: _values(name, profiles[name], s) for name in _DEMANDED_ALONG if name in profiles}
+    for name, values in found.items():
+        demand, unit = _DEMANDED_ALONG[name], QUANTITIES[name].unit
+        for i in np.flatnonzero(values <= 0 if demand == "above 0" else values < 0)[:1]:
+            got = f"at s = {_mm(s[i])} it is {values[i]:.6g} {unit}"
+            raise InputError(f"{name} must be {demand}: {got}; correct it there")
+
+
+def _check_wall(manipulator: Manipulator, s: np.ndarray) -> None:
+    if manipulator.outer_radius is None or manipulator.inner_radius is None:
+        return
+    outer = _values("outer_radius", manipulator.outer_radius, s)
+    inner = _values("inner_radius", manipulator.inner_radius, s)
+    _demand(
+        inner >= 0,
+        lambda i: f"inner_radius must be 0 or more: at s = {_mm(s[i])} it is {_mm(inner[i])}; enlarge it there",
+    )
+    _demand(
+        outer > inner,
+        lambda i: (
+            f"outer_radius must exceed inner_radius: at s = {_mm(s[i])} they are {_mm(outer[i])} and "
+            f"{_mm(inner[i])}; make the wall thicker there or shorten the body"
+        ),
+    )
+
+
+def _check_tendon(name: str, manipulator: Manipulator, tendon: Tendon, s: np.ndarray, outside_wall: bool) -> None:
+    reach = float(manipulator.length if tendon.end is None else tendon.end)
+    beyond = s > reach
+    offset = _values(f"{name}: offset", tendon.offset, s, beyond)
+    _demand(
+        (offset >= 0) | beyond,
+        lambda i: (
+            f"{name}: offset must be 0 or more: at s = {_mm(s[i])} it is {_mm(offset[i])}; "
+            "give the distance from the neutral axis, and the side by side=-1"
+        ),
+    )
+    _check_jumps(name, tendon, reach)
+    if outside_wall or not manipulator.has_radii:
+        return
+    outer, inner = map(np.asarray, eqx.filter_jit(manipulator.radii)(jnp.asarray(s)))
+    slack = _SLACK * float(manipulator.length)
+    _demand(
+        ((offset >= inner - slack) & (offset <= outer + slack)) | beyond,
+        lambda i: (
+            f"{name}: offset must lie inside the wall: at s = {_mm(s[i])} it is {_mm(offset[i])} and the wall runs "
+            f"from {_mm(inner[i])} to {_mm(outer[i])}; move the tendon, or allow it with offsets_outside_wall"
+        ),
+    )
+
+
+def _check_jumps(name: str, tendon: Tendon, reach: float) -> None:
+    sides = _sides(breakpoints(tendon.offset), reach)
+    before, after = (_at(tendon.offset, side) for side in sides)
+    _demand(
+        np.abs(after - before) <= _SLACK * np.maximum(reach, np.abs(before)),  # a steep offset moves between the sides
+        lambda i: (
+            f"{name}: offset must not jump: at s = {_mm(sides[0][i])} it goes from {_mm(before[i])} to "
+            f"{_mm(after[i])}; make the pieces meet"
+        ),
+    )
+
+
+def _values(name: str, profile: Profile, s: np.ndarray, unused: np.ndarray | bool = False) -> np.ndarray:
+    values = _at(profile, s)
+    if values.shape != s.shape:
+        raise InputError(
+            f"{name} must give one value per arc length, got shape {values.shape} for {s.shape}; "
+            "work element by element, and validate one manipulator at a time"
+        )
+    _demand(
+        np.isfinite(values) | unused,
+        lambda i: f"{name} must be finite: at s = {_mm(s[i])} it is {values[i]}; correct the profile there",
+    )
+    return values
+
+
+def _at(profile: Profile, s: np.ndarray) -> np.ndarray:
+    return np.asarray(eqx.filter_jit(profile)(jnp.asarray(s)))
+
+
+def _demand(good: np.ndarray, message: Callable[[int], str]) -> None:
+    """Raise for the first place that is not good."""
+    bad = np.flatnonzero(~good)
+    if bad.size:
+        raise InputError(message(int(bad[0])))
+
+
+def _mm(value: Number | float) -> str:
+    return f"{1e3 * float(value):.6g} mm"

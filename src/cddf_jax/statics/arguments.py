@@ -1,0 +1,188 @@
+"""What `solve` is given: checked on the host, and made arrays of one precision.
+
+Wrong types and shapes raise here. Numbers without a physical meaning do not, as they may be traced: `harmless` replaces
+them, and `is_physical` tells of them in the result.
+"""
+
+from functools import cache
+from typing import TypeGuard, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PyTree
+
+from ..mechanics.directions import Directions, not_stated, stated_directions
+from ..mechanics.problem import Problem
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..robot.profiles import Number
+from .targets import Actuation, CurvatureAt, Target
+
+PerTendon = Float[Array, " tendons"]
+Tree = TypeVar("Tree")
+GivenDirections = Number | tuple[Number | None, ...]
+
+
+def check_nodes(nodes: object) -> None:
+    """Refuse what is not a number of nodes.
+
+    Raises:
+        ValueError: unless it is a whole number of 4 or more.
+    """
+    if isinstance(nodes, bool) or not isinstance(nodes, int) or nodes < 4:
+        raise ValueError(f"nodes must be a whole number of 4 or more, got {nodes!r}")
+
+
+def split_actuation(manipulator: Manipulator, actuation: Actuation) -> tuple[PyTree, tuple[Target | None, ...]]:
+    """The given tensions, zero in the place of targets, and the targets, None in the place of tensions."""
+    count = manipulator.num_tendons
+    entries = actuation if isinstance(actuation, tuple | list) else [actuation]
+    if texts := [entry for entry in entries if isinstance(entry, str)]:
+        raise TypeError(f"solve: base_tension must hold numbers, N, or targets, got the text {texts[0]!r}")
+    if not any(_is_target(entry) for entry in entries):
+        return actuation, (None,) * count
+    if len(entries) != count:
+        raise ValueError(
+            f"solve: with a target, base_tension must hold one tension or target per tendon ({count}), "
+            f"got {len(entries)}"
+        )
+    return [0.0 if _is_target(x) else x for x in entries], tuple(x if _is_target(x) else None for x in entries)
+
+
+def _is_target(entry: object) -> TypeGuard[Target]:
+    if isinstance(entry, float | int | np.ndarray | jax.Array):  # asking a protocol takes 10 us
+        return False
+    if isinstance(entry, type) and hasattr(entry, "reading"):
+        raise TypeError(f"solve: {entry.__name__} needs a value, as in {entry.__name__}(...)")
+    return isinstance(entry, Target)
+
+
+def checked_loads(loads: Loads | None) -> Loads | None:
+    """The loads, whose type and shapes are right."""
+    if loads is None:
+        return None
+    if not isinstance(loads, Loads):
+        raise TypeError(f"solve: loads must be a Loads, as in Loads(tip_force=(0.0, -1.0)), got {loads!r}")
+    shapes = {"tip_force": (2,), "tip_moment": (), "gravity": (2,)}
+    for name, shape in shapes.items():
+        found = np.shape(getattr(loads, name))
+        if found != shape:
+            raise ValueError(f"solve: loads.{name} must have shape {shape}, got {found}; batch with jax.vmap")
+    return loads
+
+
+def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Directions) -> tuple[PyTree, PyTree]:
+    """Tensions and directions as arrays; directions as a tuple with None in it, if some are to be found.
+
+    Raises:
+        ValueError: when there is neither one for all nor one per tendon.
+    """
+    count, precision = manipulator.num_tendons, _precision(manipulator)
+
+    def checked(name: str, value: PyTree, shapes=((), (count,))):
+        traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
+        value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision)
+        value = value.astype(value.dtype)  # a weakly typed number would be compiled for anew
+        if value.shape not in shapes:
+            raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got shape {value.shape}")
+        return value
+
+    try:
+        direction = stated_directions(direction, count)
+    except ValueError as error:
+        raise ValueError(f"solve: {error}") from None
+    if not_stated(direction):
+        assert isinstance(direction, tuple)
+        direction = tuple(None if x is None else checked("direction", x, ((),)) for x in direction)
+    else:
+        direction = checked("direction", direction)
+    return checked("base_tension", base_tension), direction
+
+
+def _precision(*trees: PyTree) -> jnp.dtype:
+    """The highest precision of the numbers of some pytrees."""
+    leaves = jax.tree.leaves(trees)
+    if functions := [x for x in leaves if callable(x)]:
+        raise TypeError(
+            f"solve: {functions[0]!r} stands where a body has numbers; give the function to Manipulator, Tendon or "
+            "Piecewise, or make it a static field of its profile"
+        )
+    kinds = {x.dtype for x in leaves if isinstance(x, jax.Array | np.ndarray | np.generic)}
+    return _common_precision(frozenset(kinds), jax.dtypes.canonicalize_dtype(np.float64))
+
+
+@cache
+def _common_precision(kinds: frozenset[np.dtype], widest: np.dtype) -> jnp.dtype:
+    """The highest of some types of numbers; cached, as JAX takes long. The widest type matters, as x64 may be off."""
+    floating = {jax.dtypes.canonicalize_dtype(kind) for kind in kinds if jnp.issubdtype(kind, jnp.inexact)}
+    return jnp.result_type(jnp.float32, *floating)
+
+
+def one_precision(
+    manipulator: Manipulator, base_tension: Number, direction: GivenDirections, others: Tree = None
+) -> tuple[Manipulator, PerTendon, PerTendon, Tree]:
+    """All numbers in one precision: that of the manipulator, or a higher one of a JAX array among the other numbers."""
+    dtype = _precision(manipulator, base_tension, others)
+
+    def cast(tree):
+        arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
+        return eqx.combine(jax.tree.map(lambda x: jnp.asarray(x, dtype), arrays), rest)
+
+    def one_each(value):
+        if isinstance(value, tuple):  # directions, of which some are to be found; they get the stand-in +1
+            value = jnp.stack([jnp.asarray(1.0 if x is None else x, dtype) for x in value])
+        return jnp.broadcast_to(jnp.asarray(value, dtype), (manipulator.num_tendons,))
+
+    return cast(manipulator), one_each(base_tension), one_each(direction), cast(others)
+
+
+def harmless(
+    manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, others: Tree
+) -> tuple[Manipulator, PerTendon, PerTendon, Tree]:
+    """Replace numbers that would spoil, through 0 * NaN, the derivatives of other lanes of a batch."""
+
+    def finite(tree, stand_in):
+        arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
+        return eqx.combine(jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, stand_in), arrays), rest)
+
+    tension = jnp.where(jnp.isfinite(base_tension) & (base_tension >= 0), base_tension, 0.0)
+    direction = jnp.where(jnp.abs(direction) == 1, direction, 1.0)
+    return finite(manipulator, 1.0), tension, direction, finite(others, 0.0)
+
+
+def is_physical(
+    manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, problem: Problem
+) -> Bool[Array, ""]:
+    """Whether the numbers, as they were before `harmless`, have a physical meaning."""
+    stiffness = jax.vmap(jax.vmap(problem.manipulator.stiffness))(problem.panels.nodes)
+    return (
+        jnp.all(stiffness > 0)
+        & (problem.panels.edges[-1] > 0)
+        & jnp.all(manipulator.tendon_friction >= 0)
+        & (True if manipulator.tendon_drag is None else jnp.all(manipulator.tendon_drag >= 0))
+        & _has_physical_masses(manipulator, problem)
+        & jnp.all(jnp.isfinite(manipulator.tendon_compliance) & (manipulator.tendon_compliance >= 0))
+        & jnp.all(manipulator.tendon_free_length >= 0)
+        & jnp.all((problem.nodes.offset >= 0) | ~problem.nodes.present)
+        & jnp.all(base_tension >= 0)
+        & jnp.all(jnp.abs(direction) == 1)
+    )
+
+
+def _has_physical_masses(manipulator: Manipulator, problem: Problem) -> Bool[Array, ""]:
+    density, length = jnp.asarray(manipulator.density), problem.panels.edges[-1]
+    good = density >= 0 if manipulator.has_radii else density == 0
+    if problem.manipulator.mass_per_length is not None:
+        good = good & jnp.all(problem.manipulator.mass_per_length(problem.panels.nodes) >= 0)
+    for point in manipulator.point_masses:
+        good = good & (point.mass >= 0) & (point.arc_length > 0) & (point.arc_length <= length)
+    return good
+
+
+def are_on_the_body(targets: tuple[Target | None, ...], problem: Problem) -> Bool[Array, ""]:
+    """Whether the arc lengths of all targets lie between base and tip."""
+    places = [jnp.asarray(target.arc_length) for target in targets if isinstance(target, CurvatureAt)]
+    length = problem.panels.edges[-1]
+    return jnp.all(jnp.asarray([True, *((place >= 0) & (place <= length) for place in places)]))

@@ -1,0 +1,94 @@
+"""Whether a bent body touches itself. The model has no contact forces."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import ArrayLike
+
+from ..mechanics.problem import State
+from .equilibrium import Dense, Equilibrium
+
+STATIONS = 401
+TURNS = np.pi / 2  # a body whose headings differ by less: pi R apart, the axis has gone on by pi R cos(pi/4) > 2 R
+FLAT = 1e-9  # of the length: what overlaps by less only touches
+
+
+class Contact(NamedTuple):
+    """Two arc lengths of a body whose cross-sections touch."""
+
+    arc_length: float  # m, of the place that is nearer to the base
+    other: float  # m, of the other
+    distance: float  # m, between the neutral axis here and there
+
+
+def self_contact(equilibrium: Equilibrium) -> Contact | None:
+    """Where the wall of a bent body touches or overlaps another part of itself; None where it does not.
+
+    The body in the plane is the strip u(s) +- R_outer(s) n(s). It is cut into quadrilaterals at 401 arc lengths and at
+    its joints, and two of them count that share a point and lie farther apart along the body than pi times the larger
+    of their radii. Nearer ones share a point where the bend is sharper than the radius, R kappa > 1, only.
+    A tube bent to a full circle, 2 pi, touches itself with its ends. Of several places that touch, it is the pair
+    whose neutral axes are nearest to each other for its radii. Clamp, tendons and disks are not looked at.
+
+    Args:
+        equilibrium: one solve, on the host; a body without an outer radius or without a solution has no contact.
+
+    Raises:
+        ValueError: for a batch or traced values.
+    """
+    if isinstance(equilibrium.tip_angle, Tracer) or np.ndim(equilibrium.tip_angle) > 0:
+        raise ValueError("self_contact: needs one equilibrium, not a batch and not traced; take one lane out of it")
+    body = equilibrium._dense.manipulator
+    if not equilibrium.has_wall or not np.ptp(equilibrium.heading) >= TURNS:  # neither where it is NaN
+        return None
+    s = _stations(float(body.length), np.asarray(body.breakpoints, float))
+    along = jax.tree.map(np.asarray, _centre_line(equilibrium._dense, s))
+    radius = np.asarray(body.radii(s)[0])
+    i, j = _far_pairs(s, along.position, radius)
+    normal = np.stack([-np.sin(along.heading), np.cos(along.heading)], axis=-1)
+    upper, lower = (along.position + sign * radius[:, None] * normal for sign in (+1, -1))
+    parts = np.stack([lower[:-1], lower[1:], upper[1:], upper[:-1]], axis=1)
+    touching = _share_a_point(parts[i], parts[j], FLAT * s[-1])
+    if not np.any(touching):
+        return None
+    i, j = i[touching], j[touching]
+    distance = np.linalg.norm(along.position[i] - along.position[j + 1], axis=-1)
+    nearest = np.argmin(distance / (radius[i] + radius[j + 1]))
+    return Contact(float(s[i[nearest]]), float(s[j[nearest] + 1]), float(distance[nearest]))
+
+
+@eqx.filter_jit
+def _centre_line(dense: Dense, arc_length: ArrayLike) -> State:
+    return jax.vmap(dense.state)(jnp.asarray(arc_length))
+
+
+def _stations(length: float, joints: np.ndarray) -> np.ndarray:
+    joints = joints[(joints > 0) & (joints < length)]
+    return np.unique(np.concatenate([np.linspace(0.0, length, STATIONS), joints, joints + 1e-9 * length]))
+
+
+def _far_pairs(s: np.ndarray, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of quadrilaterals that are far apart along the body, and near enough in the plane to be looked at."""
+    reach = np.maximum(radius[:-1], radius[1:]) + np.diff(s)  # of a quadrilateral from its first neutral point
+    i, j = np.triu_indices(len(reach), 1)
+    apart = s[j] - s[i + 1]
+    far = apart > np.pi * np.maximum(reach[i], reach[j])
+    near = np.linalg.norm(position[i] - position[j], axis=-1) <= reach[i] + reach[j]
+    return i[far & near], j[far & near]
+
+
+def _share_a_point(one: np.ndarray, other: np.ndarray, flat: float) -> np.ndarray:
+    """Whether convex quadrilaterals, (pairs, 4, 2), overlap: no line along any of their sides separates them."""
+    together = np.ones(len(one), bool)
+    for shape in (one, other):
+        for k in range(4):
+            x, y = np.moveaxis(shape[:, (k + 1) % 4] - shape[:, k], -1, 0)
+            across = np.stack([-y, x], axis=-1) / np.maximum(np.hypot(x, y), np.finfo(float).tiny)[:, None]
+            a, b = (np.einsum("ij,ikj->ik", across, corners) for corners in (one, other))
+            gap = np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1))
+            together &= gap <= flat
+    return together

@@ -1,0 +1,140 @@
+"""What `print` shows of an equilibrium: numbers with units, in a few lines."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jax.core import Tracer
+
+from ..units import shown
+from .contact import self_contact
+from .equilibrium import RESULTS, Equilibrium
+
+_FAR_TOO_MUCH = 10.0  # offset * curvature, which no change of a body explains, but another unit does
+# results whose numbers are kept and may be wrong; `remarks_on` tells of further ones
+_DOUBTED = (RESULTS.crossing, RESULTS.inaccurate, RESULTS.slack, RESULTS.unreachable, RESULTS.undetermined)
+
+
+def equilibrium_in_words(equilibrium: Equilibrium) -> str:
+    """The answer of one solve; of a batch or under jit the names and shapes of what it holds."""
+    if not is_single(equilibrium):
+        return eqx.tree_pformat(equilibrium)
+    if not np.isfinite(equilibrium.tip_angle):
+        return f"no equilibrium: {result_in_words(equilibrium)}"
+    pulled = [f"base tension {tension:.4f} N" for tension in equilibrium.base_tension]
+    doubts = [result_in_words(equilibrium)] if any(equilibrium.result == code for code in _DOUBTED) else []
+    lines = [tip_line(equilibrium), *tendon_lines(equilibrium, pulled), strain_line(equilibrium)]
+    return "\n".join([*lines, *last_lines(equilibrium, doubts)])
+
+
+def is_single(equilibrium: Equilibrium) -> bool:
+    """Whether it is one solve whose numbers are known."""
+    return not isinstance(equilibrium.tip_angle, Tracer) and np.ndim(equilibrium.tip_angle) == 0
+
+
+def tip_line(equilibrium: Equilibrium) -> str:
+    """Position and angle of the tip."""
+    x, y = 1e3 * np.asarray(equilibrium.tip_position)
+    return f"tip at ({x:.3f}, {y:.3f}) mm, {np.degrees(equilibrium.tip_angle):.3f} deg"
+
+
+def tendon_lines(equilibrium: Equilibrium, pulled: Sequence[str]) -> list[str]:
+    """One line for each tendon.
+
+    Args:
+        equilibrium: one solve.
+        pulled: the first words on each tendon, about its base tension; may be empty.
+    """
+    lines = []
+    for i, travel in enumerate(equilibrium.tendon_displacement):
+        base, tip, loss = equilibrium.base_tension[i], equilibrium.tip_tension[i], equilibrium.tension_loss[i]
+        tension = f"tip tension {tip:.4f} N, loss {100 * loss:.2f} %" if base > 0 else "no tension"
+        told = ", ".join([part for part in (pulled[i], tension) if part])
+        lines.append(f"tendon {i + 1}: {told}, pulled in {1e3 * travel:.3f} mm")
+    return lines
+
+
+def strain_line(equilibrium: Equilibrium) -> str:
+    """The peak strain of the wall and its arc length, beside the yield strain where that is known."""
+    body = equilibrium._dense.manipulator
+    if not equilibrium.has_wall:
+        return "peak strain of the wall: not known, the body has no outer_radius"
+    bears = "" if body.yield_strain is None else f" (yield_strain {shown(body.yield_strain, 'strain')})"
+    return f"peak strain of the wall {_peak(equilibrium)}{bears}"
+
+
+def _peak(equilibrium: Equilibrium) -> str:
+    return f"{100 * float(equilibrium.peak_strain):.4g} % at s = {shown(equilibrium.peak_strain_at, 'length')}"
+
+
+def last_lines(equilibrium: Equilibrium, doubts: Sequence[str] = ()) -> list[str]:
+    """The error estimate, and as warnings the `doubts` and the remarks."""
+    warned = [*doubts, *remarks_on(equilibrium)]
+    error = f"error estimate {float(equilibrium.error_estimate):.1e}{'' if warned else '; successful'}"
+    return [error, *(f"warning: {text}" for text in warned)]
+
+
+def remarks_on(equilibrium: Equilibrium) -> tuple[str, ...]:
+    """See `Equilibrium.remarks`."""
+    if not is_single(equilibrium):
+        raise ValueError("remarks: needs one equilibrium, not a batch and not traced; take one lane out of it")
+    if not np.isfinite(equilibrium.tip_angle):
+        return ()
+    told = [] if equilibrium.stable else [RESULTS[RESULTS.unstable]]
+    wrong = [str(i) for i, contradicted in enumerate(equilibrium.direction_contradicted, 1) if contradicted]
+    told += [f"tendon {i}: {RESULTS[RESULTS.direction_contradicted]}" for i in wrong]
+    return *told, *wall_remarks(equilibrium)
+
+
+def wall_remarks(equilibrium: Equilibrium) -> list[str]:
+    """On a wall that is strained too much or touches itself; none where there is no solution."""
+    return [*_on_strain(equilibrium), *_on_contact(equilibrium)]
+
+
+def _on_strain(equilibrium: Equilibrium) -> list[str]:
+    body = equilibrium._dense.manipulator
+    if body.yield_strain is None or not equilibrium.has_wall or not equilibrium.peak_strain > body.yield_strain:
+        return []
+    return [
+        f"The wall is strained by {_peak(equilibrium)}, more than its yield_strain of "
+        f"{shown(body.yield_strain, 'strain')}: the body does not come back straight. Lower the tension or the loads."
+    ]
+
+
+def _on_contact(equilibrium: Equilibrium) -> list[str]:
+    contact = self_contact(equilibrium)
+    if contact is None:
+        return []
+    one, other = shown(contact.arc_length, "length"), shown(contact.other, "length")
+    return [
+        f"The body touches itself, s = {one} at s = {other}, and the model knows no contact. "
+        "Lower the tension or the loads."
+    ]
+
+
+def result_in_words(equilibrium: Equilibrium) -> str:
+    """How a single solve ended, in words; empty if it was successful."""
+    code = equilibrium.result
+    message = RESULTS[code]
+    if code == RESULTS.crossing:
+        message = f"{describe_crossing(equilibrium)}. {message}"
+    if code == RESULTS.load_limit:
+        message = (
+            f"An equilibrium was found up to {100 * float(equilibrium.load_fraction):.3g} % of the loads. {message}"
+        )
+    if code == RESULTS.slack or code == RESULTS.unreachable:
+        missed = ", ".join(f"{miss:.4g}" for miss in np.asarray(equilibrium.target_miss))
+        message = f"The nearest that can be reached misses the targets by {missed} (SI). {message}"
+    return message
+
+
+def describe_crossing(equilibrium: Equilibrium) -> str:
+    """Where offset * curvature is largest on the inside of a bend, as "tendon 1: offset * curvature is 1.08 at ..."."""
+    body, s = equilibrium._dense.manipulator, np.asarray(equilibrium.arc_length)
+    side = np.asarray([tendon.side for tendon in body.tendons])[:, None]
+    reach = np.asarray([body.length if tendon.end is None else tendon.end for tendon in body.tendons])[:, None]
+    crossing = np.where(s <= reach, side * np.asarray(body.offset(s)) * np.asarray(equilibrium.curvature), 0.0)
+    tendon, point = np.unravel_index(np.argmax(crossing), crossing.shape)
+    most = crossing[tendon, point]
+    hint = "; is the modulus in Pa, are lengths in m?" if most > _FAR_TOO_MUCH else ""
+    return f"tendon {tendon + 1}: offset * curvature is {most:.3g} at s = {shown(s[point], 'length')}{hint}"

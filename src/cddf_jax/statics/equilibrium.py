@@ -1,0 +1,308 @@
+"""What a solve returns: the equilibrium, its fields along the body, and the code that says how it went."""
+
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from ..errors import InputError
+from ..mechanics import bending
+from ..mechanics.problem import State, edge_nudge, guarded_section, moment_rate_of, tension_of
+from ..numerics.quadrature import Panels
+from ..robot.manipulator import CrossSection, Manipulator
+from ..robot.profiles import Number
+
+PerTendon = Float[Array, " tendons"]
+Tree = TypeVar("Tree")
+FRACTIONS = np.linspace(0.0, 1.0, 129)  # of every smooth piece of the body, at which its strain is looked at
+
+
+class RESULTS(eqx.Enumeration):
+    """How a solve ended. The member's text says what happened and what helps."""
+
+    successful = ""
+    direction_contradicted = (
+        "A tendon travels against its direction, so its friction has the wrong sign. Where the direction was stated, "
+        "flip it or leave it out: +1 slides in at the base, -1 slides out. Where it was found, both directions are "
+        "contradicted: part of the tendon sticks, and the model cannot tell its tension."
+    )
+    inaccurate = "The error estimate exceeds 1e-5: the body is too rough for its nodes. Raise nodes=."
+    crossing = (
+        "offset * curvature reaches 1: fibres of the body would cross at the tendon. "
+        "Lower the tension or the offset, or stiffen the body."
+    )
+    not_converged = "The iteration did not settle. Raise nodes= or max_passes, or lower tension and loads."
+    unstable = (
+        "The equilibrium is unstable: the smallest eigenvalue of its tangent is not positive, and no body stays there. "
+        "Lower the loads."
+    )
+    load_limit = (
+        "The path of equilibria, tensions first and then all loads together, ends before the full loads: the body "
+        "snaps. Lower the loads, or raise the tension that holds them."
+    )
+    slack = "A tendon would have to push to give its displacement; the answer is that of a tendon without tension."
+    unreachable = (
+        "No base tension between slack and crossing fibres gives what is wanted; the answer is the nearest found. "
+        "Change the target."
+    )
+    undetermined = (
+        "Other base tensions give what is wanted just as well: antagonists that do not stretch, say. "
+        "Give one of the tensions, or ask for something else."
+    )
+    locked = (
+        "A tendon that slides out locks: its tension grows without bound before the tip. "
+        "Lower its base tension, friction or wrap."
+    )
+    unphysical = (
+        "The body or its load is not physical (NaN, negative tension, modulus, friction or drag, a wall of no "
+        "thickness, a direction other than +1 or -1, a place off the body). Give tensions of 0 or more; "
+        "manipulator.validate() tells what is wrong with a body."
+    )
+
+
+# Equinox has no public way to the names and codes of an enumeration. Its private names are used from here to
+# `result_of`, and nowhere else.
+
+
+class Result(type(RESULTS.successful)):  # pyright: ignore[reportGeneralTypeIssues, reportUntypedBaseClass]
+    """A member of `RESULTS`, or one for each lane of a batch; its text is its words, or how many lanes ended how."""
+
+    def __str__(self) -> str:
+        if isinstance(self._value, Tracer) or np.ndim(self._value) == 0:
+            return RESULTS[self] or "successful"
+        codes, counts = np.unique(np.asarray(self._value), return_counts=True)
+        return ", ".join(f"{count} {RESULT_NAMES[code]}" for code, count in zip(codes, counts, strict=True))
+
+
+def with_words(result: RESULTS) -> RESULTS:
+    """The same result, whose text is its words."""
+    return Result(result._value, RESULTS)  # pyright: ignore[reportCallIssue]
+
+
+for _name, _member in RESULTS._name_to_item.items():
+    RESULTS._name_to_item[_name] = with_words(_member)
+RESULT_NAMES: tuple[str, ...] = tuple(RESULTS._name_to_item)  # in the order of their codes
+
+
+def code_of(result: RESULTS) -> Number:
+    """The code of a result, a whole number: traced under jit, an array with one code per lane of a batch."""
+    return result._value
+
+
+def result_of(code: int | np.integer) -> RESULTS:
+    """The result with a code."""
+    return getattr(RESULTS, RESULT_NAMES[code])
+
+
+NOTEWORTHY = (
+    RESULTS.unphysical,
+    RESULTS.locked,
+    RESULTS.not_converged,
+    RESULTS.load_limit,
+    RESULTS.slack,
+    RESULTS.unreachable,
+    RESULTS.undetermined,
+    RESULTS.crossing,
+    RESULTS.unstable,
+    RESULTS.inaccurate,
+    RESULTS.direction_contradicted,
+)
+
+
+class Fields(eqx.Module):
+    """What varies along the body, at one or several arc lengths; per tendon first."""
+
+    arc_length: Float[Array, "*points"]  # s, m
+    curvature: Float[Array, "*points"]  # kappa, 1/m, positive towards +n
+    heading: Float[Array, "*points"]  # phi, rad
+    position: Float[Array, "*points 2"]  # u, m, in the fixed frame at the base
+    tension: Float[Array, "tendons *points"]  # T, N; zero beyond the anchor of a tendon
+    wrap_angle: Float[Array, "tendons *points"]  # theta, rad, counted from the base
+    normal_force: Float[Array, "tendons *points 2"]  # F_CDDN on the body, N/m, fixed frame
+    friction_force: Float[Array, "tendons *points 2"]  # F_CDDF on the body, N/m, fixed frame
+
+
+class Equilibrium(eqx.Module):
+    """A manipulator in static equilibrium.
+
+    Where no equilibrium was found, the numbers are NaN and `result` says why. `result` also says when numbers may be
+    wrong (`crossing`, `inaccurate`, `direction_contradicted`).
+
+    Every attribute of `Fields` is an attribute here as well, at the base, the Gauss nodes and the tip.
+    """
+
+    along: Fields  # all that varies along the body
+    tip_position: Float[Array, "2"]  # u(L), m
+    tip_angle: Float[Array, ""]  # phi(L), rad
+    tip_tension: Float[Array, " tendons"]  # N; at its anchor for a tendon that ends before the tip
+    tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction; without base tension that of bending alone
+    tendon_displacement: Float[Array, " tendons"]  # m, pulled in at the base since the straight body: positive
+    base_tension: Float[Array, " tendons"]  # N; found where a target stood in its place
+    target_miss: Float[Array, " tendons"]  # reached less wanted, in the target's unit; 0 where the tension was given
+    base_moment: Float[Array, ""]  # M_ext(0), N m, that the dead loads put on the base
+    load_fraction: Float[Array, ""]  # of the loads, up to which there is an equilibrium: 1, or the limit load
+    num_load_steps: Int[Array, ""]  # in which the loads were put on; 1 where one step would do, 0 without loads
+    stable: Bool[Array, ""]  # at constant base tensions and dead loads, sliding as `direction` says
+    direction: Float[Array, " tendons"]  # +1 slides in at the base, -1 out; found where it was not stated
+    # True where a tendon travels against its direction: since the straight body, or under loads as all tensions rise
+    direction_contradicted: Bool[Array, " tendons"]
+    error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
+    num_iterations: Int[Array, ""]  # passes of the last solve; few under loads, as it starts near the solution
+    result: RESULTS  # how the solve ended
+    _dense: "Dense"
+
+    arc_length = property(lambda self: self.along.arc_length, doc="s, m, from 0 to L.")
+    curvature = property(lambda self: self.along.curvature, doc="kappa, 1/m.")
+    heading = property(lambda self: self.along.heading, doc="phi, rad.")
+    position = property(lambda self: self.along.position, doc="u, m, (points, 2).")
+    tension = property(lambda self: self.along.tension, doc="T, N, (tendons, points).")
+    wrap_angle = property(lambda self: self.along.wrap_angle, doc="theta, rad, (tendons, points).")
+    normal_force = property(lambda self: self.along.normal_force, doc="F_CDDN, N/m, (tendons, points, 2).")
+    friction_force = property(lambda self: self.along.friction_force, doc="F_CDDF, N/m, (tendons, points, 2).")
+
+    @property
+    def has_wall(self) -> bool:
+        """Whether the body has an outer radius, so that the strain of its wall is known."""
+        return self._dense.manipulator.outer_radius is not None
+
+    @property
+    def peak_strain(self) -> Float[Array, ""]:
+        """The largest bending strain |R_outer kappa| of the wall, a fraction, to 1e-4 of it; NaN where a solve failed.
+
+        Computed on access. It is the strain of the wall that the profiles describe, without notches.
+
+        Raises:
+            InputError: for a body without an outer radius.
+            ValueError: for a batch.
+        """
+        return self._peak[0]
+
+    @property
+    def peak_strain_at(self) -> Float[Array, ""]:
+        """The arc length, m, at which the wall has its `peak_strain`."""
+        return self._peak[1]
+
+    @property
+    def _peak(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        if np.ndim(self.tip_angle) > 0:
+            raise ValueError(
+                "peak_strain: needs one equilibrium, not a batch; ask for it in the function under jax.vmap"
+            )
+        return _peak_strain(self._dense)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Warnings about numbers that are correct, in words; for one solve, on the host, not traced.
+
+        An unstable equilibrium, tendons that travel against their direction, a strain above the body's
+        `yield_strain`, a body that touches itself.
+
+        Raises:
+            ValueError: for a batch or traced values.
+        """
+        from .description import remarks_on
+
+        return remarks_on(self)
+
+    def __str__(self) -> str:
+        from .description import equilibrium_in_words
+
+        return equilibrium_in_words(self)
+
+    @property
+    def panels(self) -> Panels:
+        """The panels of the solve: they end where the body is not smooth and where the curvature changes its sign."""
+        return self._dense.panels
+
+    def at(self, arc_length: ArrayLike) -> Fields:
+        """The same fields anywhere along the body.
+
+        Args:
+            arc_length: s, m, a number or an array of any shape; NaN comes back outside 0 to L.
+        """
+        s = jnp.asarray(arc_length, self.arc_length.dtype)
+        fields = jax.vmap(self._dense)(s.ravel())
+        return tendons_first(jax.tree.map(lambda x: x.reshape(s.shape + x.shape[1:]), fields), s.ndim)
+
+
+class Dense(eqx.Module):
+    """The collocation polynomials of a solution."""
+
+    manipulator: Manipulator
+    base_tension: PerTendon
+    direction: PerTendon
+    panels: Panels
+    starts: State
+    nodes: State
+    solved: Bool[Array, ""]
+
+    def state(self, arc_length: Float[Array, ""]) -> State:
+        """The integrated state at one arc length."""
+        return self.panels.interpolate(self.starts, self.nodes, arc_length)
+
+    def __call__(self, arc_length: Float[Array, ""]) -> Fields:
+        """The fields at one arc length, tendons last."""
+        section, state = guarded_section(self.manipulator, arc_length), self.state(arc_length)
+        fields = fields_at(section, self.base_tension, self.direction, arc_length, state)
+        inside = (arc_length >= 0) & (arc_length <= self.panels.edges[-1])
+        return nan_unless(self.solved & inside, fields)
+
+    def peak_strain(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """The largest |R_outer kappa|, and its arc length, m."""
+        if self.manipulator.outer_radius is None:
+            raise InputError("peak_strain: the body has no outer_radius; give it both radii, or leave the strain out")
+        cut, nudge = self.panels, edge_nudge(self.panels)
+        left, right = cut.edges[:-1, None], cut.edges[1:, None]
+        places = left + cut.width[:, None] * FRACTIONS
+        within = jnp.clip(places, left + nudge, right - nudge)  # at a joint each side has its own radius
+        states = jax.tree.map(lambda a, b: cut.resample(a, b, FRACTIONS), self.starts, self.nodes)
+        states = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
+        strain = jnp.abs(jax.vmap(self._strain)(within.ravel(), states))
+        same = 64 * float(jnp.finfo(strain.dtype).eps)  # along an even bend: the place is the first
+        most = jnp.argmax(strain >= (1 - same) * jnp.max(strain))
+        return nan_unless(self.solved, (strain[most], places.ravel()[most]))
+
+    def _strain(self, arc_length: Float[Array, ""], state: State) -> Float[Array, ""]:
+        section = guarded_section(self.manipulator, arc_length)
+        curvature = bending.curvature(section, tension_of(section, self.base_tension, state.pull), state.moment)
+        return self.manipulator.outer_strain(arc_length, curvature)
+
+
+_peak_strain = eqx.filter_jit(Dense.peak_strain)
+
+
+def fields_at(
+    section: CrossSection, base_tension: PerTendon, direction: PerTendon, arc_length: Float[Array, ""], state: State
+) -> Fields:
+    """The fields at one cross-section, tendons last."""
+    tension = tension_of(section, base_tension, state.pull)
+    kappa = bending.curvature(section, tension, state.moment)
+    rate = bending.rates(section, kappa, tension, direction, moment_rate_of(state.heading, state.force))
+    forces = bending.distributed_forces(section, state.heading, kappa, tension, direction, rate)
+    return Fields(
+        arc_length, kappa, state.heading, state.position, tension, state.wrap_angle, forces.normal, forces.friction
+    )
+
+
+def tendons_first(fields: Fields, points_ndim: int) -> Fields:
+    """Move the axis of the tendons before those of the points."""
+
+    def per_tendon(fields):
+        return fields.tension, fields.wrap_angle, fields.normal_force, fields.friction_force
+
+    return eqx.tree_at(per_tendon, fields, [jnp.moveaxis(x, points_ndim, 0) for x in per_tendon(fields)])
+
+
+@eqx.filter_jit
+def fields_on(equilibrium: Equilibrium, arc_length: ArrayLike) -> Fields:
+    """`equilibrium.at`, compiled once for each number of arc lengths."""
+    return equilibrium.at(arc_length)
+
+
+def nan_unless(good: Bool[Array, ""], tree: Tree) -> Tree:
+    """NaN where a solve failed, so that no number is mistaken for a result; derivatives by other lanes stay finite."""
+    return jax.tree.map(lambda x: jnp.where(good, x, jnp.nan), tree)

@@ -1,0 +1,185 @@
+"""The paper's algorithm as it stands, as a method of `solve` and step by step. Liu et al. (2020), section III."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.tree_util import Partial
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from ..mechanics import bending
+from ..mechanics.directions import Directions, not_stated
+from ..mechanics.fixed_point import integrate_shape
+from ..mechanics.friction import Pull
+from ..mechanics.problem import Nodal, Problem, Solution, State, curvature_along, lay_out
+from ..numerics.implicit import without_derivative
+from ..numerics.iteration import fixed_point
+from ..numerics.quadrature import Panels
+from ..robot.manipulator import Manipulator
+from .arguments import check_nodes, one_precision, per_tendon
+from .solve import solve
+
+
+class LiteralIteration(eqx.Module):
+    """The paper's algorithm, Liu et al. (2020), section III: kappa_new = M[kappa_old] / (E J).
+
+    It starts from the frictionless shape, eq. (17), evaluates eq. (14) at the last shape, and stops
+    when the tip moves by less than the threshold, eq. (18). In the published kinematics it contracts
+    only where T d^2 < E J all along the body.
+
+    Args:
+        tip_tolerance: e_tip,th, m. The error estimate holds the last motion over the length, which falls short of
+            the error where the map contracts slowly.
+        max_updates: it stops here at the latest.
+    """
+
+    tip_tolerance: float = eqx.field(default=1e-4, static=True)
+    max_updates: int = eqx.field(default=100, static=True)
+
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Solution:
+        if problem.loads is not None:
+            raise ValueError("LiteralIteration is the paper's and knows no loads; use FixedPoint")
+        _refuse_drag(problem.manipulator)
+        cut = problem.panels
+
+        answer = fixed_point(
+            Partial(literal_update, problem),
+            frictionless_curvature(problem),
+            tolerance=self.tip_tolerance,
+            max_passes=self.max_updates,
+            size=Partial(_tip_motion, without_derivative(cut)),
+        )
+        gain = problem.direction * problem.manipulator.tendon_friction
+        wrap_edges, wrap = literal_wrap_angle(problem, answer.value)
+        (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
+        none = jnp.zeros_like(cut.edges), jnp.zeros_like(position_edges)
+        edges = State(Pull(jnp.exp(gain * wrap_edges)), wrap_edges, heading_edges, position_edges, *none)
+        outboard = problem.outboard.nodes
+        return Solution(
+            starts=jax.tree.map(lambda x: x[:-1], edges),
+            nodes=State(Pull(jnp.exp(gain * wrap)), wrap, heading, position, jnp.zeros_like(heading), outboard),
+            tip=jax.tree.map(lambda x: x[-1], edges),
+            num_iterations=answer.num_passes,
+            residual=answer.change / cut.edges[-1],
+            converged=answer.converged,
+            locked=jnp.zeros_like(answer.converged),
+        )
+
+    improve = __call__
+
+
+def _refuse_drag(manipulator: Manipulator) -> None:
+    if manipulator.tendon_drag is not None:
+        raise ValueError("LiteralIteration is the paper's and knows no drag; use FixedPoint, or drag=None")
+
+
+def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
+    return integrate_shape(cut, curvature)[1][0][-1]
+
+
+def _tip_motion(cut: Panels, change: Float[Array, "P p"], curvature: Float[Array, "P p"]) -> Float[Array, ""]:
+    """How far the last change moved the tip, m: e_tip of eq. (18)."""
+    moved = _tip(cut, curvature) - _tip(cut, curvature - change)
+    return jnp.sqrt(jnp.sum(moved**2))
+
+
+def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
+    """The shape with T = T_base everywhere, where the paper starts. Liu et al. (2020), eq. (17)."""
+    ones = jnp.ones_like(problem.nodes.offset)
+    return curvature_along(problem, problem.nodes, Pull(ones), jnp.zeros_like(problem.panels.nodes))
+
+
+def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:
+    """The wrap angle theta at edges and nodes for a given shape, eq. (8). Its kappa' is that of the shape."""
+    if problem.joints is not None:
+        raise ValueError(
+            "LiteralIteration does not know tendons that turn by a finite angle between two pieces of the body; "
+            "use FixedPoint"
+        )
+    t = jax.vmap(jax.vmap(bending.tangent))(problem.nodes, curvature)
+    turning = t.turning + t.turning_slope * problem.panels.differentiate(curvature)[..., None]
+    return problem.panels.integrate(jnp.where(problem.nodes.present, jnp.abs(turning), 0.0))
+
+
+def literal_update(problem: Problem, curvature: Float[Array, "P p"]) -> Float[Array, "P p"]:
+    """One update of the paper's algorithm: eq. (14) at the last shape, its double integral done by parts."""
+    _, wrap = literal_wrap_angle(problem, curvature)
+    section = problem.nodes
+    tension = problem.base_tension * jnp.exp(-problem.direction * section.friction_coefficient * wrap)
+    t = jax.vmap(jax.vmap(bending.tangent))(section, curvature)
+    moment = jnp.where(section.present, section.side * section.offset * tension * t.along, 0.0)
+    return jnp.sum(moment, axis=-1) / section.stiffness
+
+
+class IterationHistory(eqx.Module):
+    """Iterate 0 is the frictionless start, iterate k the shape after k updates.
+
+    Every iterate up to the last allowed is there; `num_updates` says where the paper would have stopped.
+    """
+
+    arc_length: Float[Array, " points"]  # s, m: 0, the nodes, L
+    curvature: Float[Array, "iterates nodes"]  # kappa, 1/m, at the nodes
+    position: Float[Array, "iterates points 2"]  # u, m
+    tip_tension: Float[Array, "iterates tendons"]  # N, that goes with the shape by eq. (8)
+    tip_error: Float[Array, " updates"]  # e_tip, m: how far update k + 1 moved the tip, eq. (18)
+    tip_tolerance: float = eqx.field(static=True)  # e_tip,th, m
+    num_updates: Int[Array, ""]  # updates until e_tip < e_tip,th; all of them if that never came
+    converged: Bool[Array, ""]  # whether e_tip fell below e_tip,th
+
+
+def iteration_history(
+    manipulator: Manipulator,
+    base_tension: ArrayLike | Sequence[ArrayLike],
+    *,
+    direction: Directions = None,
+    tip_tolerance: float = 1e-4,
+    max_updates: int = 30,
+    nodes: int = 16,
+) -> IterationHistory:
+    """Run the algorithm of Liu et al. (2020), section III, and keep every shape.
+
+    Args:
+        base_tension, nodes: as in `solve`.
+        direction: as in `solve`; where it is to be found, it is that of the equilibrium.
+        tip_tolerance: e_tip,th, m.
+        max_updates: how many updates are made, whatever the threshold.
+    """
+    check_nodes(nodes)
+    _refuse_drag(manipulator)
+    given = per_tendon(manipulator, base_tension, direction)
+    if not_stated(given[1]):
+        given = given[0], solve(manipulator, given[0], direction=given[1], nodes=nodes).direction
+    manipulator, base_tension, direction, _ = one_precision(manipulator, *given)
+    problem = lay_out(manipulator, base_tension, direction, nodes)
+    cut = problem.panels
+    start = frictionless_curvature(problem)
+
+    def update(curvature, _):
+        new = literal_update(problem, curvature)
+        return new, new
+
+    _, later = jax.lax.scan(update, start, None, length=max_updates)
+    curvature = jnp.concatenate([start[None], later])
+
+    def observe(curvature):
+        _, (edges, at_nodes) = integrate_shape(cut, curvature)
+        wrap = literal_wrap_angle(problem, curvature)[0][-1]
+        gain = problem.direction * manipulator.tendon_friction
+        points = jnp.concatenate([edges[:1], at_nodes.reshape(-1, 2), edges[-1:]])
+        return points, problem.base_tension * jnp.exp(-gain * wrap)
+
+    position, tip_tension = jax.vmap(observe)(curvature)
+    step = jnp.diff(position[:, -1], axis=0)
+    tip_error = jnp.sqrt(jnp.sum(step**2, axis=-1))
+    below = tip_error < tip_tolerance
+    return IterationHistory(
+        arc_length=jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]]),
+        curvature=curvature.reshape(max_updates + 1, -1),
+        position=position,
+        tip_tension=tip_tension,
+        tip_error=tip_error,
+        tip_tolerance=tip_tolerance,
+        num_updates=jnp.where(jnp.any(below), jnp.argmax(below) + 1, max_updates),
+        converged=jnp.any(below),
+    )

@@ -1,0 +1,199 @@
+"""The path of equilibria from the unloaded body to the loaded one.
+
+Where a loaded body has several equilibria, the one that is meant lies on the path along which the tensions act first,
+and then all loads grow together from 0 to 1. `follow_loads` walks along it in steps of the load fraction: an Euler
+prediction, then a `Trial` that is corrected.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..mechanics.problem import Nodal, Number
+from ..numerics.arrays import all_finite, computed_once, largest_size
+from .corrector import Flag, Headings, LoadedBody, Tree, Trial, start_from
+
+LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
+LARGEST_MISS = 0.2  # rad, by which any cross-section may miss its predicted heading
+LEAST_STEP = 1e-5  # of the loads
+CRITICAL_STEP = 1e-4  # of the loads: where stability changes in a longer step, it may have reached another branch
+MAX_TRIES = 200
+
+
+class LoadPath(NamedTuple):
+    """The end of the path of equilibria."""
+
+    base_moment: Number  # M_ext(0) over the problem's moment scale
+    fraction: Number  # of the loads, up to which there is an equilibrium; 1 unless the path ended
+    num_steps: Number  # steps of the loads
+    converged: Flag
+    stable: Flag  # the smallest eigenvalue of the tangent is positive
+    resolved: Flag  # false where the path did not end, but the method failed
+
+
+class _Place(NamedTuple):
+    """An equilibrium on the path; slopes are along the path, with respect to the load fraction."""
+
+    fraction: Number
+    moment: Number
+    moment_slope: Number
+    nodal: Nodal
+    nodal_slope: Nodal
+    heading: Headings
+    heading_slope: Headings
+    stable: Flag
+
+
+class _Walk(NamedTuple):
+    place: _Place  # the last equilibrium that was accepted
+    trial: Trial  # of the next one
+    step: Number  # to it, of the loads
+    fraction: Number  # at which it is tried
+    num_steps: Number
+    num_tries: Number
+    arrived: Flag  # at the full loads
+    ended: Flag  # before them
+    resolved: Flag
+
+    @property
+    def over(self) -> Flag:
+        return self.arrived | self.ended
+
+
+def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
+    """Walk along the path of equilibria until all loads act.
+
+    The steps are Euler steps, each of them corrected. A step is taken back and shortened where the correction does not
+    settle, where the body turns or misses its prediction by more than is allowed on one path, or where the stability
+    changes in a step that is not small.
+
+    Args:
+        body: its problem is that under its full loads.
+        guess: the values at the nodes without loads.
+        zero: 0, which under shard_map varies as all numbers do.
+
+    Returns:
+        The end of the path, and a trial near there, still to be settled.
+    """
+
+    def advance(walk: _Walk) -> _Walk:
+        # in a batch this runs for all lanes, also for those that are over
+        trial = jax.lax.while_loop(
+            lambda trial: ~(trial.near | trial.lost | walk.over),
+            lambda trial: body.correct(trial, walk.fraction)[0],
+            walk.trial,
+        )
+        return _decide(walk._replace(trial=trial))
+
+    walk = jax.lax.while_loop(lambda walk: ~walk.over, advance, _first_walk(guess, zero))
+    place = walk.place
+    found = LoadPath(
+        base_moment=place.moment,
+        fraction=place.fraction,
+        num_steps=walk.num_steps - 1.0,  # the first one is the body without loads
+        converged=walk.arrived,
+        stable=place.stable,
+        resolved=walk.resolved,
+    )
+    return found, walk.trial
+
+
+def _first_walk(guess: Nodal, zero: Number) -> _Walk:
+    """Before the first try, which is the body without loads."""
+    trial = start_from(guess, zero, num_slopes=2)
+    false, true = zero > 0, zero == 0
+    place = _arrive(trial, zero)._replace(stable=true)
+    return _Walk(
+        place=place,
+        trial=trial,
+        step=zero + 1.0,
+        fraction=zero,
+        num_steps=zero,
+        num_tries=zero,
+        arrived=false,
+        ended=false,
+        resolved=true,
+    )
+
+
+def _arrive(trial: Trial, fraction: Number) -> _Place:
+    """The equilibrium that a trial is near to, with its slopes along the path."""
+    slope, slope_by_fraction = trial.residual_slopes
+    moment_slope = jnp.where(slope_by_fraction == 0, 0.0, -slope_by_fraction / slope)
+
+    def along_path(slopes: Tree) -> Tree:
+        return jax.tree.map(lambda x: x[1] + moment_slope * x[0], slopes)
+
+    return _Place(
+        fraction=fraction,
+        moment=trial.moment,
+        moment_slope=moment_slope,
+        nodal=trial.nodal,
+        nodal_slope=along_path(trial.nodal_slopes),
+        heading=trial.heading,
+        heading_slope=along_path(trial.heading_slopes),
+        stable=trial.stable,
+    )
+
+
+def _decide(walk: _Walk) -> _Walk:
+    """Accept the trial and go on, or take the step back and shorten it."""
+    first, old, trial = walk.num_steps == 0, walk.place, walk.trial
+    new = _arrive(trial, walk.fraction)
+    turned = jax.tree.map(jnp.subtract, new.heading, old.heading)
+    missed = jax.tree.map(lambda x, v: x - (new.fraction - old.fraction) * v, turned, old.heading_slope)
+    missed, turned = (jnp.where(first, 0.0, largest_size(x)) for x in (missed, turned))
+    near = trial.near & all_finite(new.heading_slope)
+    jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
+    accepted = near & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
+    accepted = computed_once(jnp.where(accepted, 1.0, 0.0)) > 0
+    place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), new, old)
+
+    remaining = 1.0 - place.fraction
+    step = jnp.minimum(_next_step(walk.step, missed, place, accepted, near & ~jumped), remaining)
+    step = computed_once(step)
+    tries = walk.num_tries + 1.0
+    arrived = accepted & (place.fraction >= 1.0)
+    ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
+    return _Walk(
+        place,
+        _predict(place, jnp.where(ended, 0.0, step), trial)._replace(settled=trial.settled & arrived),
+        step,
+        fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
+        num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
+        num_tries=tries,
+        arrived=arrived,
+        ended=ended,
+        resolved=trial.sane,
+    )
+
+
+def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_path: Flag) -> Number:
+    """The next step to try, of the loads: by how much the last one missed its prediction, and how fast the body turns.
+
+    Args:
+        step: the last one.
+        missed: its prediction, rad.
+        place: from which the next step starts.
+        accepted: whether the last step was.
+        on_path: whether it led to an equilibrium that may lie on the path.
+    """
+    ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
+    shorter = step * jnp.where(on_path, jnp.clip(ideal, 0.1, 0.5), 0.25)
+    longer = step * jnp.clip(ideal, 0.3, 4.0)
+    gentle = 0.8 * LARGEST_TURN / jnp.maximum(largest_size(place.heading_slope), 0.1 * LARGEST_TURN)
+    return jnp.minimum(jnp.where(accepted, longer, shorter), gentle)
+
+
+def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
+    """The next trial, by an Euler step along the path; the slopes of the last trial are about right for it."""
+    false = trial.lost & False
+    return trial._replace(
+        moment=place.moment + step * place.moment_slope,
+        nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
+        nodal_slopes=jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.nodal_slopes),
+        near=false,
+        lost=false,
+        num_passes=jnp.zeros_like(place.moment),
+    )

@@ -1,0 +1,239 @@
+"""`solve`: static equilibrium of one manipulator under one load."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from ..errors import SolveError
+from ..mechanics.directions import Directions, is_contradicted, not_stated
+from ..mechanics.fixed_point import ACCURACY, FixedPoint, truncation_error
+from ..mechanics.friction import unspent
+from ..mechanics.problem import Method, Problem, Solution, guarded_section, line_up, tendon_displacement
+from ..numerics.arrays import largest, zero_as
+from ..numerics.quadrature import panels
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..robot.profiles import Number
+from ..robot.validation import check_weight
+from .arguments import (
+    GivenDirections,
+    are_on_the_body,
+    check_nodes,
+    checked_loads,
+    harmless,
+    is_physical,
+    one_precision,
+    per_tendon,
+    split_actuation,
+)
+from .description import result_in_words
+from .equilibrium import RESULTS, Dense, Equilibrium, Fields, code_of, fields_at, nan_unless, tendons_first, with_words
+from .equilibrium_derivatives import Balance, equilibrate, inside_of_bend
+from .equilibrium_search import Setup
+from .targets import Actuation, Displacement, Target, TipAngle, TipStiffness
+from .tension_search import Found, reach
+
+PerTendon = Float[Array, " tendons"]
+
+
+def solve(
+    manipulator: Manipulator,
+    base_tension: Actuation,
+    loads: Loads | None = None,
+    *,
+    direction: Directions = None,
+    method: Method = FixedPoint(),
+    nodes: int = 16,
+    throw: bool = True,
+) -> Equilibrium:
+    """Shape, tension and friction of a manipulator whose tendons are pulled at the base.
+
+    Works under jit, vmap, grad, scan and shard_map; batching is the caller's `jax.vmap`.
+
+    Args:
+        manipulator: the body and its tendons.
+        base_tension: T_base >= 0, N, a number for all tendons or one per tendon. In place of a number may stand
+            what is to be reached, and its tension is found: `Displacement`, `TipAngle`, `TipTension`,
+            `CurvatureAt`, `TotalTension`, `TipStiffness`; as many targets as unknown tensions.
+        loads: dead loads on the tip and gravity; None for none.
+        direction: +1 for a tendon that slides in at the base (pulled, as in the paper), -1 for one that
+            slides out; a number, or one per tendon. None, for all or in the place of one tendon, for the direction
+            of its travel: the length pulled in since the straight body, under loads the rate of that while all
+            tensions rise in proportion. A single tendon has +1. Derivatives hold the directions that were found.
+        method: `FixedPoint()` or, without loads, `LiteralIteration()`.
+        nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. The default is accurate to
+            1e-8 of the tip tension and 1e-7 of the length.
+        throw: raise where the values are known and the solve failed. Where they are traced, under jit or
+            vmap, nothing is raised; look at `result`.
+
+    Where loads leave several equilibria, it is the one on the path along which the tensions act first and then
+    all loads grow together from 0 to 1. `num_load_steps` counts the steps, `stable` judges the end, and where the
+    path ends early (`load_limit`) `load_fraction` says where.
+
+    A lane that fails has NaN for its numbers and 0 for its derivatives: the derivative of a sum over a batch stays
+    finite.
+    Some failures keep their numbers: `crossing`, where the model has left its range, `inaccurate` and `unstable`;
+    and `slack`, `unreachable` and `undetermined`, whose numbers are those of the nearest tensions, with the
+    `target_miss` that is left, and whose derivatives are taken at these tensions.
+    Derivatives are one-sided where the curvature is zero along a stretch of the body (no tension and no load, or
+    antagonists that cancel): friction acts on |kappa|, whose slope there is taken as that of kappa > 0. Isolated
+    changes of sign are located and are harmless to derivatives of any order.
+    A tendon that slides in and whose tension drag has used up is slack from there on: it has no tension and no
+    friction, and follows the body. Its tip tension is 0, and so are the derivatives of that.
+    Of the body only what makes the numbers meaningless is checked here (finite, a stiffness, friction, drag and
+    offsets not negative); walls, anchors, knots and jumps are checked by `manipulator.validate()`.
+
+    Raises:
+        SolveError: with `throw`, when the result is neither successful nor `direction_contradicted`.
+        ValueError: for a wrong number of tensions, directions or components of a load, nodes below 4, or gravity on
+            a body that is known to have no mass.
+        TypeError: if an argument has the wrong type.
+    """
+    if not isinstance(manipulator, Manipulator):
+        raise TypeError(f"solve: the first argument must be a Manipulator, got {type(manipulator).__name__}")
+    check_nodes(nodes)
+    if not isinstance(method, FixedPoint | Method) or isinstance(method, type):
+        raise TypeError(f"solve: method must be one such as FixedPoint(), got {method!r}")
+    given, targets = split_actuation(manipulator, base_tension)
+    given, direction = per_tendon(manipulator, given, direction)
+    loads = checked_loads(loads)
+    if loads is None and any(isinstance(target, TipStiffness) for target in targets):
+        loads = Loads()
+    check_weight(manipulator, loads)
+    equilibrium = _solve(manipulator, given, targets, loads, direction, method, nodes)
+    if throw:
+        _raise_if_failed(equilibrium, targets)
+    return equilibrium
+
+
+def _raise_if_failed(equilibrium: Equilibrium, targets: tuple[Target | None, ...]) -> None:
+    code = code_of(equilibrium.result)
+    if isinstance(code, Tracer) or np.ndim(code) > 0:
+        return
+    if code in (code_of(RESULTS.successful), code_of(RESULTS.direction_contradicted)):
+        return
+    raise SolveError(result_in_words(equilibrium) + _units_of(targets, float(equilibrium.arc_length[-1])))
+
+
+def _units_of(targets: tuple[Target | None, ...], length: float) -> str:
+    """A hint at the unit of a target, if its value looks like another unit."""
+    for target in targets:
+        if isinstance(target, TipAngle) and abs(float(target.value)) > 2 * np.pi:
+            return f" TipAngle is in rad; {float(target.value):g} rad are {np.degrees(float(target.value)):.4g} deg."
+        if isinstance(target, Displacement) and abs(float(target.value)) > length:
+            return f" Displacement is in m; {float(target.value):g} m is longer than the body."
+    return ""
+
+
+@partial(jax.jit, static_argnames=("method", "nodes"))
+def _solve(
+    manipulator: Manipulator,
+    given: Number,
+    targets: tuple[Target | None, ...],
+    loads: Loads | None,
+    direction: GivenDirections,
+    method: Method,
+    nodes: int,
+) -> Equilibrium:
+    to_find = not_stated(direction)
+    asked = one_precision(manipulator, given, direction, (targets, loads))
+    numbers = jax.tree.leaves(eqx.filter(asked, eqx.is_inexact_array))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in numbers]))
+    manipulator, given, direction, (targets, loads) = harmless(*asked)
+    setup = Setup(manipulator, direction, loads, method, nodes, to_find)
+    balance, found = _equilibrium(setup, given, targets)
+    problem, solution = balance.problem, balance.solution
+
+    physical = finite & is_physical(asked[0], asked[1], asked[2], problem) & are_on_the_body(targets, problem)
+    solved = physical & balance.load_path.converged
+    at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
+    contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.panels.edges[-1])
+    truncation = balance.leverage * truncation_error(problem, solution)
+    crossing = largest(inside_of_bend(problem, solution)) >= 1.0
+    round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
+    dense = Dense(
+        manipulator, problem.base_tension, problem.direction, problem.panels, solution.starts, solution.nodes, solved
+    )
+
+    return Equilibrium(
+        along=nan_unless(solved, _along(setup, balance, dense)),
+        tip_position=nan_unless(solved, solution.tip.position),
+        tip_angle=nan_unless(solved, solution.tip.heading),
+        tip_tension=nan_unless(solved, at_tip),
+        tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, solution) / solution.tip.ratio),
+        tendon_displacement=nan_unless(solved, tendon_displacement(problem, solution)),
+        base_tension=nan_unless(solved, problem.base_tension),
+        target_miss=nan_unless(solved, found.miss),
+        base_moment=nan_unless(solved, problem.base_moment),
+        load_fraction=balance.load_path.fraction,
+        num_load_steps=balance.load_path.num_steps.astype(int),
+        stable=solved & balance.load_path.stable,
+        direction=problem.direction,
+        direction_contradicted=contradicted,
+        error_estimate=nan_unless(solved, truncation + balance.leverage * (solution.residual + round_off)),
+        num_iterations=solution.num_iterations.astype(int),
+        result=_first_of(
+            (~physical, RESULTS.unphysical),
+            (solution.locked, RESULTS.locked),
+            (~(solution.converged & balance.load_path.resolved), RESULTS.not_converged),
+            (~balance.load_path.converged, RESULTS.load_limit),
+            (found.slack, RESULTS.slack),
+            (~found.reached, RESULTS.unreachable),
+            (~found.determined, RESULTS.undetermined),
+            (crossing, RESULTS.crossing),
+            (~balance.load_path.stable, RESULTS.unstable),
+            (truncation > ACCURACY, RESULTS.inaccurate),
+            (jnp.any(contradicted), RESULTS.direction_contradicted),
+        ),
+        _dense=dense,
+    )
+
+
+def _fraction_left(problem: Problem, solution: Solution) -> PerTendon | float:
+    """What drag leaves of the base tension, over it; 1 where there is no base tension."""
+    if problem.base.drag is None:
+        return 1.0
+    pulled = problem.base_tension > 0
+    left = unspent(problem.base_tension, solution.tip.pull)
+    return jnp.where(pulled, left / jnp.where(pulled, problem.base_tension, 1.0), 1.0)
+
+
+def _equilibrium(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) -> tuple[Balance, Found]:
+    if any(target is not None for target in targets):
+        return reach(setup, given, targets)
+    true = zero_as(given) == 0
+    return equilibrate(setup, given), Found(miss=jnp.zeros_like(given), reached=true, slack=~true, determined=true)
+
+
+def _first_of(*cases: tuple[Bool[Array, ""], RESULTS]) -> RESULTS:
+    """The result of the first case that holds."""
+    result = RESULTS.successful
+    for holds, code in reversed(cases):
+        result = RESULTS.where(holds, code, result)
+    return with_words(result)
+
+
+# --- what is reported along the body -------------------------------------------------------------
+
+
+def _along(setup: Setup, balance: Balance, dense: Dense) -> Fields:
+    """The fields at the base, the Gauss nodes of the smooth pieces of the body, and the tip."""
+    problem, solution, body = balance.problem, balance.solution, setup.manipulator
+
+    first = jax.tree.map(lambda x: x[0], solution.starts)
+    cut, sections, nodes = problem.panels, problem.nodes, solution.nodes
+    pieces = panels(cut.edges[-1], body.breakpoints, setup.nodes)
+    if pieces.edges.shape != cut.edges.shape:  # panels that end at sign changes are not shown
+        cut = pieces
+        nodes = jax.vmap(jax.vmap(dense.state))(cut.nodes)
+        sections = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
+    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
+    sections = jax.tree.map(line_up, problem.base, sections, problem.tip)
+    states = jax.tree.map(line_up, first, nodes, solution.tip)
+    fields = jax.vmap(fields_at, (0, None, None, 0, 0))
+    return tendons_first(fields(sections, problem.base_tension, problem.direction, arc_length, states), 1)

@@ -1,0 +1,149 @@
+"""Targets: what may stand in place of a base tension, whose value is then found so that the target is reached."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import ArrayLike
+
+from ..mechanics.friction import unspent
+from ..mechanics.problem import (
+    Number,
+    Problem,
+    Solution,
+    curvature_of,
+    guarded_section,
+    tendon_displacement,
+    with_tip_force,
+)
+from ..robot.profiles import Scalar, as_number
+from .equilibrium_derivatives import missing_moment
+from .equilibrium_search import Setup
+
+
+@runtime_checkable
+class Target(Protocol):
+    """Takes the place of the base tension of one tendon, which is found so that `reading` becomes `value`."""
+
+    quantity: ClassVar[str]  # its name in `quantities`
+    value: Any  # Scalar, which pyright does not see in a field with a converter
+
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        """The value in an equilibrium, in the unit of `value`; `tendon` is the index of the tendon, from 0."""
+        ...
+
+    def size(self, setup: Setup) -> Number:
+        """The scale of a reading, for tolerances."""
+        ...
+
+
+Actuation = ArrayLike | Target | Sequence[ArrayLike | Target]  # for all tendons, or one entry per tendon
+
+
+class Displacement(eqx.Module):
+    """Length of this tendon pulled in at its actuator since the straight body, m, as a micrometer sets it."""
+
+    quantity: ClassVar[str] = "displacement"
+    value: Scalar = eqx.field(converter=as_number)
+
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        return tendon_displacement(problem, solution)[tendon]
+
+    def size(self, setup: Setup) -> Number:
+        return jnp.max(setup.manipulator.offset(0.0 * jnp.asarray(setup.manipulator.length)))
+
+
+class TipAngle(eqx.Module):
+    """The heading of the tip phi(L), rad."""
+
+    quantity: ClassVar[str] = "tip_angle"
+    value: Scalar = eqx.field(converter=as_number)
+
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        return solution.tip.heading
+
+    def size(self, setup: Setup) -> Number:
+        return jnp.ones_like(jnp.asarray(setup.manipulator.length))
+
+
+class TipTension(eqx.Module):
+    """The tension of this tendon at its anchor, N."""
+
+    quantity: ClassVar[str] = "tip_tension"
+    value: Scalar = eqx.field(converter=as_number)
+
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        left = unspent(problem.base_tension, solution.tip.pull)
+        if solution.tip.pull.spent is not None:  # for a slack tendon, a tension below zero gives the search a direction
+            left = jnp.where(jnp.asarray(self.value) >= 0, problem.base_tension - solution.tip.pull.spent, left)
+        return left[tendon] / solution.tip.ratio[tendon]
+
+    def size(self, setup: Setup) -> Number:
+        return jnp.abs(jnp.asarray(self.value)) + 1e-3 * bending_tension(setup)
+
+
+class TotalTension(eqx.Module):
+    """The sum of all base tensions, N: how hard antagonists pull against each other."""
+
+    quantity: ClassVar[str] = "total_tension"
+    value: Scalar = eqx.field(converter=as_number)
+
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        return jnp.sum(problem.base_tension)
+
+    def size(self, setup: Setup) -> Number:
+        return jnp.abs(jnp.asarray(self.value)) + 1e-3 * bending_tension(setup)
+
+
+class CurvatureAt(eqx.Module):
+    """The curvature kappa, 1/m, at one arc length, m."""
+
+    quantity: ClassVar[str] = "curvature"
+    value: Scalar = eqx.field(converter=as_number)
+    arc_length: Scalar = eqx.field(converter=as_number)
+
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        arc_length = jnp.asarray(self.arc_length, problem.panels.edges.dtype)
+        state = problem.panels.interpolate(solution.starts, solution.nodes, arc_length)
+        return curvature_of(problem, guarded_section(setup.manipulator, arc_length), state.pull, state.moment)
+
+    def size(self, setup: Setup) -> Number:
+        return 1.0 / jnp.asarray(setup.manipulator.length)
+
+
+class TipStiffness(eqx.Module):
+    """Force per deflection across the tip at constant base tensions, N/m: 1 / (n . C n), see `tip_compliance`."""
+
+    quantity: ClassVar[str] = "tip_stiffness"
+    value: Scalar = eqx.field(converter=as_number)
+
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        heading = solution.tip.heading
+        across = jnp.stack([-jnp.sin(heading), jnp.cos(heading)])
+
+        def tip(force, moment):
+            there = eqx.tree_at(lambda problem: problem.base_moment, with_tip_force(problem, force), moment)
+            solution = setup.method(there)
+            return solution.tip.position, missing_moment(there, solution)[0]
+
+        def by(force, moment):
+            return jax.jvp(tip, (problem.outboard.tip, problem.base_moment), (force, moment))[1]
+
+        none = jnp.zeros_like(problem.base_moment)
+        by_force, by_moment = by(across, none), by(jnp.zeros_like(across), none + 1.0)
+        deflection = by_force[0] - by_moment[0] * by_force[1] / by_moment[1]
+        return 1.0 / (across @ deflection)
+
+    def size(self, setup: Setup) -> Number:
+        return jnp.abs(jnp.asarray(self.value)) + jnp.finfo(float).tiny
+
+
+def bending_tension(setup: Setup) -> Number:
+    """The least E J / d^2 along the tendons, N: the scale of tensions at which d kappa comes near 1."""
+    body = setup.manipulator
+    arc_length = jnp.linspace(0.0, 1.0, 17) * jnp.asarray(body.length)
+    section = jax.vmap(body.cross_section)(arc_length)
+    offset = jnp.maximum(section.offset, 1e-3 * jnp.asarray(body.length))
+    return jnp.min(jnp.where(section.present, section.stiffness[:, None] / offset**2, jnp.inf))

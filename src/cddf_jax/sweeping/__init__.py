@@ -1,0 +1,1 @@
+"""Parameter studies: axes, samples, and labelled results of many solves."""

@@ -1,0 +1,108 @@
+"""Sweeps as NetCDF and CSV files, each written complete or not at all."""
+
+import os
+import secrets
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..batch.chunks import Layout, even_chunks
+from ..errors import InputError, needed
+from ..robot.named_numbers import of_tendon
+from .one_solve import COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@contextmanager
+def _in_one_step(path: Path) -> Iterator[Path]:
+    """A name beside the path, which takes its place when all is written."""
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        yield draft
+        os.replace(draft, path)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}; choose another place") from None
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
+    """The whole answer as a NetCDF file.
+
+    Raises:
+        InputError: where it cannot be written.
+    """
+    whole = answer.load().drop_encoding()
+    texts = {name: (c.dims, list(map(str, c.values))) for name, c in whole.coords.items() if c.dtype.kind == "T"}
+    with _in_one_step(path) as draft:  # SciPy's writer knows no text of any length
+        whole.assign_coords(texts).to_netcdf(draft, engine="scipy", format="NETCDF3_64BIT")
+
+
+def write_csv(layout: Layout, answer: "xarray.Dataset", path: Path) -> None:
+    """A table with a row for each solve: what varies, the outputs that are no lines along the body, the result.
+
+    Raises:
+        InputError: where it cannot be written.
+    """
+    pandas = needed("pandas")
+    with _in_one_step(path) as draft, open(draft, "w", encoding="utf-8", newline="") as file:
+        for i, (region, block) in enumerate(blocks_of(layout, answer)):
+            columns = _axis_columns(layout, region) | _output_columns(layout, block)
+            pandas.DataFrame(columns).to_csv(file, index=False, header=i == 0)
+
+
+def blocks_of(layout: Layout, answer: "xarray.Dataset") -> Iterator[tuple[tuple[slice, ...], "xarray.Dataset"]]:
+    """The answer in the order of its rows, as much at once as memory allows."""
+    sizes = list(layout.shape.values())
+    rows = replace(layout, chunks=even_chunks(sizes, layout.chunk_size, [False] * len(sizes)))
+    for index in rows.indices():
+        region = rows.region(index)
+        yield region, answer.isel(dict(zip(layout.shape, region, strict=True))).load()
+
+
+def _axis_columns(layout: Layout, region: tuple[slice, ...]) -> dict[str, np.ndarray]:
+    places = np.meshgrid(*(np.arange(r.start, r.stop) for r in region), indexing="ij")
+    at = {dimension: place.ravel() for dimension, place in zip(layout.shape, places, strict=True)}
+    found: dict[str, np.ndarray] = {}
+    for dimension, place in at.items():
+        of_it = {name: c for name, c in layout.coords.items() if c[0] == (dimension,)}
+        found |= {} if dimension in of_it else {dimension: place}
+        found |= {_head(name, attrs): values[place] for name, (_, values, attrs) in of_it.items()}
+    return found
+
+
+def _output_columns(layout: Layout, block: "xarray.Dataset") -> dict[str, np.ndarray]:
+    found: dict[str, np.ndarray] = {}
+    for name, variable in layout.variables.items():
+        if not is_short(layout, name) or name in VERDICTS:
+            continue
+        values, own = block[name].values, variable.dims[len(layout.shape) :]
+        for place in np.ndindex(values.shape[len(layout.shape) :]):
+            parts = zip(own, place, values.shape[len(layout.shape) :], strict=True)
+            ends = (f".{COMPONENTS[i]}" if d == "component" else of_tendon("", i) for d, i, n in parts if n > 1)
+            label = "".join([name, *ends])
+            found[_head(label, variable.attrs)] = values[(..., *place)].ravel()
+    return found | {RESULT: np.array(RESULT_NAMES)[block[RESULT].values.ravel()]}
+
+
+def component_label(dimension: str, place: int, size: int) -> str:
+    """What tells the components of an output apart: "X", "tendon 2"; nothing where there is one."""
+    if dimension == "component":
+        return COMPONENTS[place]
+    return f"tendon {place + 1}" if size > 1 else ""
+
+
+def _head(name: str, attrs: Mapping[str, object]) -> str:
+    unit = attrs.get("units", "1")
+    return name if unit == "1" else f"{name} [{unit}]"
+
+
+def is_short(layout: Layout, name: str) -> bool:
+    """Whether an output is a number or a few for each solve, not a line along the body."""
+    return "point" not in layout.variables[name].dims

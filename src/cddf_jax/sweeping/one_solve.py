@@ -1,0 +1,160 @@
+"""What a sweep can be asked for, with dimensions and units."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+
+from ..batch.chunks import Coordinate, Variable
+from ..errors import InputError
+from ..mechanics.problem import Method
+from ..quantities import QUANTITIES
+from ..robot.named_numbers import Case
+from ..statics.equilibrium import RESULT_NAMES, RESULTS, Equilibrium, code_of
+from ..statics.solve import solve
+from .axes import Dimension
+
+COMPONENTS = ("X", "Y")
+SUCCESSFUL, RESULT = VERDICTS = "successful", "result"
+
+
+# what can be asked of an `Equilibrium`, and its dimensions beside those of the sweep
+OUTPUTS: dict[str, tuple[str, ...]] = {
+    "tip_position": ("component",),
+    "tip_angle": (),
+    "tip_tension": ("tendon",),
+    "tension_loss": ("tendon",),
+    "tendon_displacement": ("tendon",),
+    "base_tension": ("tendon",),
+    "target_miss": ("tendon",),
+    "base_moment": (),
+    "load_fraction": (),
+    "num_load_steps": (),
+    "stable": (),
+    "direction": ("tendon",),
+    "direction_contradicted": ("tendon",),
+    "error_estimate": (),
+    "num_iterations": (),
+    "peak_strain": (),
+    "peak_strain_at": (),
+    "arc_length": ("point",),
+    "curvature": ("point",),
+    "heading": ("point",),
+    "position": ("point", "component"),
+    "tension": ("tendon", "point"),
+    "wrap_angle": ("tendon", "point"),
+    "normal_force": ("tendon", "point", "component"),
+    "friction_force": ("tendon", "point", "component"),
+}
+
+
+def variable(
+    name: str, array: jax.ShapeDtypeStruct, shape: Mapping[str, int], unit_by: str = "", by: str = ""
+) -> Variable:
+    """An output of `array`'s shape and type for every solve, or its derivative by what has the unit `unit_by`."""
+    if name == RESULT:
+        attrs = {
+            "long_name": RESULT,
+            "flag_values": [*range(len(RESULT_NAMES))],
+            "flag_meanings": " ".join(RESULT_NAMES),
+        }
+        return Variable(tuple(shape), tuple(shape.values()), np.dtype(np.int8), attrs)
+    if name == SUCCESSFUL:
+        attrs = {"long_name": "solved without any doubt"}
+        return Variable(tuple(shape), tuple(shape.values()), np.dtype(bool), attrs)
+    dims, unit, meaning = tuple(f"{name}_{i}" for i in range(array.ndim)), "", name
+    if name in OUTPUTS:
+        dims, unit, meaning = OUTPUTS[name], QUANTITIES[name].unit, QUANTITIES[name].words
+    if by:
+        unit, meaning = unit and quotient(unit, unit_by), f"{meaning}, by {by}"
+    attrs = {"long_name": meaning} | ({"units": unit} if unit else {})
+    return Variable((*shape, *dims), (*shape.values(), *array.shape), np.dtype(array.dtype), attrs)
+
+
+def slope_name(output: str, by: str) -> str:
+    """What the derivative of an output is called."""
+    return f"{output}_by_{by}"
+
+
+def quotient(unit: str, by: str) -> str:
+    """The unit of a derivative: "N" by "Pa" is "N/Pa"."""
+    if by == "1":
+        return unit
+    return f"{unit}/({by})" if " " in by or "/" in by else f"{unit}/{by}"
+
+
+def coordinates(dimensions: tuple[Dimension, ...], units: Mapping[str, str], variables: Mapping[str, Variable]) -> dict:
+    """What labels the answer."""
+    coords: dict[str, Coordinate] = {}
+    for dimension in dimensions:
+        for name, values in dimension.numbers.items():
+            coords[name] = ((dimension.name,), values, {"units": units[name]})
+        for name, values in dimension.options.items():
+            labels = [value if isinstance(value, int | str) else repr(value) for value in values]
+            coords[name] = ((dimension.name,), np.asarray(labels), {})
+    sizes = {dim: size for v in variables.values() for dim, size in zip(v.dims, v.shape, strict=True)}
+    if "tendon" in sizes:
+        coords["tendon"] = (("tendon",), np.arange(sizes["tendon"]), {"long_name": "place among the tendons"})
+    if "component" in sizes:
+        coords["component"] = (("component",), np.array(COMPONENTS), {})
+    return coords
+
+
+Numbers = Mapping[str, ArrayLike]
+Observables = tuple[tuple[str, Callable[[Equilibrium], ArrayLike]], ...]
+
+
+class OneSolve(eqx.Module):
+    """The outputs of one solve, and their derivatives, as a function of the numbers that vary."""
+
+    case: Case
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    observables: Observables = eqx.field(static=True)
+    sensitivities: tuple[str, ...] = eqx.field(static=True)
+    nodes: int = eqx.field(static=True)
+    method: Method = eqx.field(static=True)
+    dtype: np.dtype = eqx.field(static=True)
+
+    def __call__(self, numbers: Numbers) -> dict[str, Array]:
+        if not self.sensitivities:
+            return self._answer(numbers)
+        by = {name: jnp.asarray(numbers.get(name, self.case.number(name)), self.dtype) for name in self.sensitivities}
+
+        def real(by: Numbers) -> tuple[dict[str, Array], dict[str, Array]]:
+            outputs = self._answer({**numbers, **by})
+            return {name: x for name, x in outputs.items() if jnp.issubdtype(x.dtype, jnp.floating)}, outputs
+
+        slopes, outputs = jax.jacfwd(real, has_aux=True)(by)
+        return outputs | {slope_name(name, by): slope for name, of in slopes.items() for by, slope in of.items()}
+
+    def _answer(self, numbers: Numbers) -> dict[str, Array]:
+        there = self.case.with_numbers(numbers)
+        options = {"direction": there.direction, "method": self.method, "nodes": self.nodes}
+        found = solve(there.manipulator, there.base_tension, there.loads, throw=False, **options)
+        outputs = {name: getattr(found, name) for name in self.outputs}
+        outputs |= {name: _observed(name, function, found) for name, function in self.observables}
+        code = jnp.asarray(code_of(found.result))
+        return outputs | {SUCCESSFUL: code == code_of(RESULTS.successful), RESULT: code.astype(jnp.int8)}
+
+
+def _observed(name: str, function: Callable[[Equilibrium], ArrayLike], found: Equilibrium) -> Array:
+    try:
+        return jnp.asarray(function(found))
+    except (TypeError, ValueError, AttributeError) as error:
+        why = str(error).splitlines()[0]
+        raise InputError(f"sweep: the observable {name!r} makes no array of an Equilibrium ({why})") from None
+
+
+def prepared(case: Case, kinematics: str, dtype: np.dtype) -> Case:
+    """The case in one precision and kinematics, its numbers ready to be arguments of a program."""
+
+    def cast(leaf: object) -> object:
+        if not isinstance(leaf, float | np.ndarray | jax.Array):
+            return leaf
+        return jnp.asarray(leaf, dtype) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else leaf
+
+    return jax.tree.map(cast, replace(case, manipulator=replace(case.manipulator, kinematics=kinematics)))

@@ -1,0 +1,329 @@
+"""`sweep`: one solve for every combination of what varies, with labels, in chunks that survive a stop."""
+
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import version
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ..batch.chunks import Index, Layout, Variable, bytes_each, even_chunks
+from ..batch.fingerprint import code_digest, numbers_of, recorded
+from ..batch.lanes import Lanes
+from ..batch.work import COPIES, Work, carry_out
+from ..errors import InputError, needed, within
+from ..mechanics.directions import as_directions, stated_directions
+from ..mechanics.fixed_point import FixedPoint
+from ..mechanics.problem import Method
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..robot.named_numbers import Case, holds, of_tendon
+from ..statics.arguments import check_nodes
+from ..statics.equilibrium import Equilibrium
+from ..statics.targets import Target
+from .axes import RESERVED, Dimension, check_names, dimensions_of
+from .one_solve import OUTPUTS, RESULT, SUCCESSFUL, OneSolve, coordinates, prepared, slope_name, variable
+
+if TYPE_CHECKING:
+    import xarray
+
+CHUNK = 131072  # solves
+SHARE = 0.25  # of the memory that is free
+DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
+Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
+Tension = ArrayLike | Target | Sequence[ArrayLike | Target]
+Observable = Callable[[Equilibrium], ArrayLike]
+
+
+def sweep(
+    manipulator: Manipulator,
+    axes: Mapping[str, Values | Mapping[str, Values]],
+    base_tension: Tension | None = None,
+    loads: Loads | None = None,
+    *,
+    direction: ArrayLike | Sequence[int | None] | None = None,
+    outputs: Sequence[str] = DEFAULT_OUTPUTS,
+    observables: Mapping[str, Observable] | None = None,
+    sensitivities: Sequence[str] = (),
+    nodes: int = 16,
+    method: Method = FixedPoint(),
+    precision: str | None = None,
+    out: str | os.PathLike[str] | None = None,
+    memory: float | None = None,
+    chunk: int | None = None,
+    progress: bool = False,
+) -> "xarray.Dataset":
+    """Solve for every combination of the values along the axes, on all devices and processes there are.
+
+    Args:
+        manipulator: the body; what no axis names is taken from here.
+        axes: by dimension of the answer. Either the name of a number and its values, {"base_tension": values}, or any
+            other name and several numbers that vary together along it, {"sample": latin_hypercube(...)}. The dimensions
+            are combined with each other. A name is the path to a number: "base_tension", "youngs_modulus",
+            "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension_2", and the options "nodes",
+            "method", "kinematics". SI units.
+        base_tension, loads, direction, nodes, method: as `solve` takes them, where no axis names them.
+        outputs: attributes of `Equilibrium`, each an array of the answer.
+        observables: more outputs, by name, each a function of an `Equilibrium`.
+        sensitivities: names of numbers; for each output X that is real and each number P there is then
+            X_by_P, the derivative.
+        precision: "float32" or "float64"; that of JAX unless given.
+        out: path of a Zarr store. A sweep that was stopped, even by a kill, goes on where it was when it is started
+            again. A store of another sweep is refused. Several processes (`jax.distributed`) share the work.
+        memory: that may be used, bytes; a quarter of what is free unless given.
+        chunk: solves between two writes; sized for speed and memory unless given.
+        progress: show a bar with the rate and the time that is left.
+
+    Returns:
+        The outputs with the dimensions of the axes first, then "tendon", "point" (along the body), "component" (X, Y).
+        `result` says how each solve went (its codes are among its attributes) and `successful` where all is well: a
+        failed solve is NaN, a doubtful one (crossing, inaccurate, unstable, ...) keeps its numbers. As in `solve`,
+        walls and clearances are not checked: call `manipulator.validate()`. Chunks, devices and processes change
+        numbers in the last bits at most (1e-13 relative).
+
+    With "length" everything along the body varies in proportion: tapers, knots, joints and anchors. All other numbers
+    of a profile stay.
+
+    Raises:
+        InputError: for an unknown axis, output or option, a store of another sweep, or too little memory.
+    """
+    _check_kinds(manipulator, base_tension, loads, method, memory, axes)
+    work = Sweep(
+        manipulator=manipulator,
+        dimensions=dimensions_of(axes),
+        base_tension=base_tension,
+        loads=loads,
+        direction=direction,
+        outputs=_names("outputs", outputs),
+        observables=dict(observables or {}),
+        sensitivities=_names("sensitivities", sensitivities),
+        nodes=nodes,
+        method=method,
+        precision=precision,
+        memory=memory,
+        chunk_size=chunk,
+    )
+    return work.run(out, progress=progress)
+
+
+def _names(what: str, given: Sequence[str]) -> tuple[str, ...]:
+    if isinstance(given, str) or not all(isinstance(name, str) for name in given):
+        raise InputError(f"sweep: {what} must be a tuple of names, as in {what}=('tip_tension',), got {given!r}")
+    return tuple(given)
+
+
+def _check_kinds(
+    manipulator: object, base_tension: object, loads: object, method: object, memory: object, axes: object
+) -> None:
+    if not isinstance(manipulator, Manipulator):
+        raise InputError(f"sweep: manipulator must be a Manipulator, as of read_manipulator, got {manipulator!r}")
+    if loads is not None and not isinstance(loads, Loads):
+        raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {loads!r}")
+    if not isinstance(method, Method) or isinstance(method, type):
+        raise InputError(f"sweep: method must be one such as FixedPoint(), got {method!r}")
+    if memory is not None and not (isinstance(memory, int | float) and memory > 0):
+        raise InputError(f"sweep: memory must be a number of bytes above 0, as in memory=2e9, got {memory!r}")
+    if base_tension is not None and isinstance(axes, Mapping) and "base_tension" in axes:
+        raise InputError("sweep: base_tension is given and an axis; leave one out")
+
+
+class _Options(NamedTuple):
+    """The options of one solve; each combination is a program of its own."""
+
+    nodes: int
+    method: Method
+    kinematics: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """A sweep that is to run; for its fields see `sweep`."""
+
+    manipulator: Manipulator
+    dimensions: tuple[Dimension, ...]
+    base_tension: Tension | None = None
+    loads: Loads | None = None
+    direction: ArrayLike | Sequence[int | None] | None = None
+    outputs: tuple[str, ...] = DEFAULT_OUTPUTS
+    observables: dict[str, Observable] = field(default_factory=dict)
+    sensitivities: tuple[str, ...] = ()
+    nodes: int = 16
+    method: Method = field(default_factory=FixedPoint)
+    precision: str | None = None
+    memory: float | None = None
+    chunk_size: int | None = None
+
+    # --- what is asked for ------------------------------------------------------------------------
+
+    @cached_property
+    def case(self) -> Case:
+        """The case to solve; axes replace some of its numbers."""
+        names = [*self.sensitivities, *(name for dimension in self.dimensions for name in dimension.numbers)]
+        loads = self.loads
+        if loads is None and any(name.startswith("loads.") for name in names):
+            loads = Loads()
+        tension, count = self.base_tension, self.manipulator.num_tendons
+        if tension is None and {of_tendon("base_tension", i) for i in range(count)} <= set(names):
+            tension = np.zeros(count)
+        tension = tuple(tension) if isinstance(tension, list) else tension
+        if any(holds("base_tension", name) for name in names) and isinstance(tension, int | float):
+            tension = np.full(count, float(tension))
+        with within("sweep", ValueError):
+            direction = as_directions(stated_directions(self.direction, count))
+        return Case(self.manipulator, tension, loads, direction)
+
+    @cached_property
+    def dtype(self) -> np.dtype:
+        """The precision."""
+        widest = jax.dtypes.canonicalize_dtype(np.float64)
+        if self.precision not in (None, "float32", "float64"):
+            raise InputError(f"sweep: precision must be 'float32' or 'float64', got {self.precision!r}")
+        if self.precision == "float64" and widest != np.float64:
+            raise InputError("sweep: float64 is switched off in JAX; set jax.config.update('jax_enable_x64', True)")
+        return np.dtype(self.precision or widest)
+
+    @cached_property
+    def allowed(self) -> float:
+        """The memory that may be used, bytes."""
+        return SHARE * needed("psutil").virtual_memory().available if self.memory is None else float(self.memory)
+
+    @property
+    def options(self) -> "_Options":
+        """The options where no axis names them."""
+        return _Options(self.nodes, self.method, self.manipulator.kinematics)
+
+    def _check(self) -> None:
+        for name in ("outputs", "sensitivities"):
+            if len(set(getattr(self, name))) < len(getattr(self, name)):
+                raise InputError(f"sweep: {name} names something twice; leave one out")
+        known = {name for dimension in self.dimensions for name in (dimension.name, *dimension.numbers)}
+        for name in self.outputs:
+            if name not in OUTPUTS:
+                raise InputError(f"sweep: {name!r} is no output; there are {', '.join(OUTPUTS)}")
+        for name in (*self.outputs, *self.observables):
+            if name in known:
+                raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")
+        for name in self.observables:
+            if name in OUTPUTS or name in RESERVED or "/" in name:
+                raise InputError(f"sweep: no observable can be called {name!r}; give it another name")
+            if not callable(self.observables[name]):
+                raise InputError(f"sweep: the observable {name!r} must be a function of an Equilibrium")
+        if not self.outputs and not self.observables:
+            raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
+        if self.chunk_size is not None and (not isinstance(self.chunk_size, int) or self.chunk_size < 1):
+            raise InputError(f"sweep: chunk must be a whole number of 1 or more, got {self.chunk_size!r}")
+        if not all(np.all(np.abs(stated) == 1) for stated in jax.tree.leaves(self.case.direction)):
+            raise InputError(f"sweep: direction is 1 for sliding in and -1 for sliding out, got {self.direction!r}")
+        with within("sweep", ValueError):
+            check_nodes(self.nodes)
+        wall_is_seen = bool(self.observables) or not {"peak_strain", "peak_strain_at"}.isdisjoint(self.outputs)
+        check_names(self.dimensions, self.sensitivities, self.case, wall_is_seen)
+
+    # --- the answer before it is computed -------------------------------------------------------------
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Its shape.
+
+        Raises:
+            InputError: where an argument of the sweep is wrong.
+        """
+        self._check()
+        variables = self._variables()
+        each = COPIES * bytes_each(variables, len(self.dimensions))
+        if each > self.allowed:
+            raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
+        most = self.chunk_size or min(CHUNK, int(self.allowed // each))
+        units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
+        return Layout(
+            self._shape,
+            even_chunks([d.size for d in self.dimensions], most, [bool(d.options) for d in self.dimensions]),
+            coordinates(self.dimensions, units, variables),
+            variables,
+            {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name},
+        )
+
+    @property
+    def _shape(self) -> dict[str, int]:
+        return {dimension.name: dimension.size for dimension in self.dimensions}
+
+    def _variables(self) -> dict[str, Variable]:
+        inputs = {name: jax.ShapeDtypeStruct((), self.dtype) for d in self.dimensions for name in d.numbers}
+        found: dict[str, Variable] = {}
+        for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
+            shapes = jax.eval_shape(self.solver(index), inputs)
+            for name, base, by in self._names(shapes):
+                new = variable(base, shapes[name], self._shape, self.case.unit(by) if by else "", by)
+                if found.setdefault(name, new).shape != new.shape:
+                    raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
+        return found
+
+    def _names(self, known: Collection[str]) -> Iterator[tuple[str, str, str]]:
+        """Of all variables, in the order of the answer: name, output and the number that it is differentiated by."""
+        for name in (*self.outputs, *self.observables):
+            yield name, name, ""
+            for by in self.sensitivities:
+                if (slope := slope_name(name, by)) in known:
+                    yield slope, name, by
+        for name in (SUCCESSFUL, RESULT):
+            yield name, name, ""
+
+    @cached_property
+    def identity(self) -> dict[str, object]:
+        """All that the answer depends on, JSON."""
+        body = self.case.manipulator
+        along = np.linspace(0.0, float(np.asarray(body.length)), 101)  # a function as a profile has no leaves
+        profiles = body.profiles.values()
+        axes = {f"axis {d.name}": {k: recorded(v) for k, v in (d.numbers | d.options).items()} for d in self.dimensions}
+        return {
+            **{name.removeprefix("manipulator."): value for name, value in numbers_of(self.case).items()},
+            **axes,
+            "order of axes": [dimension.name for dimension in self.dimensions],
+            "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
+            **{name: recorded(value) for name, value in self.options._asdict().items()},
+            "outputs": list(self.outputs),
+            "observables": {name: code_digest(function) for name, function in self.observables.items()},
+            "sensitivities": list(self.sensitivities),
+            "precision": self.dtype.name,
+            "version of cddf_jax": version("cddf_jax"),
+        }
+
+    def solver(self, index: Index) -> OneSolve:
+        """One solve as a function of the numbers that vary; `index` is that of the options along the dimensions."""
+        options = self.options
+        for dimension, i in zip(self.dimensions, index, strict=True):
+            options = options._replace(**{name: values[i] for name, values in dimension.options.items()})
+        return OneSolve(
+            prepared(self.case, options.kinematics, self.dtype),
+            self.outputs,
+            tuple(self.observables.items()),
+            self.sensitivities,
+            options.nodes,
+            options.method,
+            self.dtype,
+        )
+
+    # --- running ------------------------------------------------------------------------------------
+
+    def run(self, out: str | os.PathLike[str] | None = None, *, progress: bool = False) -> "xarray.Dataset":
+        """Compute the chunks that the store does not have yet, and return the whole answer."""
+        work = Work(self.layout, lambda: self.identity, self.chunk)
+        return carry_out(work, out, self.allowed, progress=progress).dataset()
+
+    def chunk(self, layout: Layout, index: Index) -> dict[str, np.ndarray]:
+        """The outputs of one chunk, in the shape of its region."""
+        region = layout.region(index)
+        options = tuple(r.start if d.options else 0 for d, r in zip(self.dimensions, region, strict=True))
+        lanes = Lanes(self.solver(options), layout.chunk_size)
+        places = np.meshgrid(*(np.arange(r.start, r.stop) for r in region), indexing="ij")
+        numbers = {
+            name: values[place.ravel()].astype(self.dtype)
+            for dimension, place in zip(self.dimensions, places, strict=True)
+            for name, values in dimension.numbers.items()
+        }
+        outputs = lanes(numbers, places[0].size)
+        return {name: np.reshape(x, (*places[0].shape, *x.shape[1:])) for name, x in outputs.items()}

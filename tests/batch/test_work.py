@@ -1,0 +1,423 @@
+"""Nothing of a sweep is lost and nothing depends on who computes it: chunks, devices, processes, kills, a full disk.
+
+The expected values are those of the same sweep in one piece; its numbers are checked in test_sweep.py.
+"""
+
+import errno
+import itertools
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from bodies import paper_body
+from places import ROOT
+from sweep_child import axes
+
+import cddf_jax as cddf
+from cddf_jax.application import QUICK_COMPILATION
+from cddf_jax.batch import store as store_module, work as work_module
+from cddf_jax.batch.chunks import Layout, Variable, even_chunks
+from cddf_jax.sweeping.axes import dimensions_of
+from cddf_jax.sweeping.sweep import Sweep
+
+xarray = pytest.importorskip("xarray")
+zarr = pytest.importorskip("zarr")
+
+SOLVES = 500
+SAME = 1e-12  # other lanes side by side: the compiler may order the same operations otherwise
+OPTIONS = {"outputs": ("tip_tension", "tip_position")}
+STORED = (*OPTIONS["outputs"], "successful", "result")
+CHILD = ROOT / "tests" / "sweep_child.py"
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return cddf.sweep(paper_body(), axes(SOLVES), **OPTIONS)
+
+
+def same(found, expected, rtol=SAME):
+    assert list(found.data_vars) == list(expected.data_vars)
+    for name in expected.variables:
+        assert found[name].dims == expected[name].dims
+        if expected[name].dtype.kind == "f":
+            np.testing.assert_allclose(found[name], expected[name], rtol=rtol, atol=0)
+        else:
+            np.testing.assert_array_equal(found[name].values, expected[name].values)
+        assert found[name].attrs == expected[name].attrs
+
+
+def start(compiler=QUICK_COMPILATION, **asked):
+    environment = {**os.environ, "XLA_FLAGS": compiler}
+    command = [sys.executable, str(CHILD), json.dumps({"solves": SOLVES, **asked})]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def ended(child):
+    out, err = child.communicate(timeout=300)
+    assert child.returncode == 0, err[-2000:]
+    return out
+
+
+def whole_chunks(path):
+    """The files that say of a chunk that it is whole."""
+    return list((path / "result").glob("c/*/*"))
+
+
+# --- chunks -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("chunk", [1000, 170])
+def test_chunks_change_nothing(plain, tmp_path, chunk):
+    same(cddf.sweep(paper_body(), axes(SOLVES), chunk=chunk, **OPTIONS), plain)
+    stored = cddf.sweep(paper_body(), axes(SOLVES), chunk=chunk, out=tmp_path / "s.zarr", **OPTIONS)
+    same(stored, plain)
+
+
+def test_a_store_opens_anywhere(plain, tmp_path):
+    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
+    found = xarray.open_zarr(tmp_path / "s.zarr", chunks=None, consolidated=False)
+    same(found[list(OPTIONS["outputs"])], plain[list(OPTIONS["outputs"])], rtol=0)
+
+
+def test_coordinates_of_samples_are_coordinates_in_the_store(tmp_path):
+    samples = cddf.latin_hypercube({"base_tension": (5.0, 85.0), "youngs_modulus": (1e6, 2e6)}, 20)
+    kept = cddf.sweep(paper_body(), {"sample": samples}, **OPTIONS)
+    stored = cddf.sweep(paper_body(), {"sample": samples}, out=tmp_path / "s.zarr", **OPTIONS)
+    assert set(stored.coords) == set(kept.coords)
+    same(stored, kept)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "most", "single", "expected"),
+    [
+        ([10], 4, [False], (4,)),  # 4, 4, 2: three pieces of at most 4
+        ([9], 4, [False], (3,)),  # 3, 3, 3 rather than 4, 4, 1
+        ([6, 5], 10, [False, False], (2, 5)),
+        ([6, 50], 10, [False, False], (1, 10)),
+        ([6, 5, 2], 10, [False, False, True], (2, 5, 1)),
+        ([3, 2], 1000, [True, False], (1, 2)),
+    ],
+)
+def test_even_chunks(sizes, most, single, expected):
+    assert even_chunks(sizes, most, single) == expected
+
+
+def test_regions_tile_the_answer():
+    shape = {"a": 7, "b": 5}
+    layout = Layout(shape, (3, 2), {}, {"x": Variable(("a", "b"), (7, 5), np.dtype(float), {})}, {})
+    times = np.zeros((7, 5), int)
+    for index in layout.indices():
+        times[layout.region(index)] += 1
+        assert times[layout.region(index)].size == layout.count(index)
+    assert np.all(times == 1)
+
+
+# --- devices and processes --------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [1, 2])
+def test_devices_change_nothing(plain, tmp_path, devices):
+    """Four devices here (conftest), one or two in a process of its own; the compiler's options differ as well."""
+    path = tmp_path / "s.zarr"
+    ended(start(compiler="", out=str(path), devices=devices))
+    same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+
+
+def free_port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+def test_each_process_does_its_share_of_the_chunks(plain, tmp_path, monkeypatch):
+    """As processes 0 and 1 of two, one after the other; test_processes_share_the_work starts real ones."""
+    path, options = tmp_path / "s.zarr", OPTIONS | {"out": tmp_path / "s.zarr", "chunk": 50}
+    monkeypatch.setattr(work_module, "_all_say", lambda what, good: good)
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    cddf.sweep(paper_body(), axes(SOLVES), **options)
+    assert {int(file.parent.name) for file in whole_chunks(path)} == {0, 2, 4, 6, 8}
+    kept = {file: file.stat().st_mtime_ns for file in whole_chunks(path)}
+    monkeypatch.setattr(jax, "process_index", lambda: 1)
+    same(cddf.sweep(paper_body(), axes(SOLVES), **options), plain)
+    assert all(file.stat().st_mtime_ns == written for file, written in kept.items())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", [2, 4])
+def test_processes_share_the_work(plain, tmp_path, processes):
+    path = tmp_path / "s.zarr"
+    common = {"out": str(path), "chunk": 50, "processes": processes, "port": free_port()}
+    children = [start(rank=rank, **common) for rank in range(processes)]
+    told = {ended(child).splitlines()[-1] for child in children}  # gloo chats before
+    assert len(told) == 1  # every process comes back with all of it
+    same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+
+
+@pytest.mark.slow
+def test_a_process_that_cannot_open_the_store_stops_the_others_too(tmp_path):
+    """It is told another path, which is a folder: both end at once, each says why, and neither waits for the other."""
+    (tmp_path / "folder").mkdir()
+    common = {"processes": 2, "port": free_port()}
+    children = [start(out=str(tmp_path / out), rank=rank, **common) for rank, out in enumerate(("s.zarr", "folder"))]
+    said = [child.communicate(timeout=300)[1].splitlines()[-1] for child in children]
+    assert [child.returncode for child in children] == [1, 1]
+    assert said[0].endswith("s.zarr: another process could not use the store, and says why")
+    assert said[1].endswith("folder is there and was not written by cddf_jax; give another path, or delete it")
+
+
+# --- stopped and started again ----------------------------------------------------------------------
+
+
+def test_stopped_at_any_write_it_goes_on_where_it_was(plain, tmp_path, monkeypatch):
+    """Stopped at the 1st, 4th and 11th write of an array; test_killed_at_random_times kills a real process."""
+    path, kept = tmp_path / "s.zarr", {}
+    for last in (1, 4, 11):
+        with monkeypatch.context() as patched:
+            count, write = itertools.count(1), zarr.Array.__setitem__
+
+            def stopped(array, region, values, count=count, write=write, last=last):
+                if array.name.strip("/") in STORED and next(count) >= last:
+                    raise KeyboardInterrupt
+                write(array, region, values)
+
+            patched.setattr(zarr.Array, "__setitem__", stopped)
+            with pytest.raises(KeyboardInterrupt):
+                cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
+        assert all(file.stat().st_mtime_ns == written for file, written in kept.items())  # not computed again
+        kept = {file: file.stat().st_mtime_ns for file in whole_chunks(path)}
+    assert len(kept) == 2  # four arrays a chunk: three writes make none, ten more two
+    same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+    assert all(file.stat().st_mtime_ns == written for file, written in kept.items())
+
+
+@pytest.mark.slow
+def test_killed_at_random_times_it_goes_on_where_it_was(plain, tmp_path):
+    path, rng = tmp_path / "s.zarr", np.random.default_rng(int.from_bytes(os.urandom(4)))
+    kept: dict[Path, int] = {}
+    for wanted in np.sort(rng.integers(1, 400, 2)):  # of 500 chunks of one solve
+        child = start(out=str(path), chunk=1)
+        while child.poll() is None and len(whole_chunks(path)) < wanted:
+            time.sleep(0.001)
+        child.send_signal(signal.SIGKILL)
+        child.communicate()
+        for file, written in kept.items():
+            assert file.stat().st_mtime_ns == written  # what was whole is not computed again
+        kept = {file: file.stat().st_mtime_ns for file in whole_chunks(path)}
+    assert kept
+    same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+    assert all(file.stat().st_mtime_ns == written for file, written in kept.items())
+    assert len(whole_chunks(path)) == SOLVES
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "scrambled", "garbage", "short", "last"])
+def test_a_chunk_that_is_not_whole_is_computed_again(plain, tmp_path, damage):
+    path = tmp_path / "s.zarr"
+    cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
+    if damage == "missing":
+        shutil.rmtree(path / "tip_position" / "c" / "3")
+    elif damage == "empty":  # what a power cut leaves of a file
+        (path / "tip_tension" / "c" / "3" / "0" / "0").write_bytes(b"")
+    elif damage in ("scrambled", "garbage", "short"):
+        chunk = path / "tip_tension" / "c" / "3" / "0" / "0"
+        whole = chunk.read_bytes()
+        rubbish = {"scrambled": b"\0" * len(whole), "garbage": np.random.default_rng(0).bytes(len(whole))}
+        chunk.write_bytes(rubbish.get(damage, whole[: len(whole) // 2]))
+    else:
+        (path / "result" / "c" / "3" / "0").unlink()
+    same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+
+
+def test_a_store_without_one_of_its_arrays_is_said_to_be_damaged(tmp_path):
+    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
+    (tmp_path / "s.zarr" / "tip_position" / "zarr.json").unlink()
+    with pytest.raises(cddf.InputError, match=r"s\.zarr is damaged: its array 'tip_position' cannot be read"):
+        cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
+
+
+def test_a_full_disk_is_said_and_nothing_is_lost(plain, tmp_path, monkeypatch):
+    path, write = tmp_path / "s.zarr", store_module.ZarrStore.write
+    written = []
+
+    class FullGroup:
+        def __init__(self, group):
+            self.group = group
+
+        def __getitem__(self, name):
+            if len(written) == 3 and name == "tip_position":
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return self.group[name]
+
+    def full(self, index, blocks):
+        real, self._group = self._group, FullGroup(self._group)
+        try:
+            write(self, index, blocks)
+        finally:
+            self._group = real
+        written.append(index)
+
+    monkeypatch.setattr(store_module.ZarrStore, "write", full)
+    with pytest.raises(cddf.InputError, match="the disk is full; free some of it"):
+        cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
+    monkeypatch.undo()
+    assert len(whole_chunks(path)) == 3
+    same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+
+
+def test_progress_goes_to_standard_error(tmp_path, capfd, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", chunk=50, progress=True, **OPTIONS)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert f"{SOLVES}/{SOLVES}" in err
+    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", progress=False, **OPTIONS)
+    assert capfd.readouterr().err == ""
+
+
+# --- refusals ---------------------------------------------------------------------------------------
+
+OTHERS = {
+    "body": ({"body": {"youngs_modulus": 1.5e6}}, "its youngs_modulus is 1400000.0, not 1500000.0"),
+    "axis": ({"solves": 250}, "its axis base_tension is"),
+    "outputs": ({"outputs": ["tip_angle"]}, "its outputs is"),
+    "nodes": ({"nodes": 12}, "its nodes is 16, not 12"),
+    "sensitivities": ({"sensitivities": ["length"]}, "its sensitivities is"),
+    "precision": ({"precision": "float32"}, 'its precision is "float64", not "float32"'),
+    "a number more": ({"body": {"drag": 1.0}}, "it has no drag"),
+    "observable": ({"observables": {"x": lambda found: found.tip_angle}}, "its observables is"),
+}
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stored") / "s.zarr"
+    cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS)
+    return path
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_a_store_of_another_sweep_is_refused(stored, other):
+    changes, message = OTHERS[other]
+    options = OPTIONS | {name: value for name, value in changes.items() if name not in ("body", "solves")}
+    before = sorted(file.stat().st_mtime_ns for file in stored.rglob("*"))
+    with pytest.raises(cddf.InputError, match="holds other work") as error:
+        cddf.sweep(paper_body(**changes.get("body", {})), axes(changes.get("solves", SOLVES)), out=stored, **options)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+    assert before == sorted(file.stat().st_mtime_ns for file in stored.rglob("*"))
+
+
+def test_a_function_as_a_profile_is_told_by_its_values(tmp_path):
+    def body(tip):
+        return replace(paper_body(), outer_radius=lambda s: 0.020 + (tip - 0.020) * s / 0.14)
+
+    cddf.sweep(body(0.013), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
+    with pytest.raises(cddf.InputError, match="its outer_radius"):
+        cddf.sweep(body(0.014), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "group", "json"])
+def test_what_is_no_store_is_left_alone(tmp_path, kind):
+    path = tmp_path / "s.zarr"
+    if kind == "file":
+        path.write_text("mine")
+    elif kind == "folder":
+        path.mkdir()
+        (path / "mine.txt").write_text("mine")
+    else:
+        zarr.create_group(path, attributes={"identity": "no json"} if kind == "json" else {})
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    with pytest.raises(cddf.InputError, match=r"s\.zarr is there and was not written by cddf_jax; give another path"):
+        cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS)
+    assert before == {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+
+
+def test_a_package_that_is_missing_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    with pytest.raises(cddf.InputError, match=r"needs zarr; install it with: pip install 'cddf-jax\[sweep\]'"):
+        cddf.sweep(paper_body(), axes(SOLVES), out="anywhere", **OPTIONS)
+
+
+# --- memory -----------------------------------------------------------------------------------------
+
+
+def test_too_little_memory_is_said_before_anything_is_solved(tmp_path):
+    """34 bytes a solve, three copies of a chunk; test_memory_stays_bounded measures a real process."""
+    with pytest.raises(cddf.InputError, match=r"one solve needs 78 bytes"):
+        cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", memory=70.0, **OPTIONS)
+    work = Sweep(manipulator=paper_body(), dimensions=dimensions_of(axes(SOLVES)), memory=78.0 * 60, **OPTIONS)
+    assert work.layout.chunk_size <= 60
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_memory_stays_bounded_whatever_the_size(tmp_path):
+    """28 chunks of 50,000 solves, 216 MB, in a process that may take 120 MB more than two of them have taken."""
+    asked = {"solves": 1_400_000, "outputs": ["tip_tension", "curvature"], "limit": 120_000_000}
+    told = ended(start(compiler="", out=str(tmp_path / "s.zarr"), **asked)).split()
+    assert told[1] == "1400000"
+
+
+# --- fits -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def line():
+    x = np.linspace(0.0, 1.0, 20)
+    rng = np.random.default_rng(0)
+    y = 1.0 + 2.0 * x + 0.1 * rng.normal(size=20)
+
+    def predict(p):
+        return {"data": p["a"] + p["b"] * x}
+
+    return x, y, cddf.least_squares_fit(predict, {"a": 0.0, "b": 0.0}, {"data": y}, sigma=0.1)
+
+
+@pytest.mark.parametrize("kind", ["parametric", "cases"])
+def test_a_bootstrap_goes_on_where_it_was(line, tmp_path, kind):
+    fit = line[2]
+    whole = fit.bootstrap(kind, 600, seed=3)
+    fit.bootstrap(kind, 600, seed=3, out=tmp_path / "b.zarr")
+    (tmp_path / "b.zarr" / "ended" / "c" / "1").unlink()
+    resumed = fit.bootstrap(kind, 600, seed=3, out=tmp_path / "b.zarr")
+    np.testing.assert_array_equal(resumed.estimates, whole.estimates)
+    with pytest.raises(cddf.InputError, match="its seed is 3, not 4"):
+        fit.bootstrap(kind, 600, seed=4, out=tmp_path / "b.zarr")
+
+
+def test_refits_of_many_benches_are_linear_regressions(line, tmp_path):
+    x, _, fit = line
+    benches = np.random.default_rng(1).normal(size=(300, 20))
+    found = fit.refits({"data": benches}, out=tmp_path / "r.zarr")
+    slope, intercept = np.polyfit(x, benches.T, 1)
+    assert found.ended.all()
+    np.testing.assert_allclose(found.estimates[:, found.names.index("a")], intercept, atol=1e-5)
+    np.testing.assert_allclose(found.estimates[:, found.names.index("b")], slope, atol=1e-5)
+    dataset = xarray.open_zarr(tmp_path / "r.zarr", chunks=None, consolidated=False)
+    np.testing.assert_array_equal(dataset.estimate.sel(parameter="b"), found.estimates[:, found.names.index("b")])
+
+
+@pytest.mark.parametrize(
+    ("observed", "message"),
+    [
+        ({"dta": np.zeros((3, 20))}, "'dta' is not a group of data; there are data"),
+        ({"data": np.zeros((3, 19))}, r"must have shape \(benches, \*\(20,\)\), got \(3, 19\)"),
+        ({"data": np.zeros((0, 20))}, "must have shape"),
+        ({}, "give data; the groups are data"),
+        ({"data": np.full((3, 20), [np.nan] + [0.0] * 19)}, "not finite in bench 0"),
+    ],
+)
+def test_bad_benches(line, observed, message):
+    with pytest.raises(cddf.InputError, match=message):
+        line[2].refits(observed)

@@ -1,0 +1,196 @@
+"""The command `cddf` as a whole: help, usage, exit codes, and every failure in one line that names what to do."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import DATA
+
+from cddf_jax.cli import app as cli
+
+PAPER, LOAD_CELLS, PULLEY = (
+    str(DATA / name) for name in ("smooth_sil_940.toml", "load_cells_simulated.csv", "pulley_simulated.csv")
+)
+PULL = ("-t", "75 N")
+COMMANDS = ("solve", "sweep", "fit", "design", "plan", "reproduce", "explore")
+
+
+def separate_process(*arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-c", "from cddf_jax.cli.app import main; main()", *map(str, arguments)],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("arguments", [(), *((command,) for command in COMMANDS)])
+def test_help(cddf_command, arguments):
+    """Every command says how it is used, with an example."""
+    code, out, err = cddf_command(*arguments, "--help")
+    assert (code, err) == (0, "")
+    assert "Usage: " in out
+    assert "--help" in out
+    assert all(name in out for name in arguments or COMMANDS)
+    assert not arguments or "Example: cddf" in out
+
+
+def test_help_imports_nothing_heavy():
+    script = (
+        "import sys; sys.argv = ['cddf', 'solve', '--help']\n"
+        "from cddf_jax.cli.app import main\n"
+        "try: main()\n"
+        "except SystemExit as ended: assert ended.code == 0\n"
+        "heavy = {'jax', 'jaxlib', 'equinox', 'optimistix', 'scipy', 'numpy', 'matplotlib', 'pint', 'xarray'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_a_process_of_its_own(tmp_path):
+    """As a shell runs it: settings, cache and all."""
+    done = separate_process("solve", PAPER, "-t", "75 N", "--json", XDG_CACHE_HOME=str(tmp_path))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)  # in double precision
+
+
+@pytest.mark.slow
+def test_an_error_in_a_process_of_its_own(tmp_path):
+    done = separate_process("fit", PAPER, tmp_path / "none.csv", XDG_CACHE_HOME=str(tmp_path))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert (
+        done.stderr == f"error: {tmp_path / 'none.csv'}: cannot be read (No such file or directory); check the path\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "Missing command. Try --help."),
+        (("bend",), "No such command 'bend'"),
+        (("--bogus",), "No such option: --bogus"),
+        (("solve",), "Missing argument 'robot'"),
+        (("fit", PAPER), "Missing argument 'data'"),
+        (("reproduce", PAPER), "Missing argument 'load_cells'"),
+        (("solve", PAPER), "Missing option '--base-tension' / '-t'"),
+        (("solve", PAPER, *PULL, "--bogus"), "No such option: --bogus"),
+        (("solve", PAPER, *PULL, "more"), "Got unexpected extra argument(s) (more)"),
+        (("solve", PAPER, "-t"), "Option '-t' requires an argument"),
+        (("solve", PAPER, *PULL, "--nodes", "3"), "Invalid value for '--nodes'"),
+        (("fit", PAPER, PULLEY, "--nodes", "two"), "Invalid value for '--nodes'"),
+        (("solve", PAPER, *PULL, "--direction", "in"), "Invalid value for '--direction'"),
+        (("solve", PAPER, *PULL, "--kinematics", "other"), "Invalid value for '--kinematics'"),
+    ],
+)
+def test_wrong_usage(fails, arguments, message):
+    assert fails(*arguments).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("140 mm", "140 N"), "length needs a unit of length, got '140 N'; write for example '12.5 mm'"),
+        (('"140 mm"', "140 mm"), "is not TOML"),
+        (("1.4 MPa", "-1.4 MPa"), "youngs_modulus must be above 0, got -1.4e+06 Pa"),
+        (("youngs_modulus", "young_modulus"), "unknown key 'young_modulus'; did you mean youngs_modulus?"),
+    ],
+)
+@pytest.mark.parametrize("command", [("solve", *PULL), ("fit", PULLEY)])
+def test_wrong_manipulators(fails, command, change, message):
+    text = Path(PAPER).read_text()
+    assert change[0] in text
+    said = fails(command[0], "robot.toml", *command[1:], files={"robot.toml": text.replace(*change)})
+    assert said.startswith(f"robot.toml: {message}")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("solve", PAPER, "-t", "75"), "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
+        (("solve", PAPER, *PULL, "--direction", "2"), "--direction 2: give +1 for a tendon that slides in"),
+        (("solve", PAPER, *PULL, "--gravity", "0, -9.81 m/s^2"), "--gravity '0, -9.81 m/s^2': the body has no weight"),
+        (("fit", PAPER, PULLEY, "--prior", "youngs_modulus=1.4 MPa +- 0 MPa"), "prior for youngs_modulus: needs a me"),
+        (("fit", PAPER, PULLEY, "--prior", "friction_coefficient=0.6..0.7"), "friction_coefficient starts at 0.42, "),
+        (("fit", PAPER, PULLEY, "--prior", "length=140 mm +- 1 mm"), "prior for 'length', which is not fitted"),
+        (("fit", PAPER, PULLEY, "--noise", "tip_angle=1 deg"), "fit: noise is given for 'tip_angle', which no table"),
+        (("fit", PAPER, PULLEY, "--noise", "pulling_tension=0 N"), "sigma of pulley_simulated.csv: pulling_tension mu"),
+        (("fit", PAPER, PULLEY, "--bound", "length=130 mm:150 mm"), "bounds for 'length', which is not fitted"),
+        (("fit", PAPER, PULLEY, "--loss", "square"), "Invalid value for '--loss'"),
+        (("fit", PAPER, PULLEY, "--starts", "0"), "Invalid value for '--starts'"),
+        (("fit", PAPER, PULLEY, "--bootstrap", "1"), "bootstrap: needs 2 replicates or more, got 1"),
+        (("fit", PAPER, PULLEY, "--per-trial", "--free", "youngs_modulus"), "fit: per_trial needs a free friction_co"),
+        (("fit", PAPER, PULLEY, "--free", "density"), "fit: 'density' is no parameter that can be fitted"),
+        (("reproduce", PAPER, LOAD_CELLS, "--column", "a=trial"), "load_cells_simulated.csv: no column 'a'"),
+        (("reproduce", PAPER, PULLEY), "pulley_simulated.csv: the column tip_tension is missing"),
+    ],
+)
+def test_options_that_are_refused(fails, arguments, message):
+    assert fails(*arguments, "--out", "folder").startswith(message)
+
+
+def test_files_that_are_not_there(fails):
+    remedy = "cannot be read (No such file or directory); check the path"
+    assert fails("solve", "none.toml", *PULL) == f"none.toml: {remedy}"
+    assert fails("fit", PAPER, PULLEY, "none.csv") == f"none.csv: {remedy}"
+    assert fails("reproduce", PAPER, "none.csv") == f"none.csv: {remedy}"
+    assert fails("fit", PAPER, ".").startswith(".: cannot be read (Is a directory)")
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("base_tension [N],tip_tension [N]\n5,4.8\n10,9.O1\n", "row 3, column tip_tension: '9.O1' is not a number"),
+        ("base_tension [N],tip_tention [N]\n5,4.8\n", "unknown column 'tip_tention'; did you mean tip_tension?"),
+        ("base_tension [N]\n5\n", "nothing observed; add a column tip_tension [N]"),
+        ("", "is empty"),
+    ],
+)
+def test_wrong_tables(fails, table, message):
+    said = fails("fit", PAPER, PULLEY, "bench.csv", "--out", "folder", files={"bench.csv": table})
+    assert said.startswith("bench.csv: ")
+    assert message in said
+
+
+def test_tables_that_do_not_fit_the_manipulator(fails, two_tendons):
+    said = fails("fit", two_tendons, LOAD_CELLS)
+    assert said.endswith("no column 'base_tension_2'; a manipulator of 2 tendons needs it")
+    table = "base_tension [N],base_tension_2 [N],tip_tension [N]\n5,5,4.8\n"
+    said = fails("fit", PAPER, "bench.csv", files={"bench.csv": table})
+    assert said.startswith("bench.csv: column 'base_tension_2', but the manipulator has 1 tendon(s)")
+    assert fails("reproduce", two_tendons, LOAD_CELLS).startswith("the paper's manipulator has one tendon")
+
+
+@pytest.mark.parametrize(
+    ("place", "command"),
+    [("taken", ("solve", PAPER, *PULL)), ("taken/below", ("fit", PAPER, PULLEY, "--free", "friction_coefficient"))],
+)
+def test_out_where_a_file_is(fails, place, command):
+    said = fails(*command, "--out", place, files={"taken": "kept"})
+    assert said.startswith(f"{place}: ")
+    assert said.endswith("; choose another place")
+
+
+def test_a_failure_while_writing_leaves_nothing(fails, monkeypatch):
+    """A disk that is full shows as one line, and the folder holds no half of a result."""
+
+    def full(self, content):
+        raise OSError(28, "No space left on device", str(self))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    code = fails("solve", PAPER, *PULL, "--out", ".")
+    assert "No space left on device" in code
+
+
+def test_a_bug_of_ours_is_not_hidden(monkeypatch):
+    def broken(path):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("cddf_jax.files.manipulator_file.read_manipulator", broken)
+    monkeypatch.setattr(sys, "argv", ["cddf", "solve", PAPER, *PULL])
+    with pytest.raises(ZeroDivisionError, match="a bug"):
+        cli.main()

@@ -1,0 +1,378 @@
+"""`cddf design`: tasks in files, the same body as in Python, files for the workshop, one-line errors."""
+
+import csv
+import json
+import re
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from places import ROOT
+
+import cddf_jax as cddf
+from cddf_jax.cli import design as design_command
+from cddf_jax.designing.task_file import KEYS, keys_in_words, read_task
+from cddf_jax.estimation.determination import IDENTIFIED
+from cddf_jax.figures import style
+from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off, pareto_figure
+
+PAPER = ROOT / "data" / "smooth_sil_940.toml"
+TASK = f"""
+robot = "{PAPER}"
+kinematics = "exact"
+nodes = 8
+
+[free]
+outer_radius = {{ taper = true, bounds = ["8 mm", "25 mm"] }}
+
+[[case]]
+base_tension = "50 N"
+
+[[objective]]
+least = "volume"
+
+[[limit]]
+quantity = "tip_angle"
+most = "45 deg"
+
+[[limit]]
+quantity = "strain"
+most = 0.105
+"""
+
+
+@pytest.fixture
+def run(cddf_command):
+    """`cddf design` with some arguments."""
+    return lambda *arguments: cddf_command("design", *arguments)
+
+
+@pytest.fixture
+def task(tmp_path):
+    """The path of a task, `TASK` unless other text is given."""
+
+    def write(text=TASK):
+        path = tmp_path / "task.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """The design of `TASK`, called from Python."""
+    path = tmp_path_factory.mktemp("task") / "task.toml"
+    path.write_text(TASK)
+    read = read_task(path)
+    return read.design()
+
+
+def test_the_command_designs_as_the_call_does(run, task, tmp_path, found, cddf_command):
+    """The same body, its profile, and the report; what it wrote is a manipulator that `cddf solve` takes."""
+    out = tmp_path / "out"
+    code, text, error = run(task(), "--json", "--out", out)
+    assert (code, error) == (0, "")
+    answer = json.loads(text)
+    assert answer["result"] == found.result == "successful"
+    for name, free in answer["free"].items():
+        assert free["value"] == pytest.approx(found.value[name], rel=1e-9)
+    assert json.loads((out / "design.json").read_text()) == answer
+    assert (out / "design.png").stat().st_size > 10_000
+    code, text, _ = cddf_command("solve", out / "design.toml", "-t", "50 N", "--json")
+    assert code == 0
+    assert json.loads(text)["tip_angle"] <= np.radians(45) * (1 + 1e-6)
+    written = cddf.read_manipulator(out / "design.toml")
+    assert float(written.outer_radius.tip) == found.value["outer_radius.tip"]
+    assert written.kinematics == "exact"
+    with open(out / "profile.csv", newline="") as file:
+        head, *rows = list(csv.reader(file))
+    assert head == ["arc_length [mm]", "outer_radius [mm]", "inner_radius [mm]", "offset_1 [mm]"]
+    s, outer, inner, offset = np.array(rows, float).T / 1e3
+    assert (s[0], s[-1]) == (0.0, 0.14)
+    np.testing.assert_allclose(outer, written.outer_radius(s), rtol=1e-8)
+    np.testing.assert_allclose(inner, written.inner_radius(s), rtol=1e-8)
+    np.testing.assert_allclose(offset, written.offset(s)[0], rtol=1e-8)
+    assert (out / "design.md").read_text() == f"{found}\n"
+
+
+def test_the_report_says_what_changed_and_what_holds_it_back(found):
+    lines = str(found).splitlines()
+    assert lines[0] == "# Design: successful"
+    assert any(line.startswith("| outer_radius.base | 20 mm |") for line in lines)
+    (angle,) = (line for line in lines if line.startswith("| tip_angle <= 45 deg | 45 deg |"))
+    assert "cm^3 per deg" in angle
+    assert any(line.startswith("| youngs_modulus |") for line in lines)
+
+
+def test_what_cannot_be_made_is_said_with_what_is_in_the_way(run, task, tmp_path):
+    """With a wall of 8 mm at most the body bends further than 5 degrees under 50 N."""
+    thin = TASK.replace("45 deg", "5 deg") + '\n[[limit]]\nquantity = "wall_thickness"\nmost = "8 mm"\n'
+    out = tmp_path / "out"
+    code, text, error = run(task(thin), "--json", "--out", out)
+    answer = json.loads(text)
+    assert code == 1
+    assert error == "error: the design is not done: infeasible\n"
+    assert not answer["feasible"]
+    assert {line.split(" <= ")[0] for line in answer["blocking"]} == {"tip_angle", "wall_thickness"}
+    assert sorted(path.name for path in out.iterdir()) == ["design.json", "design.md"]  # no body to be made
+    assert "in the way: tip_angle <= 0.0872665" in (out / "design.md").read_text()
+
+
+def test_a_trade_off(run, task, tmp_path):
+    """Of volume and peak strain, no point is better than another in both."""
+    both = TASK.replace('[[limit]]\nquantity = "strain"\nmost = 0.105\n', "") + '\n[[objective]]\nleast = "strain"\n'
+    out = tmp_path / "out"
+    code, text, error = run(task(both), "--pareto", 4, "--json", "--out", out)
+    assert (code, error) == (0, "")
+    answer = json.loads(text)
+    values = np.array(answer["values"])
+    assert values.shape == (4, 2)
+    assert np.all(np.diff(values[:, 0]) > 0)
+    assert np.all(np.diff(values[:, 1]) < 0)
+    names = {path.name for path in out.iterdir()}
+    assert names == {"pareto.md", "pareto.json", "pareto.pdf", "pareto.png", *(f"design_{i}.toml" for i in range(1, 5))}
+    # the exchange rate is the slope of the front: between its neighbours' chords, as the front is convex here
+    chords = -np.diff(values[:, 0]) / np.diff(values[:, 1])
+    rates = np.array(answer["exchange_rate"], float)[1:-1]
+    assert np.all((rates > chords[:-1]) & (rates < chords[1:])) or np.all((rates < chords[:-1]) & (rates > chords[1:]))
+    designs = [SimpleNamespace(success=True)] * 4
+    told = {"names": answer["objectives"], "dimensions": ("volume", "dimensionless"), "values": values}
+    front: Any = SimpleNamespace(**told, start=answer["start"], designs=designs)
+    (axes,) = pareto_figure(front).axes
+    given = Figure().subplots()
+    assert draw_trade_off(front, given) is given
+    assert given.get_xlabel() == axes.get_xlabel() == "Volume (cm$^{3}$)"
+    assert axes.get_ylabel() == "Strain"
+    drawn = next(line for line in axes.lines if line.get_marker() == "o").get_xydata()
+    np.testing.assert_allclose(drawn, values * [1e6, 1.0])
+
+
+def test_the_figure_is_to_scale_and_shows_both_bodies(found):
+    shape, curvature, strain = design_figure(found).axes
+    given = Figure().subplots()
+    assert draw_design(found, given) is given
+    assert (given.get_xlabel(), given.get_ylabel()) == ("$X$ (mm)", "$Y$ (mm)")
+    assert shape.get_aspect() == 1.0
+    s = np.linspace(0, 0.14, 8)
+    before, after = curvature.lines
+    assert [line.get_label() for line in (before, after)] == ["before", "after"]
+    kappa = np.interp(1e3 * s, *after.get_data())
+    np.testing.assert_allclose(kappa, found.equilibria[0].at(s).curvature, rtol=1e-3)
+    assert max(strain.lines[1].get_ydata()) == pytest.approx(10.5, abs=1e-3)  # %, the limit of the task
+    assert shape.get_xlabel() == "$X$ (mm)"
+
+
+@pytest.mark.parametrize(("radius", "offset"), [(2e-3, 6e-3), (0.4e-3, 5e-3), (15e-3, 10e-3)])
+def test_bodies_and_labels_of_the_figure_lie_apart(radius, offset):
+    """Thin rods with a tendon outside, and a thick one: no text on another or on a line, straight bodies above all."""
+
+    def rod(taper):
+        outer = cddf.Linear(radius, taper * radius, 0.2)
+        options = {"inner_radius": 0.0, "youngs_modulus": 2e9 * (2e-3 / radius) ** 4, "friction_coefficient": 0.2}
+        return cddf.Manipulator(length=0.2, outer_radius=outer, tendons=(cddf.Tendon(offset),), **options)
+
+    before, after = rod(1.0), rod(0.8)
+    bent = [(cddf.solve(body, pull * 6e-3 / offset, nodes=8),) for body, pull in ((before, 20.0), (after, 30.0))]
+    drawn: Any = SimpleNamespace(start=before, equilibria_at_start=bent[0], manipulator=after, equilibria=bent[1])
+    figure = design_figure(drawn)
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    texts = [text.get_window_extent() for text in axes.texts]
+    frame = axes.get_window_extent()
+    lines = [axes.transData.transform(line.get_xydata()) for line in axes.lines]
+    for i, text in enumerate(texts):
+        assert not any(text.overlaps(other) for other in texts[:i])
+        assert frame.x0 < text.x0
+        assert text.x1 < frame.x1
+        assert text.y1 <= frame.y1
+        assert not any(text.contains(*point) for line in lines for point in line)
+    straight = [line.get_ydata() for line in axes.lines if np.ptp(line.get_ydata()) == 0.0]
+    levels = sorted({float(level[0]) for level in straight})  # of axes and tendons
+    assert len(levels) == 4
+    others = [line.get_ydata() for line in axes.lines if np.ptp(line.get_ydata()) > 0.0]
+    assert levels[0] - 1e3 * radius > max(map(np.max, others))
+    assert levels[2] - levels[1] > 2e3 * radius or levels[2] - levels[1] > 2e3 * offset
+
+
+BACKBONE = """
+length = "200 mm"
+bending_stiffness = "0.02 N m^2"
+friction_coefficient = 0.2
+[[tendons]]
+offset = "8 mm"
+"""
+BEND = """
+robot = "backbone.toml"
+nodes = 8
+[free]
+bending_stiffness = { bounds = ["0.005 N m^2", "0.1 N m^2"] }
+[[case]]
+base_tension = "5 N"
+[[objective]]
+near = "tip_angle"
+value = "30 deg"
+"""
+
+
+@pytest.mark.slow
+def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch):
+    """The angle is ln(1 + mu T d L / (E I)) / mu, design.md section 4; profile and diameters are not known."""
+    figures, drawn = [], style.render
+
+    def keeping(figure, name):
+        figures.append(figure)
+        return drawn(figure, name)
+
+    monkeypatch.setattr(style, "render", keeping)
+    (tmp_path / "backbone.toml").write_text(BACKBONE)
+    _, _, success = design_command.run_design(read_task(task(BEND)), tmp_path / "out")
+    assert success
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written == {"design.md", "design.json", "design.toml", "design.pdf", "design.png"}
+    stiffness = cddf.read_manipulator(tmp_path / "out" / "design.toml").stiffness(0.1)
+    assert float(stiffness) == pytest.approx(0.2 * 5 * 0.008 * 0.2 / np.expm1(0.2 * np.pi / 6), rel=1e-4)
+    assert [text.get_text() for text in figures[0].axes[0].texts if text.get_text()] == ["after", "before"]
+
+
+@pytest.mark.parametrize("name", ["uniform_curvature", "least_tension", "robust"])
+def test_the_examples_can_be_read(name, monkeypatch):
+    """The fit of the robust one is in `make test-slow`: here its answer is given."""
+
+    def given(body, tables):
+        assert len(tables) > 1
+        names = ("friction_coefficient", "youngs_modulus")
+        value, status = dict(zip(names, (0.42, 1.4e6), strict=True)), dict.fromkeys(names, IDENTIFIED)
+        return SimpleNamespace(names=names, value=value, status=status, covariance=np.diag([1e-4, 1e8]))
+
+    monkeypatch.setattr("cddf_jax.identification.fit.fit", given)
+    read = read_task(ROOT / "fitting" / f"design_{name}.toml")
+    assert len(read.shared["cases"]) == (16 if name == "robust" else 1)
+    assert read.manipulator.kinematics == "published"
+
+
+@pytest.mark.slow
+def test_the_robust_example_is_fitted():
+    """Every case has numbers of its own, near the estimate of the simulated data, 0.42 and 1.4 MPa."""
+    cases = read_task(ROOT / "fitting" / "design_robust.toml").shared["cases"]
+    numbers = np.array([[case.numbers[name] for name in ("friction_coefficient", "youngs_modulus")] for case in cases])
+    assert len(np.unique(numbers, axis=0)) == 16
+    np.testing.assert_allclose(numbers.mean(axis=0), [0.42, 1.4e6], rtol=0.05)
+
+
+@pytest.mark.slow
+def test_the_example_of_uniform_curvature_is_the_analytic_body(run, tmp_path):
+    """Published kinematics: kappa = d T / (E J + T d^2) and T' = -mu kappa / (1 - d kappa) T, solved for J."""
+    assert run(ROOT / "fitting" / "design_uniform_curvature.toml", "--out", tmp_path)[0] == 0
+    body = cddf.read_manipulator(tmp_path / "design.toml")
+    s, kappa, d, tension, mu, modulus = np.linspace(0, 0.14, 301), np.pi / 4 / 0.14, 0.01, 50.0, 0.42, 1.4e6
+    q = 1 - d * kappa
+    second_moment = tension * d * q * np.exp(-mu * kappa * s / q) / (modulus * kappa)
+    radius = (4 * second_moment / np.pi + 0.007**4) ** 0.25
+    np.testing.assert_allclose(body.outer_radius(s), radius, rtol=1e-7)  # asked for: 1e-4; nine knots give 2e-9
+
+
+def test_tendons_may_run_where_the_robot_has_them(task, tmp_path):
+    """As the robot's file says, unless the task does; a manipulator without the key keeps them in its wall."""
+    assert not read_task(task()).shared["options"].offsets_outside_wall
+    outside = PAPER.read_text().replace("[[tendons]]", "offsets_outside_wall = true\n\n[[tendons]]", 1)
+    (tmp_path / "outside.toml").write_text(outside)
+    text = TASK.replace(str(PAPER), "outside.toml")
+    assert read_task(task(text)).shared["options"].offsets_outside_wall
+    assert not read_task(task("offsets_outside_wall = false\n" + text)).shared["options"].offsets_outside_wall
+
+
+REFUSED = {
+    "an unknown key": (lambda t: "colour = 1\n" + t, "unknown key 'colour'"),
+    "no robot": (lambda t: t.replace("robot =", "nodes_ ="), "unknown key 'nodes_'; did you mean nodes?"),
+    "a robot that is not there": (lambda t: t.replace("smooth_sil_940.toml", "none.toml"), "cannot be read"),
+    "kinematics": (lambda t: t.replace('"exact"', '"other"'), "kinematics must be one of"),
+    "no unit": (lambda t: t.replace('"8 mm"', '"8"'), "free outer_radius: bounds needs a unit of length"),
+    "one bound": (lambda t: t.replace('["8 mm", "25 mm"]', '["8 mm"]'), "bounds must be two values"),
+    "bounds beside the start": (lambda t: t.replace('"25 mm"]', '"9 mm"]'), "starts at 0.02, outside its bounds"),
+    "two forms": (lambda t: t.replace("taper = true", "taper = true, knots = 5"), "write knots = 9 for a spline or"),
+    "few knots": (lambda t: t.replace("taper = true", "knots = 3"), "knots must be 4 or more, got 3"),
+    "a form of a number": (lambda t: t.replace("outer_radius =", "length ="), "only outer_radius, inner_radius and"),
+    "no such number": (lambda t: t.replace("outer_radius = { taper = true,", "colour = {"), "'colour' is no number"),
+    "a number instead of a table": (
+        lambda t: t.replace('{ taper = true, bounds = ["8 mm", "25 mm"] }', "3"),
+        'free outer_radius: write { bounds = ["8 mm", "25 mm"] }',
+    ),
+    "choices beside bounds": (lambda t: t.replace("taper = true,", "choices = [1],"), "and nothing beside it"),
+    "no case": (lambda t: t.replace("[[case]]", "[case]"), "write each below a line [[case]]"),
+    "a push": (lambda t: t.replace('"50 N"', '"-50 N"'), "case 1: base_tension '-50 N': a tendon cannot push"),
+    "two tensions": (lambda t: t.replace('"50 N"', '["50 N", "60 N"]'), "case 1: base_tension: 2 given"),
+    "a direction": (lambda t: t.replace('"50 N"', '"50 N"\ndirection = 2'), "direction must be 1"),
+    "a weight": (lambda t: t.replace('"50 N"', '"50 N"\nweight = 0'), "weight must be above 0"),
+    "gravity without weight": (lambda t: t.replace('"50 N"', '"50 N"\ngravity = "0, -9.81 m/s^2"'), "density"),
+    "two aims": (
+        lambda t: t.replace('least = "volume"', 'least = "volume"\nmost = "mass"'),
+        "write one of least, most",
+    ),
+    "an unknown quantity": (lambda t: t.replace('"strain"', '"strian"'), "did you mean strain?"),
+    "mass without density": (lambda t: t.replace('"volume"', '"mass"'), 'or take "volume"'),
+    "near nothing": (lambda t: t.replace('least = "volume"', 'near = "tip_position"'), "near needs a value"),
+    "a value without near": (lambda t: t.replace('"volume"', '"volume"\nvalue = 1'), "belong to near"),
+    "a limit of nothing": (lambda t: t.replace("most = 0.105", ""), "limit 2: a limit of strain needs least, most"),
+    "no TOML": (lambda t: t + "[[", "is not TOML"),
+    "starts": (lambda t: "starts = 1.5\n" + t, "starts must be a whole number"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_bad_tasks_are_refused_in_one_line(what, task):
+    change, message = REFUSED[what]
+    path = task(change(TASK))
+    with pytest.raises(cddf.InputError) as caught:
+        read_task(path).design()
+    said = str(caught.value)
+    assert said.startswith(f"{path}: ") or message == "cannot be read"
+    assert message in said
+    assert "\n" not in said
+
+
+def test_a_bad_task_writes_nothing(run, task, tmp_path):
+    code, text, error = run(task(TASK.replace('"strain"', '"strian"')), "--out", tmp_path / "out")
+    assert (code, text) == (2, "")
+    assert error.startswith(f"error: {tmp_path}")
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    code, _, error = run()
+    assert (code, error) == (2, "error: give a task file; cddf design --template prints one with every key\n")
+
+
+def refusal(path):
+    try:
+        read_task(path)
+    except cddf.InputError as error:
+        return str(error)
+    return ""
+
+
+def test_the_template_is_a_task_and_has_every_key(run, task):
+    """Each line alone without its #: known, though it may contradict another line."""
+    code, text, _ = run("--template")
+    assert code == 0
+    text = text.replace("smooth_sil_940.toml", str(PAPER))
+    read = read_task(task(text))
+    assert read.shared["free"] == ("outer_radius",)
+    assert [str(limit) for limit in read.shared["constraints"]] == ["0.002 <= wall_thickness"]
+    before, fit, after = re.split(r"(^# \[uncertain\].*?\n\n)", text, flags=re.M | re.S)
+    for line in re.findall(r"^# \w+ = .*$", before + after, flags=re.M):
+        assert "unknown key" not in refusal(task((before + after).replace(line, line[2:])))
+    assert len(fit.splitlines()) == 2 + len(KEYS["uncertain"])
+    assert all(f"`{key.name}`" in keys_in_words() for keys in KEYS.values() for key in keys)
+    required = {name: [key.name for key in keys if key.required] for name, keys in KEYS.items()}
+    one_each = {"": ["robot"], "case": ["base_tension"], "uncertain": ["data"], "limit": ["quantity"]}
+    assert required == one_each | {"free": [], "objective": []}
+
+
+def test_a_trade_off_has_two_objectives(run, task):
+    code, _, error = run(task(), "--pareto", 3)
+    assert code == 2
+    assert "give two objectives" in error
+    code, _, error = run(task("starts = 8\n" + TASK), "--pareto", 3)
+    assert code == 2
+    assert "choices, starts and weights have no place in a trade-off" in error

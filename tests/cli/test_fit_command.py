@@ -1,0 +1,176 @@
+"""`cddf fit` and `cddf reproduce`: answers against the library, files, and how a fit fails."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from places import DATA
+from repeat import repeated
+
+import cddf_jax as cddf
+from cddf_jax.estimation.observations import Noise
+
+PAPER, LOAD_CELLS, PULLEY = (
+    str(DATA / name) for name in ("smooth_sil_940.toml", "load_cells_simulated.csv", "pulley_simulated.csv")
+)
+BOTH = ("friction_coefficient", "youngs_modulus")
+
+
+def assert_the_fit(answer, fit):
+    """The JSON object is the library's fit."""
+    assert answer["status"] == fit.status
+    assert answer["verdict"] == list(fit.verdict)
+    for name in fit.value:
+        assert answer["value"][name] == pytest.approx(fit.value[name], rel=1e-9)
+        error = answer["standard_error"][name]
+        assert (np.inf if error is None else error) == pytest.approx(fit.standard_error[name], rel=1e-6)
+
+
+def test_fit_in_words_says_what_is_not_known(cddf_command):
+    code, out, err = cddf_command("fit", PAPER, PULLEY)
+    assert (code, err) == (0, "")
+    fit = cddf.fit(cddf.read_manipulator(PAPER), cddf.read_measurements(PULLEY))
+    assert out.splitlines()[: len(fit.verdict)] == list(fit.verdict)
+    assert "youngs_modulus: not identified" in out
+    assert "simulated data: pulley_simulated.csv" in out
+
+
+@pytest.mark.slow
+def test_fit_of_two_tables_in_json_and_files(answer_of, tmp_path):
+    answer = answer_of("fit", PAPER, PULLEY, LOAD_CELLS, "--out", tmp_path)
+    tables = [cddf.read_measurements(path) for path in (PULLEY, LOAD_CELLS)]
+    assert_the_fit(answer, cddf.fit(cddf.read_manipulator(PAPER), tables))
+    assert answer["status"] == dict.fromkeys(BOTH, "identified")
+    stems = ("fit_pulley_simulated", "fit_load_cells_simulated", "residuals", "profiles", "correlation")
+    figures = {f"{stem}.{suffix}" for stem in stems for suffix in ("pdf", "png")}
+    assert {path.name for path in tmp_path.iterdir()} == {"results.json", "report.md", *figures}
+    assert json.loads((tmp_path / "results.json").read_text()) == answer
+    assert (tmp_path / "report.md").read_text().startswith("# ")
+    assert all((tmp_path / name).stat().st_size > 1000 for name in figures)
+
+
+def test_prior_and_kinematics(answer_of):
+    """Of the modulus a pulley test knows nothing: its prior is all that there is."""
+    prior = ("--prior", "youngs_modulus=1.4 MPa +- 100 kPa")
+    answer = answer_of("fit", PAPER, PULLEY, *prior, "--kinematics", "exact")
+    assert answer["kinematics"] == "exact"
+    assert answer["status"]["youngs_modulus"] == "prior only"
+    assert answer["value"]["youngs_modulus"] == pytest.approx(1.4e6)
+    assert answer["standard_error"]["youngs_modulus"] == pytest.approx(1e5)
+
+
+def test_options_of_a_fit(answer_of):
+    """Against the library with the same options; of the pulley test alone, which needs no solve."""
+    options = ("--free", "friction_coefficient", "--loss", "huber", "--starts", "3", "--seed", "5")
+    limits = ("--prior", "friction_coefficient = uniform 0.1 .. 0.6", "--bound", "friction_coefficient=0.2:")
+    answer = answer_of("fit", PAPER, PULLEY, *options, *limits, "--noise", "pulling_tension=0.1 N + 1 %")
+    fit = cddf.fit(
+        cddf.read_manipulator(PAPER),
+        cddf.read_measurements(PULLEY),
+        free=("friction_coefficient",),
+        bounds={"friction_coefficient": (0.2, 0.6)},
+        noise={"pulling_tension": Noise(0.1, 0.01)},
+        loss="huber",
+    )
+    assert_the_fit(answer, fit)
+    assert answer["options"] == {
+        "free": ["friction_coefficient"],
+        "priors": {},
+        "bounds": {"friction_coefficient": [0.2, 0.6]},
+        "noise": {"pulling_tension": {"floor": 0.1, "fraction": 0.01}},
+        "per_trial": False,
+        "loss": "huber",
+        "starts": 3,
+        "seed": 5,
+        "nodes": 16,
+    }
+
+
+def test_averaged_holds(answer_of, tmp_path):
+    """Two weights, five samples each: two readings, whose ln(T / W) / pi scatters by nothing."""
+    pull = np.array([5.0, 10.0]) * np.exp(0.42 * np.pi)
+    rows = [f"{weight},180,{p + e:.9f}" for weight, p in zip((5, 10), pull, strict=True) for e in (-2, 1, 0, 2, -1)]
+    (tmp_path / "drum.csv").write_text("weight [N],wrap_angle [deg],pulling_tension [N]\n" + "\n".join(rows))
+    options = ("--free", "friction_coefficient", "--average-holds", "--noise", "pulling_tension=0.1 N")
+    answer = answer_of("fit", PAPER, tmp_path / "drum.csv", *options)
+    assert [(table["rows"], table["holds_averaged"]) for table in answer["data"]] == [(2, True)]
+    assert answer["value"]["friction_coefficient"] == pytest.approx(0.42, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_trials_and_bootstrap_of_the_shipped_data(cddf_command, tmp_path):
+    """The truth: mu 0.42, E 1.4 MPa, friction that scatters by 1 % from trial to trial (data/README.md)."""
+    table = str(DATA / "tip_angle_simulated.csv")
+    options = ("--kinematics", "exact", "--per-trial", "--bootstrap", "20", "--seed", "3")
+    code, out, err = cddf_command("fit", PAPER, table, *options, "--out", tmp_path)
+    assert (code, err) == (0, "")
+    markdown = (tmp_path / "report.md").read_text()
+    for line in markdown.splitlines()[2:5]:  # the same first lines on the terminal and in the report
+        assert line.removeprefix("- ") in out
+    assert re.match(r"# .*\n\n- friction_coefficient = 0\.4\d* \+- .*: identified\n- youngs_modulus = 1\.", markdown)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert [(b["kind"], b["replicates"], b["seed"]) for b in results["bootstraps"]] == [
+        ("parametric", 20, 3),
+        ("cases", 20, 3),
+    ]
+    assert "bootstrap, cases, 20 refits:\n  friction_coefficient +- " in out
+    effects = results["trial_effects"]
+    assert list(effects) == [f"tip_angle_simulated.csv: {k}" for k in (1, 2, 3)]
+    assert all(abs(effect["value"]) < 0.05 and 0 < effect["standard_error"] < 0.05 for effect in effects.values())
+    assert "| tip_angle_simulated.csv: 1 | " in markdown
+    assert "## Model-free friction" in markdown
+    again = repeated(results, tmp_path)
+    assert again.value == pytest.approx(results["value"], rel=1e-9)
+    assert again.trial_spread == pytest.approx(results["trial_spread"], rel=1e-6)
+
+
+def test_a_fit_says_how_its_files_were_read(cddf_command, tmp_path):
+    """The numbers are 10 exp(0.42 angle), Liu et al. (2020), eq. (5); a trial in each file, one without a reading."""
+    angles, files = (45.0, 90.0, 135.0), [tmp_path / "run_1.csv", tmp_path / "run_2.csv"]
+    for file, scatter in zip(files, (1.01, 0.99), strict=True):
+        rows = [f"{a},10,{scatter * 10 * np.exp(0.42 * np.radians(a)):.4f},{a}" for a in angles]
+        file.write_text("\n".join(["Wrap angle (deg),Weight_N,F1,t", *rows, "180,10,,0", ""]))
+    asked = ("--free", "friction_coefficient", "--column", "F1=pulling_tension [N]", "--json")
+    code, out, err = cddf_command("fit", PAPER, *files, *asked, "--out", tmp_path / "out")
+    answer = json.loads(out)
+    assert code == 0
+    assert answer["value"]["friction_coefficient"] == pytest.approx(0.42, rel=1e-3)  # the scatter is 1 %, both ways
+    read_as = [
+        "run_1.csv: read as: 'Wrap angle (deg)' wrap_angle [deg], 'Weight_N' weight [N], 'F1' pulling_tension [N]",
+        "run_1.csv: columns that are not used: 't'",
+        "run_1.csv: rows without a reading are left out: 1 of 4 rows (row 5 first)",
+    ]
+    assert err.splitlines()[:3] == [f"note: {line}" for line in read_as]
+    assert err.splitlines()[-1].startswith("note: run_1.csv, run_2.csv: the same columns and no column trial, so each")
+    assert answer["data"][0]["read_as"] == [line.removeprefix("note: ") for line in err.splitlines()]
+    report = (tmp_path / "out" / "report.md").read_text()
+    assert all(f"- {line}" in report for line in answer["data"][0]["read_as"])
+
+
+LOCKED = "base_tension [N],tip_tension [N],direction\n200,300,-1\n210,305,-1\n220,310,-1\n"
+
+
+@pytest.mark.slow
+def test_a_fit_that_fails(cddf_command, tmp_path):
+    """At 200 N the model has no solution: one line on standard error, no traceback from its figures."""
+    (tmp_path / "locked.csv").write_text(LOCKED)
+    code, out, err = cddf_command("fit", PAPER, tmp_path / "locked.csv", "--json", "--out", tmp_path / "folder")
+    assert code == 1
+    assert err.startswith("error: the fit failed: ")
+    assert err.count("\n") == 1
+    assert json.loads(out)["success"] is False
+    assert json.loads((tmp_path / "folder" / "results.json").read_text())["success"] is False
+
+
+@pytest.mark.slow
+def test_reproduce_in_its_own_folder(cddf_command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = cddf_command("reproduce", PAPER, LOAD_CELLS)
+    assert (code, err) == (0, "")
+    assert "| tension loss at 75 N | 40.00 % | 39.84 % |" in out
+    answer = json.loads((tmp_path / "out" / "reproduce" / "reproduction.json").read_text())
+    rows = {row["name"]: row for row in answer["table"]}
+    assert rows["tension_loss"]["ours"] == pytest.approx(1 - 45.122927013148 / 75, rel=1e-8)  # design.md section 3
+    assert rows["levels"]["ours"] == 17
+    assert {path.name for path in (tmp_path / "out" / "reproduce").iterdir()} == set(answer["files"])

@@ -1,0 +1,226 @@
+"""What is typed as an option, read directly: numbers with units, and one clear line for what cannot be read."""
+
+import numpy as np
+import pytest
+from bodies import paper_body
+
+import cddf_jax as cddf
+from cddf_jax.cli.fit_texts import read_bound, read_noise, read_prior
+from cddf_jax.cli.options import read_all, read_column, read_data, read_directions
+from cddf_jax.estimation.observations import Noise
+from cddf_jax.estimation.parameter_space import Prior, Uniform
+from cddf_jax.files.actuation import read_actuation, read_loads
+
+ONE, TWO = paper_body("exact"), paper_body("exact", num_tendons=2)
+
+
+def refused(call, *arguments):
+    """What is said."""
+    with pytest.raises(cddf.InputError) as raised:
+        call(*arguments)
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+# --- tensions and targets ------------------------------------------------------------------------
+
+
+def test_tensions_and_targets():
+    assert read_actuation(["0.075 kN"], ONE) == [75.0]
+    assert read_actuation(["20 N"], TWO) == [20.0, 20.0]
+    stiffness, tension = read_actuation(["tip_stiffness=0.35 N/mm", "20 N"], TWO)  # in the order of the tendons
+    assert (type(stiffness), float(stiffness.value), tension) == (cddf.TipStiffness, 350.0, 20.0)
+    (curvature,) = read_actuation(["curvature=0.008 1/mm at 7 cm"], ONE)
+    assert (float(curvature.value), float(curvature.arc_length)) == (8.0, 0.07)
+    for text, kind, value in (
+        ("displacement = 5 mm", cddf.Displacement, 0.005),
+        ("tip_angle=45 deg", cddf.TipAngle, np.pi / 4),
+        ("tip_tension=0.04 kN", cddf.TipTension, 40.0),
+        ("total_tension=80 N", cddf.TotalTension, 80.0),
+    ):
+        (target,) = read_actuation([text], ONE)
+        assert type(target) is kind
+        assert float(target.value) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("tension", "message"),
+    [
+        ("75", "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
+        ("75 mm", "--base-tension needs a unit of force, got '75 mm'"),
+        ("75 stone", "--base-tension needs a unit of force, got '75 stone'"),
+        ("much", "--base-tension is not a number, got 'much'"),
+        ("", "--base-tension is not a number, got ''"),
+        ("nan N", "--base-tension must be finite, got 'nan N'"),
+        ("-5 N", "--base-tension"),
+    ],
+)
+def test_wrong_tensions(tension, message):
+    assert refused(read_actuation, [tension], ONE).startswith(message)
+
+
+WRONG_TARGETS = [
+    ("tip_angle=45", "--base-tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
+    ("tip_angle=", "--base-tension tip_angle is not a number, got ''; write for example '12.5 deg'"),
+    ("tip_angle=45 N", "--base-tension tip_angle needs a unit of angle, got '45 N'; write for example '12.5 deg'"),
+    ("tip_angle 45 deg", "--base-tension 'tip_angle 45 deg': write a target with = as in 'tip_angle=45 deg'"),
+    ("tip-angle=45 deg", "--base-tension 'tip-angle=45 deg': unknown target 'tip-angle'; did you mean tip_angle?"),
+    (
+        "mu=0.4",
+        "--base-tension 'mu=0.4': unknown target 'mu'; known are displacement, tip_angle, tip_tension, curvature, "
+        "total_tension, tip_stiffness",
+    ),
+    ("displacement=inf mm", "--base-tension displacement must be finite, got 'inf mm'; write for example '12.5 mm'"),
+    ("tip_tension=-4 N", "--base-tension 'tip_tension=-4 N': a tendon cannot push; give 0 N or more"),
+    ("total_tension=-4 N", "--base-tension 'total_tension=-4 N': a tendon cannot push; give 0 N or more"),
+    ("tip_stiffness=0 N/m", "--base-tension 'tip_stiffness=0 N/m': a stiffness is positive; give more than 0 N/m"),
+    (
+        "curvature=8 1/m",
+        "--base-tension 'curvature=8 1/m': say where the curvature is wanted as in 'curvature=8 1/m at 70 mm'",
+    ),
+    (
+        "curvature=8 at 70 mm",
+        "--base-tension curvature needs a unit of curvature, got '8'; write for example '12.5 1/m'",
+    ),
+    (
+        "curvature=8 1/m at 70",
+        "--base-tension curvature at needs a unit of length, got '70'; write for example '12.5 mm'",
+    ),
+    (
+        "curvature=8 1/m at 150 mm",
+        "--base-tension 'curvature=8 1/m at 150 mm': 150 mm is not on the body; give an arc length from 0 mm to 140 mm",
+    ),
+]
+
+
+@pytest.mark.parametrize(("target", "message"), WRONG_TARGETS)
+def test_wrong_targets(target, message):
+    assert refused(read_actuation, [target], ONE) == message
+
+
+def test_wrong_numbers_of_tensions_targets_and_directions():
+    for texts, body, message in (
+        (["75 N"] * 2, ONE, "--base-tension: 2 given; give one for all, or one for each of 1"),
+        (["75 N"] * 3, TWO, "--base-tension: 3 given; give one for all, or one for each of 2"),
+        (
+            ["tip_angle=45 deg"],
+            TWO,
+            "--base-tension: 1 given with a target among them; give one tension or target for each of 2",
+        ),
+    ):
+        assert refused(read_actuation, texts, body) == message
+    assert refused(read_directions, [1] * 3, TWO) == "--direction: 3 given; give one for all, or one for each of 2"
+    assert refused(read_directions, [2], ONE).startswith("--direction 2: give +1 for a tendon that slides in")
+    assert read_directions([-1], TWO) == [-1, -1]
+    assert read_directions(None, TWO) is None
+
+
+# --- loads ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ("0 N, -5 N", "0.1 N m", "0, -9.81 m/s^2"),
+        ("0, -0.005 kN", "100 N mm", "0 m/s^2, -981 cm/s^2"),
+        ("0 kN, -5 N", "0.1 Nm", "0 m/s^2, -9.81"),
+    ],
+)
+def test_units_of_the_loads(texts):
+    loads = read_loads(*texts, True)
+    assert loads is not None
+    assert np.asarray(loads.tip_force).tolist() == [0.0, -5.0]
+    assert float(loads.tip_moment) == 0.1
+    assert np.asarray(loads.gravity).tolist() == [0.0, -9.81]
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "message"),
+    [
+        ("--tip-force", "5 N", "needs two components X, Y, got '5 N'; write for example '0 N, -12.5 N'"),
+        ("--tip-force", "1 N, 2 N, 3 N", "needs two components X, Y, got '1 N, 2 N, 3 N'; write for example"),
+        ("--tip-force", "0, -5", " X needs a unit of force, got '0'; write for example '12.5 N'"),
+        ("--tip-force", "0 N, -5 mm", " Y needs a unit of force, got '-5 mm'; write for example '12.5 N'"),
+        ("--tip-force", "down, 5 N", " X is not a number, got 'down'; write for example '12.5 N'"),
+        ("--tip-force", "0 N,", " Y is not a number, got ''; write for example '12.5 N'"),
+        ("--tip-force", "nan N, 0 N", " X must be finite, got 'nan N'; write for example '12.5 N'"),
+        ("--tip-moment", "0.1", "needs a unit of moment, got '0.1'; write for example '12.5 N m'"),
+        ("--tip-moment", "0.1 mm", "needs a unit of moment, got '0.1 mm'; write for example '12.5 N m'"),
+        (
+            "--tip-moment",
+            "0.1 N m, 0",
+            "needs a unit of moment, got '0.1 N m, 0' with the unknown unit 'N m, 0'; write",
+        ),
+        ("--tip-moment", "strong", "is not a number, got 'strong'; write for example '12.5 N m'"),
+        ("--gravity", "9.81 m/s^2", "needs two components X, Y, got '9.81 m/s^2'; write for example '0 m/s^2, -12.5"),
+        ("--gravity", "0, -9.81 m", " X needs a unit of acceleration, got '0 m'; write for example '12.5 m/s^2'"),
+        (
+            "--gravity",
+            "0, -1 g_0",
+            "'0, -1 g_0': the body has no weight, since its density is 0; "
+            'give in its file density = "1070 kg/m^3", mass_per_length = "0.12 kg/m" or a [[point_mass]]',
+        ),
+    ],
+)
+def test_wrong_loads(option, text, message):
+    place = ("--tip-force", "--tip-moment", "--gravity").index(option)
+    texts = [text if i == place else None for i in range(3)]
+    assert refused(read_loads, *texts, False).startswith(f"{option} {message.lstrip()}")
+
+
+# --- priors, noise, bounds, columns ----------------------------------------------------------------
+
+
+def test_priors_noise_and_bounds():
+    for sign in ("+-", "±"):
+        assert read_prior(f"youngs_modulus = 1.4 MPa {sign} 100 kPa") == ("youngs_modulus", Prior(1.4e6, 1e5))
+    assert read_prior("friction_coefficient = uniform 0.1 .. 0.6") == ("friction_coefficient", Uniform(0.1, 0.6))
+    assert read_noise("tip_tension=0.0005 kN") == ("tip_tension", 0.5)
+    assert read_noise("tip_tension=0.2 N + 1 %") == ("tip_tension", Noise(0.2, 0.01))
+    assert read_noise("tip_tension=1 %") == ("tip_tension", Noise(0.0, 0.01))
+    assert read_bound("pretension=0 N:2 N") == ("pretension", (0.0, 2.0))
+    assert read_bound("friction_coefficient=0.2:") == ("friction_coefficient", (0.2, None))
+    assert read_column("Tbase_N=base_tension [N]") == ("Tbase_N", "base_tension [N]")
+    assert read_column("t=") == ("t", "")
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "message"),
+    [
+        (read_prior, "youngs_modulus", "--prior 'youngs_modulus': write a parameter, mean and deviation as in"),
+        (read_prior, "youngs_modulus=1.4 MPa", "--prior 'youngs_modulus=1.4 MPa': write a parameter, mean and devia"),
+        (read_prior, "mu=0.4 +- 0.1", "'mu' is no parameter that can be fitted; there are friction_coefficient, young"),
+        (read_prior, "friction_coefficient=0.1..", "--prior friction_coefficient is not a number, got ''"),
+        (read_prior, "youngs_modulus=1.4 N +- 1 N", "--prior youngs_modulus needs a unit of pressure, got '1.4 N'"),
+        (read_prior, "youngs_modulus=1.4 MPa +- 0.1", "--prior youngs_modulus needs a unit of pressure, got '0.1'"),
+        (read_prior, "friction_coefficient=0.4 N +- 0.1", "--prior friction_coefficient is a plain number, got '0.4"),
+        (read_noise, "tip_tension", "--noise 'tip_tension': write a column and a standard deviation as in"),
+        (read_noise, "tip_tension=loud", "--noise tip_tension is not a number, got 'loud'"),
+        (read_noise, "tip_tension=0.5 mm", "--noise tip_tension needs a unit of force, got '0.5 mm'"),
+        (read_noise, "tip_tension=0.5", "--noise tip_tension needs a unit of force, got '0.5'"),
+        (read_noise, "tip_angle=1 N", "--noise tip_angle needs a unit of angle, got '1 N'"),
+        (read_noise, "tip_tension=0.1 N + 0.2 N", "--noise tip_tension: the part that grows with the reading is in %"),
+        (read_noise, "tip_tension=0.1 N + x %", "--noise tip_tension is not a number, got 'x'"),
+        (read_bound, "friction_coefficient", "--bound 'friction_coefficient': write a parameter and its limits as in"),
+        (read_bound, "friction_coefficient=:", "--bound 'friction_coefficient=:': write a parameter and its limits as"),
+        (read_bound, "mu=0:1", "'mu' is no parameter that can be fitted"),
+        (read_bound, "youngs_modulus=1:2 MPa", "--bound youngs_modulus needs a unit of pressure, got '1'"),
+        (read_column, "wrap_angle", "--column 'wrap_angle': write the head of a column and what it is, as in"),
+    ],
+)
+def test_what_a_fit_cannot_read(read, text, message):
+    assert refused(read, text).startswith(message)
+
+
+def test_what_is_given_twice():
+    twice = ["a=trial", "a=weight [N]"]
+    assert refused(read_all, twice, read_column, "--column") == "--column a is given twice; leave one out"
+
+
+def test_averaged_holds(tmp_path):
+    """By hand, the means of two holds."""
+    path = tmp_path / "bench.csv"
+    path.write_text("base_tension [N], tip_tension [N]\n5, 4.7\n5, 4.9\n10, 9.2\n")
+    (plain,), (means,) = read_data([path], None), read_data([path], None, holds_averaged=True)
+    assert plain["tip_tension"].tolist() == [4.7, 4.9, 9.2]
+    assert means["tip_tension"].tolist() == pytest.approx([4.8, 9.2])

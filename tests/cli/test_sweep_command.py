@@ -1,0 +1,571 @@
+"""`cddf sweep`: axes with units, the store and what goes beside it, going on where it was, one-line errors."""
+
+import csv
+import errno
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from bodies import paper_body
+from places import DATA
+
+import cddf_jax as cddf
+from cddf_jax import application
+from cddf_jax.batch.store import Memory
+from cddf_jax.cli import sweep_run, sweep_texts as sweep_options
+from cddf_jax.figures import style as plotting
+from cddf_jax.sweeping import export as sweep_exports
+
+PAPER = DATA / "smooth_sil_940.toml"
+LENGTH, G = 0.14, 2.942783188998e4  # m, m^-2, design.md section 3
+TENSIONS = ("--over", "base_tension=5N:85N:5")
+FRICTIONS = ("--over", "friction_coefficient=0.1:0.6:4")
+
+
+@pytest.fixture(autouse=True)
+def _tests_set_jax_up_themselves(monkeypatch):
+    monkeypatch.setattr(application, "configure_jax_for_batches", lambda processes: None)
+
+
+@pytest.fixture
+def run(cddf_command, tmp_path, monkeypatch):
+    """`cddf sweep` with some arguments, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: cddf_command("sweep", *arguments)
+
+
+@pytest.fixture
+def fails(run, tmp_path):
+    """It must end in one line on standard error, and write nothing; that line."""
+
+    def run_and_fail(*arguments):
+        before = sorted(tmp_path.rglob("*"))
+        code, out, err = run(*arguments)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert sorted(tmp_path.rglob("*")) == before
+        return err.removeprefix("error: ").rstrip("\n")
+
+    return run_and_fail
+
+
+def opened(path):
+    with xarray.open_zarr(path, chunks=None, consolidated=False) as answer:
+        return answer.load()
+
+
+def rows_of(path):
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def tip_tension(tension, friction):
+    return float(cddf.closed_form_tension(replace(paper_body(), friction_coefficient=friction), tension, LENGTH))
+
+
+def read(*over, base_tension=None, together=(), sample=sweep_options.Samples(), body=None):
+    body = body or paper_body(density=1070.0)
+    actuation = sweep_options.read_base_tension(base_tension or [], body)
+    return sweep_options.read_sweep(body, over, together, sample, base_tension=actuation)
+
+
+# --- running -------------------------------------------------------------------------------------
+
+
+def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, monkeypatch):
+    exports = ("--netcdf", "tables/sweep.nc", "--csv", "tables/sweep.csv")
+    outputs = ("--output", "tip_tension,tip_position", "--chunk", 8)
+    arguments = (PAPER, *TENSIONS, *FRICTIONS, *outputs, "--out", "sweep.zarr", *exports)
+    code, text, error = run(*arguments, "--json")
+    assert (code, error) == (0, "")
+    told = json.loads(text)
+    assert json.loads((tmp_path / "sweep.json").read_text()) == told
+    files = {path.name for path in tmp_path.iterdir()}
+    assert files == {"sweep.zarr", "sweep.json", "sweep.pdf", "sweep.png", "tables"}
+    assert {path.name for path in (tmp_path / "tables").iterdir()} == {"sweep.nc", "sweep.csv"}
+    assert told["paths"]["figures"] == ["sweep.pdf", "sweep.png"]
+
+    tensions, frictions = np.linspace(5.0, 85.0, 5), np.linspace(0.1, 0.6, 4)
+    expected = np.array([[tip_tension(t, mu) for mu in frictions] for t in tensions])
+    answer = opened("sweep.zarr")
+    assert list(answer["tip_position"].dims) == ["base_tension", "friction_coefficient", "component"]
+    np.testing.assert_allclose(answer["base_tension"], tensions, rtol=1e-15)
+    np.testing.assert_allclose(answer["tip_tension"].isel(tendon=0), expected, rtol=1e-9)
+    alone = cddf.solve(replace(cddf.read_manipulator(PAPER), friction_coefficient=frictions[1]), tensions[3])
+    np.testing.assert_allclose(answer["tip_position"][3, 1], alone.tip_position, rtol=1e-12)
+
+    assert told["axes"] == [
+        {"name": "base_tension", "dimension": "base_tension", "first": 5.0, "last": 85.0, "count": 5, "unit": "N"},
+        {"name": "friction_coefficient", "dimension": "friction_coefficient"}
+        | {"first": pytest.approx(0.1), "last": pytest.approx(0.6), "count": 4, "unit": "1"},
+    ]
+    assert (told["solves"], told["solves_there_before"], told["results"]) == (20, 0, {"successful": 20})
+    assert told["outputs"]["tip_tension"]["min"] == [pytest.approx(expected.min())]
+    assert told["outputs"]["tip_tension"]["max"] == [pytest.approx(expected.max())]
+    assert told["outputs"]["tip_position"]["max"] == pytest.approx(answer["tip_position"].values.max((0, 1)))
+    assert told["options"]["over"] == ["base_tension=5N:85N:5", "friction_coefficient=0.1:0.6:4"]
+
+    rows = rows_of("tables/sweep.csv")
+    heads = ["base_tension [N]", "friction_coefficient", "tip_tension [N]", "tip_position.X [m]", "tip_position.Y [m]"]
+    assert list(rows[0]) == [*heads, "result"]
+    assert [float(row["tip_tension [N]"]) for row in rows] == answer["tip_tension"].values.ravel().tolist()
+    assert [float(row["tip_position.Y [m]"]) for row in rows] == answer["tip_position"].values[..., 1].ravel().tolist()
+    assert [(float(r["base_tension [N]"]), float(r["friction_coefficient"])) for r in rows[3:5]] == [
+        (5.0, pytest.approx(0.6)),
+        (25.0, pytest.approx(0.1)),
+    ]
+    assert {row["result"] for row in rows} == {"successful"}
+
+    with xarray.open_dataset("tables/sweep.nc", engine="scipy") as netcdf:
+        assert netcdf["tip_tension"].attrs["units"] == "N"
+        assert netcdf["base_tension"].attrs["units"] == "N"
+        assert netcdf["tip_position"].sel(component="X").attrs["units"] == "m"
+        np.testing.assert_array_equal(netcdf["tip_tension"], answer["tip_tension"])
+        assert bool(netcdf["successful"].all())
+
+    chunks = sorted((tmp_path / "sweep.zarr" / "result" / "c").rglob("*"))
+    chunks = [path for path in chunks if path.is_file()]
+    assert len(chunks) == 3  # of 2 x 4, the last of 1 x 4
+    chunks[1].unlink()
+    monkeypatch.setattr(plotting, "render", lambda figure, name: {})
+    code, text, error = run(*arguments)
+    assert (code, error) == (0, "")
+    assert text.startswith("20 solves, 12 there already, 8 more in ")
+    xarray.testing.assert_identical(opened("sweep.zarr"), answer)
+    assert run(*arguments)[1].startswith("20 solves, all there already: 20 successful\n")
+
+
+def test_what_fails_is_counted_and_told(run):
+    """In the exact kinematics fibres cross at the base from E J / d^2 = 1733 N on; a tendon cannot push."""
+    axes = ("--over", "base_tension=-5 N,10 N,3 kN", "--kinematics", "exact", "--output", "tip_tension,curvature")
+    code, text, error = run(PAPER, *axes, "--out", "folder", "--csv", "folder/table.csv")
+    assert (code, error) == (0, "")
+    first, *others = text.splitlines()
+    assert first.endswith(": 1 successful, 1 crossing, 1 unphysical")
+    assert others[0].startswith("crossing: offset * curvature reaches 1: fibres of the body would cross")
+    assert others[1].startswith("unphysical: The body or its load is not physical")
+    tip = tip_tension(10.0, 0.42)
+    assert f"tip_tension: {tip:.5g} N to {tip:.5g} N" in others
+    assert others[-1] == (
+        "written: folder/sweep.zarr, folder/sweep.pdf, folder/sweep.png, folder/sweep.json, folder/table.csv"
+    )
+    rows = rows_of("folder/table.csv")
+    assert list(rows[0]) == ["base_tension [N]", "tip_tension [N]", "result"]  # no line along the body in a table
+    assert [row["result"] for row in rows] == ["unphysical", "successful", "crossing"]
+    assert [bool(row["tip_tension [N]"]) for row in rows] == [False, True, True]
+
+
+@pytest.mark.slow
+def test_targets_samples_and_options(run):
+    """Capstan law: T_tip = T exp(-mu angle), whatever the body, in the exact kinematics."""
+    sample = ("--sample", "youngs_modulus=1.2MPa:1.6MPa", "--sample", "friction_coefficient=0.1:0.6", "--samples", 4)
+    target = ("-t", "tip_angle=45 deg", "--over", "base_tension.value=10deg:60deg:2", "--over", "kinematics=exact")
+    options = ("--sampler", "sobol", "--seed", 3, "--nodes", 8)
+    outputs = ("--output", "tip_tension, base_tension,tip_angle", "--out", "out")
+    code, text, error = run(PAPER, *target, *sample, *options, *outputs, "--json")
+    assert (code, error) == (0, "")
+    answer = opened("out/sweep.zarr").isel(kinematics=0)
+    friction = answer["friction_coefficient"]
+    ratio = (answer["tip_tension"] / answer["base_tension"]).isel(tendon=0)
+    np.testing.assert_allclose(ratio, np.exp(-friction * answer["tip_angle"]).transpose(*ratio.dims), rtol=1e-7)
+    np.testing.assert_allclose(answer["tip_angle"].isel(sample=0), np.radians([10.0, 60.0]), rtol=1e-8)
+    expected = cddf.sobol({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 4, 3)
+    np.testing.assert_array_equal(friction, expected["friction_coefficient"])
+    axes = {axis["name"]: axis for axis in json.loads(text)["axes"]}
+    assert (axes["youngs_modulus"]["dimension"], axes["youngs_modulus"]["count"]) == ("sample", 4)
+    assert (axes["kinematics"]["first"], axes["kinematics"]["unit"]) == ("exact", None)
+    assert axes["base_tension.value"]["last"] == pytest.approx(np.pi / 3)
+
+
+def test_two_tendons_in_a_table(tmp_path):
+    """The columns; the numbers are made up."""
+    body = paper_body("exact", num_tendons=2)
+    work = replace(
+        read("base_tension_1=20N,40N", "nodes=8,16", base_tension=["0 N", "5 N"], body=body), outputs=("tip_tension",)
+    )
+    answer = Memory(work.layout).dataset()
+    answer["tip_tension"][...] = np.arange(8.0).reshape(2, 2, 2)
+    answer["result"][...] = [[0, 0], [3, 0]]
+    sweep_exports.write_csv(work.layout, answer, tmp_path / "two.csv")
+    rows = rows_of(tmp_path / "two.csv")
+    assert list(rows[0]) == ["base_tension_1 [N]", "nodes", "tip_tension_1 [N]", "tip_tension_2 [N]", "result"]
+    assert [tuple(row.values()) for row in rows] == [
+        ("20.0", "8", "0.0", "1.0", "successful"),
+        ("20.0", "16", "2.0", "3.0", "successful"),
+        ("40.0", "8", "4.0", "5.0", "crossing"),
+        ("40.0", "16", "6.0", "7.0", "successful"),
+    ]
+
+
+@pytest.mark.slow
+def test_sensitivities(run):
+    """dT_tip/dE = T_tip^2 mu G / E^2 from the closed form T / (1 + mu T G / E)."""
+    options = ("--sensitivity", "youngs_modulus", "--output", "tip_tension", "--csv", "x.csv")
+    code, text, error = run(PAPER, *TENSIONS, *options, "--out", "x.zarr", "--json")
+    assert (code, error) == (0, "")
+    name = "tip_tension_by_youngs_modulus"
+    rows = rows_of("x.csv")
+    assert list(rows[0]) == ["base_tension [N]", "tip_tension [N]", f"{name} [N/Pa]", "result"]
+    expected = [0.42 * G / 1.4e6**2 * tip_tension(tension, 0.42) ** 2 for tension in np.linspace(5.0, 85.0, 5)]
+    np.testing.assert_allclose([float(row[f"{name} [N/Pa]"]) for row in rows], expected, rtol=1e-8)
+    assert json.loads(text)["outputs"][name]["max"] == [pytest.approx(max(expected))]
+
+
+def test_no_success_at_all(run, tmp_path):
+    code, text, error = run(PAPER, "--over", "base_tension=-5N,-6N", "--out", "x.zarr")
+    assert code == 1
+    assert ": 2 unphysical\n" in text
+    assert error == "error: no solve was successful; see the results\n"
+    assert (tmp_path / "x.json").exists()
+
+
+# --- task files ----------------------------------------------------------------------------------
+
+
+TASK = """
+robot = "{robot}"
+output = "tip_tension"
+sensitivity = ["youngs_modulus"]
+chunk = 8
+dry_run = true
+
+[over]
+base_tension = "5N:85N:5"
+kinematics = ["published", "exact"]
+
+[sample]
+youngs_modulus = "1.2MPa:1.6MPa"
+"""
+
+
+def test_a_task_file_gives_the_options_and_the_command_line_overrides_it(run, tmp_path):
+    (tmp_path / "task.toml").write_text(TASK.format(robot=PAPER))
+    code, text, error = run("--task", "task.toml", "--samples", 3, "--chunk", 7, "--json")
+    assert (code, error) == (0, "")
+    told = json.loads(text)
+    assert [(axis["name"], axis["count"]) for axis in told["axes"]] == [
+        *(("base_tension", 5), ("kinematics", 2), ("youngs_modulus", 3)),
+    ]
+    assert told["outputs"] == ["tip_tension", "tip_tension_by_youngs_modulus"]
+    assert told["chunks"]["solves"] <= 7
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ("outputs = 3", "task.toml: there is no option 'outputs'; there are robot, over, together, sample, "),
+        ("over = ", "task.toml: is no TOML ("),
+        (None, "task.toml: cannot be read (No such file or directory); check the path"),
+    ],
+)
+def test_task_files_that_are_refused(fails, tmp_path, task, message):
+    if task is not None:
+        (tmp_path / "task.toml").write_text(task)
+    assert fails(PAPER, "--task", "task.toml").startswith(message)
+
+
+# --- dry runs ------------------------------------------------------------------------------------
+
+
+def test_a_dry_run_writes_nothing(run, tmp_path):
+    arguments = (PAPER, *TENSIONS, *FRICTIONS, "--over", "nodes=8,16", "--chunk", 10, "--dry-run")
+    code, text, error = run(*arguments, "--out", "new/sweep.zarr", "--csv", "new/table.csv")
+    assert (code, error) == (0, "")
+    assert not list(tmp_path.iterdir())
+    lines = text.splitlines()
+    assert lines[:4] == [
+        "40 solves",
+        "base_tension: 5 N to 85 N, 5 values",
+        "friction_coefficient: 0.1 to 0.6, 4 values",
+        "nodes: 8 to 16, 2 values",
+    ]
+    # tip tension, two components and the angle in float64, the mask and the result: 34 bytes
+    assert lines[4] == "answer: tip_tension, tip_position, tip_angle; 1.36 kB on disk at most"
+    assert lines[5] == "chunks: 6 of 2 x 4 x 1 solves at most"
+    assert lines[6].startswith(f"memory: {3 * 8 * 34} B needed, ")
+    assert lines[7] == "new/sweep.zarr: nothing there yet"
+    assert len(lines) == 8
+
+
+def test_a_dry_run_sees_what_is_there(run, tmp_path):
+    arguments = (PAPER, "--over", "base_tension=5N,10N", "--chunk", 1, "--output", "tip_tension")
+    assert run(*arguments, "--out", "out")[0] == 0
+    (tmp_path / "out/sweep.zarr/result/c/1").unlink()
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    told = json.loads(run(*arguments, "--out", "out", "--dry-run", "--json")[1])
+    assert told["store"] == {"path": "out/sweep.zarr", "solves_there": 1, "chunks_there": 1}
+    text = run(*arguments, "--out", "out", "--dry-run")[1]
+    assert text.endswith("out/sweep.zarr: 1 of 2 chunks are there already, 1 solves\n")
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+    code, _, error = run(PAPER, "--over", "base_tension=5N,11N", "--output", "tip_tension", "--out", "out", "--dry-run")
+    assert code == 2
+    assert error.startswith("error: out/sweep.zarr holds other work: its axis base_tension is ")
+    code, _, error = run(PAPER, "--over", "base_tension=5N,11N", "--output", "tip_tension", "--out", "out")
+    assert code == 2
+    assert error.endswith("; give another path, or delete it\n")
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "values"),
+    [
+        ("base_tension=5N:85N:17", "base_tension", np.arange(5.0, 86.0, 5.0)),
+        (" base_tension = 0.085 kN : 5 N : 17 ", "base_tension", np.arange(85.0, 4.0, -5.0)),
+        ("friction_coefficient=0.1:0.6:6", "friction_coefficient", np.arange(1, 7) / 10),
+        ("youngs_modulus=1.2 MPa,1400 kPa", "youngs_modulus", [1.2e6, 1.4e6]),
+        ("outer_radius.tip=12mm:14mm:3", "outer_radius.tip", [0.012, 0.013, 0.014]),
+        ("tendons.0.offset=1cm,11 mm", "tendons.0.offset", [0.01, 0.011]),
+        ("loads.tip_force.1=-5N:5N:3", "loads.tip_force.1", [-5.0, 0.0, 5.0]),
+        ("loads.tip_moment=0.1 N m,200 N mm", "loads.tip_moment", [0.1, 0.2]),
+        ("loads.gravity.1=-9.81 m/s^2,-981 cm/s^2", "loads.gravity.1", [-9.81, -9.81]),
+        ("density=1 g/cm^3:1.2 g/cm^3:2", "density", [1000.0, 1200.0]),
+        ("direction=1,-1", "direction", [1.0, -1.0]),
+    ],
+)
+def test_axes_with_units(text, name, values):
+    (axis,) = read(text, base_tension=None if name == "base_tension" else ["75 N"]).dimensions
+    assert axis.name == name
+    np.testing.assert_allclose(axis.numbers[name], values, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("target", "text", "values"),
+    [
+        ("tip_angle=45 deg", "10deg:60deg:2", np.radians([10.0, 60.0])),
+        ("displacement=5 mm", "1mm,2mm", [0.001, 0.002]),
+        ("tip_tension=5 N", "1N,2N", [1.0, 2.0]),
+        ("curvature=8 1/m at 70 mm", "1 1/m,2 1/m", [1.0, 2.0]),
+        ("tip_stiffness=350 N/m", "0.3 N/mm,0.4 N/mm", [300.0, 400.0]),
+    ],
+)
+def test_targets_with_units(target, text, values):
+    (axis,) = read(f"base_tension.value={text}", base_tension=[target]).dimensions
+    np.testing.assert_allclose(axis.numbers["base_tension.value"], values, rtol=1e-14)
+
+
+def test_a_target_beside_a_tension():
+    body = paper_body("exact", num_tendons=2)
+    work = read("base_tension_2.value=10deg,20deg", base_tension=["20 N", "tip_angle=45 deg"], body=body)
+    np.testing.assert_allclose(work.dimensions[0].numbers["base_tension_2.value"], np.radians([10.0, 20.0]))
+
+
+def test_options_as_axes():
+    work = read("kinematics=published, exact", "nodes=8,16", base_tension=["75 N"])
+    assert [axis.options for axis in work.dimensions] == [
+        {"kinematics": ("published", "exact")},
+        {"nodes": (8, 16)},
+    ]
+
+
+def test_axes_that_are_one():
+    work = read(
+        "friction_coefficient=0.1,0.5", *TENSIONS[1:], "youngs_modulus=1MPa,2MPa",
+        together=["youngs_modulus, friction_coefficient"],
+    )  # fmt: skip
+    tension, pair = work.dimensions
+    assert (tension.name, tension.size) == ("base_tension", 5)
+    assert pair.name == "youngs_modulus_and_friction_coefficient"
+    assert {name: values.tolist() for name, values in pair.numbers.items()} == {
+        "youngs_modulus": [1e6, 2e6],
+        "friction_coefficient": [0.1, 0.5],
+    }
+
+
+def test_a_sweep_over_axes_that_are_one(run):
+    pair = ("--over", "youngs_modulus=1MPa,2MPa", "--together", "friction_coefficient,youngs_modulus")
+    arguments = ("-t", "50 N", "--over", "friction_coefficient=0.1,0.5", *pair, "--output", "tip_tension")
+    code, _, error = run(PAPER, *arguments, "--out", "x.zarr", "--csv", "x.csv")
+    assert (code, error) == (0, "")
+    found = [float(row["tip_tension [N]"]) for row in rows_of("x.csv")]
+    np.testing.assert_allclose(found, [tip_tension(50.0, 0.1 * 1.4), tip_tension(50.0, 0.5 * 0.7)], rtol=1e-9)  # mu / E
+
+
+def test_samples_are_those_of_the_library():
+    sample = sweep_options.Samples(["youngs_modulus=1.2MPa:1.6MPa", "friction_coefficient=0.1:0.6"], 50, seed=7)
+    *_, axis = read("base_tension=5N,10N", sample=sample).dimensions
+    expected = cddf.latin_hypercube({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 50, 7)
+    assert axis.name == "sample"
+    for name, values in expected.items():
+        np.testing.assert_array_equal(axis.numbers[name], values)
+
+
+@pytest.mark.parametrize(("text", "count"), [("2 GB", 2e9), ("500MB", 5e8), (".5 kB", 500.0), ("1 GiB", 2.0**30)])
+def test_memory(text, count):
+    assert sweep_options.read_memory(text) == count
+
+
+def test_where_things_go():
+    places = sweep_run.read_places(Path("a/b.zarr"), None, None)
+    assert (places.store, places.folder, places.stem) == (Path("a/b.zarr"), Path("a"), "b")
+    places = sweep_run.read_places(Path("a"), None, None)
+    assert (places.store, places.folder, places.stem) == (Path("a/sweep.zarr"), Path("a"), "sweep")
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+WRONG = [
+    ((), "nothing varies; give --over "),
+    (("--over", "base_tension"), "--over 'base_tension': write for example "),
+    (("--over", "=1,2"), "--over '=1,2': write for example "),
+    (("--over", "base_tension=5:85:17 N"), "--over base_tension: write first, last and how many, 2 or more, as in "),
+    (("--over", "base_tension=5:85:17"), "--over base_tension needs a unit of force, got '5'"),
+    (("--over", "base_tension=5N:85mm:17"), "--over base_tension needs a unit of force, got '85mm'"),
+    (("--over", "base_tension=5N:85N"), "--over base_tension: write first, last and how many"),
+    (("--over", "base_tension=5N:85N:1"), "--over base_tension: write first, last and how many"),
+    (("--over", "base_tension=5N:85N:1.5"), "--over base_tension: write first, last and how many"),
+    (("--over", "base_tension=5N:5N:3"), "--over base_tension: first and last are the same"),
+    (("--over", "base_tension=5N,"), "--over base_tension is not a number, got ''"),
+    (("--over", "friction_coefficient=0.1 N,2"), "--over friction_coefficient is a plain number, got '0.1 N'"),
+    ((*TENSIONS, *TENSIONS), "--over base_tension is given twice; leave one out"),
+    ((*TENSIONS, "--together", "base_tension"), "--together 'base_tension': name two axes or more, each once, as in "),
+    ((*TENSIONS, "--together", "base_tension,base_tension"), "--together 'base_tension,base_tension': name two axes"),
+    (
+        (*TENSIONS, "--together", "base_tension,youngs_modulus"),
+        "--together 'base_tension,youngs_modulus': there is no --over youngs_modulus; give it its values there",
+    ),
+    (
+        (*TENSIONS, *FRICTIONS, *(2 * ("--together", "base_tension,friction_coefficient"))),
+        "--together 'base_tension,friction_coefficient': base_tension varies together with others already; name all",
+    ),
+    ((*TENSIONS, "-t", "5 N"), "base_tension is given by --base-tension and varies too; leave one out"),
+    ((*TENSIONS, "--over", "kinematics=exact", "--kinematics", "exact"), "kinematics is given by --kinematics and "),
+    ((*TENSIONS, "--over", "nodes=8:16:2"), "--over nodes: write whole numbers as in nodes=8,16"),
+    ((*TENSIONS, "--over", "method=literal"), "--over method: the command line takes no methods"),
+    ((*FRICTIONS, "-t", "75"), "--base-tension needs a unit of force, got '75'"),
+    ((*TENSIONS, "--sample", "youngs_modulus=1MPa:2MPa"), "--sample needs the number of samples"),
+    ((*TENSIONS, "--samples", "5"), "--samples 5: nothing is sampled"),
+    ((*TENSIONS, "--samples", "0"), "Invalid value for '--samples'"),
+    ((*TENSIONS, "--samples", "4", "--sample", "youngs_modulus=1MPa"), "--sample youngs_modulus: write least and "),
+    ((*TENSIONS, "--samples", "4", "--sample", "youngs_modulus=2MPa:1MPa"), "--sample youngs_modulus: the least "),
+    ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "--sample nodes: only numbers have a range"),
+    ((*TENSIONS, "--sampler", "dice"), "Invalid value for '--sampler'"),
+    ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is no output"),
+    ((*TENSIONS, "--precision", "float16"), "Invalid value for '--precision'"),
+    ((*TENSIONS, "--memory", "2"), "--memory '2': write a number above 0 and one of B, kB"),
+    ((*TENSIONS, "--memory", "60 B"), "sweep: one solve needs "),
+    (("--over", "base_tension=1N:2N:1000000000000"), "--over base_tension: 1000000000000 values are more than"),
+    ((*TENSIONS, "--memory", "200 B", "--netcdf", "x.nc"), "--netcdf x.nc: takes 340 B of memory, 200 B are allowed"),
+    ((*TENSIONS, "--chunk", "0"), "Invalid value for '--chunk'"),
+    ((*TENSIONS, "--nodes", "3"), "Invalid value for '--nodes'"),
+    ((*TENSIONS, "--direction", "2"), "--direction 2: give +1"),
+    ((*TENSIONS, "--tip-force", "5 N"), "--tip-force needs two components"),
+    ((*TENSIONS, "--gravity", "0, -9.81 m/s^2"), "--gravity '0, -9.81 m/s^2': the body has no weight"),
+    ((*TENSIONS, "--csv", "."), "--csv .: is a folder; give the name of a file"),
+    ((*TENSIONS, "--csv", "x", "--netcdf", "x"), "--netcdf and --csv are both x"),
+    ((*TENSIONS, "--csv", "x.csv", "--output", "tension"), "--csv x.csv: a table takes no outputs along the body"),
+    ((*TENSIONS, "--coordinator", "node1:1234"), "--coordinator, --num-processes and --process-id belong together"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), WRONG)
+def test_options_that_are_refused(fails, arguments, message):
+    assert fails(PAPER, *arguments, "--out", "x.zarr").startswith(message)
+
+
+def test_a_place_is_needed(fails):
+    assert fails(PAPER, *TENSIONS).startswith("--out is missing; give a store such as --out sweep.zarr, or --dry-run")
+
+
+def test_places_that_cannot_be(run, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for options in (("--out", "file/sweep.zarr"), ("--out", "x.zarr", "--csv", "file/table.csv")):
+        code, _, error = run(PAPER, *TENSIONS, *options)
+        assert (code, error.count("\n")) == (2, 1)
+        assert error.startswith("error: file")
+    code, _, error = run(PAPER, *TENSIONS, "--out", "file")
+    assert (code, error.count("\n")) == (2, 1)
+    (tmp_path / "other.zarr").mkdir()
+    code, _, error = run(PAPER, *TENSIONS, "--out", "other.zarr")
+    assert (code, error) == (
+        2,
+        "error: other.zarr is there and was not written by cddf_jax; give another path, or delete it\n",
+    )
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_full_disk_leaves_no_half_table(monkeypatch, tmp_path):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    work = read("base_tension=5N,10N")
+    answer = Memory(work.layout).dataset()
+    monkeypatch.setattr(os, "replace", full)
+    path = tmp_path / "table.csv"
+    for write in (lambda: sweep_exports.write_csv(work.layout, answer, path),
+                  lambda: sweep_exports.write_netcdf(answer, path)):  # fmt: skip
+        with pytest.raises(cddf.InputError, match=r": No space left on device; choose another place"):
+            write()
+        assert not list(tmp_path.iterdir())
+
+
+def test_missing_packages(fails, monkeypatch):
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    assert (
+        fails(PAPER, *TENSIONS, "--out", "x.zarr") == "this needs zarr; install it with: pip install 'cddf-jax[sweep]'"
+    )
+
+
+def test_an_interruption(run, monkeypatch):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sweep_run, "run_sweep", interrupted)
+    code, _, error = run(PAPER, *TENSIONS, "--out", "x.zarr")
+    assert code == 130
+    assert error.startswith("error: interrupted; what is in the store stays there, start the same command again")
+
+
+# --- processes -----------------------------------------------------------------------------------
+
+
+def test_processes_as_they_are_given():
+    assert sweep_options.read_processes(None, None, None, distributed=False) is None
+    assert sweep_options.read_processes(None, None, None, distributed=True) == {}
+    told = {"coordinator_address": "node1:1234", "num_processes": 4, "process_id": 3}
+    assert sweep_options.read_processes("node1:1234", 4, 3, distributed=False) == told
+    for arguments, message in (
+        (("node1", 4, 3), "write host and port as in 'node1:1234'"),
+        (("node1:1234", 4, 4), "--process-id 4: 4 processes are 0 to 3"),
+        ((None, 4, None), "belong together"),
+    ):
+        with pytest.raises(cddf.InputError, match=message):
+            sweep_options.read_processes(*arguments, distributed=False)
+
+
+@pytest.mark.slow
+def test_all_cores_and_careful_compilation(tmp_path):
+    """As a process of its own has them; what the user sets for the devices holds."""
+    script = (
+        "from cddf_jax.application import configure_jax_for_batches; configure_jax_for_batches(); import jax, os\n"
+        "print(len(jax.devices()), len(os.sched_getaffinity(0)), os.environ.get('XLA_FLAGS'))"
+    )
+    kept = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", "JAX_NUM_CPU_DEVICES")}
+    for own, count in (({}, None), ({"JAX_NUM_CPU_DEVICES": "3"}, 3)):
+        environment = kept | own | {"XDG_CACHE_HOME": str(tmp_path)}
+        done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)
+        devices, cores, flags = done.stdout.split()
+        assert (int(devices), flags) == (count or int(cores), "None")
+
+
+def test_help_imports_nothing_heavy(run):
+    script = (
+        "import sys; sys.argv = ['cddf', 'sweep', '--help']\n"
+        "from cddf_jax.cli.app import main\n"
+        "try: main()\n"
+        "except SystemExit as ended: assert ended.code == 0\n"
+        "heavy = {'jax', 'jaxlib', 'equinox', 'scipy', 'numpy', 'matplotlib', 'pint', 'xarray', 'zarr', 'pandas'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    code, text, _ = run("--help")
+    assert code == 0
+    assert all(option in text for option in ("--over", "--sample", "--dry-run", "--coordinator", "--netcdf"))

@@ -1,0 +1,275 @@
+"""What cannot be designed is refused in one line that names what is wrong, and the remedy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import paper_body
+
+import cddf_jax as cddf
+from cddf_jax.designing.body_quantities import BODY_QUANTITIES, quantity_named
+from cddf_jax.designing.free_numbers import free_numbers_of
+from cddf_jax.errors import InputError
+from cddf_jax.robot.profiles import Shifted
+from cddf_jax.robot.reshape import stretched
+
+MASS = cddf.Least("mass")
+TENSION = cddf.Least("base_tension")
+WALL = cddf.Limit("wall_thickness", least=2e-3)
+
+
+def refused(message, function, *arguments, **options):
+    """The one line with which something is refused; `message` is a part of it."""
+    with pytest.raises(InputError) as caught:
+        function(*arguments, **options)
+    said = str(caught.value)
+    assert message in said
+    assert "\n" not in said
+    return said
+
+
+def refused_design(message, body=None, **changes):
+    asked = {"objective": TENSION, "free": ("outer_radius",), "cases": cddf.LoadCase(50.0)} | changes
+    return refused(message, cddf.design, paper_body("exact") if body is None else body, **asked)
+
+
+# --- what is free --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"free": ()}, "free must list one name or more"),
+        ({"free": "outer_radius"}, "free must list one name or more"),
+        ({"free": ("outer_radios",)}, "did you mean 'outer_radius'?"),
+        ({"free": ("outer_radius.middle",)}, "outer_radius has no 'middle'; known are base, length, tip"),
+        ({"free": ("tendons.1.offset",)}, "tendons.1.offset"),
+        ({"free": ("loads.tip_force.0",)}, "'loads.tip_force.0'"),
+        ({"free": ("outer_radius", "outer_radius")}, "'outer_radius' is free twice; name it once"),
+        ({"free": ("outer_radius", "outer_radius.tip")}, "'outer_radius.tip' is free under two names; leave one out"),
+        ({"free": ("outer_*",)}, "'outer_*': a * stands for all tendons, as in 'tendons.*.offset'"),
+        ({"free": ("tendons.0.end",)}, "'tendons.0.end' has no number of its own here; give the start one"),
+        ({"free": ("density",)}, "'density' starts at 0; give it bounds"),
+        ({"free": ("direction",)}, "a direction cannot be free; it is 1 or -1"),
+    ],
+)
+def test_what_cannot_be_free(changes, message):
+    refused_design(message, **changes)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "message"),
+    [
+        ({"inner_radius": (1e-3, 9e-3)}, "'inner_radius' has bounds and is not free; add it to free"),
+        ({"outer_radius": 0.03}, "the bounds of 'outer_radius' must be (lower, upper), got 0.03"),
+        ({"outer_radius": (0.01, "thick")}, "the bounds of 'outer_radius' must be (lower, upper)"),
+        ({"outer_radius": (0.03, 0.01)}, "the bounds of 'outer_radius' must be finite and increase, got 0.03 and 0.01"),
+        ({"outer_radius": (0.01, np.inf)}, "must be finite and increase, got 0.01 and inf"),
+        ({"outer_radius": (0.015, 0.03)}, "'outer_radius' starts at 0.013, outside its bounds 0.015 to 0.03; widen"),
+    ],
+)
+def test_bounds_that_are_none(bounds, message):
+    refused_design(message, bounds=bounds)
+
+
+def test_tendons_of_different_kinds_share_no_number():
+    straight, slanted = cddf.Tendon(0.010), cddf.Tendon(cddf.Linear(0.012, 0.009, 0.14), -1)
+    body = replace(paper_body("exact"), tendons=(straight, slanted))
+    refused_design(
+        "'tendons.*.offset': the tendons are of different kinds; name them one by one",
+        body,
+        free=("tendons.*.offset",),
+        cases=cddf.LoadCase((50.0, 10.0), direction=(+1, -1)),
+    )
+
+
+def test_a_profile_of_an_unknown_kind():
+    odd = replace(paper_body("exact"), outer_radius=Shifted(cddf.Linear(0.02, 0.013, 0.14), 1e-3))
+    refused_design("outer_radius is not one number; name a number of it: outer_radius.profile, outer_radius.by", odd)
+    inside = replace(paper_body("exact"), outer_radius=cddf.Piecewise([0.07], [odd.outer_radius, 0.015]))
+    refused_design("a profile of type Shifted has no free values; name a number of it", inside)
+    refused("a profile of type Shifted cannot follow the length; hold the length", stretched, odd, 0.15)
+
+
+def test_bounds_that_nobody_gave():
+    """A tenth of the start, and ten times it; scaled from 0 at the lower bound in units of the start."""
+    from cddf_jax.robot.named_numbers import Case
+
+    space = free_numbers_of(Case(paper_body("exact"), 50.0, None, 1), ("youngs_modulus", "outer_radius"), {})
+    assert space.names == (("youngs_modulus",), ("outer_radius.base",), ("outer_radius.tip",))
+    assert space.lower == pytest.approx([1.4e5, 2e-3, 1.3e-3], rel=1e-12)
+    assert space.upper == pytest.approx([1.4e7, 0.2, 0.13], rel=1e-12)
+    assert space.scaled(space.start) == pytest.approx([0.9, 0.9, 0.9], rel=1e-12)
+    assert space.numbers(space.scaled(space.start)) == pytest.approx(space.start, rel=1e-12)
+
+
+def test_everything_along_a_body_is_stretched_with_it():
+    """Twice as long: the value at twice the arc length is the one before, for every kind of profile."""
+    body = replace(
+        paper_body("exact"),
+        inner_radius=cddf.Piecewise([0.05], [0.006, cddf.Linear(0.006, 0.005, 0.14)]),
+        outer_radius=cddf.Spline(np.linspace(0, 0.14, 5), [0.02, 0.019, 0.017, 0.016, 0.013]),
+        tendons=(cddf.Tendon(0.010, end=0.11), cddf.Tendon(cddf.Linear(0.011, 0.009, 0.14), -1)),
+    )
+    longer, s = stretched(body, 0.28), np.linspace(0.0, 0.14, 57)
+    for name in ("inner_radius", "outer_radius"):
+        before, after = getattr(body, name)(s), getattr(longer, name)(2 * s)
+        assert np.asarray(after) == pytest.approx(np.asarray(before), rel=1e-12), name
+    assert np.asarray(longer.offset(2 * s)) == pytest.approx(np.asarray(body.offset(s)), rel=1e-12)
+    assert float(longer.tendons[0].end) == pytest.approx(0.22, rel=1e-12)
+    assert longer.tendons[1].end is None
+    assert float(longer.length) == 0.28
+
+
+# --- what is wanted ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("objective", "message"),
+    [
+        ("mass", "the objective must be one such as Least(\"mass\") or a function, got 'mass'"),
+        (cddf.Least, "the objective must be one such as"),
+        (None, "the objective must be one such as"),
+        ([], "give an objective"),
+        ([TENSION, MASS], "several objectives are a list of pairs (weight, objective)"),
+        ([(1.0, TENSION, 2.0)], "several objectives are a list of pairs (weight, objective)"),
+        ([(0.0, TENSION)], "the weight of least base_tension must be above 0, got 0"),
+        ([(np.nan, TENSION)], "a weight must be a number, got nan"),
+        (MASS, 'the body has no mass, since its density is 0; give it one, or take "volume"'),
+        (lambda body, found: found.position, "has shape"),
+    ],
+)
+def test_what_is_no_objective(objective, message):
+    refused_design(message, objective=objective)
+
+
+@pytest.mark.parametrize("kind", [cddf.Least, cddf.Most, cddf.Even, cddf.Near, quantity_named, cddf.Limit])
+def test_an_unknown_quantity_is_told_which_there_are(kind):
+    said = refused("'weight' is no quantity of a body; there are ", kind, "weight")
+    assert all(name in said for name in BODY_QUANTITIES)
+
+
+def test_what_does_not_vary_along_the_body():
+    refused("mass does not vary along the body; take Least or Most of it", cddf.Even, "mass")
+    said = "Near(at=...) takes a list of arc lengths, and a quantity that varies along the body"
+    refused(said, cddf.Near, "tip_angle", 1.0, at=[0.1])
+    refused(said, cddf.Near, "curvature", 1.0, at=0.1)
+
+
+# --- what must be kept ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("quantity", "sides", "message"),
+    [
+        ("mass", {}, "a limit of mass needs least, most or both, or else equal"),
+        ("mass", {"most": 1.0, "equal": 0.5}, "a limit of mass needs least, most or both, or else equal"),
+        ("strain", {"equal": 0.1}, "strain varies along the body and cannot equal one value; take Near or Even of it"),
+        ("mass", {"least": 2.0, "most": 1.0}, "mass cannot be at least 2 and at most 1; exchange them"),
+        ("strain", {"most": 0.1, "scale": -1.0}, "scale"),  # it would turn the limit round
+        ("strain", {"most": 0.1, "scale": 0.0}, "scale"),
+        ("strain", {"most": np.nan}, "strain"),  # no number is below NaN, and none above
+    ],
+)
+def test_what_is_no_limit(quantity, sides, message):
+    refused(message, cddf.Limit, quantity, **sides)
+
+
+def test_limits_of_a_design():
+    refused_design("constraints must be a list of limits, as in [Limit(", constraints=[("mass", 1.0)])
+    refused_design("the body has no mass", constraints=[WALL, cddf.Limit("mass", most=1.0)])
+    assert "wall_thickness" in str(WALL)
+    assert "0.002" in str(WALL)
+
+
+# --- how it is used ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cases": []}, "cases must be one LoadCase or more"),
+        ({"cases": [50.0, 60.0]}, "cases must be one LoadCase or more"),
+        (
+            {
+                "free": ("youngs_modulus",),
+                "cases": [cddf.LoadCase(50.0, numbers={"youngs_modulus": 1e6}, name="soft")],
+            },
+            "'youngs_modulus' is free, and soft sets it; leave one out",
+        ),
+        (
+            {"cases": [cddf.LoadCase(50.0, numbers={"young_modulus": 1e6})]},
+            "did you mean 'youngs_modulus'?",
+        ),
+        ({"choices": {"outer_radius": [0.02]}}, "outer_radius is not one number"),
+        ({"choices": {"youngs_moduli": [1e6]}}, "did you mean 'youngs_modulus'?"),
+        ({"choices": {"youngs_modulus": 1e6}}, "the choices of 'youngs_modulus' must be a list of numbers"),
+        ({"choices": {"youngs_modulus": []}}, "the choices of 'youngs_modulus' must be a list of numbers"),
+        (
+            {"choices": {"youngs_modulus": [1e6]}, "free": ("youngs_modulus",)},
+            "'youngs_modulus' is free and has choices; leave one out",
+        ),
+    ],
+)
+def test_how_a_body_cannot_be_used(changes, message):
+    refused_design(message, **changes)
+
+
+@pytest.mark.parametrize("weight", [-1.0, 0.0, np.nan])
+def test_a_case_that_counts_nothing(weight):
+    with pytest.raises(cddf.InputError, match="the weight must be above 0"):
+        cddf.LoadCase(50.0, weight=weight)
+
+
+@pytest.mark.parametrize(
+    ("aim", "message"),
+    [
+        (cddf.Least("tip_position"), "tip_position has shape"),
+        (cddf.Near("tip_position", (1.0, 2.0, 3.0)), "tip_position has shape"),
+        (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "compared at 0.5 m, off a body of 0.14 m"),
+        (cddf.Near("position", [[0.0, 0.0], [0.1, 0.0]]), "say where"),
+        ([("much", cddf.Least("volume"))], "a weight must be a number"),
+    ],
+)
+def test_an_aim_in_another_shape_or_place(aim, message):
+    refused_design(message, objective=aim)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"free": (3,)}, "free must list one name or more"),
+        ({"choices": {"youngs_modulus": ["soft"]}}, "a choice of 'youngs_modulus' must be a number"),
+        ({"constraints": [cddf.Limit("tip_position", equal=(1.0, 2.0, 3.0))]}, "tip_position has shape"),
+    ],
+)
+def test_numbers_and_names_of_another_kind(options, message):
+    refused_design(message, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"starts": 0}, "starts must be a whole number of 1 or more, got 0"),
+        ({"starts": 2.5}, "starts must be a whole number of 1 or more, got 2.5"),
+        ({"seed": -1}, "seed must be a whole number of 0 or more"),
+        ({"max_iterations": True}, "max_iterations must be a whole number of 1 or more"),
+        ({"nodes": 3}, "nodes must be a whole number of 4 or more"),
+        ({"worst": 1}, "worst must be true or false, got 1"),
+    ],
+)
+def test_options_with_wrong_values(options, message):
+    refused(message, cddf.DesignOptions, **options)
+
+
+def test_a_front_has_one_start():
+    options = cddf.DesignOptions(starts=2)
+    aims, case = (TENSION, MASS), cddf.LoadCase(50.0)
+    refused("starts must be 1, got 2", cddf.pareto_front, paper_body(), aims, ("length",), cases=case, options=options)
+
+
+def test_a_start_without_equilibrium():
+    """A Young's modulus below zero is none; the case is named."""
+    body = paper_body("exact", youngs_modulus=-1.0)
+    refused_design("the start has no equilibrium in its load case: ", body)
+    refused_design("the start has no equilibrium in grip: ", body, cases=[cddf.LoadCase(50.0, name="grip")])

@@ -1,0 +1,163 @@
+"""Noise that grows with the reading, against likelihoods that SciPy maximises."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from cddf_jax.errors import InputError
+from cddf_jax.estimation.least_squares import least_squares_fit
+from cddf_jax.estimation.observations import Noise
+
+X = np.linspace(0.2, 20.0, 80)
+DESIGN = np.stack([np.ones_like(X), X], axis=1)
+FLOOR, FRACTION = 0.1, 0.03
+CLEAN = 1.0 + 2.0 * X
+START = {"a": 1.5, "b": 1.5}
+
+
+def line(p):
+    return p["a"] + p["b"] * X
+
+
+def readings(seed, clean=CLEAN):
+    return clean + np.hypot(FLOOR, FRACTION * clean) * np.random.default_rng(seed).normal(size=clean.size)
+
+
+def weighted(y, variance):
+    """Estimate, covariance and residuals of weighted linear least squares."""
+    covariance = np.linalg.inv(DESIGN.T @ (DESIGN / variance[:, None]))
+    estimate = covariance @ DESIGN.T @ (y / variance)
+    return estimate, covariance, y - DESIGN @ estimate
+
+
+def restricted(y, floor, fraction):
+    """Floor, fraction (None: the most likely) and estimate of a line, by restricted likelihood.
+
+    Patterson and Thompson (1971). The variance goes by the line itself, which is held while the likelihood is
+    maximised over floor and fraction, and then drawn anew, until both agree.
+    """
+
+    def parts(logs):
+        free = iter(np.exp(logs))
+        return (next(free) if floor is None else floor), (next(free) if fraction is None else fraction)
+
+    def cost(logs, predicted):
+        f, g = parts(logs)
+        variance = f**2 + (g * predicted) ** 2
+        _, covariance, residual = weighted(y, variance)
+        return np.sum(np.log(variance)) - np.linalg.slogdet(covariance)[1] + np.sum(residual**2 / variance)
+
+    predicted, logs = y, np.log([0.2, 0.05][: (floor is None) + (fraction is None)])
+    for _ in range(12):
+        if logs.size:
+            options = {"xatol": 1e-8, "fatol": 1e-11, "maxiter": 2000}
+            logs = optimize.minimize(cost, logs, args=(predicted,), method="Nelder-Mead", options=options).x
+        f, g = parts(logs)
+        estimate, covariance, _ = weighted(y, f**2 + (g * predicted) ** 2)
+        predicted = DESIGN @ estimate
+    return f, g, estimate, covariance
+
+
+@pytest.mark.parametrize("given", [Noise(), Noise(FLOOR, None), Noise(None, FRACTION), Noise(FLOOR, FRACTION)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_restricted_likelihood(given, seed):
+    y = readings(seed)
+    fit = least_squares_fit(line, START, y, given)
+    floor, fraction, estimate, covariance = restricted(y, *given)
+    assert fit.success, fit.result
+    # the fit stops where another round changes no noise by 1e-4
+    assert fit.noise_model["data"] == pytest.approx((floor, fraction), rel=2e-3, abs=1e-6)
+    np.testing.assert_allclose([fit.value["a"], fit.value["b"]], estimate, rtol=1e-4)
+    np.testing.assert_allclose(fit.covariance, covariance, rtol=4e-3)
+    assert fit.noise_estimated == (None in given)
+    assert fit.quantile == pytest.approx(stats.t.ppf(0.975, 78) if None in given else stats.norm.ppf(0.975))
+    root_mean_square = np.sqrt(np.mean(floor**2 + (fraction * (DESIGN @ estimate)) ** 2))
+    assert fit.noise["data"] == pytest.approx(root_mean_square, rel=2e-3)
+
+
+def test_maximum_likelihood_of_everything():
+    """Of 4,000 data the full likelihood of level, slope, floor and fraction has its maximum where the fit ends.
+
+    It weighs the line by the scatter too, which the fit does not, and has no degrees of freedom; both count
+    for less than a standard error.
+    """
+    x = np.linspace(0.2, 20.0, 4000)
+    clean = 1.0 + 2.0 * x
+    y = readings(3, clean)
+    fit = least_squares_fit(lambda p: p["a"] + p["b"] * x, START, y, Noise())
+
+    def cost(q):
+        predicted = q[0] + q[1] * x
+        return -np.sum(stats.norm.logpdf(y, predicted, np.hypot(np.exp(q[2]), np.exp(q[3]) * predicted)))
+
+    options = {"maxiter": 4000, "xatol": 1e-7, "fatol": 1e-7}
+    best = optimize.minimize(cost, [1.0, 2.0, np.log(0.1), np.log(0.03)], method="Nelder-Mead", options=options)
+    errors = np.array([fit.standard_error["a"], fit.standard_error["b"]])
+    assert np.all(np.abs(best.x[:2] - [fit.value["a"], fit.value["b"]]) < errors)
+    assert fit.noise_model["data"].fraction == pytest.approx(np.exp(best.x[3]), rel=2e-3)
+    assert fit.noise_model["data"].floor == pytest.approx(np.exp(best.x[2]), rel=2e-2)
+    assert fit.log_likelihood == pytest.approx(-best.fun, abs=0.5)
+
+
+@pytest.mark.slow
+def test_a_given_floor_leaves_no_bias_in_the_fraction():
+    """Half of 300 estimates of a fraction that is next to nothing lie below it: they are 0 then, not cut to more."""
+    fractions = []
+    for seed in range(300):
+        y = CLEAN + FLOOR * np.random.default_rng((4, seed)).normal(size=X.size)
+        fractions.append(least_squares_fit(line, {"a": 1.0, "b": 2.0}, y, Noise(FLOOR, None)).noise_model["data"][1])
+    share = np.mean(np.array(fractions) == 0.0)
+    assert abs(share - 0.5) < 4 * 0.5 / np.sqrt(300) + 0.05  # four standard errors, and the skewness of a chi-square
+    # the variance of fraction^2 is 2 / sum (x / FLOOR)^4; the largest of 300 is below six of its roots
+    assert max(fractions) ** 2 < 6 * np.sqrt(2 / np.sum((CLEAN / FLOOR) ** 4))
+
+
+@pytest.mark.slow
+def test_noise_always_settles():
+    """With few readings a floor is often next to zero; 100 draws of 20 readings, both parts estimated."""
+    x = np.array([2.0, 5.0, 10.0, 15.0, 20.0] * 4)
+    results = set()
+    for seed in range(100):
+        noise = np.hypot(0.1, 0.01 * 2 * x) * np.random.default_rng((5, seed)).normal(size=x.size)
+        results.add(least_squares_fit(line_through_zero, {"b": 1.0}, 2.0 * x + noise, Noise()).result)
+    assert results == {"successful"}
+
+
+def line_through_zero(p):
+    return p["b"] * jnp.asarray([2.0, 5.0, 10.0, 15.0, 20.0] * 4)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e6])
+def test_units_do_not_matter(unit):
+    fit = least_squares_fit(line, START, readings(6), Noise())
+    other = least_squares_fit(line, {"a": 1.5 * unit, "b": 1.5 * unit}, unit * readings(6), Noise())
+    floor, fraction = other.noise_model["data"]
+    assert (floor / unit, fraction) == pytest.approx(fit.noise_model["data"], rel=1e-3)
+    np.testing.assert_allclose(np.array(list(other.value.values())) / unit, list(fit.value.values()), rtol=1e-5)
+    np.testing.assert_allclose(other.covariance / unit**2, fit.covariance, rtol=2e-3)
+
+
+def test_groups_have_their_own_noise():
+    """Two groups at once, one constant and one in proportion, are as far apart as each alone."""
+    x = np.linspace(1.0, 20.0, 400)
+    rng = np.random.default_rng(7)
+    data = {"even": 2 * x + 0.3 * rng.normal(size=400), "steep": 3 * x * (1 + 0.02 * rng.normal(size=400))}
+    fit = least_squares_fit(
+        lambda p: {"even": p["a"] * x, "steep": p["b"] * x}, START, data, {"even": None, "steep": Noise(0.0, None)}
+    )
+    assert list(fit.noise_model) == ["steep"]
+    assert fit.noise["even"] == pytest.approx(np.std(data["even"] - fit.value["a"] * x), rel=5e-3)
+    # of noise in proportion alone the best slope is the mean of the ratios, the fraction their scatter over it
+    ratio = data["steep"] / x
+    assert fit.value["b"] == pytest.approx(np.mean(ratio), rel=1e-6)
+    assert fit.noise_model["steep"].fraction == pytest.approx(np.std(ratio, ddof=1) / np.mean(ratio), rel=1e-3)
+    assert fit.noise_model["steep"].floor == 0.0
+
+
+@pytest.mark.parametrize(
+    "sigma", [Noise(-0.1, None), Noise(0.0, 0.0), Noise(np.nan, 0.1), {"data": Noise(0.1, -1.0)}, [Noise(0.0, 0.0)]]
+)
+def test_refusals(sigma):
+    with pytest.raises(InputError, match=r"^sigma of (data|0): floor and fraction must be 0 or more, one of them > 0"):
+        least_squares_fit(lambda p: {"data": line(p)}, START, {"data": readings(1)}, sigma)

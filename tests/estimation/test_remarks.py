@@ -1,0 +1,130 @@
+"""What a fit remarks: outliers, groups that are not explained, parameters at their bounds."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import optimize, stats
+from straight_line import B_HAT, COVARIANCE, DESIGN, NOISY, SIGMA, START, X, line
+
+from cddf_jax.estimation.least_squares import least_squares_fit
+
+
+def test_a_product_beside_another_parameter():
+    start = {"a": 1.0, "c": 1.0, "d": 1.0}
+    fit = least_squares_fit(lambda p: p["a"] + p["c"] * p["d"] * X, start, NOISY + 2 * X, SIGMA)
+    value, error = fit.combinations["c * d"]
+    assert value == pytest.approx(B_HAT + 2, rel=1e-6)
+    assert error == pytest.approx(SIGMA * np.sqrt(COVARIANCE[1, 1]), rel=1e-6)
+
+
+def test_a_product_of_many_rows():
+    """30,000 rows: what needs a square matrix of them needs 7 GB."""
+    x = np.linspace(0.0, 3.0, 30_000)
+    fit = least_squares_fit(lambda p: p["c"] * p["d"] * x, {"c": 1.0, "d": 1.0}, 2.0 * x + 0.1 * np.cos(50 * x), 0.1)
+    value, error = fit.combinations["c * d"]
+    assert value == pytest.approx(np.sum(x * (2.0 * x + 0.1 * np.cos(50 * x))) / np.sum(x**2), rel=1e-6)
+    assert error == pytest.approx(0.1 / np.sqrt(np.sum(x**2)), rel=1e-6)
+
+
+@pytest.mark.parametrize("sigma", [SIGMA, None])
+def test_an_outlier_is_pointed_out(sigma):
+    """Its distance is that of statsmodels' externally studentised residual where the noise is estimated."""
+    data = NOISY.copy()
+    data[7] += 10 * SIGMA
+    fit = least_squares_fit(line, START, data, sigma)
+    (remark,) = fit.remarks
+    hat = DESIGN @ COVARIANCE @ DESIGN.T
+    residual = (data - hat @ data)[7] / np.sqrt(1 - hat[7, 7])
+    left = np.delete(np.arange(30), 7)
+    alone = data[left] - DESIGN[left] @ np.linalg.lstsq(DESIGN[left], data[left], rcond=None)[0]
+    distance = residual / (sigma or np.sqrt(np.sum(alone**2) / 27))
+    assert f"entry 8 of data lies {distance:.2g} standard deviations off the model" in remark
+
+
+def test_an_outlier_that_bends_the_model():
+    """Of a log(1 + b x) one reading is five times too large: the distance is that from SciPy's fit to all others."""
+    x = np.linspace(0.1, 3.0, 26)
+    data = np.log1p(2.0 * x) + 0.002 * np.random.default_rng(3).normal(size=26)
+    data[5] *= 5
+
+    def model(x, a, b):
+        return a * np.log1p(b * x)
+
+    left = np.delete(np.arange(26), 5)
+    (a, b), covariance = optimize.curve_fit(model, x[left], data[left], p0=[1.0, 2.0])
+    scatter = np.sqrt(np.sum((data[left] - model(x[left], a, b)) ** 2) / 23)  # 25 data, 2 parameters
+    slope = np.array([np.log1p(b * x[5]), a * x[5] / (1 + b * x[5])])
+    distance = (data[5] - model(x[5], a, b)) / np.hypot(scatter, np.sqrt(slope @ covariance @ slope))
+    start, bounds = {"a": 1.5, "b": 1.0}, {"b": (0.0, None)}
+    fit = least_squares_fit(lambda p: p["a"] * jnp.log1p(p["b"] * x), start, data, bounds=bounds)
+    assert any(f"entry 6 of data lies {distance:.0f} standard deviations off" in remark for remark in fit.remarks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [SIGMA, None])
+def test_honest_noise_has_hardly_ever_an_outlier(sigma):
+    """One experiment in a hundred; of 200, more than 7 one time in a thousand."""
+    rng = np.random.default_rng(5)
+    alarms = [
+        least_squares_fit(line, START, DESIGN @ [2.0, 0.5] + SIGMA * rng.normal(size=30), sigma) for _ in range(200)
+    ]
+    assert sum(bool(fit.remarks) for fit in alarms) <= stats.binom.ppf(0.999, 200, 0.01)
+
+
+def test_data_met_exactly_tell_no_noise():
+    fit = least_squares_fit(line, START, DESIGN @ [2.0, 0.5])
+    assert fit.remarks == (
+        "data is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise",
+    )
+    assert least_squares_fit(line, START, DESIGN @ [2.0, 0.5], SIGMA).remarks == ()
+
+
+def test_a_wrong_minimum_that_explains_nothing():
+    """sin(25 x) from a start at sin(5 x)."""
+    x = np.linspace(0.0, 1.0, 30)
+    predict = lambda p: jnp.sin(p["w"] * x)  # noqa: E731
+    fit = least_squares_fit(predict, {"w": 5.0}, np.sin(25 * x), 0.01, starts=1)
+    assert abs(fit.value["w"] - 25) > 1
+    assert (fit.success, fit.status) == (False, {"w": "not identified"})
+    assert fit.standard_error == {"w": np.inf}
+    assert fit.result.startswith("hardly anything of data is explained")
+    assert any("hardly explained at all" in remark for remark in fit.remarks)
+    again = least_squares_fit(predict, {"w": 5.0}, np.sin(25 * x), 0.01)
+    assert again.value["w"] == pytest.approx(25)
+    assert again.restarted.startswith("the search from the given start hardly explained the data; ")
+
+
+def test_repeats_of_one_level_are_explained():
+    """Their scatter is noise and nothing else, and their mean is told by it."""
+    data = 5.0 + 0.1 * np.random.default_rng(1).normal(size=30)
+    fit = least_squares_fit(lambda p: p["a"] + 0 * X, {"a": 1.0}, data)
+    assert (fit.success, fit.status) == (True, {"a": "identified"})
+    assert fit.value["a"] == pytest.approx(data.mean(), rel=1e-9)
+
+
+def test_few_degrees_of_freedom_are_named():
+    fit = least_squares_fit(lambda p: p["a"] + 0 * X[:2], {"a": 1.0}, NOISY[:2])
+    assert any("the noise estimate has only 1 degree(s) of freedom" in remark for remark in fit.remarks)
+
+
+@pytest.mark.parametrize("shift", [-0.3, 0.3])
+def test_what_is_not_told_from_its_bound_has_a_limit_above(shift):
+    """A slope of shift standard errors, at least 0: at most itself (or 0) and 1.96 standard errors."""
+    error = SIGMA * np.sqrt(COVARIANCE[1, 1])
+    data = NOISY - (B_HAT - shift * error) * X
+    fit = least_squares_fit(line, {"a": 1.0, "b": 1.0}, data, SIGMA, {"b": (0.0, None)})
+    assert fit.status["b"] == ("at bound" if shift < 0 else "not identified")
+    assert fit.bounded_above == ("b",)
+    expected = (max(shift, 0.0) + stats.norm.ppf(0.975)) * error
+    assert fit.confidence_interval["b"] == (0.0, pytest.approx(expected, rel=1e-3))
+    assert shift > 0 or fit.value["b"] == 0
+
+
+def test_residuals_that_grow_are_told():
+    """Noise of 1 % and of one size, the same draws; a line from 1 to 31."""
+    x, draws = np.linspace(0.0, 3.0, 40), np.random.default_rng(5).normal(size=40)
+    truth = 1.0 + 10.0 * x
+    grown = least_squares_fit(lambda p: p["a"] + p["b"] * x, START, truth * (1 + 0.01 * draws))
+    even = least_squares_fit(lambda p: p["a"] + p["b"] * x, START, truth + 0.1 * draws)
+    assert any("residuals grow with the reading" in remark for remark in grown.remarks)
+    assert not any("residuals grow" in remark for remark in even.remarks)

@@ -1,0 +1,252 @@
+"""The explorer without a browser: its model against closed forms, its words, and the command that serves it."""
+
+import gc
+import socket
+import sys
+
+import numpy as np
+import pytest
+from bodies import PAPER, paper_body, paper_plain, straight
+from places import DATA
+
+import cddf_jax as cddf
+from cddf_jax.explorer.model import NUM_PULLS, Exploration, Rows, from_si, in_si, rounded
+from cddf_jax.explorer.plots import TensionPlots
+from cddf_jax.explorer.words import numbers_html
+from cddf_jax.reports.export import fields_csv
+from cddf_jax.robot.profiles import Constant, Linear, Piecewise, Spline
+from cddf_jax.robot.reshape import tapered
+
+CELLS = DATA / "load_cells_simulated.csv"
+OTHER = {"outer_radius.base": 18.0, "outer_radius.tip": 15.0}  # mm
+
+
+@pytest.fixture(scope="module")
+def explored():
+    """The paper's body in the exact kinematics."""
+    return Exploration(paper_body("exact"))
+
+
+@pytest.fixture(scope="module")
+def settings(explored):
+    """Another taper, 60 N."""
+    start = explored.start
+    return start._replace(numbers={**start.numbers, "base_tension_1": 60.0, **OTHER})
+
+
+@pytest.fixture(scope="module")
+def picture(explored, settings):
+    return explored.picture(explored.case(settings))
+
+
+@pytest.fixture(scope="module")
+def other_body():
+    """The same body in plain numbers, for the closed form of design.md section 3."""
+    return paper_plain("exact", outer_radius=straight(0.018, 0.015, PAPER["length"]))
+
+
+def test_the_picture_is_the_closed_form(picture, other_body):
+    assert picture.good
+    assert picture.message == ""
+    tip = other_body.closed_form(60.0, PAPER["length"])
+    assert picture.equilibrium.tip_tension[0] == pytest.approx(tip, rel=1e-10)
+    # design.md section 4: in the exact kinematics with a constant offset the tip angle is ln(T_base / T_tip) / mu
+    assert picture.equilibrium.tip_angle == pytest.approx(np.log(60.0 / tip) / 0.42, rel=1e-10)
+    # kappa = T d / (E J) where T is known; the thin end bends most
+    curvature = tip * 0.010 / (1.4e6 * other_body.second_moment(PAPER["length"]))
+    assert picture.peak_curvature == pytest.approx(curvature, rel=1e-9)
+    assert picture.peak_strain == pytest.approx(0.015 * curvature, rel=1e-9)
+
+
+def test_the_curve_is_the_closed_form(explored, picture, other_body):
+    curve = explored.curve(picture.case)
+    assert len(curve.base_tension) == NUM_PULLS
+    expected = [other_body.closed_form(pull, PAPER["length"]) for pull in curve.base_tension]
+    np.testing.assert_allclose(curve.tip_tension, expected, rtol=1e-10)
+    angles = np.log(curve.base_tension[1:] / np.array(expected[1:])) / 0.42
+    np.testing.assert_allclose(curve.tip_angle[1:], angles, rtol=1e-9)
+
+
+def test_what_another_taper_does(explored, settings, other_body):
+    """With G of design.md section 3 the angle theta needs T_base = (exp(mu theta) - 1) E / (mu G)."""
+    own, new = explored.tapers(settings, 0.8)
+    for taper, body in ((own, paper_plain("exact")), (new, other_body)):
+        compliance = body.compliance(PAPER["length"])
+        assert taper.base_tension == pytest.approx(np.expm1(0.42 * 0.8) * 1.4e6 / (0.42 * compliance), rel=1e-8)
+        loss = 1 - body.closed_form(60.0, PAPER["length"]) / 60.0
+        assert taper.tension_loss == pytest.approx(loss, rel=1e-9)
+        assert taper.tip_angle == pytest.approx(-np.log1p(-loss) / 0.42, rel=1e-9)
+    assert new.peak_strain < own.peak_strain  # the thinner tip of the paper's body bends more
+
+
+def test_what_is_shown_and_set_is_the_same_number():
+    """12.7 mm and 1.395 MPa are the float64 nearest to 0.0127 m and 1395000 Pa."""
+    assert in_si(12.7, 3) == 0.0127
+    assert in_si(1.395, -6) == 1395000.0
+    assert from_si(0.0127, 3) == 12.7
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "told"),
+    [
+        (1.398237, 1.385, 1.412, 1.398),  # known to 0.0135
+        (0.420345, 0.40, 0.44, 0.42),
+        (0.4203449, 0.4201, 0.4205, 0.42034),
+        (1234.5, 1000.0, 1400.0, 1230.0),
+        (1.398237, -np.inf, np.inf, 1.398237),  # nothing is known: nothing is cut
+        (1.398237, 1.398237, 1.398237, 1.398237),
+    ],
+)
+def test_numbers_are_rounded_to_what_the_interval_tells(value, low, high, told):
+    """Two digits of the half-width of the interval."""
+    assert rounded(value, low, high) == told
+
+
+def test_rows_that_no_curve_holds_are_solved_as_they_were_measured():
+    """In: T / (1 + m T G), out: T / (1 - m T G), design.md section 3, the body as it is set."""
+    base, way = np.array([20.0, 40.0, 40.0, 20.0]), np.array([1.0, 1.0, -1.0, -1.0])
+    read = {"tip_tension": base, "tip_angle": 0.01 * base}
+    table = cddf.Measurements.from_columns("bench", base_tension=base, direction=way, **read)
+    pulled_in = cddf.Measurements.from_columns("loading", base_tension=base, tip_tension=base)
+    (rows,) = Exploration(paper_body("exact"), (pulled_in, table)).in_rows(paper_body("exact", youngs_modulus=2e6))
+    assert rows.table is table
+    loss = 0.42 / 2e6 * base * paper_plain("exact").compliance(PAPER["length"])
+    np.testing.assert_allclose(rows.model["tip_tension"], base / (1 + way * loss), rtol=1e-9)
+    np.testing.assert_allclose(rows.model["tip_angle"], np.log1p(way * loss) / (way * 0.42), rtol=1e-9)
+
+
+def test_data_of_two_tendons_lie_over_their_own_tensions():
+    columns = {"base_tension": [20.0, 40.0], "base_tension_2": [5.0, 10.0]}
+    read = {"tip_tension": [16.0, 30.0], "tip_tension_2": [6.0, 12.0], "tip_angle": [0.1, 0.2]}
+    table = cddf.Measurements.from_columns("pair", **columns, **read)
+    plots = TensionPlots(2)
+    plots.show_data([table])
+    plots.show_rows([Rows(table, {name: np.array(values) + 1.0 for name, values in read.items()})])
+    tension, angle = plots.points["tension"], plots.points["angle"]
+    for kind, more in (("data", 0.0), ("rows", 1.0)):
+        np.testing.assert_array_equal(tension[kind].data["base"], [20.0, 40.0, 5.0, 10.0])
+        np.testing.assert_array_equal(tension[kind].data["value"], np.array([16.0, 30.0, 6.0, 12.0]) + more)
+        assert len(set(tension[kind].data["color"])) == 2
+        np.testing.assert_allclose(angle[kind].data["value"], np.degrees([0.1 + more, 0.2 + more]))
+    plots.show_data([])
+    assert [fig.select_one({"name": "data"}).visible for fig in plots.figures.values()] == [False, False]
+
+
+PROFILES = {
+    "constant": Constant(0.016),
+    "linear": Linear(0.020, 0.013, 0.14),
+    "longer": Linear(0.020, 0.012, 0.16),
+    "pieces": Piecewise([0.05], [0.018, Linear(0.020, 0.013, 0.14)]),
+    "spline": Spline([0.0, 0.04, 0.09, 0.14], [0.020, 0.018, 0.013, 0.012]),
+    "lines": Piecewise.linear([0.0, 0.04, 0.14], [0.020, 0.018, 0.012]),
+}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_taper_adds_a_straight_line(name):
+    profile, s = PROFILES[name], np.linspace(0.0, 0.14, 29)
+    before, after = np.asarray(profile(s)), np.asarray(tapered(profile, 0.022, 0.011, 0.14)(s))
+    line = np.interp(s, [0.0, 0.14], [0.022 - before[0], 0.011 - before[-1]])
+    np.testing.assert_allclose(after, before + line, atol=1e-16)
+
+
+def test_loads_and_directions_reach_the_solver(explored):
+    numbers = {**explored.start.numbers, "tip_force.1": -2.0, "tip_moment": 0.05}
+    case = explored.case(explored.start._replace(numbers=numbers, direction=(-1,), kinematics="published"))
+    np.testing.assert_array_equal(case.loads.tip_force, [0.0, -2.0])
+    assert case.loads.tip_moment == 0.05
+    assert case.direction.tolist() == [-1.0]
+    assert case.manipulator.kinematics == "published"
+    assert explored.case(explored.start).loads is None
+
+
+def test_directions_are_found_unless_they_are_stated():
+    """design.md section 2: the antagonist at 20 N slides out, 45.9 degrees and 28.0 N; both in would give 54.0."""
+    explored = Exploration(paper_body("exact", num_tendons=2))
+    numbers = {**explored.start.numbers, "base_tension_1": 75.0, "base_tension_2": 20.0}
+    found = explored.picture(explored.case(explored.start._replace(numbers=numbers)))
+    assert found.equilibrium.direction.tolist() == [1.0, -1.0]
+    assert np.degrees(found.equilibrium.tip_angle) == pytest.approx(45.9, abs=0.05)
+    assert found.equilibrium.tip_tension[1] == pytest.approx(28.0, abs=0.05)
+    assert '<b data-name="direction_2">out</b>' in numbers_html(found)
+    stated = explored.case(explored.start._replace(direction=(1, None)))
+    assert (float(stated.direction[0]), stated.direction[1]) == (1.0, None)
+
+
+def test_ranges_hold_the_numbers_of_the_file():
+    for control in Exploration(paper_body(num_tendons=2, density=1070.0)).controls:
+        assert control.low <= control.value <= control.high
+        assert 0 < control.step < control.high - control.low
+
+
+def test_a_wall_without_its_tendon_is_refused(explored):
+    numbers = {**explored.start.numbers, "outer_radius.tip": 9.0}
+    with pytest.raises(cddf.InputError, match="tendon 1: offset must lie inside the wall"):
+        explored.case(explored.start._replace(numbers=numbers))
+
+
+def test_a_table_of_another_body_is_refused():
+    with pytest.raises(cddf.InputError, match="no column 'base_tension_2'"):
+        Exploration(paper_body(num_tendons=2), (cddf.read_measurements(CELLS),))
+
+
+@pytest.mark.filterwarnings("ignore:.* will be removed in version 2.0:PendingDeprecationWarning")
+def test_what_is_computed_at_once_keeps_its_mark(monkeypatch):
+    """As where a file is loaded, and the page is there already."""
+    pn = pytest.importorskip("panel")
+    from bokeh.document import Document
+    from panel.io.state import set_curdoc
+
+    from cddf_jax.explorer.server import Page, PageContent
+    from cddf_jax.explorer.view import Threads
+
+    with set_curdoc(Document()), Threads() as idle:
+        monkeypatch.setattr(idle.pictures, "submit", lambda *_: None)
+        monkeypatch.setattr(type(pn.state), "onload", lambda _, callback: callback())
+        page = Page(PageContent(paper_body("exact"), (), "", (), idle))
+    marked = {part.css_classes[-1] for part in page.place if "computing" in part.css_classes}
+    assert marked == {"body", "numbers", "tension", "along"}
+
+
+def test_files_hold_what_is_shown(explored, picture, tmp_path):
+    path = tmp_path / "body.toml"
+    path.write_text(explored.toml(picture.case))
+    body = cddf.read_manipulator(path)
+    assert (body.outer_radius.base, body.outer_radius.tip) == (0.018, 0.015)
+    text = fields_csv(picture.along, ["a note"]).splitlines()
+    assert text[0] == "# a note"
+    header, rows = text[1].split(","), np.array([line.split(",") for line in text[2:]], float)
+    assert header[:2] == ["arc_length [m]", "x [m]"]
+    tension = rows[:, header.index("tension_1 [N]")]
+    assert tension[0] == pytest.approx(60.0, rel=1e-9)
+    assert tension[-1] == pytest.approx(float(picture.equilibrium.tip_tension[0]), rel=1e-9)
+    assert rows[-1, 0] == pytest.approx(0.140)
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings(
+    "ignore:There is no current event loop:DeprecationWarning"
+)  # Tornado asks for one, Python 3.12 on
+@pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")  # Tornado leaves one open that it cannot bind
+def test_a_port_in_use_is_said(cddf_command):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        code, out, error = cddf_command("explore", "--no-browser", "--port", port)
+        gc.collect()
+    assert (code, out) == (2, "")
+    assert error.startswith(f"error: --port {port}: Address already in use; give another")
+    assert error.count("\n") == 1
+
+
+def test_without_panel_the_remedy_is_said(cddf_command, monkeypatch):
+    for name in ("server", "view"):
+        monkeypatch.delitem(sys.modules, f"cddf_jax.explorer.{name}", raising=False)
+        monkeypatch.delattr(f"cddf_jax.explorer.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, "panel", None)
+    code, _, error = cddf_command("explore", "--no-browser")
+    assert code == 2
+    assert error == "error: explore needs the package panel; install it with pip install 'cddf-jax[explore]'\n"

@@ -1,0 +1,343 @@
+"""The functions of `cddf_jax.figures`: axes in, axes out, with units, and what they show is what they were given."""
+
+import os
+import re
+from io import BytesIO
+
+import jax
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray
+from bodies import fields_at, paper_body
+from matplotlib.contour import QuadContourSet
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from matplotlib.quiver import Quiver
+from places import DATA
+
+import cddf_jax as cddf
+from cddf_jax import figures
+from cddf_jax.files.cross_sections import SectionColumn
+from cddf_jax.robot.profiles import Constant
+from cddf_jax.sweeping.one_solve import RESULT_NAMES
+
+TENSIONS, FRICTIONS = np.linspace(10.0, 50.0, 5), np.array([0.2, 0.4, 0.6])
+LOCKED = RESULT_NAMES.index("locked")
+PAIR = paper_body(num_tendons=2)
+PLAIN = {"Friction coefficient", "Root of the rise in squares", ""}  # numbers without a unit, and hidden labels
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return cddf.solve(PAIR, [60.0, 20.0], direction=[+1, -1])
+
+
+@pytest.fixture(scope="module")
+def fit():
+    """Simulated tip tensions and tip angles of the paper's manipulator."""
+    table = cddf.read_measurements(DATA / "tip_angle_simulated.csv")
+    return cddf.fit(cddf.read_manipulator(DATA / "smooth_sil_940.toml"), table)
+
+
+@pytest.fixture(scope="module")
+def profile(fit):
+    return fit.profile("friction_coefficient")
+
+
+@pytest.fixture(scope="module")
+def grid():
+    """Made up: 100 times the sum of places for tendon 1, 1000 more for tendon 2; one solve failed."""
+    places = np.add.outer(np.arange(5.0), np.arange(3.0))
+    result = np.zeros((5, 3), np.int8)
+    result[4, 2] = LOCKED
+    places[4, 2] = np.nan
+    dims = ("base_tension", "friction_coefficient")
+    tension = np.stack([100 * places, 100 * places + 1000], axis=-1)
+    return xarray.Dataset(
+        {
+            "tip_tension": ((*dims, "tendon"), tension, {"units": "N"}),
+            "tip_position": ((*dims, "component"), np.stack([places, 2 * places], -1), {"units": "m"}),
+            "stable": (dims, np.ones((5, 3), bool)),
+            "result": (dims, result),
+        },
+        {
+            "base_tension": ("base_tension", TENSIONS, {"units": "N"}),
+            "friction_coefficient": ("friction_coefficient", FRICTIONS, {"units": "1"}),
+            "tendon": np.arange(2),
+            "component": ["X", "Y"],
+        },
+    )
+
+
+TABLE = SectionColumn("outer_radius", np.array([0.0, 0.07, 0.14]), np.full(3, 0.02), Constant(0.02), "constant", "")
+DRAWN = {
+    "shape": lambda it, axes: figures.draw_shape(PAIR, it("bent"), axes=axes),
+    "force_arrows": lambda it, axes: figures.draw_force_arrows(PAIR, it("bent"), axes),
+    "along": lambda it, axes: figures.draw_along(PAIR, it("bent"), "tension", axes),
+    "fit": lambda it, axes: figures.draw_fit(it("fit"), column="tip_angle", axes=axes),
+    "residuals": lambda it, axes: figures.draw_residuals(it("fit"), column="tip_angle", axes=axes),
+    "profile": lambda it, axes: figures.draw_profile(it("fit"), it("profile"), axes),
+    "correlation": lambda it, axes: figures.draw_correlation(it("fit"), axes),
+    "lines": lambda it, axes: figures.draw_lines(it("grid"), "tip_tension", "base_tension", axes, tendon=0),
+    "map": lambda it, axes: figures.draw_map(
+        it("grid"), "tip_tension", "base_tension", "friction_coefficient", axes, tendon=0
+    ),
+    "section_column": lambda it, axes: figures.draw_section_column(TABLE, axes),
+}
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_axes_come_back_with_units_and_nothing_else_changes(name, request):
+    before, axes = (dict(mpl.rcParams), plt.get_fignums()), Figure().subplots()
+    assert DRAWN[name](request.getfixturevalue, axes) is axes
+    assert before == (dict(mpl.rcParams), plt.get_fignums())
+    assert axes.xaxis.label.get_fontfamily() == mpl.rcParams["font.family"]  # the style is the user's
+    axes.figure.draw_without_rendering()
+    for label in (axes.get_xlabel(), axes.get_ylabel()):
+        assert label in PLAIN or re.search(r" \([^)]*[a-zA-Z°%][^)]*\)$", label), label
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_without_axes_there_is_a_figure_of_one_column(name, request):
+    before = dict(mpl.rcParams)
+    axes = DRAWN[name](request.getfixturevalue, None)
+    assert axes.figure.get_figwidth() == figures.SINGLE_COLUMN
+    assert axes.xaxis.label.get_fontfamily() == ["STIXGeneral"]
+    assert before == dict(mpl.rcParams)
+
+
+def test_every_name_is_there():
+    assert all(callable(getattr(figures, name)) or name.endswith("COLUMN") for name in figures.__all__)
+
+
+# --- what is drawn is what was given -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quantity", ["tension", "curvature", "normal_force", "friction_force", "strain", "heading"])
+def test_lines_along_the_body(bent, quantity):
+    lines = figures.draw_along(PAIR, bent, quantity, Figure().subplots()).lines
+    s = np.linspace(0.0, 0.140, 201)
+    along = fields_at(bent, s)
+    expected = {
+        "tension": along.tension,
+        "curvature": [along.curvature],
+        "normal_force": np.hypot(*np.moveaxis(along.normal_force, -1, 0)),
+        "friction_force": np.hypot(*np.moveaxis(along.friction_force, -1, 0)),
+        "strain": [100 * (0.020 - 0.007 * s / 0.140) * np.abs(along.curvature)],  # the paper's cone: 20 to 13 mm
+        "heading": [np.degrees(along.heading)],
+    }[quantity]
+    assert len(lines) == len(expected)
+    for line, values in zip(lines, expected, strict=True):
+        np.testing.assert_allclose(np.interp(1e3 * s, *line.get_data()), values, rtol=1e-9, atol=1e-12)
+
+
+def test_a_style_of_ones_own(bent):
+    (line,) = figures.draw_along(PAIR, bent, "curvature", color="red", label="mine").lines
+    assert (line.get_color(), line.get_label()) == ("red", "mine")
+
+
+def test_arrows_are_the_forces(bent):
+    axes = figures.draw_force_arrows(PAIR, bent, Figure().subplots())
+    normal, friction = (artist for artist in axes.collections if isinstance(artist, Quiver))
+    s = 0.140 * (np.arange(10) + 0.45) / 10  # the middle of each tenth, a bit before
+    along = fields_at(bent, s)
+    for arrows, force in ((normal, along.normal_force), (friction, along.friction_force)):
+        np.testing.assert_allclose(np.stack([arrows.U, arrows.V], -1), np.reshape(force, (-1, 2)), rtol=1e-9)
+    left = np.stack([-np.sin(along.heading), np.cos(along.heading)], axis=-1)
+    roots = [1e3 * (along.position + side * 0.010 * left) for side in (+1, -1)]  # the paper's tendon: 10 mm off
+    np.testing.assert_allclose(normal.get_offsets(), np.concatenate(roots), rtol=1e-9)
+
+
+def test_a_body_to_scale_in_axes_that_share_their_limits(bent):
+    figure = Figure()
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    figures.draw_shape(PAIR, bent, axes=axes[0])
+    figures.draw_force_arrows(PAIR, bent, axes[1])
+    figure.draw_without_rendering()
+    assert axes[0].get_aspect() == axes[1].get_aspect() == 1.0
+
+
+def test_the_model_and_the_data(fit):
+    (table,) = fit.tables
+    axes = figures.draw_fit(fit, table, "tip_angle", Figure().subplots())
+    line = next(line for line in axes.lines if line.get_label() == "model")
+    predicted = fit.predict("tip_angle", line.get_xdata())
+    np.testing.assert_allclose(line.get_ydata(), np.degrees(predicted.value))
+    (band,) = (item for item in axes.collections if item.get_label() == "95 % band of the model")
+    corners = band.get_datalim(axes.transData).intervaly
+    reach = np.degrees([np.min(predicted.value - predicted.half_width), np.max(predicted.value + predicted.half_width)])
+    np.testing.assert_allclose(corners, reach)
+    (data,) = axes.containers
+    levels = np.round(table["base_tension"], -1)  # 10, 20, ... 80 N, as set
+    means = [np.degrees(table["tip_angle"][levels == level].mean()) for level in np.unique(levels)]
+    np.testing.assert_allclose(data[0].get_ydata(), means)
+
+
+def test_the_residuals(fit):
+    axes = figures.draw_residuals(fit, column="tip_tension", axes=Figure().subplots())
+    dots = next(line for line in axes.lines if line.get_marker() == ".")
+    (table,) = fit.tables
+    predicted = fit.predict("tip_tension", table["base_tension"]).value
+    np.testing.assert_allclose(dots.get_ydata(), table["tip_tension"] - predicted, atol=1e-9)
+
+
+def test_a_profile_by_its_name(fit, profile):
+    by_name = figures.draw_profile(fit, "friction_coefficient", Figure().subplots())
+    (line,) = (line for line in by_name.lines if line.get_label() == "profile")
+    np.testing.assert_allclose(line.get_xdata(), profile.value)
+    np.testing.assert_allclose(line.get_ydata() ** 2, np.maximum(profile.rise, 0.0))
+
+
+def test_a_figure_of_two_columns(fit):
+    """Data above, residuals below, on the same base tensions; made again the same bytes: no date, nothing random."""
+    (figure,), (again,) = (figures.table_figures(fit).values() for _ in range(2))
+    assert len(figure.axes) == 4
+    assert all(axes.get_xlim() == figure.axes[0].get_xlim() for axes in figure.axes)
+    assert figures.render(figure, "fit") == figures.render(again, "fit")
+
+
+# --- sweeps --------------------------------------------------------------------------------------
+
+
+def test_a_line_for_each_value(grid):
+    axes = figures.draw_lines(grid, "tip_tension", "base_tension", Figure().subplots(), tendon=1)
+    assert axes.get_ylabel() == "Tip tension of tendon 2 (N)"
+    *lines, failed = axes.lines
+    for i, line in enumerate(lines):
+        expected = 1000 + 100 * (np.arange(5.0) + i)
+        np.testing.assert_allclose(line.get_ydata(), np.where((np.arange(5) == 4) & (i == 2), np.nan, expected))
+    assert failed.get_xdata().tolist() == [50.0]
+    said = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert said == [*(f"Friction coefficient = {mu}" for mu in (0.2, 0.4, 0.6)), "at the foot: no number, locked"]
+
+
+def test_tendons_and_components_are_lines_too(grid):
+    axes = figures.draw_lines(grid, "tip_position", "base_tension", Figure().subplots(), friction_coefficient=0.4)
+    assert axes.get_ylabel() == "Tip position (mm)"
+    x, y = axes.lines
+    np.testing.assert_allclose(x.get_ydata(), 1e3 * (np.arange(5) + 1))
+    np.testing.assert_allclose(y.get_ydata(), 2e3 * (np.arange(5) + 1))
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["X", "Y"]
+
+
+def test_a_solve_that_gave_no_number_is_neither_yes_nor_no(grid):
+    axes = figures.draw_lines(grid, "stable", "base_tension", Figure().subplots(), friction_coefficient=0.6)
+    line, failed = axes.lines
+    np.testing.assert_array_equal(line.get_ydata(), [1, 1, 1, 1, np.nan])
+    assert failed.get_xdata().tolist() == [50.0]
+
+
+def test_a_map_either_way_round(grid):
+    names = ("friction_coefficient", "base_tension")
+    axes = figures.draw_map(grid, "tip_tension", *names, Figure().subplots(), tendon=0)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("Friction coefficient", "Base tension (N)")
+    lines = [artist for artist in axes.collections if isinstance(artist, QuadContourSet)][1]
+    # 100 (i + k) = level, at the place k = 1 of friction coefficients; base tensions are 10 (i + 1)
+    level = lines.levels[3]
+    distances = lines.find_nearest_contour(0.4, 0.1 * level, indices=[3], pixel=False)
+    assert distances[-1] == pytest.approx(0.0, abs=1e-12)
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["hatched: locked"]
+
+
+# --- what cannot be drawn ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (lambda it: figures.draw_along(PAIR, it("bent"), "stress"), "draw_along: quantity must be one of tension, "),
+        (lambda it: figures.draw_fit(it("fit")), "draw_fit: column must be one of tip_tension, tip_angle; got None"),
+        (lambda it: figures.draw_fit(it("fit"), "x.csv"), "draw_fit: table must be one of tip_angle_simulated.csv"),
+        (lambda it: figures.draw_residuals(it("fit"), column="tip_x"), "draw_residuals: column must be one of"),
+        (lambda it: figures.draw_profile(it("fit"), "drag"), "draw_profile: 'drag' was not fitted; there are frict"),
+        (lambda it: figures.draw_lines(it("grid"), "x", "base_tension"), "draw_lines: 'x' is no output of this sweep"),
+        (
+            lambda it: figures.draw_lines(it("grid"), "tip_tension", "length"),
+            "draw_lines: 'length' is no number that varies; there are base_tension, friction_coefficient",
+        ),
+        (
+            lambda it: figures.draw_lines(it("grid"), "stable", "base_tension", friction_coefficient=0.3),
+            "draw_lines: friction_coefficient has no value 0.3; the nearest is 0.2",
+        ),
+        (
+            lambda it: figures.draw_lines(it("grid"), "stable", "base_tension", length=0.1),
+            "draw_lines: nothing varies along 'length'; there are base_tension, ",
+        ),
+        (
+            lambda it: figures.draw_lines(it("grid"), "tip_position", "friction_coefficient"),
+            "draw_lines: base_tension varies too, with 5 values; choose one, as in base_tension=10.0",
+        ),
+        (
+            lambda it: figures.draw_map(it("grid"), "tip_position", "base_tension", "friction_coefficient"),
+            "draw_map: component varies too, with 2 values; choose one, as in component='X'",
+        ),
+        (lambda it: figures.draw_map(it("grid"), "stable", "base_tension", "base_tension"), "draw_map: x and y"),
+    ],
+)
+def test_a_wrong_name_gives_one_clear_line(draw, message, request):
+    with pytest.raises(cddf.InputError) as raised:
+        draw(request.getfixturevalue)
+    assert str(raised.value).startswith(message)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_failed_solve_is_not_drawn(bent):
+    nothing = jax.tree.map(lambda x: x * np.nan if np.issubdtype(x.dtype, np.inexact) else x, bent)
+    for draw in (figures.draw_shape, figures.draw_force_arrows, lambda *both: figures.draw_along(*both, "tension")):
+        with pytest.raises(cddf.InputError, match="the solve failed"):
+            draw(PAIR, nothing)
+
+
+# --- style and files -----------------------------------------------------------------------------
+
+
+def a_figure():
+    with figures.house_style():
+        figure = figures.new_figure(figures.SINGLE_COLUMN, 2.0)
+        figure.subplots().plot([0.0, 3.0], [1.0, 20.0])
+    return figure
+
+
+def test_a_figure_looks_the_same_wherever_it_is_shown():
+    pictures = []
+    for _ in range(2):
+        buffer = BytesIO()
+        if pictures:
+            with figures.house_style():
+                a_figure().savefig(buffer, dpi=100)
+        else:
+            a_figure().savefig(buffer, dpi=100)
+        pictures.append(imread(BytesIO(buffer.getvalue())))
+    np.testing.assert_array_equal(*pictures)
+
+
+@pytest.mark.parametrize(("suffix", "start"), [("pdf", b"%PDF-"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
+def test_the_suffix_decides(tmp_path, suffix, start):
+    path = figures.save(a_figure(), tmp_path / "new" / f"picture.{suffix}")
+    content = path.read_bytes()
+    assert content.startswith(start)
+    assert figures.save(a_figure(), path).read_bytes() == content  # the same bytes for the same figure
+    if suffix == "png":
+        assert imread(path).shape[:2] == (600, 1050)  # 2 by 3.5 inches of 300 dots
+
+
+def test_another_suffix_is_refused(tmp_path):
+    with pytest.raises(cddf.InputError, match=r"^save: 'picture.jpeg' must end in .pdf, .png or .svg"):
+        figures.save(a_figure(), tmp_path / "picture.jpeg")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_file_is_whole_or_as_it_was(tmp_path, monkeypatch):
+    path = tmp_path / "picture.pdf"
+    path.write_bytes(b"old")
+
+    def refuse(*_):
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(OSError, match="the disk is full"):
+        figures.save(a_figure(), path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]

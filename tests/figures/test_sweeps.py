@@ -1,0 +1,265 @@
+"""The figure of a sweep, read back from what is drawn; the numbers are made up."""
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.contour import QuadContourSet
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from cddf_jax.figures.style import render
+from cddf_jax.figures.sweep_panels import name_in_words
+from cddf_jax.figures.sweeps import left_out_of_figure, sweep_figure
+from cddf_jax.sweeping.one_solve import RESULT_NAMES
+
+CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")
+TENSIONS = np.linspace(10.0, 50.0, 5)
+FRICTIONS = np.linspace(0.1, 0.6, 6)
+MODULI = np.linspace(1.2e6, 1.6e6, 7)
+UNITS = {"base_tension": "N", "friction_coefficient": "1", "youngs_modulus": "Pa"}
+
+
+def answer_over(axes, *, tendons=1, together=None):
+    """A tip tension that is 100 times the sum of places, a tip angle that is their sum; all successful."""
+    sizes = {name: len(values) for name, values in axes.items()}
+    places = np.array(sum(np.meshgrid(*(np.arange(n) for n in sizes.values()), indexing="ij"), start=0.0), float)
+    coords = {name: (name, values, {"units": UNITS[name]} if name in UNITS else {}) for name, values in axes.items()}
+    if together:
+        coords = {name: c for name, c in coords.items() if name != "sample"}
+        coords |= {name: ("sample", values, {"units": UNITS[name]}) for name, values in together.items()}
+    dims = tuple(axes)
+    return xarray.Dataset(
+        {
+            "tip_tension": ((*dims, "tendon"), np.stack([100 * places] * tendons, -1), {"units": "N"}),
+            "tip_angle": (dims, np.array(places), {"units": "rad"}),
+            "curvature": ((*dims, "point"), np.zeros((*places.shape, 3)), {"units": "1/m"}),
+            "result": (dims, np.zeros(places.shape, np.int8)),
+        },
+        coords,
+    )
+
+
+def drawn(answer, outputs=("tip_tension", "tip_angle"), varied=None):
+    names = varied or [name for name in answer.coords if name not in ("tendon", "component")]
+    return sweep_figure(answer, outputs, {name: name_in_words(name) for name in names})
+
+
+def legend_of(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def hatched(axes):
+    return [patch for patch in axes.patches if isinstance(patch, Rectangle) and patch.get_hatch()]
+
+
+def contours(axes):
+    return [artist for artist in axes.collections if isinstance(artist, QuadContourSet)]
+
+
+# --- lines ---------------------------------------------------------------------------------------
+
+
+def test_a_line_and_what_is_not_sure():
+    answer = answer_over({"base_tension": TENSIONS})
+    answer["result"][:] = [0, 0, 0, CROSSING, LOCKED]
+    answer["tip_angle"][4] = np.nan
+    answer["tip_tension"][4] = np.nan
+    figure = drawn(answer)
+    tension, angle = figure.axes
+    assert (tension.get_xlabel(), tension.get_ylabel()) == ("Base tension (N)", "Tip tension (N)")
+    assert angle.get_ylabel() == "Tip angle (deg)"
+    line, doubtful, failed = angle.lines
+    np.testing.assert_allclose(line.get_ydata(), [*np.degrees([0.0, 1.0, 2.0]), np.nan, np.nan])
+    np.testing.assert_allclose(doubtful.get_xydata(), [[40.0, np.degrees(3.0)]])
+    assert (doubtful.get_linestyle(), doubtful.get_markerfacecolor()) == ("None", "white")
+    assert failed.get_xdata().tolist() == [50.0]
+    assert legend_of(figure) == ["hollow: doubtful, crossing", "at the foot: no number, locked"]
+
+
+def test_lines_of_options_and_tendons():
+    answer = answer_over({"kinematics": np.array(["published", "exact"]), "base_tension": TENSIONS}, tendons=2)
+    figure = drawn(answer, ["tip_tension"])
+    assert [axes.get_ylabel() for axes in figure.axes] == [f"Tip tension of tendon {i} (N)" for i in (1, 2)]
+    assert legend_of(figure) == ["published kinematics", "exact kinematics"]
+    for axes in figure.axes:
+        first, second = axes.lines
+        np.testing.assert_allclose(second.get_ydata() - first.get_ydata(), 100.0)
+        assert first.get_linestyle() != second.get_linestyle()  # told apart in a grey print
+
+
+def test_values_in_any_order_make_one_line():
+    answer = answer_over({"base_tension": TENSIONS[[2, 0, 1]]})
+    (line,) = drawn(answer, ["tip_angle"]).axes[0].lines
+    assert line.get_xdata().tolist() == [10.0, 20.0, 30.0]
+    np.testing.assert_allclose(line.get_ydata(), np.degrees([1.0, 2.0, 0.0]))
+
+
+def test_yes_and_no():
+    answer = answer_over({"base_tension": TENSIONS})
+    answer["stable"] = ("base_tension", np.array([True] * 4 + [False]))
+    axes = drawn(answer, ["stable"]).axes[0]
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["no", "yes"]
+    assert axes.lines[0].get_ydata().tolist() == [1, 1, 1, 1, 0]
+
+
+# --- contours ------------------------------------------------------------------------------------
+
+
+def test_contours_and_where_there_are_none():
+    answer = answer_over({"base_tension": TENSIONS, "youngs_modulus": MODULI})
+    answer["result"][4, :] = CROSSING
+    figure = drawn(answer)
+    tension, angle, tension_bar, angle_bar = figure.axes
+    assert (tension.get_xlabel(), tension.get_ylabel()) == ("Base tension (N)", "Young's modulus (MPa)")
+    assert (tension_bar.get_ylabel(), angle_bar.get_ylabel()) == ("Tip tension (N)", "Tip angle (deg)")
+    assert tension.get_xlim() == (10.0, 50.0)
+    assert tension.get_ylim() == pytest.approx((1.2, 1.6))
+    filled, lines = contours(tension)
+    assert filled.levels[0] <= 0.0
+    assert filled.levels[-1] >= 100.0 * (3 + 6)  # of what is successful
+    # 100 (i + k) = 300 is a straight line in the places
+    level = 300.0
+    for i in np.linspace(0.0, 3.0, 4):
+        inside = (10.0 + 10.0 * i, 1.2 + 0.4 / 6 * (level / 100 - i))
+        distances = lines.find_nearest_contour(*inside, indices=[list(lines.levels).index(level)], pixel=False)
+        assert distances[-1] == pytest.approx(0.0, abs=1e-12)
+    reached = np.concatenate([path.vertices for path in filled.get_paths() if len(path.vertices)])
+    assert reached[:, 0].max() == pytest.approx(40.0)  # nothing drawn where solves are doubtful
+    assert all(hatched(axes) for axes in (tension, angle))
+    assert legend_of(figure) == ["hatched: crossing"]
+
+
+def test_no_hatching_where_all_is_well():
+    figure = drawn(answer_over({"base_tension": TENSIONS, "youngs_modulus": MODULI}), ["tip_angle"])
+    assert not hatched(figure.axes[0])
+    assert not figure.legends
+
+
+def test_options_beside_each_other_on_one_scale():
+    kinematics = np.array(["published", "exact"])
+    answer = answer_over({"base_tension": TENSIONS, "kinematics": kinematics, "friction_coefficient": FRICTIONS})
+    figure = drawn(answer)
+    panels, bars = figure.axes[:4], figure.axes[4:]
+    assert [axes.get_title() for axes in panels] == ["published kinematics", "exact kinematics", "", ""]
+    assert [axes.get_ylabel() for axes in bars] == ["Tip tension (N)", "Tip angle (deg)"]
+    for left, right in (panels[:2], panels[2:]):
+        np.testing.assert_array_equal(contours(left)[0].levels, contours(right)[0].levels)
+
+
+def test_a_third_axis_is_sliced():
+    answer = answer_over({"youngs_modulus": MODULI, "base_tension": TENSIONS, "friction_coefficient": FRICTIONS})
+    figure = drawn(answer, ["tip_tension"])
+    titles = [axes.get_title() for axes in figure.axes[:4]]
+    assert titles == [f"Young's modulus = {value} MPa" for value in ("1.2", "1.333", "1.467", "1.6")]
+    assert figure.axes[0].get_xlabel() == "Base tension (N)"
+
+
+@pytest.mark.parametrize("value", [0.0, 45.0, np.nan])
+def test_an_output_that_does_not_change(value):
+    answer = answer_over({"base_tension": TENSIONS, "youngs_modulus": MODULI})
+    answer["tip_angle"][...] = value
+    answer["result"][...] = 0 if np.isfinite(value) else LOCKED
+    figure = drawn(answer, ["tip_angle"])
+    assert len(contours(figure.axes[0])) == np.isfinite(value)
+    assert figure.axes[1].get_ylabel() == "Tip angle (deg)"
+
+
+# --- dots ----------------------------------------------------------------------------------------
+
+
+def test_samples_as_dots():
+    rng = np.random.default_rng(0)
+    together = {"youngs_modulus": 1e6 * rng.random(40), "friction_coefficient": rng.random(40)}
+    answer = answer_over({"sample": np.arange(40), "base_tension": TENSIONS[:2]}, together=together)
+    answer["result"][0] = CROSSING
+    order = ["youngs_modulus", "friction_coefficient", "base_tension"]
+    figure = drawn(answer, varied=order)
+    panels = np.reshape(figure.axes, (2, 3))
+    assert [axes.get_xlabel() for axes in panels[1]] == [
+        *("Young's modulus (MPa)", "Friction coefficient", "Base tension (N)"),
+    ]
+    assert [axes.get_ylabel() for axes in panels[:, 0]] == ["Tip tension (N)", "Tip angle (deg)"]
+    dots, doubtful = panels[0, 0].lines
+    assert dots.get_linestyle() == "None"
+    np.testing.assert_allclose(dots.get_xdata(), np.repeat(1e-6 * together["youngs_modulus"], 2)[2:])
+    np.testing.assert_allclose(dots.get_ydata(), 100 * (np.arange(40)[:, None] + [0, 1]).ravel()[2:])
+    np.testing.assert_allclose(doubtful.get_ydata(), [0.0, 100.0])
+
+
+def test_no_more_dots_than_can_be_seen():
+    together = {"youngs_modulus": np.linspace(1e6, 2e6, 100_000)}
+    answer = answer_over({"sample": np.arange(100_000)}, together=together)
+    (dots,) = drawn(answer, ["tip_angle"]).axes[0].lines
+    assert 1000 <= len(dots.get_xdata()) <= 5000
+    assert dots.get_xdata()[[0, -1]].tolist() == pytest.approx([1.0, 2.0])
+
+
+# --- none ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("axes", "outputs", "reason"),
+    [
+        ({"kinematics": np.array(["published", "exact"])}, ["tip_angle"], "no number varies"),
+        ({"base_tension": TENSIONS}, ["curvature"], "outputs along the body are not drawn over what varies"),
+        (
+            {"a": TENSIONS, "b": TENSIONS, "c": TENSIONS, "d": TENSIONS},
+            ["tip_angle"],
+            "4 axes are too many for one; choose with xarray",
+        ),
+        (
+            {"a": TENSIONS, "b": TENSIONS, "c": TENSIONS, "nodes": np.array([8, 16])},
+            ["tip_angle"],
+            "3 axes and options are too many for one; choose with xarray",
+        ),
+    ],
+)
+def test_no_figure_and_why(axes, outputs, reason):
+    assert drawn(answer_over(axes), outputs) == reason
+
+
+def test_one_value_is_no_axis():
+    figure = drawn(answer_over({"friction_coefficient": [0.4], "base_tension": TENSIONS}), ["tip_angle"])
+    assert isinstance(figure, Figure)
+    assert figure.axes[0].get_xlabel() == "Base tension (N)"
+    assert set(render(figure, "sweep")) == {"sweep.pdf", "sweep.png"}
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("youngs_modulus", "Young's modulus"),
+        ("outer_radius.tip", "Outer radius tip"),
+        ("tendons.0.offset", "Tendon 1 offset"),
+        ("loads.tip_force.1", "Tip force Y"),
+        ("loads.tip_moment", "Tip moment"),
+        ("base_tension_2", "Base tension 2"),
+    ],
+)
+def test_names_in_words(name, words):
+    assert name_in_words(name) == words
+
+
+@pytest.mark.parametrize(
+    ("axes", "outputs", "expected"),
+    [
+        ({"base_tension": 5, "friction_coefficient": 4}, ["tip_angle"], []),
+        ({"base_tension": 5}, ["tip_angle", "curvature"], ["curvature, which runs along the body"]),
+        ({"base_tension": 5, "nodes": 8}, ["tip_angle"], ["2 of 8 combinations of options"]),
+        ({"length": 6, "base_tension": 5, "friction_coefficient": 4}, ["tip_angle"], ["2 of 6 values of length"]),
+    ],
+)
+def test_what_has_no_room_is_said(axes, outputs, expected):
+    """Six combinations along lines, four slices of a third axis: counted by hand."""
+    dims = tuple(axes)
+    sizes = tuple(axes.values())
+    data = {
+        name: (
+            (*dims, "point") if name == "curvature" else dims,
+            np.zeros((*sizes, 3) if name == "curvature" else sizes),
+        )
+        for name in outputs
+    }
+    data["result"] = (dims, np.zeros(sizes, np.int8))
+    answer = xarray.Dataset(data, {name: np.arange(size) for name, size in axes.items()})
+    assert left_out_of_figure(answer, outputs) == expected

@@ -1,0 +1,281 @@
+"""Manipulators in TOML: the shipped one, exact round trips, and errors that name file, key, value and remedy."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from bodies import paper_body
+from hypothesis import given, settings, strategies as st
+from places import DATA
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+from cddf_jax.files.manipulator_file import read_manipulator, write_manipulator
+
+PAPER = DATA / "smooth_sil_940.toml"
+TEXT = """
+length = "140 mm"
+outer_radius = { base = "20 mm", tip = "13 mm" }
+inner_radius = "7 mm"
+youngs_modulus = "1.4 MPa"
+friction_coefficient = 0.42
+[[tendons]]
+offset = "10 mm"
+"""
+
+
+def read(tmp_path, text):
+    path = tmp_path / "body.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_manipulator(path)
+
+
+def assert_identical(one, other):
+    """The same structure and the same bits."""
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        assert (a.dtype, a.shape, np.asarray(a).tobytes()) == (b.dtype, b.shape, np.asarray(b).tobytes())
+
+
+def assert_same_when_read_again(body, path, **options):
+    write_manipulator(body, path, **options)
+    assert_identical(read_manipulator(path), body)
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+def test_the_papers_body_gives_the_tension_of_the_closed_form():
+    body = read_manipulator(PAPER)
+    assert_identical(body, paper_body())
+    # T_tip at 75 N of the closed form with G(L) = 2.942783188998e4 m^-2, worked out apart from this package
+    assert cddf.solve(body, 75.0).tip_tension[0] == pytest.approx(45.122927013148, rel=1e-8)
+
+
+def test_optional_keys(tmp_path):
+    text = TEXT.replace("[[tendons]]", 'name = "a"\ndensity = "1.07 g/cm^3"\n[[tendons]]')
+    text += 'side = "-1"\nend = "10 cm"\nfriction_coefficient = "0.3"\n'
+    body = read(tmp_path, text + 'axial_stiffness = "12 kN"\nfree_length = "30 cm"')
+    tendon = body.tendons[0]
+    assert (body.density, body.kinematics) == (1070.0, "exact")
+    assert (tendon.side, tendon.end, tendon.friction_coefficient) == (-1, 0.1, 0.3)
+    assert (tendon.axial_stiffness, tendon.free_length) == (12000.0, 0.3)
+    plain = read(tmp_path, "\ufeff" + TEXT).tendons[0]
+    assert (plain.side, plain.end, plain.friction_coefficient) == (1, None, None)
+    assert (plain.axial_stiffness, plain.free_length) == (None, 0.0)
+
+
+@pytest.mark.parametrize("written", ['"0.8 %"', "0.008", '"0.008"'])
+def test_a_yield_strain_in_per_cent_or_as_a_fraction(tmp_path, written):
+    body = read(tmp_path, TEXT.replace("[[tendons]]", f"yield_strain = {written}\n[[tendons]]"))
+    assert body.yield_strain == 0.008
+    assert_same_when_read_again(body, tmp_path / "again.toml")
+
+
+@pytest.mark.parametrize(
+    ("form", "profile"),
+    [
+        ('"18 mm"', cddf.Constant(0.018)),
+        ('{ base = "2 cm", tip = "13 mm" }', cddf.Linear(0.02, 0.013, 0.14)),
+        ('{ base = "2 cm", tip = "13 mm", length = "200 mm" }', cddf.Linear(0.02, 0.013, 0.2)),
+        (
+            '{ ends = ["40 mm"], pieces = ["20 mm", { base = "19 mm", tip = "13 mm" }] }',
+            cddf.Piecewise([0.04], [cddf.Constant(0.02), cddf.Linear(0.019, 0.013, 0.14)]),
+        ),
+        (
+            '{ lines = [["0 mm", "20 mm"], ["60 mm", "15 mm"], ["14 cm", "14 mm"]] }',
+            cddf.Piecewise.linear([0, 0.06, 0.14], [0.02, 0.015, 0.014]),
+        ),
+        (
+            '{ spline = [["0 mm", "20 mm"], ["60 mm", "18 mm"], ["100 mm", "16 mm"], ["140 mm", "15 mm"]] }',
+            cddf.Spline([0, 0.06, 0.1, 0.14], [0.02, 0.018, 0.016, 0.015]),
+        ),
+    ],
+)
+def test_forms_of_a_profile(tmp_path, form, profile):
+    text = TEXT.replace('{ base = "20 mm", tip = "13 mm" }', form)
+    assert_identical(read(tmp_path, text).outer_radius, profile)
+
+
+CASES = [
+    ("length =", "lenght =", "unknown key 'lenght'; did you mean length?"),
+    ("length =", "colour = 'red'\nlength =", "unknown key 'colour'; known are length, outer_radius, inner_radius,"),
+    ('length = "140 mm"\n', "", "length is missing; add it"),
+    ('offset = "10 mm"', "side = 1", "tendon 1: offset is missing; add it"),
+    ("offset =", "ofset = 1\noffset =", "tendon 1: unknown key 'ofset'; did you mean offset?"),
+    ('"140 mm"', "140", "length needs a unit of length, got 140; write for example '12.5 mm'"),
+    ('"20 mm"', "20", "outer_radius: base needs a unit of length, got 20"),
+    (', tip = "13 mm"', "", "outer_radius is no profile, got {'base': '20 mm'}; write \"7 mm\", { base, tip },"),
+    ('tip = "13 mm"', 'tip = "13 mm", top = 1', "outer_radius is no profile, got {'base'"),
+    ('"7 mm"', "true", "inner_radius is not a number, got True"),
+    ('"7 mm"', '{ spline = [["0 mm", "7 mm"]] }', "inner_radius: Spline: arc_length and values must be two lists"),
+    ('"7 mm"', '{ ends = [], pieces = ["7 mm", "6 mm"] }', "inner_radius: Piecewise: 2 pieces need 1 ends"),
+    ('"7 mm"', '{ ends = [], pieces = [{}] }', "inner_radius: piece 1 is no profile, got {}"),
+    ('"7 mm"', '{ lines = ["7 mm"] }', "inner_radius: lines holds pairs [arc length, value], got '7 mm'; write"),
+    (
+        '"7 mm"',
+        '{ lines = [["5 mm", "7 mm"], ["0 mm", "7 mm"]] }',
+        "inner_radius: lines: arc lengths must increase, got '0 mm' after '5 mm'",
+    ),
+    ("[[tendons]]", "[tendons]", "tendons must be one table per tendon; write each below a line [[tendons]]"),
+    ("[[tendons]]\noffset", "tendons = []\nname", "tendons must be one table per tendon"),
+    ("offset =", "side = 2\noffset =", "tendon 1: side must be 1 or -1, got 2"),
+    ("offset =", "side = true\noffset =", "tendon 1: side must be 1 or -1, got True"),
+    ("offset =", "end = 0.1\noffset =", "tendon 1: end needs a unit of length, got 0.1"),
+    ("offset =", "axial_stiffness = 12\noffset =", "tendon 1: axial_stiffness needs a unit of force, got 12; write"),
+    ("offset =", 'free_length = "1 N"\noffset =', "tendon 1: free_length needs a unit of length, got '1 N'; write"),
+    ("offset =", "free_lenght = 1\noffset =", "tendon 1: unknown key 'free_lenght'; did you mean free_length?"),
+    ('"10 mm"', '"10 deg"', "tendon 1: offset needs a unit of length, got '10 deg'"),
+    ('"10 mm"', '"5 mm"', "tendon 1: offset must lie inside the wall: at s = 0 mm it is 5 mm"),
+    ("length =", 'kinematics = "best"\nlength =', "kinematics must be one of ('published', 'exact'), got 'best'"),
+    ("length =", 'offsets_outside_wall = "yes"\nlength =', "offsets_outside_wall must be true or false, got 'yes'"),
+    ('"140 mm"', "140 mm", "(at line 2, column 14); quantities are quoted, as in length = \"140 mm\""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "message"), CASES)
+def test_bad_files_are_refused(tmp_path, old, new, message):
+    assert old in TEXT
+    with pytest.raises(InputError) as error:
+        read(tmp_path, TEXT.replace(old, new, 1))
+    assert message in str(error.value)
+    assert str(error.value).startswith(f"{tmp_path / 'body.toml'}: {'is not TOML: ' if new == '140 mm' else ''}")
+    assert "\n" not in str(error.value)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(InputError, match=r"none.toml: cannot be read \(No such file or directory\); check the path"):
+        read_manipulator(tmp_path / "none.toml")
+    (tmp_path / "latin.toml").write_bytes(TEXT.encode() + b"# \xe9")
+    with pytest.raises(InputError, match=r"latin.toml: is not UTF-8 text; save it as UTF-8"):
+        read_manipulator(tmp_path / "latin.toml")
+
+
+# --- round trips ---------------------------------------------------------------------------------
+
+
+def irregular_body(shape, bow, length, size, phase, own_friction, stiffness, free_length, kinematics):
+    """A sound body whose numbers no decimal unit makes round; `shape` picks the kind of outer radius."""
+    knots = np.linspace(0, 1, 5) * length * (1 + 0.1 * phase)
+    waves = size * (1 + 0.1 * np.sin(np.arange(5) + 6 * phase))
+    radius = [
+        cddf.Constant(size),
+        cddf.Linear(size, 0.9 * size, length),
+        cddf.Linear(size, 0.9 * size, 1.1 * length),
+        cddf.Piecewise.linear(knots, waves),
+        cddf.Piecewise([length / 3], [cddf.Constant(size), cddf.Linear(size, 0.8 * size, length)]),
+        cddf.Spline(knots, waves),
+    ][shape]
+    offset = cddf.Spline(knots, 0.5 * waves) if bow else cddf.Constant(0.5 * size)
+    return cddf.Manipulator(
+        length=length,
+        outer_radius=radius,
+        inner_radius=0.2 * phase * size,
+        tendons=[cddf.Tendon(offset, -1, 0.7 * length, own_friction, stiffness, free_length), cddf.Tendon(0.6 * size)],
+        youngs_modulus=1e8 * size,
+        friction_coefficient=phase,
+        density=1e3 * phase,
+        kinematics=kinematics,
+    )
+
+
+@pytest.mark.slow
+@settings(max_examples=40)
+@given(
+    shape=st.integers(0, 5),
+    bow=st.booleans(),
+    length=st.floats(1e-3, 1e3),
+    size=st.floats(1e-3, 1e3),
+    phase=st.floats(0, 1),
+    own_friction=st.none() | st.floats(0, 1),
+    stiffness=st.none() | st.floats(1e-3, 1e9),
+    free_length=st.floats(0, 10),
+    kinematics=st.sampled_from(["exact", "published"]),
+)
+def test_round_trip_to_the_last_bit(tmp_path_factory, **numbers):
+    assert_same_when_read_again(irregular_body(**numbers), tmp_path_factory.getbasetemp() / "round_trip.toml")
+
+
+LINK = """
+length = "360 mm"
+outer_radius = { lines = [["0 mm", "15.41 mm"], ["305 mm", "6.42 mm"], ["360 mm", "4.8 mm"]] }
+inner_radius = "0 mm"
+youngs_modulus = "315 kPa"
+friction_coefficient = 0.1
+density = "1318 kg/m^3"
+[[tendons]]
+offset = { base = "11.4 mm", tip = "2.4025 mm", length = "305 mm" }
+end = "305 mm"
+axial_stiffness = "12 kN"
+free_length = "200 mm"
+"""  # ../shared/data/soft_tentacle: radius 15.41 to 6.42 mm over 305 mm, then a link to 4.80 mm without tendons
+
+
+def test_a_passive_tip_link(tmp_path):
+    body = read(tmp_path, LINK)
+    np.testing.assert_allclose(body.outer_radius(np.array([0.0, 0.305, 0.36])), [0.01541, 0.00642, 0.0048], rtol=1e-14)
+    np.testing.assert_allclose(body.offset(np.array([0.305])), [[0.0114 - 0.0295 * 0.305]], rtol=1e-14)
+    assert [bool(body.cross_section(s).present[0]) for s in (0.1, 0.305, 0.306)] == [True, True, False]
+    assert_same_when_read_again(body, tmp_path / "again.toml")
+
+
+def test_a_step_in_the_section(tmp_path):
+    form = '{ ends = ["60 mm"], pieces = ["20 mm", { lines = [["60 mm", "15 mm"], ["140 mm", "12 mm"]] }] }'
+    body = read(tmp_path, TEXT.replace('{ base = "20 mm", tip = "13 mm" }', form))
+    np.testing.assert_allclose(body.outer_radius(np.array([0.059, 0.061, 0.14])), [0.02, 0.0149625, 0.012], rtol=1e-12)
+    assert_same_when_read_again(body, tmp_path / "again.toml")
+
+
+def test_what_is_written_is_for_people(tmp_path):
+    write_manipulator(read_manipulator(PAPER), tmp_path / "body.toml")
+    lines = (tmp_path / "body.toml").read_text().splitlines()
+    assert {'length = "140 mm"', 'youngs_modulus = "1.4 MPa"', 'base = "20 mm"', 'tip = "13 mm"'} <= set(lines)
+    assert not any("free_length" in line or "axial_stiffness" in line for line in lines)  # it does not stretch
+
+
+def test_offsets_outside_the_wall_are_said_in_the_file(tmp_path):
+    body = replace(read_manipulator(PAPER), tendons=(cddf.Tendon(0.005),))
+    with pytest.raises(InputError, match="allow it with offsets_outside_wall"):
+        write_manipulator(body, tmp_path / "body.toml")
+    assert_same_when_read_again(body, tmp_path / "body.toml", offsets_outside_wall=True)
+
+
+class Bulge(eqx.Module):
+    """A profile that the file does not know."""
+
+    def __call__(self, arc_length):
+        return 0.02 - arc_length**2 / 10
+
+
+def test_profiles_of_another_kind_are_refused(tmp_path):
+    body = replace(read_manipulator(PAPER), outer_radius=Bulge())
+    with pytest.raises(InputError, match=r"outer_radius: a profile of type Bulge cannot be written .*; sample it into"):
+        write_manipulator(body, tmp_path / "body.toml")
+
+
+def test_arguments_in_the_wrong_order_are_named(tmp_path):
+    body, path = read_manipulator(PAPER), tmp_path / "body.toml"
+    said = "write_manipulator needs a Manipulator and a path, in this order, got "
+    with pytest.raises(TypeError, match=f"^{said}PosixPath and Manipulator$"):
+        write_manipulator(path, body)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=f"^{said}str and str$"):
+        write_manipulator("body", str(path))  # type: ignore[arg-type]
+    assert not path.exists()
+
+
+def test_a_file_is_written_complete_or_not_at_all(tmp_path, monkeypatch):
+    body, path = read_manipulator(PAPER), tmp_path / "body.toml"
+    path.write_text("old")
+
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full_disk)
+    with pytest.raises(InputError, match=r"body.toml: cannot be written \(No space left on device\); check the folder"):
+        write_manipulator(body, path)
+    assert [file.name for file in tmp_path.iterdir()] == ["body.toml"]
+    assert path.read_text() == "old"
+    with pytest.raises(InputError, match=r"cannot be written \(.*\); check the folder and its permissions"):
+        write_manipulator(body, path / "body.toml")  # a file is no folder

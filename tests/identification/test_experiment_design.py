@@ -1,0 +1,171 @@
+"""Which measurement next: expected errors against fits of simulated data, and the cases of design.md section 4."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from test_fit import MU, E, closed_form, wrap
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+from cddf_jax.identification.experiment_design import BEFOREHAND, Candidate
+from cddf_jax.measurements.table import Measurements
+
+LEVELS = 85.0 * np.arange(1, 7) / 6
+RATIO = "friction_coefficient / youngs_modulus"
+COMPLIANCE = 2.942783188998e4  # G(L) of the paper's body, m^-2, design.md section 3
+TENSIONS = Candidate("tensions", {"base_tension": LEVELS}, {"tip_tension": 1.0})
+PULLEY = Candidate("pulley", {"wrap_angle": [1.0, 2.0, 3.0], "weight": 10.0}, {"pulling_tension": 0.5})
+ANGLES = Candidate("angles", {"base_tension": LEVELS}, {"tip_angle": np.radians(1.0)})
+POSITIONS = Candidate("positions", {"base_tension": LEVELS}, {"tip_tension": 1.0, "tip_x": 1e-3, "tip_y": 1e-3})
+WEIGHT = Candidate("weight", {"base_tension": LEVELS, "tip_force_y": 1.0}, {"tip_tension": 1.0})
+
+
+def tensions_by_hand():
+    """d(T_tip)/d(ln mu, ln E) of T / (1 + mu T G / E), over 1 N."""
+    tip = closed_form(LEVELS)
+    along = tip**2 * MU * COMPLIANCE / E
+    return np.stack([-along, along], axis=1)
+
+
+@pytest.fixture(scope="module")
+def planned():
+    return cddf.plan(paper_body("exact"), [TENSIONS, PULLEY, ANGLES, POSITIONS], num=2)
+
+
+def ranked(plan, name):
+    return next(r for r in plan.ranking if r.candidate.name == name)
+
+
+def test_a_plan_as_a_table(planned):
+    """The numbers of the ranking, the best first; tensions leave both parameters open."""
+    frame = cddf.as_frame(planned)
+    assert list(frame.index) == [ranked.candidate.name for ranked in planned.ranking]
+    assert frame["gain"].is_monotonic_decreasing  # all cost the same
+    assert np.isinf(frame.loc["tensions", ["friction_coefficient [1]", "youngs_modulus [Pa]"]].astype(float)).all()
+    expected = ranked(planned, "positions").expected.standard_error["youngs_modulus"]
+    assert frame.loc["positions", "youngs_modulus [Pa]"] == expected
+    assert str(planned).splitlines()[1].startswith(planned.ranking[0].candidate.name)
+
+
+def test_tensions_tell_the_ratio_alone(planned):
+    told = ranked(planned, "tensions").expected
+    assert set(told.status.values()) == {"not identified"}
+    information = tensions_by_hand().T @ tensions_by_hand()
+    expected = MU / E / np.sqrt(information[0, 0])  # of ln(mu/E), with the other direction unknown
+    assert told.combinations[RATIO].standard_error == pytest.approx(expected, rel=1e-4)
+    # ln det with the guess beforehand: one direction grows by twice the information, the other not at all
+    gain = np.log1p(2 * information[0, 0] * BEFOREHAND**2)
+    assert ranked(planned, "tensions").gain == pytest.approx(gain, rel=1e-6)
+
+
+def test_a_pulley_test_tells_the_friction_alone(planned):
+    told = ranked(planned, "pulley").expected
+    wraps = np.array([1.0, 2.0, 3.0])
+    expected = 0.5 / np.sqrt(np.sum((10.0 * wraps * np.exp(MU * wraps)) ** 2))
+    assert told.standard_error["friction_coefficient"] == pytest.approx(expected, rel=1e-9)
+    assert told.status == {"friction_coefficient": "identified", "youngs_modulus": "not identified"}
+
+
+def test_positions_tell_both(planned):
+    """design.md section 4: with 1 mm and 1 N over 6 levels mu to about 3 %, E to about 1 %."""
+    told = ranked(planned, "positions").expected
+    assert told.standard_error["friction_coefficient"] / MU == pytest.approx(0.03, abs=0.005)
+    assert told.standard_error["youngs_modulus"] / E == pytest.approx(0.01, abs=0.002)
+
+
+@pytest.mark.slow
+def test_a_tip_weight_hardly_helps():
+    """design.md section 4: singular values 320 to 470 apart, standard errors of 5 to 7 in the logarithm at 1 N."""
+    told = cddf.plan(paper_body("exact"), [WEIGHT]).ranking[0].expected
+    assert set(told.status.values()) == {"not identified"}
+    assert 320 < told.condition_number < 470
+    assert 5 < np.sqrt(told.covariance[0, 0]) / MU < 7
+
+
+def test_the_ranking_and_the_choice(planned):
+    gains = [r.gain for r in planned.ranking]
+    assert gains == sorted(gains, reverse=True)
+    assert planned.ranking[0].candidate is POSITIONS
+    assert planned.chosen[0].candidate is POSITIONS
+    # two in turn tell more than the first alone
+    first, second = (r.expected.standard_error for r in planned.chosen)
+    assert all(second[name] <= first[name] for name in first)
+
+
+@pytest.mark.slow
+def test_added_to_a_fit_the_errors_are_those_of_the_fit_of_both():
+    """After tensions, angles: what was expected is what a fit to tensions and angles then finds."""
+    body, base = paper_body("exact"), np.tile(LEVELS, 4)
+    rng = np.random.default_rng(2)
+    tip = closed_form(base) + rng.normal(size=base.size)
+    noise = {"tip_tension": 1.0, "tip_angle": np.radians(1.0)}
+    tensions = Measurements.from_columns("tensions", base_tension=base, tip_tension=tip)
+    known = cddf.fit(body, tensions, noise={"tip_tension": 1.0})
+    plan = cddf.plan(known, [TENSIONS, ANGLES, PULLEY], criterion="youngs_modulus", num=1)
+    assert plan.now.status["youngs_modulus"] == "not identified"
+    assert plan.ranking[-1].candidate is TENSIONS  # more of the same does not separate the two
+    angle = wrap(LEVELS) + np.radians(1.0) * rng.normal(size=LEVELS.size)
+    angles = Measurements.from_columns("angles", base_tension=LEVELS, tip_angle=angle)
+    both = cddf.fit(body, (tensions, angles), noise=noise)
+    expected = ranked(plan, "angles").expected
+    for name in ("friction_coefficient", "youngs_modulus"):  # at another estimate: the errors differ as much as it
+        ratio = both.standard_error[name] / both.value[name] / (expected.standard_error[name] / expected.value[name])
+        assert ratio == pytest.approx(1.0, abs=0.1)
+
+
+def test_repeats_count():
+    once, four = (Candidate("p", PULLEY.conditions, PULLEY.noise, n) for n in (1, 4))
+    plan = cddf.plan(paper_body("exact"), [once, four], num=1)
+    four, once = plan.ranking
+    error = "friction_coefficient"
+    assert four.expected.standard_error[error] == pytest.approx(once.expected.standard_error[error] / 2, rel=1e-12)
+
+
+def test_a_prior_counts():
+    prior = {"friction_coefficient": (MU, 0.02)}
+    plan = cddf.plan(paper_body("exact"), [TENSIONS], priors=prior, num=1)
+    told = plan.chosen[0].expected
+    # E = mu / m: its relative variance is that of mu and of m
+    of_ratio = 1 / np.sum(tensions_by_hand()[:, 0] ** 2)
+    expected = np.hypot(0.02 / MU, np.sqrt(of_ratio))
+    assert told.standard_error["youngs_modulus"] / E == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_candidate_beyond_the_model_says_so():
+    """At 4000 N the exact body is bent beyond d kappa = 1 at its base, where T d^2 > E J."""
+    beyond = Candidate("far", {"base_tension": [40.0, 4000.0]}, {"tip_angle": 0.01})
+    plan = cddf.plan(paper_body("exact"), [beyond], num=1)
+    assert plan.ranking[0].warnings[0].startswith("1 of 2 rows")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"candidates": []}, "no candidate"),
+        ({"criterion": "E"}, "criterion 'E' is neither"),
+        ({"free": ("friction",)}, "'friction' is no parameter"),
+        ({"candidates": [Candidate("x", {"base_tension": 1.0}, {"tip": 1.0})]}, "candidate 'x': unknown column 'tip'"),
+        ({"candidates": [Candidate("x", {"base_tension_2": 1.0}, {"tip_angle": 1.0})]}, "candidate 'x'"),
+    ],
+)
+def test_refusals(change, message):
+    options = {"candidates": [TENSIONS], "free": ("friction_coefficient", "youngs_modulus")} | change
+    with pytest.raises(InputError, match=message):
+        cddf.plan(paper_body("exact"), **options)
+
+
+def test_a_candidate_that_reads_nothing():
+    with pytest.raises(InputError, match="noise must name what is read"):
+        Candidate("x", {"base_tension": 1.0}, {})
+    with pytest.raises(InputError, match="repeats"):
+        Candidate("x", {"base_tension": 1.0}, {"tip_angle": 0.1}, repeats=0)
+
+
+def test_a_cheap_candidate_comes_first():
+    """A pulley test determines the friction best; at ten times the cost of positions it comes after them."""
+    for cost, first in ((1.0, "pulley"), (10.0, "positions")):
+        candidates = [POSITIONS, replace(PULLEY, cost=cost)]
+        found = cddf.plan(paper_body("exact"), candidates, criterion="friction_coefficient", num=1)
+        assert found.ranking[0].candidate.name == found.chosen[0].candidate.name == first

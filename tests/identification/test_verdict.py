@@ -1,0 +1,72 @@
+"""When the rows of a table cannot have told a parameter, from the results of their solves."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from bodies import stack
+
+from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
+from cddf_jax.identification.verdict import Look, doubt, estimates_in_words, looks_at
+from cddf_jax.measurements.table import Measurements
+from cddf_jax.statics.equilibrium import RESULTS
+
+
+def look(**counts):
+    """Ten rows of which so many end in each result, the first ones; lines 3 to 12 of a file."""
+    named = [getattr(RESULTS, name) for name, count in counts.items() for _ in range(count)]
+    results = stack([*named, *[RESULTS.successful] * (10 - len(named))])
+    table = Measurements("bench", {"base_tension": np.arange(10.0)}, np.arange(3, 13))
+    return Look("bench", table, results, np.asarray(results == RESULTS.direction_contradicted))
+
+
+@pytest.mark.parametrize(
+    ("counts", "kinds"),
+    [({"crossing": 6}, "crossing"), ({"crossing": 3, "not_converged": 3}, "not converged, crossing")],
+)
+def test_most_rows_without_a_body(counts, kinds):
+    assert f"(6 of 10, the first is row 3: {kinds})" in doubt(look(**counts))
+
+
+def test_half_of_the_rows_are_not_most():
+    assert doubt(look(crossing=5)) == ""
+    assert doubt(look(inaccurate=10)) == ""  # a matter of nodes
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"), [((), [0, 1, 2]), ((1,), [1, 2]), ((2,), [0, 2]), ((1, 2), [])], ids=str
+)
+def test_stated_directions_are_believed_tendon_by_tendon(stated, expected, monkeypatch):
+    """Row 1 contradicts tendon 1, row 2 tendon 2, row 3 both, row 4 none; the rule is that of the tutorial."""
+    against = np.array([[True, False], [False, True], [True, True], [False, False]])
+    results = stack([RESULTS.direction_contradicted] * 3 + [RESULTS.successful])
+    monkeypatch.setattr(Bench, "evaluate", lambda *_: Evaluation({}, {}, results, against))
+    rows = Bench(np.ones((4, 2)), tuple(-np.ones(4) if tendon in stated else None for tendon in (1, 2)), name="bench")
+    table = Measurements("bench", {"base_tension": np.ones(4)}, np.arange(1, 5))
+    (found,) = looks_at({}, [table], BenchModel(None, (rows,), 16))
+    assert np.flatnonzero(found.contradicted).tolist() == expected
+    assert (doubt(found) == "") == (not expected)
+
+
+def test_a_direction_that_nobody_stated_is_not_believed():
+    told = doubt(look(direction_contradicted=1))
+    assert told.startswith(
+        "tendons travel against the direction that was found for them in 1 of 10 rows of bench (the first is row 3)"
+    )
+
+
+def test_intervals_carry_their_unit():
+    """1 MPa is 1e6 Pa, 1 mm is 1e-3 m; a combination stays in SI."""
+    told = SimpleNamespace(
+        status={"youngs_modulus": "identified", "length": "fixed", "base_zero": "not identified"},
+        value={"youngs_modulus": 1.4e6, "length": 0.14, "base_zero": 0.1},
+        standard_error={"youngs_modulus": 5e4, "length": 0.0, "base_zero": np.inf},
+        confidence_interval={"youngs_modulus": (1.3e6, 1.5e6), "length": (0.14, 0.14), "base_zero": (-np.inf, np.inf)},
+        combinations={"friction_coefficient / youngs_modulus": (3e-7, 1e-9)},
+    )
+    assert estimates_in_words(told) == [
+        "youngs_modulus = 1.4 +- 0.05 MPa (95 %: 1.3 to 1.5 MPa): identified",
+        "length = 140 mm: fixed",
+        "base_zero: not identified",
+        "friction_coefficient / youngs_modulus = 3e-07 +- 1e-09 1/Pa: identified, although its factors are not",
+    ]

@@ -1,0 +1,120 @@
+"""A second method of `solve`, the oracle of the fixed point: one pass with Runge-Kutta steps, without iteration."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from cddf_jax.mechanics.fixed_point import ACCURACY
+from cddf_jax.mechanics.friction import Pull, ratio_rate, spent_rate
+from cddf_jax.mechanics.problem import (
+    Nodal,
+    Number,
+    Problem,
+    Solution,
+    State,
+    axis_of,
+    curvature_of,
+    edge_nudge,
+    guarded_section,
+    load_rate,
+    moment_rate_of,
+    ones_at_base,
+    rates_of,
+    spent_scale,
+    turn_at_joint,
+)
+from cddf_jax.numerics.arrays import zero_as
+
+
+class Marching(eqx.Module):
+    """The whole state integrated together from base to tip, by the classical Runge-Kutta method from node to node.
+
+    The pass is made a second time with half the step. `residual` is the error by Richardson's rule.
+
+    Args:
+        steps: Runge-Kutta steps between neighbouring nodes in the coarser pass.
+    """
+
+    steps: int = eqx.field(default=4, static=True)
+
+    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Solution:
+        coarse, _ = _march(problem, self.steps)
+        tip, (starts, along) = _march(problem, 2 * self.steps)
+        length = problem.panels.edges[-1]
+        one = jnp.ones_like(length)
+        force = jnp.max(jnp.abs(problem.outboard.starts)) + problem.moment_scale / length
+        pull = Pull(tip.ratio, spent_scale(problem, tip.pull))
+        scale = State(pull, jnp.ones_like(tip.ratio), one, length, problem.moment_scale, force)
+        both = zip(*map(jax.tree.leaves, (tip, coarse, scale)), strict=True)
+        differences = [jnp.max(jnp.abs((a - b) / c)) for a, b, c in both]
+        residual = jnp.max(jnp.stack(differences)) / 15
+        positive = jnp.all(along.ratio > 0)
+        return Solution(
+            starts=starts,
+            nodes=jax.tree.map(lambda x: x[:, :-1], along),
+            tip=tip,
+            num_iterations=jnp.ones_like(length),
+            residual=residual,
+            converged=positive & (residual <= ACCURACY),
+            locked=~positive,
+        )
+
+    improve = __call__
+
+
+def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
+    """The state at the tip; at the start of every panel; at every node and the end of every panel."""
+    cut = problem.panels
+    stops = jnp.concatenate([cut.nodes, cut.edges[1:, None]], axis=1)
+    nudge = edge_nudge(cut)
+
+    def rate(state: State, arc_length: Number) -> State:
+        section = guarded_section(problem.manipulator, arc_length)
+        kappa = curvature_of(problem, section, state.pull, state.moment)
+        moment_rate = moment_rate_of(state.heading, state.force)
+        turning = rates_of(problem, section, kappa, state.pull, moment_rate).turning
+        ratio = state.ratio
+        direction = problem.direction
+        growth = Pull(ratio_rate(direction, section, turning, ratio), spent_rate(direction, section, ratio))
+        force_rate = jnp.zeros_like(state.force)
+        if problem.loads is not None:
+            force_rate = -load_rate(problem.manipulator, arc_length, problem.loads)
+        return State(growth, jnp.abs(turning), kappa, axis_of(state.heading), moment_rate, force_rate)
+
+    def panel(state, inputs):
+        joint, drop, start, end, stops = inputs
+        turn, ratio = turn_at_joint(problem, joint, state.pull, state.moment)
+        state = state._replace(pull=state.pull._replace(ratio=ratio), wrap_angle=state.wrap_angle + turn)
+        state = state if drop is None else state._replace(force=state.force - drop)
+
+        def inside(state, arc_length):  # stay on this panel's side of its edges
+            return rate(state, jnp.clip(arc_length, start + nudge, end - nudge))
+
+        def leg(carry, stop):
+            state, here = carry
+            step = (stop - here) / steps
+            state = jax.lax.fori_loop(0, steps, lambda i, y: _runge_kutta(inside, y, here + i * step, step), state)
+            return (state, stop), state
+
+        (end_state, _), along = jax.lax.scan(leg, (state, start), stops)
+        return end_state, (state, along)
+
+    ones = ones_at_base(problem)
+    zero = zero_as(ones)
+    force = problem.outboard.starts[0]
+    pull = Pull(ones, None if problem.base.drag is None else jnp.zeros_like(ones))
+    base = State(pull, jnp.zeros_like(ones), zero, jnp.zeros_like(force), problem.base_moment, force)
+    base = jax.tree.map(lambda x: x + zero, base)
+    inputs = problem.joints, problem.outboard.drops, cut.edges[:-1], cut.edges[1:], stops
+    return jax.lax.scan(panel, base, inputs)
+
+
+def _runge_kutta(rate, state: State, arc_length: Number, step: Number) -> State:
+    def advanced(slope, fraction):
+        return jax.tree.map(lambda y, f: y + fraction * step * f, state, slope)
+
+    k1 = rate(state, arc_length)
+    k2 = rate(advanced(k1, 0.5), arc_length + step / 2)
+    k3 = rate(advanced(k2, 0.5), arc_length + step / 2)
+    k4 = rate(advanced(k3, 1.0), arc_length + step)
+    return jax.tree.map(lambda y, a, b, c, d: y + step / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4)

@@ -1,0 +1,186 @@
+"""Holds and repeats told apart, and how many independent readings the samples of a hold are, against closed forms."""
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from scipy import stats
+
+import cddf_jax as cddf
+from cddf_jax.identification.bench import BenchModel, experiment_of
+from cddf_jax.identification.fit import groups_of, noise_of
+from cddf_jax.measurements.holds import average_holds, hold_labels, serial_correlation
+from cddf_jax.measurements.table import Measurements
+from cddf_jax.reports import fit_report as report, fit_results
+
+LEVELS = np.arange(10.0, 81.0, 10.0)
+
+
+def autoregressive(shape, lag_one, rng):
+    """Noise of variance 1 along the last axis: e_k = r e_(k-1) + sqrt(1 - r^2) draw."""
+    draws = rng.normal(size=shape)
+    noise = draws.copy()
+    for k in range(1, shape[-1]):
+        noise[..., k] = lag_one * noise[..., k - 1] + np.sqrt(1 - lag_one**2) * draws[..., k]
+    return noise
+
+
+def scatter_of_means(lag_one, count):
+    """Of the mean of so many over that of independent ones: 1 + 2 sum (1 - k / n) r^k."""
+    k = np.arange(1, count)
+    return 1 + 2 * np.sum((1 - k / count) * lag_one**k)
+
+
+# --- what is a hold ------------------------------------------------------------------------------
+
+
+def runs(levels, trial=None):
+    labels = hold_labels(np.asarray(levels, float)[:, None], np.zeros(len(levels)) if trial is None else trial)
+    return np.bincount(labels).tolist()
+
+
+@pytest.mark.parametrize(
+    ("levels", "expected"),
+    [
+        ([5, 5, 5, 10, 10, 5, 5], [3, 2, 2]),  # the same level later is a repeat
+        ([5, 10, 15, 20, 25], [1, 1, 1, 1, 1]),
+        ([5, 10, 15, 5, 10, 15], [1] * 6),  # repeats, no holds
+        ([0, 0, 0, 50, 50], [3, 2]),
+        ([7], [1]),
+        (np.linspace(0, 80, 400), [1] * 400),  # a ramp, 0.25 % a row
+        (np.abs(np.linspace(-80, 80, 801)), [1] * 801),  # down and up
+        ([1, 2, 3, 4, 10, 20], [1] * 6),
+    ],
+)
+def test_holds_of_levels(levels, expected):
+    assert runs(levels) == expected
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.2, 0.5])
+def test_holds_under_noise_of_the_input(noise):
+    """Up to 0.6 % of the largest level, with steps of 10 N."""
+    levels = np.repeat(LEVELS, 50) + noise * np.random.default_rng(1).normal(size=400)
+    assert runs(levels) == [50] * 8
+
+
+def test_a_hold_ends_with_its_trial_and_where_another_column_changes():
+    assert runs([5, 5, 5, 5], np.array([0, 0, 1, 1])) == [2, 2]
+    levels = np.stack([np.full(6, 20.0), [5, 5, 5, 9, 9, 9]], axis=1)
+    np.testing.assert_array_equal(hold_labels(levels, np.zeros(6)), [0, 0, 0, 1, 1, 1])
+
+
+# --- how alike its rows are ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lag_one", [0.5, 0.9, 0.98])
+def test_correlated_rows_count_less(lag_one):
+    """2,000 holds of 50: lag one and the scatter of means in closed form, to four standard errors."""
+    residual = autoregressive((2000, 50), lag_one, np.random.default_rng(2))
+    found = serial_correlation(residual.ravel(), np.repeat(np.arange(2000), 50))
+    assert found.alarming
+    assert found.lag_one == pytest.approx(lag_one, abs=4 * np.sqrt((1 - lag_one**2) / 1e5) + 1e-3)
+    expected = 100_000 / scatter_of_means(lag_one, 50)
+    # a mean square of so many normal numbers scatters by sqrt(2 / n), above and below
+    assert found.num_effective == pytest.approx(expected, rel=4 * np.sqrt(2 / 2000 + 2 / expected))
+
+
+def test_independent_rows_hardly_ever_alarm():
+    """One experiment in a thousand; of 500, more than 5 less than one time in 10,000."""
+    rng, holds = np.random.default_rng(3), np.repeat(np.arange(8), 50)
+    alarms = sum(serial_correlation(rng.normal(size=400), holds).alarming for _ in range(500))
+    assert alarms <= stats.binom.ppf(0.9999, 500, 1e-3)
+
+
+def test_rows_that_are_the_same_count_once():
+    """Eight holds whose rows all read the same, after a fit of two parameters: eight readings."""
+    residual = np.repeat(np.random.default_rng(4).normal(size=8), 50)
+    found = serial_correlation(residual, np.repeat(np.arange(8), 50), num_parameters=2.0)
+    assert found.num_effective == pytest.approx(8, rel=1e-9)
+
+
+def test_without_holds_nothing_is_told():
+    found = serial_correlation(np.random.default_rng(5).normal(size=20), np.arange(20))
+    assert (found.num_effective, found.alarming) == (20, False)
+    assert np.isnan(found.lag_one)
+
+
+# --- one reading a hold --------------------------------------------------------------------------
+
+
+def test_one_reading_a_hold():
+    table = Measurements.from_columns(
+        "bench",
+        trial=["a", "a", "a", "b", "b", "b"],
+        base_tension=[5.0, 5.0, 10.0, 10.0, 10.0, 5.0],
+        tip_tension=[4.0, 4.2, 9.0, 8.0, 8.2, 4.4],
+        direction=[1.0, 1.0, 1.0, 1.0, 1.0, -1.0],
+    )
+    found = average_holds(table)
+    np.testing.assert_array_equal(found["base_tension"], [5, 10, 10, 5])
+    np.testing.assert_allclose(found["tip_tension"], [4.1, 9.0, 8.1, 4.4], rtol=1e-15)
+    np.testing.assert_array_equal(found["direction"], [1, 1, 1, -1])
+    np.testing.assert_array_equal(found["trial"], [0, 0, 1, 1])
+    np.testing.assert_array_equal(found.rows, [1, 3, 4, 6])  # where each begins
+    deviation = np.sqrt(0.02)  # of two that differ by 0.2, and of both holds together
+    np.testing.assert_allclose(found.spread["tip_tension"], np.full(4, deviation), rtol=1e-12)
+    assert found.notes[-1] == "each hold averaged to one reading: 6 rows became 4"
+    assert average_holds(found) is found
+
+
+def test_the_spread_of_holds_is_noise_where_a_reading_is_missing():
+    """Three holds, of which the second has no angle: each reading goes with the spread of its own hold."""
+    table = Measurements.from_columns(
+        "bench",
+        base_tension=[5.0, 5.0, 10.0, 10.0, 20.0, 20.0],
+        tip_tension=[4.6, 4.8, 9.0, 9.2, 17.0, 17.2],
+        tip_angle=[0.1, 0.1 + 0.02, np.nan, np.nan, 0.4, 0.4 + 0.06],
+    )
+    found = average_holds(table)
+    experiment = experiment_of(found, paper_body())
+    noise = noise_of(groups_of((found,), BenchModel(paper_body(), (experiment,), 16)), found.spread)
+    # of two readings a difference over the root of 2
+    np.testing.assert_allclose(noise["bench: tip_angle"], np.array([0.02, 0.06]) / np.sqrt(2), rtol=1e-12)
+    np.testing.assert_allclose(noise["bench: tip_tension"], np.full(3, 0.2) / np.sqrt(2), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("lag_one", "low", "high"), [(0.95, 0.2, 0.6), (0.0, 0.9, 1.0)])
+def test_intervals_of_averaged_holds_hold_the_truth(lag_one, low, high):
+    """400 lines through 8 holds of 50 rows, by closed forms: t-intervals of the slope, of all rows and of the means.
+
+    Where rows are alike those of all rows hold the truth too seldom; those of the means in 95 %, whatever the rows.
+    """
+    rng, rows = np.random.default_rng(6), np.repeat(LEVELS, 50)
+    noise = autoregressive((400, 8, 50), lag_one, rng)
+    labels = hold_labels(rows[:, None], np.zeros(400))
+    means = np.stack([np.bincount(labels, e.ravel()) / np.bincount(labels) for e in noise])
+    held = {}
+    for name, x, error in (("rows", rows, noise.reshape(400, 400)), ("means", LEVELS, means)):
+        design = np.stack([np.ones_like(x), x], axis=1)
+        inverse = np.linalg.inv(design.T @ design)
+        estimate = error @ design @ inverse
+        scatter = np.sum((error - estimate @ design.T) ** 2, axis=1) / (x.size - 2)
+        reach = stats.t.ppf(0.975, x.size - 2) * np.sqrt(scatter * inverse[1, 1])
+        held[name] = np.mean(np.abs(estimate[:, 1]) < reach)
+    assert low < held["rows"] < high
+    assert held["means"] == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 400))
+
+
+def test_a_fit_tells_of_holds():
+    """A pulley test of five weights, 30 samples each: in the first lines of the report, and no more once averaged."""
+    weight = np.repeat([2.0, 5.0, 10.0, 15.0, 20.0], 30)
+    noise = 0.1 * autoregressive((5, 30), 0.9, np.random.default_rng(7)).ravel()
+    pull = weight * np.exp(0.42 * np.pi) + noise  # eq. (5)
+    table = Measurements.from_columns("drum", weight=weight, wrap_angle=np.full(150, np.pi), pulling_tension=pull)
+    fits = [cddf.fit(paper_body(), t, free=("friction_coefficient",)) for t in (table, average_holds(table))]
+    found = [fit.serial_correlation["drum: pulling_tension"] for fit in fits]
+    assert [one.num_holds for one in found] == [5, 5]
+    assert [one.alarming for one in found] == [True, False]
+    made = [fit_results.make_report(fit, with_profiles=False) for fit in fits]
+    heads = [report.fit_as_markdown(one).partition("| parameter")[0] for one in made]
+    told = f"150 in 5 holds count as about {found[0].num_effective:.0f} independent ones: standard errors are too small"
+    assert [told in head for head in heads] == [True, False]
+    results = fit_results.fit_as_dict(made[0])["serial_correlation"]["drum: pulling_tension"]
+    assert results.num_effective == found[0].num_effective
+    # of equal holds the weighted means are the same to first order, and the standard error is that of five readings
+    assert fits[1].value["friction_coefficient"] == pytest.approx(fits[0].value["friction_coefficient"], rel=1e-3)
+    assert fits[1].degrees_of_freedom == 4
+    assert str(fits[1].alone["drum"]) == fits[1].verdict[0]  # one table, in the words of the whole

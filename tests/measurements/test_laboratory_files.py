@@ -1,0 +1,309 @@
+"""Files as laboratories have them, made up for these tests.
+
+Each holds the numbers of a plain file. These are the expected ones; they went into every other file by hand.
+"""
+
+import io
+import sys
+
+import numpy as np
+import pytest
+from bodies import paper_body
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+from cddf_jax.estimation.bootstrap import _count_cases
+from cddf_jax.figures.fit import draw_residuals
+from cddf_jax.files.csv_table import read_table
+from cddf_jax.files.table_header import Kind
+from cddf_jax.identification.bench import experiment_of
+from cddf_jax.measurements.columns import column_meant, column_resembled
+from cddf_jax.measurements.table import Measurements, read_measurements
+from cddf_jax.measurements.trials import read_tables, trials_together
+
+PLAIN = "base_tension [N],tip_tension [N]\n5,4.79\n10,9.19\n20,17.02\n"
+LABVIEW = (
+    "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nDecimal_Separator\t,\nTime_Pref\tRelative\n"
+    "***End_of_Header***\t\n\t\nChannels\t2\t\t\nSamples\t3\t3\t\nX_Dimension\tTime\tTime\t\n***End_of_Header***\t\t\t\n"
+)
+
+
+def write(tmp_path, content, name="bench.csv"):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def read(tmp_path, content, columns=None, name="bench.csv"):
+    return read_measurements(write(tmp_path, content, name), columns)
+
+
+def spreadsheet(**sheets):
+    """The content of an .xlsx file: rows of cells by the name of the sheet."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book, content = openpyxl.Workbook(), io.BytesIO()
+    book.remove(book.active)
+    for name, rows in sheets.items():
+        sheet = book.create_sheet(name)
+        for cells in rows:
+            sheet.append(cells)
+    book.save(content)
+    return content.getvalue()
+
+
+NOT_UTF8 = "the file is not UTF-8; it was read as Windows-1252 (Latin-1)"
+READ_AS = "read as: {!r} base_tension [{}], {!r} tip_tension [{}]"
+UNUSED = "columns that are not used: {}"
+BELOW = "the header is row {}; the text above it from row 1 on is taken for notes"
+BROKEN = "cells hold line breaks (row 3); rows are numbered by the lines of the file, as in an editor"
+
+
+@pytest.mark.parametrize(
+    ("content", "first_row", "read_as"),
+    [
+        (PLAIN, 2, []),
+        ("sep=;\n" + PLAIN.replace(",", ";").replace(".", ","), 3, []),
+        ('"sep=|"\n' + PLAIN.replace(",", "|"), 3, []),
+        ("# Prüfstand 3\n" + PLAIN, 3, []),
+        (("# Prüfstand 3\n" + PLAIN).encode("latin-1"), 3, [NOT_UTF8]),
+        ("Zeit [s],Tbase_N,T_tip (N),Bemerkung\n0,5,4.79,\n1,10,9.19,gut\n2,20,17.02\n", 2,
+         [READ_AS.format("Tbase_N", "N", "T_tip (N)", "N"), UNUSED.format("'Zeit [s]', 'Bemerkung'")]),
+        ("Base Tension [N],TIP  TENSION (Newton)\n5,4.79\n10,9.19\n20,17.02\n", 2,
+         [READ_AS.format("Base Tension [N]", "N", "TIP TENSION (Newton)", "Newton")]),
+        ("base_tension_N,tip_tension_mN\n5,4790\n10,9190\n20,17020\n", 2,
+         [READ_AS.format("base_tension_N", "N", "tip_tension_mN", "mN")]),
+        ("base_tension,tip_tension\nN,(mN)\n5,4790\n10,9190\n20,17020\n", 3, ["row 2 holds the units"]),
+        ("time;base_tension;tip_tension [N]\ns;[N];\n0;5;4,79\n1;10;9,19\n2;20;17,02\n", 3,
+         ["row 2 holds the units", UNUSED.format("'time'")]),
+        (LABVIEW + "X_Value\tT_base [N]\tT_tip [N]\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n", 13,
+         [BELOW.format(12), READ_AS.format("T_base [N]", "N", "T_tip [N]", "N"),
+          UNUSED.format("'X_Value', 'Comment'")]),
+        ("Rig: 3, tendon: steel\nMeasured by, A. N. Other\n\n" + PLAIN, 5, [BELOW.format(4)]),
+        ("# " + PLAIN, 2, []),  # as NumPy's savetxt writes a header
+        (",base_tension [N],tip_tension [N]\n0,5,4.79\n1,10,9.19\n2,20,17.02\n", 2,  # as pandas writes an index
+         [UNUSED.format("'column 1 without a name'")]),
+        ('base_tension [N],"tip_tension\n[N]",note\n5,4.79,"wet,\nand 5 °C"\n10,9.19,\n20,17.02,\n', 3,
+         [BROKEN, UNUSED.format("'note'")]),
+        (PLAIN + "30,\n,\n", 2, ["rows without a reading are left out: 1 of 4 rows (row 5 first)"]),
+        ("base_tension [N],tip_tension [N],tip_angle [deg]\n5,4.79,\n10,9.19,n/a\n20,17.02,-\n", 2,
+         ["tip_angle holds no number and is not used"]),
+    ],
+)  # fmt: skip
+def test_each_file_gives_the_numbers_of_the_plain_one(tmp_path, content, first_row, read_as):
+    plain, table = read(tmp_path, PLAIN, name="plain.csv"), read(tmp_path, content)
+    assert table.checksum == plain.checksum
+    assert table.rows[0] == first_row
+    assert table.read_as == tuple(f"bench.csv: {line}" for line in read_as)
+    assert str(table).splitlines()[1:] == list(table.read_as)
+
+
+def test_rows_are_counted_as_in_the_file(tmp_path):
+    text = 'sep=;\nRig 3\n\nBase Tension;tip_tension;note\nN;N;\n5;4,79;\n\n# zeroed\n10;9,19;"two\nlines"\n20;x;\n'
+    with pytest.raises(InputError, match="row 11, column tip_tension: 'x' is not a number"):
+        read(tmp_path, text)
+    table = read(tmp_path, text.replace("x", "17,02").replace("Rig 3", "Simulated, seed 1"))
+    assert table.rows.tolist() == [6, 9, 11]
+    assert table.simulated  # said above the header
+
+
+# --- which column --------------------------------------------------------------------------------
+
+
+MEANT = {
+    "base_tension": ("base_tension", "Tbase", "T_base_1"),
+    "base_tension_2": ("T base 2",),
+    "tip_tension_2": ("Tip Tension-02",),
+    "tip_x": ("X tip",),
+    "trial": ("Trial No.",),
+    "direction_2": ("Direction2",),
+    None: ("tip_x_2", "T_base_0", "F_tip", "angle", "time"),  # F_tip is a load or a tension
+}
+RESEMBLED = {
+    "tip_tension": ("tip_tensoin",),
+    "direction": ("directon",),
+    "base_tension": ("T_base_0",),
+    None: ("tip_z", "tip_force_z", "base_tension_set", "time", "comment"),
+}
+
+
+@pytest.mark.parametrize(("find", "names_of"), [(column_meant, MEANT), (column_resembled, RESEMBLED)])
+def test_the_column_that_a_name_means_or_resembles(find, names_of):
+    for column, names in names_of.items():
+        assert {name: find(name) for name in names} == dict.fromkeys(names, column)
+
+
+def test_columns_by_their_names_in_the_file(tmp_path):
+    text = "F1 [N],F2,tip_tensoin,t\n,N,,s\n5,4.79,1,0\n10,9.19,1,1\n20,17.02,1,2\n"
+    meant = {"F1": "base_tension", "F2": "tip_tension [N]", "tip_tensoin": ""}
+    table = read(tmp_path, text, meant)
+    assert table.checksum == read(tmp_path, PLAIN, name="plain.csv").checksum
+    assert "read as: 'F1 [N]' base_tension [N], 'F2' tip_tension [N]" in table.read_as[1]
+    with pytest.raises(InputError, match=r"bench.csv: has no column 'F3'; .*"):
+        read(tmp_path, text, meant | {"F3": "tip_angle [deg]"})
+    with pytest.raises(InputError, match=r"unknown column 'tension \[N\]'; did you mean tip_tension"):
+        read(tmp_path, text, meant | {"t": "tension [N]"})
+    twice = "row 1: 'F1 \\[N\\]' and 'F2' both are the column base_tension; remove one"
+    with pytest.raises(InputError, match=twice):
+        read(tmp_path, text, meant | {"F2": "base_tension [N]"})
+
+
+def test_the_unit_that_is_said_wins_over_that_of_the_file(tmp_path):
+    table = read(tmp_path, PLAIN.replace("tip_tension [N]", "cell (V)"), {"cell": "tip_tension [mN]"})
+    np.testing.assert_allclose(table["tip_tension"], [4.79e-3, 9.19e-3, 17.02e-3], rtol=1e-15)
+
+
+def test_units_in_header_and_row_below_must_agree(tmp_path):
+    with pytest.raises(InputError, match="row 2, column tip_tension: the unit is kN, but N in the header; keep one"):
+        read(tmp_path, "base_tension,tip_tension [N]\nN,kN\n5,4\n")
+
+
+def test_directions_in_words(tmp_path):
+    words = ["loading", "Unloading", "in", "OUT", "up", "down", "pull", "release", "+1", "-1", "1.0", "+", "-"]
+    rows = "".join(f"{i + 5},{i + 4},{word}\n" for i, word in enumerate(words))
+    table = read(tmp_path, "base_tension [N],tip_tension [N],direction (in/out)\n" + rows)
+    assert table["direction"].tolist() == [1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, 1, -1]
+    assert "'loading' 1, 'Unloading' -1" in table.read_as[-1]
+    with pytest.raises(InputError, match="row 2, column direction: 'sideways' is not a number; write loading, load,"):
+        read(tmp_path, "base_tension [N],tip_tension [N],direction\n5,4,sideways\n")
+
+
+# --- spreadsheets --------------------------------------------------------------------------------
+
+
+def test_a_spreadsheet(tmp_path):
+    rows = [["Rig 3"], [], ["Tbase (N)", "Tip tension (N)", "note"], [5, 4.79], [10, 9.19, "wet"], [], [20, 17.02]]
+    table = read(tmp_path, spreadsheet(Remarks=[["made up"]], Run=rows), name="bench.xlsx")
+    assert table.checksum == read(tmp_path, PLAIN).checksum
+    assert table.rows.tolist() == [4, 5, 7]
+    assert table.read_as[0] == "bench.xlsx: the sheet 'Run' is read; not used: 'Remarks'"
+    assert table.notes == ("Rig 3",)
+
+
+def test_spreadsheets_that_are_refused(tmp_path):
+    rows = [["base_tension [N]", "tip_tension [N]"], [5, "broken"]]
+    with pytest.raises(InputError, match="row 2, column tip_tension: 'broken' is not a number"):
+        read(tmp_path, spreadsheet(Run=rows), name="bench.xlsx")
+    with pytest.raises(InputError, match="holds tables in the sheets 'A', 'B'; save each in a file of its own"):
+        read(tmp_path, spreadsheet(A=rows, B=rows), name="bench.xlsx")
+    with pytest.raises(InputError, match="is empty; write a header such as"):
+        read(tmp_path, spreadsheet(A=[]), name="bench.xlsx")
+
+
+def test_whoever_lacks_the_reader_of_spreadsheets_is_told(tmp_path, monkeypatch):
+    content = spreadsheet(Run=[["base_tension [N]"], [5]])
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(InputError, match=r"bench.xlsx: this needs openpyxl; .*pip install 'cddf-jax\[excel\]'"):
+        read(tmp_path, content, name="bench.xlsx")
+
+
+def test_other_tables_refuse_columns_that_are_none(tmp_path):
+    """A kind of table says itself what it does with other columns."""
+    kind = Kind(lambda column: "length", "places", "x [mm]", meant=lambda name: name if name == "x" else None)
+    assert read_table(write(tmp_path, "x [mm], y [mm]\n1, 2\n"), kind).unused == ("y [mm]",)
+    with pytest.raises(InputError, match="row 1: unknown column 'colour'; known are arc_length"):
+        cddf.read_cross_sections(write(tmp_path, "arc_length [mm], outer_radius [mm], colour\n0, 1, red\n"))
+
+
+# --- trials in files of their own ----------------------------------------------------------------
+
+
+def test_files_of_the_same_columns_are_trials(tmp_path):
+    again = PLAIN.replace("4.79", "4.81")
+    paths = [write(tmp_path, PLAIN, "run_1.csv"), write(tmp_path, "Rig 3\n" + again, "run_2.csv")]
+    pulley = write(tmp_path, "wrap_angle [deg],weight [N],pulling_tension [N]\n90,10,19.3\n", "pulley.csv")
+    table, other = read_tables([*paths, pulley])
+    assert (table.name, table.trial_labels, other.name) == ("run_1.csv, run_2.csv", ("run_1", "run_2"), "pulley.csv")
+    assert table["trial"].tolist() == [0, 0, 0, 1, 1, 1]
+    assert table["tip_tension"].tolist() == [4.79, 9.19, 17.02, 4.81, 9.19, 17.02]
+    assert [table.place(i) for i in (0, 5)] == ["row 2 of run_1.csv", "row 5 of run_2.csv"]
+    assert table.read_as[-1].startswith("run_1.csv, run_2.csv: the same columns and no column trial, so each file is")
+    assert table.read_as[0].startswith("run_2.csv: the header is row 2")
+    with pytest.raises(InputError, match=r"run_2.csv: row 3, column tip_tension"):
+        read_tables([paths[0], write(tmp_path, again.replace("4.81", "x").replace("5,", "\n5,", 1), "run_2.csv")])
+
+
+def test_files_of_one_name_are_told_apart(tmp_path):
+    paths = []
+    for folder in ("monday", "tuesday"):
+        (tmp_path / folder).mkdir()
+        paths.append(write(tmp_path / folder, PLAIN.replace("4.79", str(4.8 + len(paths))), "run.csv"))
+    (table,) = read_tables(paths)
+    assert [table.place(i) for i in (0, 5)] == ["row 2 of run.csv (1)", "row 4 of run.csv (2)"]
+
+
+def test_a_trial_without_any_reading_of_a_column_is_a_trial(tmp_path):
+    head = "base_tension [N], tip_tension [N], tip_angle [deg], tip_x [mm]\n"
+    texts = [f"{head}5, {4.7 + 0.01 * k}, {angle}, \n10, 9.2, {angle}, \n" for k, angle in enumerate((3, "", 4))]
+    paths = [write(tmp_path, text, f"run_{k}.csv") for k, text in enumerate(texts, 1)]
+    (table,) = read_tables(paths)
+    assert table.trial_labels == ("run_1", "run_2", "run_3")
+    np.testing.assert_allclose(np.degrees(table["tip_angle"]), [3, 3, np.nan, np.nan, 4, 4], rtol=1e-12)
+    assert (table.unread, "tip_x" in table) == (("tip_x",), False)
+    assert "run_2.csv: tip_angle holds no number and is not used" in table.read_as
+    (same,) = read_tables(paths[1::-1])  # the file without readings first
+    np.testing.assert_allclose(np.degrees(same["tip_angle"]), [np.nan, np.nan, 3, 3], rtol=1e-12)
+
+
+def test_files_that_stay_apart(tmp_path):
+    named = "trial," + PLAIN.replace("\n", "\na,").removesuffix("a,")
+    table = read(tmp_path, PLAIN)
+    assert trials_together([table, table]) == (table, table)  # given twice, of which `fit` warns
+    labelled = [read(tmp_path, named, name=f"{i}.csv") for i in (1, 2)]
+    assert trials_together(labelled) == tuple(labelled)
+    assert trials_together([]) == ()
+
+
+def test_a_column_that_some_files_have(tmp_path):
+    paths = [write(tmp_path, PLAIN, "a.csv"), write(tmp_path, PLAIN.replace("tip_tension [N]", "cell"), "b.csv")]
+    tables = read_tables(paths, {"cell": "tip_tension [N]"})
+    assert [table.checksum for table in tables] == [tables[0].checksum] * 2
+    with pytest.raises(InputError, match="no column 'cells'"):
+        read_tables(paths[:1], {"cells": "tip_tension [N]"})
+
+
+# --- readings that are missing -------------------------------------------------------------------
+
+PULLS = np.array([10.0, 30.0, 50.0, 60.0])
+TENSIONS, ANGLES = np.array([9.1, 23.8, 34.9, 39.6]), np.array([0.16, 0.45, 0.72, 0.85])  # made up, about right
+NOISE = {"tip_tension": 0.5, "tip_angle": 0.02}
+
+
+def test_the_rows_in_which_a_column_was_read():
+    table = Measurements.from_columns("gap", base_tension=PULLS, tip_tension=[9.1, np.nan, 3.0, 2.0], tip_angle=ANGLES)
+    read_in = experiment_of(table, paper_body()).read_in
+    assert {column: rows.tolist() for column, rows in read_in.items()} == {"tip_tension": [0, 2, 3]}
+
+
+@pytest.mark.slow
+def test_the_other_readings_of_a_row_count():
+    """With known noise a fit is the same where the rows with and without the reading are tables of their own."""
+    body = paper_body("exact", outer_radius=0.015)
+    gap = np.where(np.arange(4) == 2, np.nan, TENSIONS)
+    table = Measurements.from_columns("gap", base_tension=PULLS, tip_tension=gap, tip_angle=ANGLES)
+    assert table.has("tip_tension").tolist() == [True, True, False, True]
+    assert table.read("tip_tension").tolist() == [9.1, 23.8, 39.6]
+    kept = table.has("tip_tension")
+    read_twice = {"base_tension": PULLS[kept], "tip_tension": TENSIONS[kept], "tip_angle": ANGLES[kept]}
+    both = Measurements.from_columns("both", **read_twice)
+    angle = Measurements.from_columns("angle", base_tension=PULLS[~kept], tip_angle=ANGLES[~kept])
+    one, other = cddf.fit(body, table, noise=NOISE), cddf.fit(body, [both, angle], noise=NOISE)
+    for name in ("friction_coefficient", "youngs_modulus"):
+        np.testing.assert_allclose(one.value[name], other.value[name], rtol=1e-7)  # the optimiser's own tolerance
+        np.testing.assert_allclose(one.standard_error[name], other.standard_error[name], rtol=1e-5)
+    assert one.residuals["gap: tip_tension"].shape == (3,)
+    assert one.clusters["gap: tip_tension"][1].tolist() == [0, 1, 3]
+    assert np.isfinite(one.mean_relative_error)
+    assert draw_residuals(one, column="tip_tension") is not None
+
+
+def test_cases_are_drawn_whole_where_a_reading_is_missing():
+    """A row that is drawn k times counts k times in each group that holds it."""
+    clusters = {"a": ("table", np.array([0, 2])), "b": ("table", np.array([0, 1, 2, 3]))}
+    a, b = _count_cases(np.random.default_rng(0), 50, ("a", "b"), (np.zeros(2), np.zeros(4)), clusters)
+    np.testing.assert_array_equal(a, b[:, [0, 2]])
+    assert np.all(b.sum(axis=1) == 4)
+
+
+def test_a_gap_is_no_difference_between_rows():
+    columns = {"base_tension": [9, 5, 9], "tip_tension": [8, 4, 8], "tip_x": [np.nan, 0.1, np.nan]}
+    assert "row 3 is row 1 again" in Measurements.from_columns(**columns).warnings[0]

@@ -1,0 +1,385 @@
+"""Tables of measurements: what is understood, what is refused with its place, what deserves a look."""
+
+import hashlib
+import struct
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from hypothesis import given, strategies as st
+from hypothesis.extra import numpy as hnp
+
+from cddf_jax import fit
+from cddf_jax.errors import InputError
+from cddf_jax.measurements.table import Measurements, read_measurements
+from cddf_jax.measurements.trials import repeated_tables
+
+PAIRS = """base_tension [N], tip_tension [N]
+5, 4.79
+10, 9.19
+"""
+
+
+def read(tmp_path, text, name="table.csv"):
+    path = tmp_path / name
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return read_measurements(path)
+
+
+# --- what is understood --------------------------------------------------------------------------
+
+
+def test_columns_in_si_with_labels_rows_and_notes(tmp_path):
+    table = read(
+        tmp_path,
+        "# Bench 3, SIMULATED\n#seed 1\n\n"
+        "trial, base_tension [N], tip_tension [kN], tip_angle [deg], tip_x [mm], base_tension_2 [N], direction\n"
+        "B, 5, 4.79e-3, 180, 120.4, 0, 1\n\n"
+        "A, 10, 9.19e-3, -90, 119, 1, -1\n"
+        "B, 15, +.013, 0, 118, 2, 1",
+    )
+    assert (table.name, len(table), table.simulated) == ("table.csv", 3, True)
+    assert table.notes == ("Bench 3, SIMULATED", "seed 1")
+    assert table.rows.tolist() == [5, 7, 8]  # lines of the file as counted in an editor
+    assert table.trial_labels == ("B", "A")
+    assert table["trial"].tolist() == [0, 1, 0]
+    assert table["direction"].tolist() == [1, -1, 1]
+    np.testing.assert_allclose(table["tip_x"], [0.1204, 0.119, 0.118], rtol=1e-15)
+    np.testing.assert_allclose(table["tip_tension"], [4.79, 9.19, 13.0], rtol=1e-15)
+    np.testing.assert_allclose(table["tip_angle"], [np.pi, -np.pi / 2, 0], rtol=1e-15)
+    assert "base_tension_2" in table
+    assert "tip_y" not in table
+    assert all(column.dtype == np.float64 for column in table.columns.values())
+
+
+def test_a_pulley_test_and_what_a_name_says(tmp_path):
+    table = read(tmp_path, "wrap_angle [deg], weight [N], pulling_tension [N]\n90, 10, 19.3\n", "pulley.csv")
+    assert table["wrap_angle"].tolist() == [np.pi / 2]
+    assert not table.simulated
+    assert read(tmp_path, PAIRS, "load_cells_Simulated.csv").simulated
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeff" + PAIRS,  # byte-order mark
+        PAIRS.replace("\n", "\r\n"),
+        PAIRS.replace(", ", ";"),
+        PAIRS.replace(", ", ";").replace(".", ","),  # decimal commas
+        PAIRS.replace(", ", " ;\t").replace(".", ","),
+        PAIRS.replace("base_tension [N]", '"base_tension [N]"'),  # as R writes it
+        PAIRS + "\n,\n , \n",  # blank rows, as Excel leaves them
+        PAIRS.rstrip(),
+        PAIRS.replace("\n", "\r"),  # lone CR, as old Macs
+        PAIRS.replace(", ", "\t"),
+        PAIRS.replace(", ", "\t").replace(".", ","),
+        PAIRS.replace(", ", "\t").encode("utf-16"),  # "Unicode text" of spreadsheets
+        PAIRS.replace(", ", "\t").replace("\n", "\r\n").encode("utf-16"),
+        b"\xfe\xff" + PAIRS.encode("utf-16-be"),
+        PAIRS.replace("\n", ",\n"),  # separators at the end of every line
+        PAIRS.replace("\n", ";;\n").replace(", ", ";"),
+        PAIRS.replace("10, 9.19", "10, 9.19,,"),
+        PAIRS.replace("10,", '# the cell was zeroed here, with a 5" key\n\n10,'),  # a note between rows
+        '"base_tension [N]","tip_tension [N]"\n"5","4.79"\n"10", "9.19"\n',
+        '"base_tension [N]";"tip_tension [N]"\n"5";"4,79"\n"10";"9,19"\n',
+    ],
+)
+def test_dialects_of_csv(tmp_path, text):
+    table = read(tmp_path, text)
+    assert table["base_tension"].tolist() == [5, 10]
+    assert table["tip_tension"].tolist() == [4.79, 9.19]
+
+
+def test_notes_that_a_spreadsheet_saved_again(tmp_path):
+    assert read(tmp_path, '"# Bench 3, SIMULATED",,\n#seed 1,,\n,,\n' + PAIRS).notes == ("Bench 3, SIMULATED", "seed 1")
+
+
+def test_line_numbers_and_labels(tmp_path):
+    body = "B,1,1\n\nA,2,1\n# note\nB,3,2\nC,4,3"
+    table = read(tmp_path, "trial,base_tension [N],tip_tension [N]\n" + body)
+    assert table.rows.tolist() == [2, 4, 6, 7]
+    assert table["trial"].tolist() == [0, 1, 0, 2]
+    assert table["base_tension"].tolist() == [1, 2, 3, 4]
+    assert table.warnings[0].startswith("trials of one row only: 2 of 3 (trial A, row 4); is the rest missing?")
+    with pytest.raises(InputError, match="row 8, column base_tension: 'x' is not a number"):
+        read(tmp_path, "trial,base_tension [N],tip_tension [N]\n" + body + "\nA,x,2")
+    text = "trial;base_tension [N];tip_tension [N]\n" + body.replace(",", ";").replace("B;1", "B;1.5")
+    comma = "row 7, column tip_tension: '3,5' has a comma, but row 2, column base_tension"
+    with pytest.raises(InputError, match=comma):
+        read(tmp_path, text.replace("C;4;3", "C;4;3,5"))
+
+
+def _pulley(order):
+    weight, wrap = np.repeat([2.0, 5.0, 10.0, 20.0], 3), np.tile([1.0, 2.0, 3.0], 4)
+    pull = weight * np.exp(0.42 * wrap) + np.random.default_rng(0).normal(0, 0.1, 12)
+    columns = {"trial": np.arange(12) % 3, "weight": weight, "wrap_angle": wrap, "pulling_tension": pull}
+    return Measurements.from_columns("pulley", **{name: values[order] for name, values in columns.items()})
+
+
+def test_the_order_of_rows_does_not_matter():
+    """A fit is a sum over rows: shuffled ones change its rounding at most, and no warning but for row numbers."""
+    body = paper_body(friction_coefficient=0.3)
+    shuffled = np.random.default_rng(1).permutation(12)
+    tables = _pulley(np.arange(12)), _pulley(shuffled)
+    fits = [fit(body, table, free=["friction_coefficient"]) for table in tables]
+    for numbers in ("value", "standard_error"):
+        one, other = (getattr(found, numbers)["friction_coefficient"] for found in fits)
+        assert one == pytest.approx(other, rel=1e-8)  # the optimiser's own tolerance
+    assert tables[0].warnings == tables[1].warnings == ()
+    np.testing.assert_array_equal(tables[0]["weight"][shuffled], tables[1]["weight"])
+
+
+def test_a_hundred_thousand_rows(tmp_path):
+    base = np.random.default_rng(0).uniform(0, 85, 100_000).round(4)
+    body = "\n".join(f"{t},{0.6 * t:.5f}" for t in base.tolist())
+    table = read(tmp_path, "base_tension [N],tip_tension [N]\n" + body)
+    np.testing.assert_array_equal(table["base_tension"], base)
+
+
+@given(hnp.arrays(np.float64, (7, 2), elements=st.floats(0, 1e300)))
+def test_numbers_are_read_to_the_last_bit(tmp_path_factory, values):
+    path = tmp_path_factory.getbasetemp() / "exact.csv"
+    path.write_text("base_tension [N], tip_tension [N]\n" + "\n".join(f"{a!r}, {b!r}" for a, b in values.tolist()))
+    table = read_measurements(path)
+    np.testing.assert_array_equal(np.stack([table["base_tension"], table["tip_tension"]], axis=1), values)
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+
+def _with(header):
+    return PAIRS.replace("tip_tension [N]", header)
+
+
+CASES = [
+    ("", "is empty; write a header such as 'base_tension [N], tip_tension [N]' and rows below it"),
+    ("# only notes\n\n", "is empty; write a header"),
+    (PAIRS.splitlines()[0], "has a header but no rows; add the measurements below it"),
+    (PAIRS + "15\n", "row 4 has 1 cells, the header 2; fill the row"),
+    (PAIRS + "15,2,13,1\n", "row 4 has 4 cells, the header 2; with decimal commas separate the columns by semicolons"),
+    (PAIRS + "\n15, abc\n", "row 5, column tip_tension: 'abc' is not a number; give a number or remove the row"),
+    (PAIRS + "1_5, 3\n", "row 4, column base_tension: '1_5' is not a number"),
+    (PAIRS + ", 13\n", "row 4, column base_tension: the cell is empty; give a number or remove the row"),
+    (PAIRS + "nan, 13\n", "row 4, column base_tension: must be finite, got nan; give a number or remove the row"),
+    (PAIRS + "15, inf\n", "row 4, column tip_tension: must be finite, got inf; give a number or remove the row"),
+    (_with("tip_x [mm]").replace("4.79", "").replace("9.19", "-"), "no row holds a reading (tip_x); add the"),
+    (PAIRS + "-15, 5\n", "row 4, column base_tension: must be 0 or more, got -15 N; check its sign and the zero of"),
+    (PAIRS.replace("[N]", "[kN]") + "3, -5\n", "row 4, column tip_tension: must be 0 or more, got -5000 N; check its"),
+    (PAIRS + "3, -0.201\n", "row 4, column tip_tension: must be 0 or more, got -0.201 N; check its sign and the zero"),
+    (_with("tip_tension"), "row 1: the column tip_tension needs a unit of force, got none;"),
+    (_with("tip_tension []"), "row 1: the column tip_tension needs a unit of force, got none;"),
+    ("# a\n" + _with("tip_tension [mm]"), "row 2: the column tip_tension needs a unit of force"),
+    (_with("tip_x [N]"), "tip_x needs a unit of length, got [N]; write for example [mm]"),
+    (_with("tip_tension [Nn]"), "got [Nn] with the unknown unit 'Nn'; write for example [N]"),
+    (_with("tip_tensoin [N]"), "row 1: unknown column 'tip_tensoin'; did you mean tip_tension? Rename it or"),
+    (_with("directon"), "Rename it or give --column \"directon=direction\", or leave it out by --column \"directon=\""),
+    (_with("T_base_0 [N]"), "unknown column 'T_base_0'; did you mean base_tension?"),  # tendons count from 1
+    (_with("base_tension_1 [N]"), "row 1: 'base_tension [N]' and 'base_tension_1 [N]' both are the column"),
+    ("Pull [N], colour\n5, red\n", "the column base_tension is missing; say which of 'Pull [N]', 'colour' it is, by"),
+    (_with("tip_tension (raw)"), "row 1: the column tip_tension needs a unit of force, got [raw] with the unknown"),
+    (_with("tip_tension [g]"), "needs a unit of force, got [g]; write for example [N]; a mass is no force: did you"),
+    (_with("tip_tension_kg"), "got [kg]; write for example [N]; a mass is no force: did you mean gf or kgf, its"),
+    (_with("tip_tension [Gram]"), "got [Gram]; write for example [N]; a mass is no force: did you mean gf or kgf"),
+    (_with("tip_x [px]"), "got [px]; write for example [mm], converted by the scale of the camera"),
+    (_with("direction [N]"), "row 1: the column direction has no unit, got [N]; leave it out"),
+    (_with("direction"), "row 2, column direction: must be 1 or -1, got 4.79; write 1 where"),
+    (PAIRS.replace("tip_tension", "base_tension"), "row 1: the column base_tension appears twice; remove one"),
+    (_with(""), "row 2 has 2 cells, the header 1; with decimal commas separate the columns by semicolons, and name"),
+    ("base_tension [N]  tip_tension [N]\n5 4", "is no column; write names and units such as 'base_tension [N], tip"),
+    (" " * 10**6 + "a" + " " * 10**6 + "[", "row 1: 'a "),
+    ("a" * 10**6, "row 1: 'aaaaaaa"),
+    (PAIRS.replace("base_tension", "tip_tension_2"), "the column base_tension is missing; add it"),
+    (PAIRS.replace("tip_tension", "tip_tension_3"), "the column base_tension_3 is missing; add it"),
+    (PAIRS.replace("base_tension", "weight"), "the column tip_tension does not belong to a pulley test; put it into a"),
+    ("weight [N], wrap_angle [rad]\n1, 1", "the column pulling_tension is missing; add it (a pulley test has wrap"),
+    ("trial, base_tension [N]\n , 3", "row 2, column trial: the cell is empty; fill it"),
+    ("5, 4.79\n10, 9.19", "row 1: there is no header above the numbers; write names and units such as 'base_tension"),
+    (PAIRS.replace("10, 9.19", "10,5, 9,19"), "row 3 has 4 cells, the header 2; with decimal commas separate the"),
+    (PAIRS.replace(", ", ";") + "5;4,79", "row 4, column tip_tension: '4,79' has a comma, but row 2, column"),
+    (PAIRS.replace(", ", ";").replace("4.79", "1.234,5"), ", but row 2, column tip_tension: '1.234,5' a point"),
+    (PAIRS + "1 234, 5", "row 4, column base_tension: '1 234' is not a number; write it with a decimal point and"),
+    (PAIRS + '"1,234.5", 5', "row 4, column base_tension: '1,234.5' is not a number; write it with a decimal"),
+    (PAIRS + "1'234.5, 5", "is not a number; write it with a decimal point and without thousands separators"),
+    (PAIRS + '"15", "5', "row 4: quotation marks are astray"),
+    (PAIRS + '"15, 5\n', "row 4: quotation marks are astray"),
+    (PAIRS.replace("\n", "\n#"), "has a header but no rows; add the measurements below it (lines that begin with #"),
+    (PAIRS + "9, " + "x" * 1000, "row 4, column tip_tension: 'xxxxx"),
+    (PAIRS.encode("utf-16-le"), "is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8"),  # without its mark
+    (PAIRS.encode() + b"\xe9, \x81", "is not text in UTF-8, UTF-16 or Latin-1"),
+    (PAIRS.encode("utf-16")[:-1], "is not text in UTF-8, UTF-16 or Latin-1"),
+    (b"PK\x03\x04\x14\x00\x06\x00" + bytes(range(256)), "is no spreadsheet in the format .xlsx (File is not a zip"),
+    (b"\xd0\xcf\x11\xe0" + bytes(range(256)), "is a spreadsheet in the old format .xls; save it as .xlsx or as CSV"),
+    (np.random.default_rng(0).bytes(100_000), "is not text in UTF-8, UTF-16 or Latin-1"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "message"), CASES)
+def test_bad_files_are_refused(tmp_path, text, message):
+    with pytest.raises(InputError) as error:
+        read(tmp_path, text)
+    assert message in str(error.value)
+    assert str(error.value).startswith(f"{tmp_path / 'table.csv'}: ")
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 600
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(InputError, match=r"none.csv: cannot be read \(No such file or directory\); check the path"):
+        read_measurements(tmp_path / "none.csv")
+    with pytest.raises(InputError, match=r": cannot be read \(Is a directory\); check the path"):
+        read_measurements(tmp_path)
+
+
+# --- tables from arrays --------------------------------------------------------------------------
+
+
+def test_from_columns():
+    base = np.array([5.0, 10.0])
+    table = Measurements.from_columns(name="bench", base_tension=base, tip_tension=[4, 9], trial=[3, 3])
+    assert (table.name, len(table), table.rows.tolist(), table.trial_labels) == ("bench", 2, [1, 2], ("3",))
+    assert table["tip_tension"].dtype == np.float64
+    base[0] = 7.0
+    assert table["base_tension"][0] == 5.0
+    with pytest.raises(ValueError, match="read-only"):
+        table["base_tension"][0] = 7.0
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({}, "bench: the column base_tension is missing; add it"),
+        ({"base_tension": [1, 2], "tip_tension": [1]}, "bench: the columns differ in length ({'base_tension': 2, 't"),
+        ({"base_tension": []}, "bench: has no rows; add measurements"),
+        ({"base_tension": 5.0}, "bench: column base_tension: needs one list of numbers, got shape ()"),
+        ({"base_tension": ["a"]}, "bench: column base_tension: not every value is a number; give numbers in SI units"),
+        ({"base_tension": [1, -2]}, "bench: row 2, column base_tension: must be 0 or more, got -2 N"),
+        ({"base_tension": [1], "tip_x": [np.inf]}, "bench: row 1, column tip_x: must be finite, got inf"),
+        ({"base_tensoin": [1]}, "bench: unknown column 'base_tensoin'; did you mean base_tension?"),
+    ],
+)
+def test_from_columns_refuses(columns, message):
+    with pytest.raises(InputError) as error:
+        Measurements.from_columns(name="bench", **columns)
+    assert str(error.value).startswith(message)
+
+
+# --- what deserves a look ------------------------------------------------------------------------
+
+ONE_ROW = "there is one row only, from which no scatter can be estimated"
+FLAT = "base_tension hardly varies from {} N, so that no slope can be determined; measure at other levels"
+DOWN = (
+    "rows with base_tension below that of the row before, while no direction is stated: 2 of 6 (row 4: 30 N after 75 N)"
+    "; each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write direction -1 for "
+    "rows in which all of the tendon slides out, and leave out those right after the turn, where part of it still "
+    "sticks"
+)
+ABOVE = (
+    "rows with tip_tension{0} more than 5 % above base_tension{0}: {1}; "
+    "are the cells swapped or off zero, or does the tendon slide out (direction{0} -1)?"
+)
+TURNS = "rows with {}; are these degrees under a unit of rad?"
+TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
+
+
+@pytest.mark.parametrize(
+    ("columns", "warnings"),
+    [
+        ({"base_tension": [5, 10], "tip_tension": [4, 9]}, []),
+        ({"base_tension": [5]}, [ONE_ROW]),
+        (
+            {"base_tension": [5, 5], "trial": ["a", "b"]},
+            ["all 2 rows are equal, so that nothing follows from their differences", FLAT.format(5)],
+        ),
+        (
+            {"base_tension": [9, 5, 9, 5], "tip_tension": [8, 4, 8, 4]},
+            ["rows that repeat an earlier one to the last digit: 2 of 4 (row 3 is row 1 again); were they copied?"],
+        ),
+        (
+            {"base_tension": [9, 5, 9], "trial": ["a", "a", "b"]},  # another trial may read the same
+            ["trials of one row only: 1 of 2 (trial b, row 3); is the rest missing?"],
+        ),
+        ({"base_tension": [9, 5, 9], "trial": ["a", "b", "c"]}, []),  # labels of rows
+        ({"base_tension": [10, 20, 75, 30, 20, 10], "tip_angle": [0.1, 0.2, 0.7, 0.6, 0.4, 0.2]}, [DOWN]),
+        ({"base_tension": [10, 75, 30, 10], "direction": [1, 1, -1, -1]}, []),  # stated
+        ({"base_tension": [10, 75.1, 75, 75.2, 10.1, 75.3]}, []),  # noise at a level, a fresh start at the lowest
+        ({"base_tension": [10, 75, 30, 40], "trial": ["a", "a", "b", "b"]}, []),  # another trial
+        ({"base_tension": [9, 5, 9, 5, 7], "trial": ["a", "a", "b", "b", "b"]}, []),  # trials of different length
+        ({"base_tension": [10, 20], "tip_tension": [10.4, 19]}, []),  # noise
+        ({"base_tension": [0, 0.1, 20], "tip_tension": [0.05, 0.15, 19]}, []),  # noise about 0
+        (
+            {"base_tension": [10, 20], "tip_tension": [9, 21.5]},
+            [ABOVE.format("", "1 of 2 (row 2: 21.5 N over 20 N)")],
+        ),
+        (
+            TWO | {"tip_tension_2": [12, 19], "direction_2": [1, 1]},
+            [ABOVE.format("_2", "1 of 2 (row 1: 12 N over 10 N)")],
+        ),
+        # sliding out the tip tension is the larger one, by the capstan law
+        (TWO | {"tip_tension_2": [12, 24], "direction_2": [-1, -1]}, []),
+        # of several tendons an unstated direction is found with the equilibrium, and may be either
+        (TWO | {"tip_tension_2": [12, 19]}, []),
+        (TWO | {"tip_tension": [12, 10], "direction_2": [1, 1]}, []),
+        (
+            {"base_tension": [0, 10, 20], "tip_tension": [-0.1, 9, -0.2], "tip_angle": [0, np.nan, 0.3]},
+            [
+                "rows with tip_tension below 0: 2 of 3 (row 1: -0.1 N); has the zero of the cell drifted?; "
+                "if so let tip_zero be free too"
+            ],
+        ),
+        (
+            {"base_tension": [10], "tip_tension": [12]},
+            [ONE_ROW, ABOVE.format("", "1 of 1 (row 1: 12 N over 10 N)")],
+        ),
+        ({"base_tension": [10, 20], "tip_tension": [13, 26], "direction": [-1, -1]}, []),  # sliding out
+        ({"base_tension": [50, 50.1, 49.9], "tip_tension": [30, 31, 32]}, [FLAT.format(50)]),
+        ({"base_tension": [50, 50, 50], "base_tension_2": [0, 10, 20], "tip_tension": [30, 31, 32]}, []),
+        (
+            {"wrap_angle": [90, 180], "weight": [5, 5], "pulling_tension": [9, 18]},
+            [TURNS.format("wrap_angle beyond 5 turn(s): 2 of 2 (row 1: 90 rad)")],
+        ),
+        ({"wrap_angle": [np.pi / 2, 6 * np.pi], "weight": [5, 5], "pulling_tension": [9, 18]}, []),
+        (
+            {"base_tension": [5, 9], "tip_angle": [1.2, -40]},
+            [TURNS.format("tip_angle beyond 1 turn(s): 1 of 2 (row 2: -40 rad)")],
+        ),
+    ],
+)
+def test_warnings(columns, warnings):
+    assert list(Measurements.from_columns(**columns).warnings) == warnings
+
+
+# --- tables told apart ---------------------------------------------------------------------------
+
+
+def test_the_checksum_is_that_of_names_and_numbers(tmp_path):
+    table = read(tmp_path, PAIRS)
+    # SHA-256 of the columns as the docstring defines it, written out
+    numbers = struct.pack("<2d", 5, 10), struct.pack("<2d", 4.79, 9.19)
+    text = b"base_tension\0" + b"2\0" + numbers[0] + b"tip_tension\0" + b"2\0" + numbers[1]
+    assert table.checksum == hashlib.sha256(text).hexdigest()
+    same = [
+        read(tmp_path, "# a note\n" + PAIRS.replace("\n", "\r\n"), "other.csv"),
+        read(tmp_path, PAIRS.replace(", ", ";").replace(".", ",")),
+        read(tmp_path, "base_tension [kN]\ttip_tension [mN]\n0.005\t4790\n0.01\t9190\n"),
+        Measurements.from_columns(base_tension=[5, 10], tip_tension=[4.79, 9.19]),
+    ]  # fmt: skip
+    assert {other.checksum for other in same} == {table.checksum}
+    different = [
+        Measurements.from_columns(tip_tension=[4.79, 9.19], base_tension=[5, 10]),
+        Measurements.from_columns(base_tension=[10, 5], tip_tension=[9.19, 4.79]),
+        Measurements.from_columns(base_tension=[5, 10], tip_tension=[4.79, np.nextafter(9.19, 10)]),
+        Measurements.from_columns(base_tension=[5, 10], tip_x=[4.79, 9.19]),
+    ]
+    assert len({other.checksum for other in [table, *different]}) == 5
+    zeros = [Measurements.from_columns(base_tension=[1, 2], tip_angle=[zero, 1.0]) for zero in (0.0, -0.0)]
+    assert zeros[0].checksum == zeros[1].checksum
+
+
+def test_tables_given_twice(tmp_path):
+    one, copy = read(tmp_path, PAIRS, "a.csv"), read(tmp_path, PAIRS.replace("\n", "\r\n"), "b.csv")
+    other = read(tmp_path, PAIRS + "15, 13\n", "a.csv")
+    assert repeated_tables([one, other]) == []
+    assert repeated_tables([]) == []
+    twice = "holds the same numbers as table 1 (a.csv), which thus count twice and make standard errors too small"
+    expected = [f"{name}: {twice}; leave one out" for name in ("b.csv: table 3", "a.csv: table 4")]
+    assert repeated_tables([one, other, copy, one]) == [line.replace(": holds", " holds") for line in expected]

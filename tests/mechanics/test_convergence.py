@@ -1,0 +1,201 @@
+"""How fast the error falls with the nodes, and that the solver knows what it does not know."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import (
+    body_of,
+    constant,
+    one_kinematics_at_once,
+    paper_body,
+    paper_plain,
+    plain_of,
+    random_draws,
+    stack,
+)
+from loaded_bodies import reference_solution
+from scipy.integrate import quad
+
+import cddf_jax as cddf
+
+FLOOR = 1e-11  # DOP853 at 1e-12, and the passes
+
+
+def tip_errors(kinematics, nodes, tension=75.0):
+    """Tension (relative), position (per length) at the tip of the paper's body."""
+    solution = cddf.solve(paper_body(kinematics), tension, nodes=nodes, throw=False)
+    plain = paper_plain(kinematics)
+    reference = reference_solution(plain, tension)
+    return np.array(
+        [
+            abs(solution.tip_tension[0] / plain.closed_form(tension, 0.14) - 1),
+            np.linalg.norm(solution.tip_position - reference.tip_position) / 0.14,
+        ]
+    )
+
+
+@one_kinematics_at_once
+def test_the_error_falls_spectrally(kinematics):
+    """Gauss's rule: each further node of the one panel divides the error by rho^2.
+
+    The wall of the paper's body would vanish at s = 13/7 L, x = 2.714 on the panel scaled to [-1, 1], so
+    rho = x + sqrt(x^2 - 1) = 5.24 and rho^2 = 27.4. Measured: 27 for the tension.
+    """
+    rate = (2.714 + np.sqrt(2.714**2 - 1)) ** 2
+    few = {nodes: tip_errors(kinematics, nodes) for nodes in (4, 5, 6, 7)}
+    errors = np.array([*few.values()])
+    assert np.all(errors[0] < 1e-4)
+    falls = errors[:-1] / errors[1:]
+    assert np.all(falls > 0.6 * rate)
+    np.testing.assert_allclose(falls[:, 0], rate, rtol=0.1)
+    # 12 nodes are two panels of 6, 16 two of 8: the error of as many nodes on half the width, 2^-12 and less
+    assert np.all(tip_errors(kinematics, 12) < few[6] / 100)
+    assert np.all(tip_errors(kinematics, 16) < FLOOR)
+    assert np.all(tip_errors(kinematics, 8) < 4e-5)  # promised by design.md section 3
+
+
+# --- the error estimate --------------------------------------------------------------------------
+
+
+def solver_with(kinematics, nodes):
+    return jax.jit(
+        jax.vmap(lambda draw: cddf.solve(body_of(draw, kinematics), draw.base_tension, nodes=nodes, throw=False))
+    )
+
+
+def true_errors(kinematics, draws, solutions):
+    rows = []
+    for i, draw in enumerate(draws):
+        plain = plain_of(draw, kinematics)
+        reference = reference_solution(plain, draw.base_tension)
+        tension = solutions.tip_tension[i, 0] / plain.closed_form(draw.base_tension, draw.length) - 1
+        position = np.max(np.abs(solutions.tip_position[i] - reference.tip_position)) / draw.length
+        rows.append(max(abs(tension), position, abs(solutions.tip_angle[i] - reference.tip_angle)))
+    return np.array(rows)
+
+
+@one_kinematics_at_once
+@pytest.mark.parametrize(
+    "nodes", [pytest.param(4, marks=pytest.mark.slow), 8, pytest.param(16, marks=pytest.mark.slow)]
+)
+def test_the_estimate_is_not_below_the_error(kinematics, nodes):
+    """Over 64 random bodies (seed 5); the estimate may fall short by a factor of two."""
+    draws = random_draws(kinematics, 64, seed=5)
+    solutions = solver_with(kinematics, nodes)(stack(draws))
+    errors = true_errors(kinematics, draws, solutions)
+    estimates = np.asarray(solutions.error_estimate)
+    assert np.all(errors <= 2 * estimates + FLOOR)
+
+
+@one_kinematics_at_once
+def test_what_is_called_successful_is_accurate(kinematics):
+    """With too few nodes on purpose: no lane may be wrong by more than 1e-5 and say nothing."""
+    draws = random_draws(kinematics, 64, seed=6)
+    solutions = solver_with(kinematics, 6)(stack(draws))
+    successful = np.asarray(solutions.result == cddf.RESULTS.successful)
+    assert np.any(successful)
+    assert np.any(~successful)
+    assert np.all(true_errors(kinematics, draws, solutions)[successful] < 1e-5)
+
+
+# --- bodies too rough for their nodes ------------------------------------------------------------
+
+
+KINK, STEP = 0.0613, 0.0613  # m, at no node of any rule
+
+
+def kinked(s):
+    return 0.013 + 0.09 * jnp.abs(s - KINK)
+
+
+def stepped(s):
+    return jnp.where(s < STEP, 0.019, 0.014)
+
+
+def wiggling(s):
+    return 0.016 + 0.003 * jnp.sin(900.0 * s)
+
+
+def body_with(outer_radius, kinematics="exact"):
+    return cddf.Manipulator(0.14, outer_radius, 0.007, (cddf.Tendon(0.01),), 1.4e6, 0.42, kinematics=kinematics)
+
+
+@pytest.mark.parametrize("profile", [kinked, stepped, wiggling], ids=lambda f: f.__name__)
+def test_an_undeclared_roughness_is_detected(profile):
+    solution = cddf.solve(body_with(profile), 40.0, throw=False)
+    assert solution.result == cddf.RESULTS.inaccurate
+    assert solution.error_estimate > 1e-5
+    assert np.isfinite(solution.tip_tension[0])
+    with pytest.raises(cddf.SolveError, match=r"too rough for its nodes\. Raise nodes="):
+        cddf.solve(body_with(profile), 40.0)
+
+
+@pytest.mark.parametrize("profile", [kinked, stepped], ids=lambda f: f.__name__)
+def test_declared_breaks_restore_the_accuracy(profile):
+    if profile is kinked:
+        heights = np.array(kinked(np.array([0.0, KINK, 0.14])))
+        declared = cddf.Piecewise.linear([0.0, KINK, 0.14], heights)
+    else:
+        declared = cddf.Piecewise([STEP], [cddf.Constant(0.019), cddf.Constant(0.014)])
+    plain = paper_plain("exact", outer_radius=lambda s: float(profile(s)), breaks=(KINK,))
+    expected = 40.0 / (1 + 0.42 / 1.4e6 * 40.0 * split_compliance(plain, KINK))
+    solution = cddf.solve(body_with(declared), 40.0)
+    assert solution.result == cddf.RESULTS.successful
+    np.testing.assert_allclose(solution.tip_tension, [expected], rtol=1e-8)
+    rough = cddf.solve(body_with(profile), 40.0, throw=False)
+    assert abs(rough.tip_tension[0] / expected - 1) > 1e-6  # not idle: without the break it is wrong
+
+
+def split_compliance(plain, at):
+    """G(L) by SciPy, adaptive on either side of a break."""
+
+    def rate(s):
+        return 0.010 / plain.second_moment(s)
+
+    return sum(quad(rate, *ends, epsabs=0, epsrel=1e-12)[0] for ends in ((0, at - 1e-15), (at + 1e-15, 0.14)))
+
+
+def test_more_nodes_resolve_a_wiggle():
+    body = body_with(wiggling)
+    plain = paper_plain("exact", outer_radius=lambda s: 0.016 + 0.003 * np.sin(900.0 * s))
+    solution = cddf.solve(body, 40.0, nodes=512)
+    np.testing.assert_allclose(solution.tip_tension, [plain.closed_form(40.0, 0.14)], rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_change_of_sign_of_the_curvature_is_not_passed_over():
+    """Two tendons whose moments cross inside the body: |kappa| has a kink, design.md section 2."""
+    offsets = cddf.Linear(0.012, 0.007, 0.14), cddf.Linear(0.008, 0.0115, 0.14)
+    tendons = cddf.Tendon(offsets[0]), cddf.Tendon(offsets[1], -1)
+    body = cddf.Manipulator(0.14, cddf.Linear(0.02, 0.013, 0.14), 0.007, tendons, 1.4e6, 0.42, 0.0, "published")
+    plain = paper_plain(
+        "published",
+        (+1, -1),
+        offsets=[lambda s: 0.012 - 0.005 * s / 0.14, lambda s: 0.008 + 0.0035 * s / 0.14],
+        slopes=[constant(-0.005 / 0.14), constant(0.0035 / 0.14)],
+    )
+    reference = reference_solution(plain, (50.0, 45.0))
+    solution = cddf.solve(body, (50.0, 45.0), throw=False)
+    error = np.max(np.abs(solution.tip_tension / reference.tip_tension - 1))
+    assert np.any(np.diff(np.sign(solution.curvature)) != 0)
+    assert error < 2 * solution.error_estimate + FLOOR
+    assert error < 1e-3
+
+
+@pytest.mark.slow
+def test_the_estimate_knows_how_errors_grow_under_large_loads():
+    """A force of 22 (base) to 147 (tip) E J / L^2 pulls the tip, and errors in the bending grow along the body."""
+    body = cddf.conical(
+        length=0.2,
+        outer_radius=(0.016, 0.010),
+        inner_radius=0.002,
+        tendon_offset=(0.010, 0.005),
+        youngs_modulus=1e6,
+        friction_coefficient=0.3,
+        density=1100.0,
+    )
+    loads = cddf.Loads((28.3, 5.8), 0.02, (-7.2, 4.4))
+    coarse, fine = cddf.solve(body, 19.1, loads), cddf.solve(body, 19.1, loads, nodes=40)
+    error = abs(coarse.tip_angle - fine.tip_angle)
+    assert 1e-12 < error < 2 * coarse.error_estimate < 1e-8

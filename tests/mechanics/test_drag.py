@@ -1,0 +1,406 @@
+"""Drag w, a friction per length that is there without tension and curvature: T' = -direction (mu |psi'| T + w)."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, code, fields_at, lane, one_kinematics_at_once, paper_body, paper_plain, replaced, stack
+from marching import Marching
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+from cddf_jax.files.manipulator_file import read_manipulator, write_manipulator
+
+LENGTH, d, E, MU = (PAPER[name] for name in ("length", "tendon_offset", "youngs_modulus", "friction_coefficient"))
+W = 100.0  # N/m: 14 N over the length
+EXACT, PUBLISHED = (paper_body(kinematics, drag=W) for kinematics in ("exact", "published"))
+CYLINDER = paper_body("exact", outer_radius=(0.016, 0.016), drag=W)
+J = np.pi / 4 * (0.016**4 - 0.007**4)
+MARCHING = Marching(steps=2)
+
+
+def second_moment(s):
+    """The paper's taper, 20 to 13 mm around a bore of 7 mm; Liu et al. (2020), eq. (12)."""
+    return np.pi / 4 * ((0.020 - 0.007 * s / LENGTH) ** 4 - 0.007**4)
+
+
+def cylinder_tension(base_tension, direction, s, w=W):
+    """T' = -direction (a T^2 + w) with a = mu d / (E J): a Riccati equation with constant coefficients."""
+    a = MU * d / (E * J)
+    angle = np.arctan(base_tension * np.sqrt(a / w)) - direction * np.sqrt(a * w) * s
+    return np.sqrt(w / a) * np.tan(np.maximum(angle, 0.0))
+
+
+class Reference:
+    """Exact kinematics by SciPy, while all tendons turn to the left.
+
+    With psi' > 0 the law reads (T e^(g psi))' = -direction w e^(g psi), g = direction mu. So the state is
+    y_i = T_i e^(g_i (psi_i - psi_i(0))), heading, position and the moment of a tip force, and the curvature the root
+    of E J kappa = sum sigma d T q / sqrt(q^2 + d'^2) + M with T = max(y, 0) e^(-g psi): no kappa', no T' inside.
+    """
+
+    def __init__(self, base_tension, direction=+1, sides=(+1,), offsets=(d, d), w=W, mu=MU, tip_force=(0.0, 0.0)):
+        self.side = np.asarray(sides, float)
+        self.base, self.w = (np.broadcast_to(np.asarray(x, float), self.side.shape) for x in (base_tension, w))
+        self.direction = np.broadcast_to(np.asarray(direction, float), self.side.shape)
+        self.gain, self.offsets, self.force = self.direction * mu, offsets, np.asarray(tip_force)
+        moment = brentq(lambda m: self.run(m)[-1, -1], 0.0, 0.3, xtol=1e-13) if np.any(self.force) else 0.0
+        end = self.run(moment)[-1]
+        assert np.all(np.diff(self.psi, axis=0) > -1e-9), "a tendon turns to the right"
+        n = self.side.size
+        psi = self.section(LENGTH, end)[1]
+        self.tip_tension = np.maximum(end[:n], 0.0) * np.exp(-self.gain * (psi - self.psi_base))
+        self.tip_angle, self.tip_position = end[n], end[n + 1 : n + 3]
+
+    def run(self, moment):
+        n = self.side.size
+        start = np.concatenate([self.base, [0.0, 0.0, 0.0, moment]])
+        self.psi_base = np.zeros(n)
+        self.psi_base = self.section(0.0, start, at_base=True)[1]
+        out = solve_ivp(self.rate, (0.0, LENGTH), start, method="DOP853", rtol=1e-11, atol=1e-12)
+        self.psi = np.array([self.section(*at)[1] for at in zip(out.t, out.y.T, strict=True)])
+        return out.y.T
+
+    def section(self, s, state, at_base=False):
+        n = self.side.size
+        base, tip = self.offsets
+        offset, slope = base + (tip - base) * s / LENGTH, (tip - base) / LENGTH
+
+        def psi(kappa):
+            return state[n] + np.arctan2(self.side * slope, 1 - self.side * offset * kappa)
+
+        def gap(kappa):
+            wrap = 0.0 if at_base else psi(kappa) - self.psi_base
+            tension = np.maximum(state[:n], 0.0) * np.exp(-self.gain * wrap)
+            q = 1 - self.side * offset * kappa
+            pull = np.sum(self.side * offset * tension * q / np.hypot(q, slope))
+            return E * second_moment(s) * kappa - pull - state[-1]
+
+        kappa = brentq(gap, -60.0, 60.0, xtol=1e-14, rtol=1e-14)
+        return kappa, psi(kappa)
+
+    def rate(self, s, state):
+        n = self.side.size
+        kappa, psi = self.section(s, state)
+        axis = np.array([np.cos(state[n]), np.sin(state[n])])
+        growth = (
+            -self.direction
+            * self.w
+            * np.exp(self.gain * (psi - self.psi_base))
+            * ((state[:n] > 0) | (self.direction < 0))
+        )
+        return np.concatenate([growth, [kappa], axis, [-(axis[0] * self.force[1] - axis[1] * self.force[0])]])
+
+
+def compare(solution, reference, tolerance=1e-8):
+    if not np.any(solution.direction_contradicted):
+        assert code(solution.result) == code(cddf.RESULTS.successful)
+    np.testing.assert_allclose(solution.tip_tension, reference.tip_tension, rtol=tolerance, atol=1e-12)
+    np.testing.assert_allclose(solution.tip_angle, reference.tip_angle, atol=tolerance)
+    np.testing.assert_allclose(solution.tip_position, reference.tip_position, atol=tolerance * LENGTH)
+
+
+# --- without curvature-dependent friction: T = T_base - direction w s -----------------------------
+
+
+@pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
+@pytest.mark.parametrize("base_tension", [75.0, 10.0, 0.0])
+@one_kinematics_at_once
+def test_drag_alone_takes_the_same_from_every_length(kinematics, base_tension, direction):
+    """T = max(T_base - direction w s, 0), zero from s = T_base / w; kappa = T d / (E J + T d^2 where published)."""
+    body = replace(EXACT if kinematics == "exact" else PUBLISHED, friction_coefficient=0.0)
+    solution = cddf.solve(body, base_tension, direction=direction, throw=False)
+
+    def tension(s):
+        return np.maximum(base_tension - direction * W * s, 0.0)
+
+    def curvature(s):
+        return tension(s) * d / (E * second_moment(s) + (kinematics == "published") * tension(s) * d**2)
+
+    np.testing.assert_allclose(solution.tension[0], tension(np.asarray(solution.arc_length)), rtol=1e-13, atol=1e-12)
+    np.testing.assert_allclose(solution.tip_tension, [tension(LENGTH)], rtol=1e-13)
+    slack = np.clip(base_tension / W, 0.0, LENGTH) if direction > 0 else LENGTH
+    np.testing.assert_allclose(solution.tip_angle, quad(curvature, 0.0, slack, epsabs=1e-14)[0], atol=1e-10)
+    if base_tension > 0:
+        np.testing.assert_allclose(solution.tension_loss, [1 - tension(LENGTH) / base_tension], rtol=1e-13)
+    # a tendon alone bends the body towards it, and cannot slide out; one without tension is not judged
+    pulls = base_tension > 0 or direction < 0
+    assert solution.direction_contradicted == (pulls and direction < 0)
+
+
+def test_friction_force_of_drag_alone_is_the_drag_up_to_where_the_tendon_is_slack():
+    """F_CDDF = T' t_c, eq. (10): -w t for a tendon parallel to the axis, and nothing beyond s = T_base / w."""
+    solution = cddf.solve(replace(EXACT, friction_coefficient=0.0), 10.0)
+    along = fields_at(solution, np.array([0.0, 0.05, 0.0999, 0.1001, 0.14]))
+    axis = np.stack([np.cos(along.heading), np.sin(along.heading)], axis=-1)
+    w = np.array([W, W, W, 0.0, 0.0])
+    np.testing.assert_allclose(along.friction_force[0], -w[:, None] * axis, atol=1e-12)
+    np.testing.assert_array_equal(along.tension[0, 3:], 0.0)
+
+
+def test_capstan_and_drag_add_up():
+    """|F_CDDF| = mu |F_CDDN| + w, as t_c has length one in the exact kinematics."""
+    solution = cddf.solve(EXACT, 75.0)
+    friction, normal = (np.linalg.norm(f, axis=-1) for f in (solution.friction_force, solution.normal_force))
+    np.testing.assert_allclose(friction, MU * normal + W, rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_a_sharp_bend_and_an_end_before_the_tip():
+    """A rigid body: T falls linearly from 0 to 60 and from 60 to 80 mm, between them by exp(-mu atan(0.06))."""
+    offset = cddf.Piecewise.linear([0.0, 0.06, LENGTH], [0.0076, 0.0112, 0.0112])
+    body = replace(EXACT, tendons=(cddf.Tendon(offset, end=0.08),), youngs_modulus=1e16)
+    solution = cddf.solve(body, 75.0)
+    expected = (75.0 - W * 0.06) * np.exp(-MU * np.arctan(0.06)) - W * 0.02
+    np.testing.assert_allclose(solution.tip_tension, [expected], rtol=1e-9)
+    assert solution.tension[0, -1] == 0.0
+
+
+# --- both frictions ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("base_tension", "direction"), [(75.0, +1), (12.0, +1), (40.0, -1), (0.0, -1)], ids=str)
+def test_a_cylinder_follows_the_riccati_equation(base_tension, direction):
+    """12 N are used up before the tip."""
+    solution = cddf.solve(CYLINDER, base_tension, direction=direction, throw=False)
+    s = np.linspace(0.0, LENGTH, 12)
+    along = fields_at(solution, s)
+    np.testing.assert_allclose(along.tension[0], cylinder_tension(base_tension, direction, s), rtol=1e-7, atol=1e-7)
+    tip = cylinder_tension(base_tension, direction, LENGTH)
+    np.testing.assert_allclose(solution.tip_tension, [tip], rtol=1e-9)
+    turn = quad(lambda s: cylinder_tension(base_tension, direction, s), 0, LENGTH, epsabs=1e-12)[0] * d / (E * J)
+    np.testing.assert_allclose(solution.tip_angle, turn, atol=1e-9)
+    assert solution.error_estimate < 1e-7
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("base_tension", [75.0, 12.0])
+def test_the_published_kinematics_lose_the_same_tension(base_tension):
+    """There kappa_c = T d / (E J) as well, design.md section 2: T' = -(mu T^2 d / (E J) + w), by SciPy."""
+
+    def rate(s, T):
+        return -(MU * np.maximum(T, 0) ** 2 * d / (E * second_moment(s)) + W)
+
+    T = solve_ivp(rate, (0, LENGTH), [base_tension], method="DOP853", rtol=1e-12, atol=1e-12).y[0, -1]
+    solution = cddf.solve(PUBLISHED, base_tension)
+    np.testing.assert_allclose(solution.tip_tension, [max(T, 0.0)], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_one_pass_agrees_with_the_fixed_point():
+    for base_tension in (75.0, 12.0):
+        fixed, marched = (cddf.solve(CYLINDER, base_tension, method=m) for m in (cddf.FixedPoint(), MARCHING))
+        np.testing.assert_allclose(marched.tension, fixed.tension, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(marched.position, fixed.position, atol=1e-7 * LENGTH)
+
+
+def pair(offsets=(d, d)):
+    """Antagonists, each with a drag of its own."""
+    tendons = [cddf.Tendon(cddf.Linear(*offsets, LENGTH), side) for side in (+1, -1)]
+    tendons = (replace(tendons[0], drag=150.0), tendons[1])
+    return replace(paper_body("exact", drag=60.0), tendons=tendons)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("tension", "direction"),
+    [((75.0, 20.0), (+1, -1)), ((75.0, 20.0), (+1, +1)), ((60.0, 0.0), (+1, -1)), ((15.0, 2.0), (+1, +1))],
+    ids=["out", "in", "let go", "slack"],
+)
+@pytest.mark.parametrize("offsets", [(d, d), (0.012, 0.009)], ids=["parallel", "slanted"])
+def test_two_tendons(offsets, tension, direction):
+    solution = cddf.solve(pair(offsets), tension, direction=direction, throw=False)
+    compare(solution, Reference(tension, direction, (+1, -1), offsets, w=(150.0, 60.0)))
+
+
+@pytest.mark.slow
+def test_under_a_load():
+    force = (0.3, 1.0)
+    for base_tension in (60.0, 10.0):
+        solution = cddf.solve(EXACT, base_tension, cddf.Loads(tip_force=force))
+        assert solution.result == cddf.RESULTS.successful
+        compare(solution, Reference(base_tension, tip_force=force))
+
+
+@pytest.mark.slow
+def test_a_tip_tension_is_found_across_the_slack():
+    """Far below the tension of the start, and above what is used up: the Riccati equation backwards."""
+    for wanted in (0.5, 40.0):
+        solution = cddf.solve(CYLINDER, cddf.TipTension(wanted))
+        np.testing.assert_allclose(solution.base_tension, [cylinder_tension(wanted, -1, LENGTH)], rtol=1e-8)
+
+
+# --- derivatives and batches ---------------------------------------------------------------------
+
+
+@eqx.filter_jit
+def observed(w, base_tension, direction):
+    solution = cddf.solve(replaced(CYLINDER, drag=w), base_tension, direction=direction, throw=False)
+    return jnp.stack([solution.tip_tension[0], solution.tip_angle])
+
+
+def by_scipy(w, base_tension, direction):
+    def tension(s):
+        return cylinder_tension(base_tension, direction, s, w)
+
+    end = LENGTH
+    if direction > 0:
+        a = MU * d / (E * J)
+        end = min(LENGTH, np.arctan(base_tension * np.sqrt(a / w)) / np.sqrt(a * w))
+    return np.array([tension(LENGTH), quad(tension, 0, end, epsabs=1e-13, epsrel=1e-13)[0] * d / (E * J)])
+
+
+@jax.jit
+def jacobians(w, base_tension, direction):
+    """By drag and tension in both modes; reverse mode is what `vjp` does, a linear map transposed."""
+    w, base_tension = jnp.asarray(w, float), jnp.asarray(base_tension, float)
+    value, along = jax.linearize(lambda w, tension: observed(w, tension, direction), w, base_tension)
+    reverse = jax.vmap(jax.linear_transpose(along, w, base_tension))(jnp.eye(value.size))
+    return {"forward": (along(1.0, 0.0), along(0.0, 1.0)), "reverse": reverse}
+
+
+each_mode = pytest.mark.parametrize("mode", ["forward", "reverse"])
+
+
+@pytest.mark.slow
+@each_mode
+@pytest.mark.parametrize(("tension", "direction"), [(75.0, 1.0), (12.0, 1.0), (40.0, -1.0)], ids=["in", "slack", "out"])
+def test_derivatives_by_drag_and_tension(mode, tension, direction):
+    """Against central differences of the closed form, whose error is of the size 1e-9 of the value over the step."""
+    by_w, by_tension = jacobians(W, tension, direction)[mode]
+    h = 1e-4
+    np.testing.assert_allclose(
+        by_w,
+        (by_scipy(W * (1 + h), tension, direction) - by_scipy(W * (1 - h), tension, direction)) / (2 * h * W),
+        rtol=1e-6,
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(
+        by_tension,
+        (by_scipy(W, tension * (1 + h), direction) - by_scipy(W, tension * (1 - h), direction)) / (2 * h * tension),
+        rtol=1e-6,
+        atol=1e-9,
+    )
+
+
+@pytest.mark.slow
+@each_mode
+def test_derivatives_where_there_is_no_tension(mode):
+    """Slack from the base on nothing changes; sliding out T' = w + a T^2 starts at 0, so that T is near w s."""
+    for part in jacobians(W, 0.0, 1.0)[mode]:
+        np.testing.assert_array_equal(part, 0.0)
+    by_w, by_tension = jacobians(W, 0.0, -1.0)[mode]
+    h = 1e-4 * W
+    np.testing.assert_allclose(by_w, (by_scipy(W + h, 0.0, -1) - by_scipy(W - h, 0.0, -1)) / (2 * h), rtol=1e-6)
+    assert np.all(by_tension > 0)
+
+
+def test_derivative_where_there_is_no_drag():
+    """At w = 0 d(delta T)/ds = -2 a T delta T - 1 with T = T_0 / (1 + a T_0 s), so delta T = -T^2 int ds / T^2."""
+    by_w, _ = jacobians(0.0, 75.0, 1.0)["forward"]
+    a = MU * d / (E * J)
+    z = 1 + a * 75.0 * LENGTH
+    np.testing.assert_allclose(by_w[0], -(z**3 - 1) / (3 * a * 75.0) / z**2, rtol=1e-9)
+
+
+def test_a_batch_is_a_loop():
+    """Taut, slack before the tip, slack from the base, and a lane that fails; friction differs too."""
+    w, tension = np.array([W, W, W, 2 * W, -W]), np.array([75.0, 10.0, 0.0, 20.0, 30.0])
+    friction = (MU, 0.6, 0.1, MU, MU)
+    bodies = stack([replaced(CYLINDER, drag=x, friction_coefficient=mu) for x, mu in zip(w, friction, strict=True)])
+    batch = eqx.filter_jit(eqx.filter_vmap(lambda body, T: cddf.solve(body, T, throw=False)))(bodies, tension)
+    for i in range(5):
+        alone = cddf.solve(lane(bodies, i), tension[i], throw=False)
+        np.testing.assert_allclose(batch.tip_tension[i], alone.tip_tension, rtol=1e-13)
+        np.testing.assert_allclose(batch.tip_position[i], alone.tip_position, rtol=1e-13)
+        assert code(lane(batch, i).result) == code(alone.result)
+    assert code(lane(batch, 4).result) == code(cddf.RESULTS.unphysical)
+
+
+# --- without drag --------------------------------------------------------------------------------
+
+
+def test_without_drag_there_is_nothing_of_it():
+    """None leaves nothing of it in what is compiled; zero gives the closed form of SciPy, design.md section 3."""
+    body = paper_body("exact")
+    assert body.tendon_drag is None
+    assert body.cross_section(0.1).drag is None
+    tip = cddf.solve(replace(EXACT, drag=0.0), 75.0).tip_tension
+    np.testing.assert_allclose(tip, [paper_plain("exact").closed_form(75.0, LENGTH)], rtol=1e-12)
+
+
+def test_each_tendon_may_have_its_own():
+    tendons = (cddf.Tendon(d), cddf.Tendon(d, -1, drag=5.0))
+    np.testing.assert_array_equal(replace(EXACT, tendons=tendons).tendon_drag, [W, 5.0])
+    np.testing.assert_array_equal(replace(paper_body(), tendons=tendons).tendon_drag, [0.0, 5.0])
+
+
+# --- energy --------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_energy_of_drag_alone():
+    """A cylinder with mu = 0, pulled from P = 0: slack beyond P / w until P = w L.
+
+    With k = d^2 / (E J) the pulled length is k P^2 / (2 w) at first and grows by k L dP then, and
+    U = (k / 2) int T^2 ds; what is left is the drag's work.
+    """
+    k, P, slack = d**2 / (E * J), 75.0, W * LENGTH
+    work = k * slack**3 / (3 * W) + k * LENGTH * (P**2 - slack**2) / 2
+    elastic = k / 2 * (P**3 - (P - slack) ** 3) / (3 * W)
+    balance = cddf.energy_balance(replace(CYLINDER, friction_coefficient=0.0), P, num_steps=64)
+    # the integrand along the pull has a kink where the tendon becomes taut up to the tip: 64 points leave 3e-5
+    np.testing.assert_allclose(balance.actuation_work, [work], rtol=5e-5)
+    np.testing.assert_allclose(balance.elastic_energy, elastic, rtol=1e-11)
+    np.testing.assert_allclose(balance.friction_loss, [work - elastic], rtol=5e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("direction", "closes"), [(+1, 1e-5), (-1, 1e-11)], ids=["in", "out"])
+def test_the_energy_of_both_frictions_balances(direction, closes):
+    """Virtual work, design.md section 2, whichever way friction acts; sliding in, the tendon is slack at first."""
+    balance = cddf.energy_balance(EXACT, 40.0, direction=direction, num_steps=64)
+    assert abs(balance.residual) < closes * balance.actuation_work[0]
+    assert direction * balance.friction_loss[0] > 0
+
+
+# --- refusals and files --------------------------------------------------------------------------
+
+
+def test_what_knows_no_drag_says_so():
+    with pytest.raises(ValueError, match="closed_form_tension holds without drag only; use solve, or drag=None"):
+        cddf.closed_form_tension(EXACT, 75.0, 0.1)
+    with pytest.raises(ValueError, match="knows no drag; use FixedPoint, or drag=None"):
+        cddf.iteration_history(EXACT, 75.0)
+    with pytest.raises(ValueError, match="knows no drag; use FixedPoint, or drag=None"):
+        cddf.solve(PUBLISHED, 75.0, method=cddf.LiteralIteration())
+
+
+def test_a_drag_must_not_push():
+    with pytest.raises(InputError, match=r"^drag must be 0 or more, got -1 N/m; correct its value$"):
+        replace(EXACT, drag=-1.0).validate()
+    body = replace(EXACT, tendons=(cddf.Tendon(d, drag=-2.0),))
+    with pytest.raises(InputError, match=r"^tendon 1: drag must be 0 or more, got -2 N/m; correct its value$"):
+        body.validate()
+
+
+def test_in_a_file(tmp_path):
+    path = tmp_path / "body.toml"
+    body = replace(EXACT, tendons=(cddf.Tendon(d), cddf.Tendon(d, -1, drag=0.3)), drag=0.1 + 0.7)
+    write_manipulator(body, path)
+    assert 'drag = "0.3 N/m"' in path.read_text()
+    again = read_manipulator(path)
+    assert (again.drag, again.tendons[0].drag, again.tendons[1].drag) == (0.1 + 0.7, None, 0.3)
+    path.write_text(path.read_text().replace('drag = "0.3 N/m"', 'drag = "0.3 N/mm"'))
+    assert read_manipulator(path).tendons[1].drag == 300.0
+    path.write_text(path.read_text().replace('drag = "0.3 N/mm"', 'drag = "0.3 N"'))
+    with pytest.raises(InputError, match=r"tendon 2: drag needs a unit of force per length, got '0\.3 N'; write"):
+        read_manipulator(path)
+    write_manipulator(paper_body(), path)
+    assert "drag" not in path.read_text()
+    assert read_manipulator(path).drag is None

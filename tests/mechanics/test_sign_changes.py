@@ -1,0 +1,273 @@
+"""Where curvature or a tendon's turning changes sign: located, and nothing lost there (see loaded_bodies.py)."""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, PlainBody, both_modes, code, codes, fields_at, paper_body, paper_plain, slow_where, twice
+from loaded_bodies import PlainLoads, largest_difference, loaded_reference
+from scipy.integrate import quad
+
+import cddf_jax as cddf
+from cddf_jax.mechanics.problem import lay_out
+
+R = cddf.RESULTS
+LENGTH = PAPER["length"]
+AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
+LOCATED = 1e-6  # of the length: the reference stops a little late, where |kappa| is 1e-8 / L
+KINEMATICS = ["published", "exact"]
+
+
+class Bow(eqx.Module):
+    """An offset that runs from base to tip and bulges in between; one compiled program for all of these bodies."""
+
+    base: Any
+    tip: Any
+    rise: Any
+
+    def __call__(self, arc_length):
+        x = jnp.asarray(arc_length) / LENGTH
+        return self.base + (self.tip - self.base) * x + 4 * self.rise * x * (1 - x)
+
+
+class Offset(NamedTuple):
+    """The same for SciPy, m."""
+
+    base: float
+    tip: float
+    rise: float = 0.0
+
+    def __call__(self, s):
+        x = s / LENGTH
+        return self.base + (self.tip - self.base) * x + 4 * self.rise * x * (1 - x)
+
+    def slope(self, s):
+        return (self.tip - self.base + 4 * self.rise * (1 - 2 * s / LENGTH)) / LENGTH
+
+    def bow(self):
+        return Bow(*map(jnp.asarray, self))
+
+
+def manipulator(kinematics, *offsets, friction=0.42, youngs_modulus=1.4e6):
+    tendons = tuple(
+        cddf.Tendon(offset.bow() if isinstance(offset, Offset) else offset, side)
+        for offset, side in zip(offsets, (+1, -1), strict=False)
+    )
+    taper = cddf.Linear(0.020, 0.013, LENGTH)
+    return cddf.Manipulator(LENGTH, taper, 0.007, tendons, youngs_modulus, friction, kinematics=kinematics)
+
+
+def plain(kinematics, *offsets, friction=0.42, youngs_modulus=1.4e6) -> PlainBody:
+    return paper_plain(
+        kinematics,
+        (+1, -1)[: len(offsets)],
+        offsets=list(offsets),
+        slopes=[offset.slope for offset in offsets],
+        friction=[friction] * len(offsets),
+        youngs_modulus=youngs_modulus,
+    )
+
+
+def assert_located(solution, reference):
+    """Panels end wherever the reference finds a change of sign."""
+    ends = np.array(solution._dense.panels.edges)
+    for place in reference.turning_points:
+        assert np.min(np.abs(ends - place)) < LOCATED * LENGTH
+
+
+# --- two tendons against each other, no loads ----------------------------------------------------
+
+# both pull with 60 N on opposite sides; the farther one bends the body, and which that is changes along the way
+CROSSING = {
+    # offsets, number of sign changes: of the curvature, and of the turning of the exact tendons
+    "in the middle": ((Offset(0.012, 0.008), Offset(0.009, 0.011)), (1, 2)),
+    "near the base": ((Offset(0.012, 0.008), Offset(0.0119, 0.0119)), (1, 2)),
+    "near the tip": ((Offset(0.012, 0.008), Offset(0.0082, 0.0082)), (1, 2)),
+    "twice": ((Offset(0.009, 0.009, 0.003), Offset(0.0105, 0.0105)), (2, 2)),
+}
+PULLS = (60.0, 60.0)
+
+
+@lru_cache
+def crossing(kinematics, case, direction):
+    offsets, _ = CROSSING[case]
+    solution = cddf.solve(manipulator(kinematics, *offsets), PULLS, direction=direction, throw=False)
+    return solution, loaded_reference(plain(kinematics, *offsets), PULLS, direction=direction)
+
+
+@pytest.mark.parametrize("kinematics", slow_where(KINEMATICS, "exact"))
+@pytest.mark.parametrize(
+    ("case", "direction"), [*((case, (+1, -1)) for case in CROSSING), ("in the middle", (+1, +1))], ids=str
+)
+def test_antagonists_of_changing_advantage(kinematics, case, direction):
+    """The exact tendons, slanted, turn over at places of their own on either side of where the body does."""
+    solution, reference = crossing(kinematics, case, direction)
+    assert len(reference.turning_points) == CROSSING[case][1][KINEMATICS.index(kinematics)]
+    # one of the two, stated to slide in, may be drawn out
+    assert codes(solution.result)[0] in (code(R.successful), code(R.direction_contradicted))
+    difference = largest_difference(solution, reference, plain(kinematics, *CROSSING[case][0]))
+    assert difference < AGREES
+    assert difference < solution.error_estimate < 1e-9
+    # panels end where the reference's events are; in the published kinematics the curvature vanishes there
+    assert_located(solution, reference)
+    if kinematics == "published":
+        # one shape for every case
+        at = fields_at(solution, jnp.asarray(np.resize(reference.turning_points, 2)))
+        np.testing.assert_allclose(at.curvature, 0.0, atol=1e-6 * np.max(np.abs(reference.curvature)))
+    # nobody sees the panels: the nodes are those of a body without a sign change, 16 Gauss nodes between base and tip
+    x = np.concatenate([[-1.0], np.polynomial.legendre.leggauss(16)[0], [1.0]])
+    np.testing.assert_allclose(solution.arc_length, LENGTH * (x + 1) / 2, rtol=1e-12, atol=1e-16)
+    along = fields_at(solution, solution.arc_length)
+    for name in ("curvature", "heading", "position", "tension", "wrap_angle", "friction_force"):
+        ours, theirs = getattr(solution, name), getattr(along, name)
+        np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.max(np.abs(theirs)), err_msg=name)
+
+
+def test_what_one_panel_across_the_kink_would_cost():
+    """The same pass without a panel's end at the sign change loses 1e-4 of the tensions."""
+    offsets, _ = CROSSING["in the middle"]
+    problem = lay_out(manipulator("published", *offsets), jnp.array(PULLS), jnp.array([1.0, -1.0]), 16)
+    path = eqx.filter_jit(cddf.FixedPoint())(problem)
+    _, reference = crossing("published", "in the middle", (+1, -1))
+    assert np.max(np.abs(np.array(PULLS) / path.tip.ratio / reference.tip_tension - 1)) > 1e-4
+
+
+# --- one tendon ----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_bowed_tendon_turns_over_though_the_body_does_not():
+    """Exact kinematics: psi' is about kappa + d'', and d'' = -1.2 / m lies between kappa at base and tip."""
+    offset = Offset(0.009, 0.009, 0.003)
+    solution, reference = cddf.solve(manipulator("exact", offset), 5.0), loaded_reference(plain("exact", offset), 5.0)
+    assert len(reference.turning_points) == 1
+    assert np.min(reference.curvature) > 0
+    assert largest_difference(solution, reference, plain("exact", offset)) < AGREES
+    assert_located(solution, reference)
+
+
+# on the paper's body: base tension (N), loads, number of sign changes
+OPPOSED = {
+    "a force": (60.0, PlainLoads((0.0, -8.0)), 1),
+    "a force, near the base": (60.0, PlainLoads((1.0, -4.5)), 1),
+    "a force and a moment, near the tip": (60.0, PlainLoads((0.0, 4.7), -0.51), 1),
+    "a weight": (60.0, PlainLoads(gravity=(0.0, -160.0)), 1),
+    "a force, a moment and a weight, twice": (10.0, PlainLoads((0.0, 1.8), -0.12, (0.0, -40.0)), 2),
+}
+
+
+@pytest.mark.parametrize("case", slow_where(OPPOSED, "a force"))
+def test_loads_against_the_tendon(case):
+    tension, loads, changes = OPPOSED[case]
+    body, straight = paper_body("exact", density=1070.0), paper_plain("exact")
+    solution = cddf.solve(body, tension, cddf.Loads(*loads))
+    reference = loaded_reference(straight, tension, loads, 1070.0, aim=1e-14)  # 1e-12 would exceed our own estimate
+    assert len(reference.turning_points) == changes
+    difference = largest_difference(solution, reference, straight)
+    assert difference < AGREES
+    assert difference < solution.error_estimate < 1e-9
+    assert_located(solution, reference)
+    assert solution.arc_length.shape == (18,)
+
+
+# --- derivatives ---------------------------------------------------------------------------------
+
+# tensions / 10 N, mu, E / MPa, offsets at base and tip / mm
+CENTRE = np.array([6.0, 6.0, 0.42, 1.4, 12.0, 8.0, 9.0, 11.0])
+SLIDING = (+1, -1)
+
+
+def tip_of(kinematics, direction=SLIDING):
+    def tip(numbers):
+        pulls, mu, E, (b1, t1, b2, t2) = 10 * numbers[:2], numbers[2], numbers[3], 1e-3 * numbers[4:]
+        offsets = Bow(b1, t1, 0.0 * b1), Bow(b2, t2, 0.0 * b2)
+        body = manipulator(kinematics, *offsets, friction=mu, youngs_modulus=1e6 * E)
+        solution = cddf.solve(body, pulls, direction=direction, throw=False)
+        return jnp.concatenate([solution.tip_tension / 10, 10 * solution.tip_position, solution.tip_angle[None]])
+
+    return tip
+
+
+def reference_tip(kinematics, numbers):
+    pulls, mu, E, (b1, t1, b2, t2) = 10 * numbers[:2], numbers[2], numbers[3], 1e-3 * numbers[4:]
+    body = plain(kinematics, Offset(b1, t1), Offset(b2, t2), friction=mu, youngs_modulus=1e6 * E)
+    found = loaded_reference(body, pulls, direction=SLIDING)
+    return np.concatenate([found.tip_tension / 10, 10 * found.tip_position, [found.tip_angle]])
+
+
+published = twice(tip_of("published"))
+
+
+@pytest.mark.slow
+def test_derivatives_across_a_sign_change():
+    """Forward and reverse against central differences of the reference: h^2 and its 1e-11 over h leave 1e-6."""
+    _, forward, reverse, _ = published(CENTRE)
+    h = 1e-4
+    for i, step in enumerate(h * np.eye(CENTRE.size)):
+        ends = [reference_tip("published", CENTRE + sign * step) for sign in (+1, -1)]
+        np.testing.assert_allclose(forward[:, i], (ends[0] - ends[1]) / (2 * h), atol=1e-6, err_msg=str(i))
+    np.testing.assert_allclose(reverse, forward, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_derivatives_where_each_tendon_turns_over_by_itself():
+    """In the exact kinematics, along two directions, in reverse mode, which differentiates what forward mode makes."""
+    rng = np.random.default_rng(5)
+    directions, h = rng.normal(size=(2, CENTRE.size)) * CENTRE / 10, 1e-4
+    slopes = directions @ np.array(jax.jit(jax.jacrev(tip_of("exact")))(CENTRE)).T
+    for ours, v in zip(slopes, directions, strict=True):
+        ends = [reference_tip("exact", CENTRE + sign * h * v) for sign in (+1, -1)]
+        np.testing.assert_allclose(ours, (ends[0] - ends[1]) / (2 * h), atol=1e-6)
+
+
+@pytest.mark.slow
+def test_second_derivatives_across_a_sign_change():
+    """Along two directions, against second differences of the reference: h^4 and its 1e-11 over h^2 leave 1e-5."""
+    weights, h = np.array([1.0, -0.5, 0.7, 0.3, 2.0]), 1e-2
+    hessian = np.tensordot(weights, published(CENTRE)[-1], 1)
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-9)
+    for v in np.random.default_rng(6).normal(size=(2, CENTRE.size)) * CENTRE / 10:
+        a, b, c, d, e = (weights @ reference_tip("published", CENTRE + i * h * v) for i in (-2, -1, 0, 1, 2))
+        second = (-a + 16 * b - 30 * c + 16 * d - e) / (12 * h**2)
+        np.testing.assert_allclose(v @ hessian @ v, second, rtol=1e-5, atol=1e-5)
+
+
+EVEN = np.array([6.0, 6.0, 0.42, 1.4, 10.0, 10.0, 10.0, 10.0])
+
+
+def slopes_of_even_antagonists():
+    """Of the first tip tension by its base tension, above and below that of the other tendon.
+
+    One slides in, one out: with c = d / (E J + 2 T d^2), C = int c ds and T_1 = T + x, theta' = c |x -+ 2 mu T theta|
+    to first order, so dT_tip,1/dx = (1 + exp(-+ 2 mu T C)) / 2 for x > 0, x < 0.
+    """
+    J = paper_plain().second_moment
+    C = quad(lambda s: 0.010 / (1.4e6 * J(s) + 2 * 60.0 * 0.010**2), 0, LENGTH, epsrel=1e-12)[0]
+    return {sign: (1 + np.exp(-sign * 2 * 0.42 * 60.0 * C)) / 2 for sign in (+1, -1)}
+
+
+def test_the_kink_of_a_straight_body():
+    """Friction acts on |kappa|: where kappa is 0 all along, the one-sided slopes differ.
+
+    `solve` gives that of a curvature which turns positive: to JAX the slope of |x| at 0 is 1.
+    """
+    pulls, step = 10 * EVEN[:2], 1e-3
+    body = manipulator("published", Offset(0.010, 0.010), Offset(0.010, 0.010))
+
+    def tension(more):
+        return float(cddf.solve(body, pulls + np.array([more, 0.0]), direction=SLIDING, throw=False).tip_tension[0])
+
+    for sign, expected in slopes_of_even_antagonists().items():  # of first order in the step
+        assert (tension(sign * step) - tension(0.0)) / (sign * step) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_the_derivative_at_the_kink_of_a_straight_body():
+    """In both modes: that of a curvature which turns positive."""
+    _, forward, reverse = both_modes(tip_of("published"))(EVEN)
+    for slopes in (forward, reverse):
+        np.testing.assert_allclose(slopes[0, 0], slopes_of_even_antagonists()[+1], rtol=1e-9)

@@ -1,0 +1,291 @@
+"""The optimiser with limits on published problems: Hock and Schittkowski (1981), with their multipliers.
+
+"HS n" is problem n of W. Hock, K. Schittkowski, Test Examples for Nonlinear Programming Codes (1981). Multipliers
+follow from the conditions of Karush, Kuhn and Tucker at the published points, written beside them.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cddf_jax.numerics.constrained import (
+    TOLERANCE,
+    Point,
+    RelaxedLimits,
+    Weights,
+    least_violation,
+    minimise_constrained,
+    optimality,
+)
+
+PRINTED = 1e-6  # the book prints seven to nine digits
+MULTIPLIERS = 1e-5  # at points right to about 1e-8, of Lagrangians stationary to TOLERANCE
+
+
+class Written:
+    """A problem in plain formulas, its derivatives by JAX; `answers` is false where it has none."""
+
+    def __init__(
+        self,
+        objective: Callable,
+        inequality: Callable = lambda x: x[:0],
+        equality: Callable = lambda x: x[:0],
+        answers: Callable = lambda x: True,
+    ):
+        def array(function):
+            return lambda x: jnp.stack([*function(x)]) if len(function(x)) else x[:0]
+
+        self.parts = parts = (lambda x: jnp.asarray(objective(x)), array(inequality), array(equality))
+        self.answers = answers
+        self._values = jax.jit(lambda x: [part(x) for part in parts])
+        self._slopes = jax.jit(lambda x: [jax.jacfwd(part)(x) for part in parts])
+
+        def weighted(x, weights):
+            return weights[0] * parts[0](x) + weights[1] @ parts[1](x) + weights[2] @ parts[2](x)
+
+        def product(x, weights, along):
+            return jax.jvp(lambda x: jax.grad(weighted)(x, weights), (x,), (along,))[1]
+
+        self._product = jax.jit(product)
+
+    def __call__(self, x: np.ndarray) -> Point:
+        if not self.answers(x):
+            return Point(x, *[np.nan] * 6, usable=False)
+        (f, g, h), (df, dg, dh) = jax.tree.map(np.asarray, (self._values(x), self._slopes(x)))
+        return Point(np.array(x), float(f), df, g, dg, h, dh)
+
+    def curvature(self, x, weights, along):
+        return np.asarray(self._product(x, (float(weights.objective), weights.inequality, weights.equality), along))
+
+
+def on_both_sides(n: int, lower: float = -np.inf, upper: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(n, lower), np.full(n, upper)
+
+
+# --- published problems --------------------------------------------------------------------------
+
+
+def test_hock_schittkowski_71_with_its_multipliers():
+    """HS 71: f = 17.0140173 at (1, 4.7429994, 3.8211503, 1.3794082); a product, a sphere and a bound hold it."""
+    problem = Written(
+        lambda x: x[0] * x[3] * (x[0] + x[1] + x[2]) + x[2],
+        lambda x: [x[0] * x[1] * x[2] * x[3] - 25.0],
+        lambda x: [x @ x - 40.0],
+    )
+    found = minimise_constrained(problem, np.array([1.0, 5.0, 5.0, 1.0]), *on_both_sides(4, 1.0, 5.0))
+    best = np.array([1.0, 4.7429994, 3.8211503, 1.3794082])
+    assert found.point.objective == pytest.approx(17.0140173, rel=PRINTED / 100)
+    assert found.point.x == pytest.approx(best, rel=PRINTED)
+    assert found.feasible
+    assert found.optimality.residual <= TOLERANCE
+    # stationary in x2 and x3, which are on no bound: two equations for the multipliers of product and sphere
+    x1, x2, x3, x4 = best
+    product, sphere = np.linalg.solve(
+        [[x1 * x3 * x4, 2 * x2], [x1 * x2 * x4, 2 * x3]],
+        [x1 * x4, x1 * x4 + 1],
+    )
+    bound = x4 * (2 * x1 + x2 + x3) - product * x2 * x3 * x4 - sphere * 2 * x1
+    assert found.optimality.inequality == pytest.approx([product], rel=MULTIPLIERS)
+    assert found.optimality.equality == pytest.approx([sphere], rel=MULTIPLIERS)
+    assert found.optimality.lower == pytest.approx([bound, 0, 0, 0], rel=MULTIPLIERS)
+    assert not np.any(found.optimality.upper)
+
+
+def rosen_suzuki() -> Written:
+    """HS 43."""
+    return Written(
+        lambda x: x @ (jnp.array([1.0, 1, 2, 1]) * x) + jnp.array([-5.0, -5, -21, 7]) @ x,
+        lambda x: [
+            8 - x @ x - jnp.array([1.0, -1, 1, -1]) @ x,
+            10 - x @ (jnp.array([1.0, 2, 1, 2]) * x) + x[0] + x[3],
+            5 - x @ (jnp.array([2.0, 1, 1, 0]) * x) - 2 * x[0] + x[1] + x[3],
+        ],
+    )
+
+
+def test_rosen_suzuki_with_its_multipliers():
+    """HS 43: f = -44 at (0, 1, 2, -1). There grad f = (-5, -3, -13, 5) = 1 (-1, -1, -5, 3) + 2 (-2, -1, -4, 1)."""
+    counts = []
+    found = minimise_constrained(rosen_suzuki(), np.zeros(4), *on_both_sides(4), after=lambda n, _: counts.append(n))
+    assert counts == list(range(1, len(found.history) + 1))
+    assert found.evaluations >= len(found.history)
+    assert found.point.objective == pytest.approx(-44.0, rel=1e-9)
+    assert found.point.x == pytest.approx([0, 1, 2, -1], abs=PRINTED)
+    assert found.optimality.inequality == pytest.approx([1, 0, 2], abs=MULTIPLIERS)
+    assert found.optimality.residual <= TOLERANCE
+
+
+def test_the_multipliers_of_a_known_optimum():
+    """Those of HS 43 at the point itself, without a search; and that another point is told from an optimum."""
+    problem, nowhere = rosen_suzuki(), on_both_sides(4)
+    known = optimality(problem(np.array([0.0, 1.0, 2.0, -1.0])), *nowhere)
+    assert known.inequality == pytest.approx([1, 0, 2], abs=1e-12)
+    assert known.residual < 1e-12
+    # at the origin no limit is used up, so the residual is the gradient (-5, -5, -21, 7) over its largest entry
+    assert optimality(problem(np.zeros(4)), *nowhere).residual == pytest.approx(1.0, rel=1e-12)
+
+
+def hs_100() -> Written:
+    def objective(x):
+        squares = (x[0] - 10) ** 2 + 5 * (x[1] - 12) ** 2 + x[2] ** 4 + 3 * (x[3] - 11) ** 2
+        return squares + 10 * x[4] ** 6 + 7 * x[5] ** 2 + x[6] ** 4 - 4 * x[5] * x[6] - 10 * x[5] - 8 * x[6]
+
+    return Written(
+        objective,
+        lambda x: [
+            127 - 2 * x[0] ** 2 - 3 * x[1] ** 4 - x[2] - 4 * x[3] ** 2 - 5 * x[4],
+            282 - 7 * x[0] - 3 * x[1] - 10 * x[2] ** 2 - x[3] + x[4],
+            196 - 23 * x[0] - x[1] ** 2 - 6 * x[5] ** 2 + 8 * x[6],
+            -4 * x[0] ** 2 - x[1] ** 2 + 3 * x[0] * x[1] - 2 * x[2] ** 2 - 5 * x[5] + 11 * x[6],
+        ],
+    )
+
+
+def test_hock_schittkowski_100():
+    """HS 100: f = 680.6300573 at the point below, with the first and the last limit used up."""
+    found = minimise_constrained(hs_100(), np.array([1.0, 2.0, 0.0, 4.0, 0.0, 1.0, 1.0]), *on_both_sides(7))
+    best = [2.330499, 1.951372, -0.4775414, 4.365726, -0.6244870, 1.038131, 1.594227]
+    assert found.point.objective == pytest.approx(680.6300573, rel=1e-9)
+    assert found.point.x == pytest.approx(best, abs=1e-5)  # f is flat there: half its digits
+    assert found.feasible
+    assert found.optimality.residual <= TOLERANCE
+    assert np.flatnonzero(found.optimality.inequality).tolist() == [0, 3]
+
+
+# --- where it is hard ----------------------------------------------------------------------------
+
+
+def test_where_there_is_no_answer_it_turns_back():
+    """100 x - ln x, none for x <= 0: the first step from 1 goes to about -98; its minimum is at 0.01, 1 + ln 100."""
+    seen = []
+
+    def answers(x):
+        seen.append(bool(x[0] > 0))
+        return seen[-1]
+
+    problem = Written(lambda x: 100 * x[0] - jnp.log(x[0]), answers=answers)
+    found = minimise_constrained(problem, np.ones(1), *on_both_sides(1))
+    assert not all(seen)  # it has been where there is none
+    assert found.point.usable
+    assert found.point.objective == pytest.approx(1 + np.log(100), rel=1e-10)
+    assert found.point.x == pytest.approx([0.01], rel=1e-5)
+
+
+def weighted_exponentials(count: int) -> tuple[Written, np.ndarray, float]:
+    """The sum of w exp(x) with sum x = 1: w exp(x) is the multiplier of the sum, the same for all."""
+    weights = np.geomspace(0.1, 10.0, count)
+    level = np.exp((1.0 + np.sum(np.log(weights))) / count)
+    problem = Written(lambda x: weights @ jnp.exp(x), equality=lambda x: [jnp.sum(x) - 1.0])
+    return problem, np.log(level / weights), level
+
+
+def test_hessian_products_go_on_where_the_search_is_stopped():
+    """SLSQP with 2 iterations is far from the optimum of 20 unknowns; what follows is at it, with its multiplier."""
+    problem, best, level = weighted_exponentials(20)
+    start = np.full(20, 1 / 20)
+    found = minimise_constrained(problem, start, *on_both_sides(20), max_iterations=2)
+    assert len(found.history) <= 2
+    assert found.history[-1][0] > 20 * level * 1.05
+    assert found.optimality.residual <= TOLERANCE
+    assert found.point.x == pytest.approx(best, abs=1e-5)
+    assert found.optimality.equality == pytest.approx([level], rel=1e-5)
+
+
+def test_hessian_products_keep_to_bounds_and_limits_that_are_used_up():
+    """The same with x1 at most 1, where it stays, and sum x at least 1 as an inequality: one unknown fewer."""
+    weights = np.geomspace(0.1, 10.0, 8)
+    problem = Written(lambda x: weights @ jnp.exp(x), lambda x: [jnp.sum(x) - 1.0])
+    upper = np.r_[1.0, np.full(7, np.inf)]
+    start = np.r_[1.0, np.zeros(7)]
+    found = minimise_constrained(problem, start, np.full(8, -np.inf), upper, max_iterations=3)
+    level = np.exp(np.sum(np.log(weights[1:])) / 7)  # of the others, whose sum is 0
+    assert level > weights[0] * np.e  # so that the bound holds it
+    assert found.optimality.residual <= TOLERANCE
+    assert found.point.x == pytest.approx(np.r_[1.0, np.log(level / weights[1:])], abs=1e-5)
+    assert found.optimality.inequality == pytest.approx([level], rel=1e-5)
+    assert found.optimality.upper[0] == pytest.approx(level - weights[0] * np.e, rel=1e-5)
+
+
+# --- limits in one another's way -----------------------------------------------------------------
+
+
+def crossed() -> Written:
+    """The line x + y >= 3 within the disc x^2 + y^2 <= 2."""
+    return Written(lambda x: x[0], lambda x: [x[0] + x[1] - 3.0, 2.0 - x @ x])
+
+
+def test_the_least_violation_of_a_line_and_a_disc():
+    """By symmetry x = y = a with 2 a = 3 - t and 2 a^2 = 2 + t: t = 4 - sqrt(11).
+
+    The multipliers add up to 1 and balance: p (1, 1) = q 2 a (1, 1).
+    """
+    nowhere = on_both_sides(2)
+    least = 4 - np.sqrt(11.0)
+    a = (3 - least) / 2
+    found = least_violation(crossed(), np.array([3.0, 0.0]), *nowhere, rigid=0)
+    assert found.point.objective == pytest.approx(least, rel=1e-7)
+    assert found.point.x == pytest.approx([a, a, least], abs=1e-5)
+    assert found.optimality.inequality == pytest.approx([2 * a / (1 + 2 * a), 1 / (1 + 2 * a)], rel=1e-5)
+    assert found.optimality.residual <= TOLERANCE
+    stuck = minimise_constrained(crossed(), np.array([3.0, 0.0]), *nowhere)
+    assert not stuck.feasible
+    assert stuck.point.violation >= least - 1e-9  # no point breaks them less
+
+
+def test_a_limit_that_is_kept_while_others_give_way():
+    """The disc kept as it is: the line is missed by 3 - 2, at (1, 1)."""
+    found = least_violation(crossed(), np.array([0.5, 0.0]), *on_both_sides(2), rigid=1)
+    assert found.point.objective == pytest.approx(1.0, rel=1e-7)
+    assert found.point.x[:2] == pytest.approx([1.0, 1.0], abs=1e-4)  # along the disc the line is flat
+
+
+def test_the_least_violation_of_an_equation_beyond_the_bounds():
+    """The line x + y = 3 with both at most 1 is missed by 1, at the upper bounds, with multipliers 1."""
+    problem = Written(lambda x: x[0], equality=lambda x: [x[0] + x[1] - 3.0])
+    found = least_violation(problem, np.array([0.2, 0.7]), *on_both_sides(2, 0.0, 1.0), rigid=0)
+    assert found.point.objective == pytest.approx(1.0, rel=1e-9)
+    assert found.point.x == pytest.approx([1.0, 1.0, 1.0], abs=1e-8)
+    assert found.optimality.inequality == pytest.approx([1.0, 0.0], abs=1e-8)
+    assert found.optimality.upper[:2] == pytest.approx([1.0, 1.0], abs=1e-8)
+
+
+def test_relaxed_limits_have_the_derivatives_of_their_values():
+    """Slopes and Hessian products of `RelaxedLimits` against central differences, limits of both kinds at once."""
+    inner = Written(
+        lambda x: x[0] * x[3],
+        lambda x: [x[0] * x[1] * x[2] * x[3] - 25.0, jnp.sin(x[0]) * x[1]],
+        lambda x: [x @ x - 40.0, x[2] ** 3],
+    )
+    relaxed, rng = RelaxedLimits(inner, rigid=1), np.random.default_rng(0)
+    x, along = rng.normal(size=5), rng.normal(size=5)
+    weights = Weights(1.0, rng.normal(size=6), np.zeros(0))
+    h = 1e-5
+
+    def lagrangian_slope(x):
+        point = relaxed(x)
+        return point.gradient + weights.inequality @ point.inequality_slopes
+
+    ahead, behind = relaxed(x + h * along), relaxed(x - h * along)
+    # h^2 of truncation, 1e-16 / h of rounding
+    assert relaxed(x).inequality_slopes @ along == pytest.approx(
+        (ahead.inequality - behind.inequality) / (2 * h), rel=1e-7, abs=1e-7
+    )
+    expected = (lagrangian_slope(x + h * along) - lagrangian_slope(x - h * along)) / (2 * h)
+    assert relaxed.curvature(x, weights, along) == pytest.approx(expected, rel=1e-7, abs=1e-7)
+
+
+def test_a_bound_and_a_limit_at_one_place_share_their_price():
+    """The least x with x >= 0 twice, as a bound and as a limit: any shares of 1 meet the conditions, giving way of one
+    is worth nothing. Behind them 2 y with y >= 0, whose bound alone holds it, at the price 2."""
+    problem = Written(lambda x: x[0] + 2 * x[1], lambda x: (x[0],))
+    held = optimality(problem(np.zeros(2)), *on_both_sides(2, 0.0, np.inf))
+    assert held.residual < TOLERANCE
+    first, second = np.eye(2)
+    assert held.range_of(lower=first) == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert held.range_of(1.0) == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert held.range_of(1.0, lower=first) == pytest.approx((1.0, 1.0), abs=1e-9)
+    assert held.range_of(lower=second) == pytest.approx((2.0, 2.0), abs=1e-9)
+    assert held.range_of(upper=1.0) == pytest.approx((0.0, 0.0), abs=1e-9)

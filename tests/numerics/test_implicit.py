@@ -1,0 +1,98 @@
+"""Derivatives of roots and fixed points, against closed forms: in both modes, of second order, in a batch."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.tree_util import Partial
+from numpy.testing import assert_allclose
+
+from cddf_jax.numerics.implicit import implicit
+from cddf_jax.numerics.iteration import fixed_point
+
+A = np.array([0.5, 2.0, 7.0])
+
+
+def gap(a, b, x):
+    return b * x * x - a
+
+
+def root(a):
+    """sqrt(a / 2), told to `implicit` without a derivative."""
+    x = jax.lax.stop_gradient(jnp.sqrt(a / 2.0))[None]
+    return implicit(Partial(gap, a, 2.0), x)[0]
+
+
+def grow(a, y):
+    return jnp.sqrt(a + y)
+
+
+def golden(a):
+    """The fixed point y = sqrt(a + y), which is (1 + sqrt(1 + 4 a)) / 2."""
+    return fixed_point(Partial(grow, a), jnp.ones_like(a), tolerance=1e-15, max_passes=100).value
+
+
+# value, slope and curvature by hand
+CASES = {
+    "root": (root, np.sqrt(A / 2), 0.5 / np.sqrt(2 * A), -0.25 / np.sqrt(2) * A**-1.5),
+    "fixed point": (golden, (1 + np.sqrt(1 + 4 * A)) / 2, (1 + 4 * A) ** -0.5, -2 * (1 + 4 * A) ** -1.5),
+}
+
+
+@pytest.mark.parametrize(("function", "value", "slope", "bend"), CASES.values(), ids=CASES)
+def test_derivatives_are_those_of_the_closed_form(function, value, slope, bend):
+    modes = jax.jacfwd, jax.jacrev
+    first = [derivative(function) for derivative in modes]
+    second = [again(derivative) for derivative in first for again in modes]
+    found = jax.jit(jax.vmap(lambda a: [f(a) for f in (function, *first, *second)]))(A)  # compiled together
+    assert_allclose(found[0], value, rtol=1e-14)
+    assert_allclose(found[1:3], [slope] * 2, rtol=1e-13)
+    assert_allclose(found[3:], [bend] * 4, rtol=1e-12)
+
+
+def test_a_root_without_derivatives_costs_nothing():
+    def never(a, x):
+        raise AssertionError("the residual was traced")
+
+    program = jax.make_jaxpr(lambda a: implicit(Partial(never, a), jnp.ones(1)))(2.0)
+    assert "mul" not in str(program)
+
+
+def test_what_does_not_move_has_no_slope():
+    """Two unknowns, of which one follows a and one does not: x = (a, 3), and as a fixed point y = (a, 3) as well."""
+
+    def apart(a, unknowns):
+        return jnp.stack([unknowns[0] - a, unknowns[1] - 3.0])
+
+    def halfway(a, values):
+        return {"moved": (values["moved"] + a) / 2, "still": (values["still"] + 3.0) / 2}
+
+    def values(a):
+        start = {"moved": jnp.zeros(()), "still": jnp.zeros(())}
+        return fixed_point(Partial(halfway, a), start, tolerance=1e-15, max_passes=100).value
+
+    def root_of_two(a):
+        return implicit(Partial(apart, a), jnp.array([2.0, 3.0]))
+
+    for derivative in (jax.jacfwd, jax.jacrev):
+        root, slopes = jax.jit(lambda a, by=derivative: (by(root_of_two)(a), by(values)(a)))(2.0)
+        assert_allclose(root, [1, 0])
+        assert_allclose([slopes["moved"], slopes["still"]], [1, 0], atol=1e-15)
+
+
+def test_a_singular_lane_has_a_finite_derivative_and_harms_no_other():
+    """x^3 = a at a = 0 has no derivative; beside it a = 8, where it is 1 / 12."""
+
+    def cube(a):
+        return implicit(Partial(lambda a, x: x**3 - a, a), jnp.cbrt(a)[None])[0]
+
+    slopes = jax.jit(jax.vmap(jax.grad(cube)))(jnp.array([0.0, 8.0]))
+    assert np.isfinite(slopes[0])
+    assert_allclose(slopes[1], 1 / 12, rtol=1e-14)
+
+
+def test_a_fixed_point_that_does_not_settle_says_so_and_stays_where_it_started():
+    answer = fixed_point(Partial(lambda a, y: -a * y, 2.0), jnp.array(3.0), tolerance=1e-12, max_passes=20)
+    assert not answer.converged
+    assert answer.value == 3.0
+    assert answer.num_passes == 20

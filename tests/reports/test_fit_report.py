@@ -1,0 +1,497 @@
+"""A fit as people read it: in words first, no number for what was not determined, JSON without infinities."""
+
+import dataclasses
+import json
+import re
+from io import BytesIO
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from bodies import paper_body
+from matplotlib.image import imread
+from places import DATA
+from repeat import repeated
+from scipy import stats
+
+import cddf_jax as cddf
+from cddf_jax.estimation.bootstrap import Bootstrap
+from cddf_jax.estimation.observations import Noise
+from cddf_jax.figures import (
+    estimates as estimate_figures,
+    estimates as profile_figures,
+    fit as fit_figures,
+    style as plotting,
+)
+from cddf_jax.files import artifacts
+from cddf_jax.identification.bench import Bench, experiment_of
+from cddf_jax.identification.fit_diagnostics import normality
+from cddf_jax.measurements.table import Measurements
+from cddf_jax.reports import fit_report as report, fit_results
+
+RATIO = "friction_coefficient / youngs_modulus"
+BOTH = ("friction_coefficient", "youngs_modulus")
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return cddf.read_manipulator(DATA / "smooth_sil_940.toml")
+
+
+@pytest.fixture(scope="module")
+def load_cells():
+    return cddf.read_measurements(DATA / "load_cells_simulated.csv")
+
+
+@pytest.fixture(scope="module")
+def pulley():
+    return cddf.read_measurements(DATA / "pulley_simulated.csv")
+
+
+@pytest.fixture(scope="module")
+def tensions_only(paper, load_cells):
+    return cddf.fit(paper, load_cells)
+
+
+@pytest.fixture(scope="module")
+def paper_route(paper, pulley, load_cells):
+    return cddf.fit(paper, (pulley, load_cells))
+
+
+@pytest.fixture(scope="module")
+def with_prior(paper, pulley):
+    """The pulley with a prior on the modulus, of which it says nothing, and declared noise."""
+    return cddf.fit(paper, pulley, priors={"youngs_modulus": (1.4e6, 1e5)}, noise={"pulling_tension": 0.3})
+
+
+def words_of(fit):
+    return report.fit_as_markdown(fit_results.make_report(fit, with_profiles=False))
+
+
+def results_of(fit):
+    return fit_results.fit_as_dict(fit_results.make_report(fit, with_profiles=False))
+
+
+def row_of(markdown, name):
+    """The cells of a parameter's row."""
+    line = next(line for line in markdown.splitlines() if line.startswith(f"| {name} |"))
+    return [cell.strip() for cell in line.strip("|").split("|")][1:]
+
+
+# --- the report in words -------------------------------------------------------------------------
+
+
+def test_words_come_first(tensions_only):
+    lines = words_of(tensions_only).splitlines()
+    assert lines[0].startswith("# ")
+    bullets = [line for line in lines[2:] if line][: len(tensions_only.verdict)]
+    assert bullets == [f"- {line}" for line in tensions_only.verdict]
+    first_table = next(i for i, line in enumerate(lines) if line.startswith("|"))
+    assert first_table > lines.index(bullets[-1])
+
+
+def test_what_is_not_identified_has_no_number(tensions_only):
+    markdown = words_of(tensions_only)
+    for name in BOTH:
+        assert row_of(markdown, name) == ["-", "-", "-", "not identified"]
+        alone = [part for line in markdown.splitlines() for part in re.split(r"[;|]", line) if RATIO not in part]
+        assert not any(re.search(rf"{name} *= *[\d.]", part) for part in alone)
+    for value in tensions_only.value.values():  # wherever the optimiser ended along the valley
+        assert not re.search(rf"(?<![\d.]){re.escape(f'{value:.4g}')}(?!\d)", markdown)
+        assert f"{value / 1e6:.4g} MPa" not in markdown
+
+
+def test_the_combination_has_its_row(tensions_only):
+    value, error, interval, status = row_of(words_of(tensions_only), RATIO)
+    estimate = tensions_only.combinations[RATIO]
+    assert value == f"{estimate.value:.5g} 1/Pa"
+    number, unit = error.split()
+    assert float(number) == pytest.approx(estimate.standard_error, rel=0.05)  # two digits
+    assert unit == "1/Pa"
+    assert (interval, status) == ("-", "identified")
+
+
+def test_identified_parameters_carry_units(paper_route):
+    markdown = words_of(paper_route)
+    value, _, interval, status = row_of(markdown, "youngs_modulus")
+    number, unit = value.split()
+    assert float(number) == pytest.approx(paper_route.value["youngs_modulus"] / 1e6, rel=1e-4)
+    assert (unit, status) == ("MPa", "identified")
+    assert interval.endswith(" MPa")
+    low, high = (float(limit) for limit in interval.removesuffix(" MPa").split(" to "))
+    assert low < 1.4 < high  # data/README.md: the truth
+    assert row_of(markdown, "friction_coefficient")[3] == "identified"
+
+
+def test_each_table_alone_is_reported(paper_route):
+    markdown = words_of(paper_route)
+    section = markdown[markdown.index("table alone determines") :]
+    assert "- pulley_simulated.csv: friction_coefficient identified; youngs_modulus not identified" in section
+    assert f"{RATIO} = 3." in section
+
+
+def test_simulated_data_are_called_so(tensions_only, paper_route):
+    assert "The data are simulated: load_cells_simulated.csv." in words_of(tensions_only)
+    both = "The data are simulated: pulley_simulated.csv, load_cells_simulated.csv."
+    assert both in words_of(paper_route)
+
+
+def test_where_the_noise_comes_from(tensions_only, with_prior):
+    assert "Noise estimated from the residuals; 101 degrees of freedom; rank 1" in words_of(tensions_only)
+    assert "Noise as given" in words_of(with_prior)
+    assert "| pulley_simulated.csv: pulling_tension | 0.3 N | the same for all |" in words_of(with_prior)
+
+
+def test_prior_only_is_said(with_prior):
+    assert row_of(words_of(with_prior), "youngs_modulus")[3] == "prior only"
+
+
+def test_warnings_have_their_section(paper):
+    one = Measurements.from_columns("drum", weight=[5.0], wrap_angle=[1.0], pulling_tension=[8.0])
+    fit = cddf.fit(paper, one, noise={"pulling_tension": 0.1})
+    assert "## Warnings\n\n- drum: there is one row only" in words_of(fit)
+    assert "simulated" not in words_of(fit)
+
+
+# --- the dictionary ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["tensions_only", "paper_route", "with_prior"])
+def test_json_has_no_infinities(name, request):
+    text = artifacts.as_json(results_of(request.getfixturevalue(name)))
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    json.loads(text, parse_constant=refuse)
+
+
+def test_what_is_infinite_is_null(tensions_only):
+    answer = json.loads(artifacts.as_json(results_of(tensions_only)))
+    assert answer["standard_error"] == dict.fromkeys(BOTH)
+    assert answer["confidence_interval"] == {name: [0.0, None] for name in BOTH}
+    assert answer["condition_number"] is None
+    assert answer["status"] == dict.fromkeys(BOTH, "not identified")
+    assert answer["unit"] == {"friction_coefficient": "1", "youngs_modulus": "Pa", RATIO: "1/Pa"}
+    assert answer["combinations"][RATIO]["value"] == tensions_only.combinations[RATIO].value
+    assert answer["combinations"][RATIO]["standard_error"] == tensions_only.combinations[RATIO].standard_error
+
+
+def test_the_dictionary_holds_the_fit(paper_route):
+    answer = json.loads(artifacts.as_json(results_of(paper_route)))
+    assert answer["value"] == paper_route.value
+    assert answer["standard_error"] == paper_route.standard_error
+    assert answer["verdict"] == list(paper_route.verdict)
+    assert answer["alone"]["pulley_simulated.csv"]["status"]["youngs_modulus"] == "not identified"
+    assert (answer["rank"], answer["success"], answer["result"]) == (2, True, "successful")
+    assert [(table["name"], table["rows"], table["simulated"]) for table in answer["data"]] == [
+        ("pulley_simulated.csv", 30, True),
+        ("load_cells_simulated.csv", 102, True),
+    ]
+    assert (answer["kinematics"], answer["versions"]["cddf-jax"]) == ("published", cddf.__version__)
+    np.testing.assert_allclose(np.diag(answer["correlation"]), 1.0)
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def figures(paper_route):
+    before = plt.get_fignums()
+    made = fit_figures.table_figures(paper_route)
+    assert plt.get_fignums() == before  # nothing left open
+    return made
+
+
+def test_one_figure_per_table(figures):
+    assert list(figures) == ["fit_pulley_simulated", "fit_load_cells_simulated"]
+    for figure in figures.values():
+        assert len(figure.axes) == 2  # data and model above, residuals below
+    above, below = figures["fit_load_cells_simulated"].axes
+    labels = [above.get_ylabel().lower(), below.get_ylabel().lower(), below.get_xlabel().lower()]
+    for label, quantity in zip(labels, ("tip tension", "residual", "base tension"), strict=True):
+        assert label.startswith(quantity)
+        assert re.search(r"\bn\b", label)  # the unit
+
+
+def test_figures_are_drawn(figures, tmp_path):
+    for name, figure in figures.items():
+        files = plotting.render(figure, name)
+        assert set(files) == {f"{name}.pdf", f"{name}.png"}
+        artifacts.write_all(tmp_path, files)
+        assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF-")
+        assert np.ptp(imread(tmp_path / f"{name}.png")) > 0.5  # something is on it
+
+
+def test_the_curve_is_the_model(figures, paper_route):
+    """The line of the load cells' panel against the closed form at the estimate, design.md section 3."""
+    above = figures["fit_load_cells_simulated"].axes[0]
+    mu, modulus = (paper_route.value[name] for name in BOTH)
+    drawn = [line.get_xydata() for line in above.get_lines() if len(line.get_xydata()) == 100]
+    assert drawn
+    base, tip = np.asarray(drawn[0]).T
+    np.testing.assert_allclose(tip, base / (1 + mu / modulus * base * 2.942783188998e4), rtol=1e-8)
+
+
+def test_the_figure_of_a_single_level(paper):
+    """Three readings of one weight and one wrap: a column of points, no warning from the axes."""
+    table = Measurements.from_columns("drum", weight=[5.0] * 3, wrap_angle=[1.0] * 3, pulling_tension=[7.9, 8.0, 8.1])
+    fit = cddf.fit(paper, table)
+    (figure,) = fit_figures.table_figures(fit).values()
+    assert imread(BytesIO(plotting.render(figure, "drum")["drum.png"])).size > 0
+
+
+@pytest.mark.slow
+def test_the_figure_of_one_base_tension(paper):
+    table = Measurements.from_columns("bench", base_tension=[50.0] * 17, tip_tension=34.7 + 0.1 * np.sin(np.arange(17)))
+    (figure,) = fit_figures.table_figures(cddf.fit(paper, table)).values()
+    assert imread(BytesIO(plotting.render(figure, "bench")["bench.png"])).size > 0
+
+
+@pytest.mark.slow
+def test_rows_that_lie_apart_are_drawn_over_their_prediction(paper, load_cells):
+    """A tendon that slides out in two rows: the curve of the tendon that is pulled in would not go through them."""
+    columns = {name: load_cells[name][:17] for name in ("base_tension", "tip_tension")}
+    ones, fit = np.ones(17), cddf.fit(paper, Measurements.from_columns("bench", **columns))
+    labels = [axes.get_xlabel() for axes in fit_figures.table_figures(fit)["fit_bench"].axes]
+    assert labels == ["", "Base tension (N)"]
+    table = Measurements.from_columns("bench", **columns, direction=np.where(np.arange(17) < 15, ones, -ones))
+    model = dataclasses.replace(fit.model, experiments=(experiment_of(table, paper),))
+    (figure,) = fit_figures.table_figures(dataclasses.replace(fit, tables=(table,), model=model)).values()
+    above, below = figure.axes
+    assert above.get_ylabel() == "Measured tip tension (N)"
+    assert below.get_xlabel() == "Predicted tip tension (N)"
+    residual = fit.residuals["bench: tip_tension"]
+    measured = next(line for line in above.lines if line.get_marker() == "o")
+    np.testing.assert_array_equal(measured.get_ydata(), table["tip_tension"])
+    np.testing.assert_array_equal(measured.get_xdata(), table["tip_tension"] - residual)
+    dots = next(line for line in below.lines if line.get_marker() == ".")
+    np.testing.assert_array_equal(dots.get_ydata(), residual)
+
+
+@pytest.mark.slow
+def test_two_tendons_are_drawn_over_their_predictions():
+    """Rows of the model itself, with noise; the prediction and its interval are those of `Fit.predict`."""
+    pair, pulls = paper_body(num_tendons=2), np.array([[20.0, 5.0], [40.0, 5.0], [60.0, 10.0], [30.0, 8.0]] * 2)
+    read = Bench(pulls, (np.ones(8), -np.ones(8))).evaluate(pair, {"friction_coefficient": 0.42}, 16)[0]
+    noise = np.random.default_rng(0).normal(0, 0.01, (8, 2))
+    columns = {"base_tension": pulls[:, 0], "base_tension_2": pulls[:, 1], "direction_2": -np.ones(8)}
+    columns |= {name: read[name] + noise[:, i] for i, name in enumerate(("tip_tension", "tip_tension_2"))}
+    fit = cddf.fit(pair, Measurements.from_columns("pair", **columns), "friction_coefficient")
+    (figure,) = fit_figures.table_figures(fit).values()
+    labels = [axes.get_xlabel() for axes in figure.axes if axes.get_xlabel()]
+    assert labels == ["Predicted tip tension (N)", "Predicted tip tension 2 (N)"]
+    axes = fit_figures.draw_fit(fit, column="tip_tension_2")
+    drawn = next(line for line in axes.lines if line.get_marker() == "o")
+    predicted = fit.predict("tip_tension_2", pulls, direction=(1.0, -1.0))
+    np.testing.assert_allclose(drawn.get_xdata(), predicted.value, rtol=1e-9)
+    (bars,) = (item for item in axes.containers if item.get_label() == "95 % interval of the model")
+    reach = [np.ptp(segment[:, 0]) / 2 for segment in bars[2][0].get_segments()]
+    np.testing.assert_allclose(reach, predicted.half_width, rtol=1e-9)
+
+
+def test_a_failed_fit_still_has_a_report():
+    """A tendon that slides out at 200 N locks (mu T G / E = 1.8 > 1): the model gives no number at the start."""
+    table = Measurements.from_columns(
+        "bench", base_tension=np.full(17, 200.0), tip_tension=np.linspace(300, 310, 17), direction=-np.ones(17)
+    )
+    fit = cddf.fit(paper_body(), table, starts=1)
+    assert not fit.success
+    assert words_of(fit).splitlines()[2].startswith("- The fit failed: ")
+    json.dumps(artifacts.plain(results_of(fit)), allow_nan=False)
+    made = fit_results.make_report(fit)
+    assert report.report_figures(made) == {}
+    said = report.fit_as_markdown(made, [])
+    rows = "- No figure of bench: the model gave no numbers for tip_tension in 17 of 17 rows."
+    for line in (rows, *(f"- No figure of {name}: the fit failed: " for name in ("profiles", "correlation"))):
+        assert line in said
+
+
+# --- residuals, profiles, correlation, bootstraps --------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drum(paper, pulley):
+    """The friction alone, from the pulley test: no solve, and a model that stands in one line of NumPy."""
+    return cddf.fit(paper, pulley, free=("friction_coefficient",), noise={"pulling_tension": Noise(0.1, 0.01)})
+
+
+@pytest.fixture(scope="module")
+def drum_report(drum):
+    return fit_results.make_report(drum, bootstraps=[drum.bootstrap("parametric", 40), drum.bootstrap("cases", 40)])
+
+
+def texts(axes):
+    return [text.get_text() for text in axes.texts]
+
+
+def line_of(axes, label):
+    return next(line for line in axes.get_lines() if line.get_label() == label).get_xydata().T
+
+
+def pulled(table, mu):
+    """Liu et al. (2020), eq. (5): pulled up over the drum, T = W exp(mu * wrap)."""
+    return table["weight"] * np.exp(mu * table["wrap_angle"])
+
+
+def test_the_residuals_against_normal_quantiles(drum, pulley):
+    residual = pulley["pulling_tension"] - pulled(pulley, drum.value["friction_coefficient"])
+    predicted = pulled(pulley, drum.value["friction_coefficient"])
+    standardised = residual / np.hypot(0.1, 0.01 * predicted)
+    (axes,) = fit_figures.residuals_figure(drum).axes
+    quantile, shown = line_of(axes, "data")
+    np.testing.assert_allclose(shown, np.sort(standardised), rtol=1e-5, atol=1e-6)
+    assert np.corrcoef(quantile, shown)[0, 1] > 0.95
+    p_value = stats.shapiro(standardised).pvalue
+    assert texts(axes) == [f"30 residuals\nShapiro-Wilk p = {p_value:.2g}"]
+    assert normality(drum)["pulley_simulated.csv: pulling_tension"].p_value == pytest.approx(p_value, rel=1e-3)
+
+
+def test_too_few_residuals_have_no_normality(paper):
+    one = Measurements.from_columns("drum", weight=[5.0], wrap_angle=[1.0], pulling_tension=[8.0])
+    fit = cddf.fit(paper, one, free=("friction_coefficient",), noise={"pulling_tension": 0.1})
+    assert np.isnan(normality(fit)["drum: pulling_tension"].p_value)
+    (axes,) = fit_figures.residuals_figure(fit).axes
+    assert texts(axes) == ["1 residuals"]
+
+
+def test_the_profile_is_the_sum_of_squares(drum, drum_report, pulley):
+    """One parameter and noise that is held: the profile is the sum of squares itself."""
+    (axes,) = profile_figures.profiles_figure(drum, drum_report.profiles).axes
+    estimate = drum.value["friction_coefficient"]
+    noise = np.hypot(0.1, 0.01 * pulled(pulley, estimate))
+
+    def squares(mu):
+        return np.sum(((pulley["pulling_tension"] - pulled(pulley, mu)) / noise) ** 2)
+
+    mu, root = line_of(axes, "profile")
+    rise = np.array([squares(value) - squares(estimate) for value in mu])
+    near = np.abs(mu - estimate) < 0.05
+    assert near.sum() > 10
+    np.testing.assert_allclose(root[near] ** 2, rise[near], rtol=1e-4, atol=1e-6)
+    low, high = drum_report.profiles["friction_coefficient"].confidence_interval
+    assert [squares(end) - squares(estimate) for end in (low, high)] == pytest.approx([1.959964**2] * 2, rel=1e-3)
+    assert axes.get_xlim()[0] < low < estimate < high < axes.get_xlim()[1]
+    assert "open" not in "".join(texts(axes))
+    assert f"| friction_coefficient | {low:.5g} | {high:.5g} |" in report.fit_as_markdown(drum_report)
+
+
+@pytest.mark.slow
+def test_an_open_profile_is_seen_to_be_open(tensions_only):
+    """Tensions know mu / E only: mu alone costs nothing, two decades up and down."""
+    profile = tensions_only.profile("friction_coefficient")
+    (axes,) = profile_figures.profiles_figure(tensions_only, {"friction_coefficient": profile}).axes
+    assert texts(axes) == ["← open", "open →"]
+    assert axes.get_xscale() == "log"
+    mu, root = line_of(axes, "profile")
+    low, high = axes.get_xlim()
+    assert high / low > 1e3
+    assert np.max(root[(mu >= low) & (mu <= high)]) < 0.05
+    assert "estimate" not in axes.get_legend_handles_labels()[1]  # there is none
+
+
+def test_the_correlation_in_numbers(paper_route, tensions_only):
+    figure = estimate_figures.correlation_figure(paper_route)
+    matrix = [[float(text) for text in row] for row in np.reshape(texts(figure.axes[0]), (2, 2))]
+    expected = paper_route.covariance[0, 1] / np.prod([paper_route.standard_error[name] for name in BOTH])
+    np.testing.assert_allclose(matrix, [[1, expected], [expected, 1]], atol=0.0051)
+    assert estimate_figures.correlated_names(tensions_only) == []
+
+
+def test_the_bootstrap_in_the_report(drum, drum_report):
+    figures = report.report_figures(drum_report)
+    assert list(figures) == ["fit_pulley_simulated", "residuals", "profiles", "bootstrap_parametric", "bootstrap_cases"]
+    drawn = drum_report.bootstraps[0].estimates[:, 0]
+    (axes,) = figures["bootstrap_parametric"].axes
+    assert sum(patch.get_height() for patch in axes.patches) == drawn.size == 40
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    markdown = report.fit_as_markdown(drum_report)
+    assert f"| friction_coefficient | {np.std(drawn, ddof=1):.2g} | {low:.5g} to {high:.5g} |" in markdown
+    assert "Parametric (new noise about the model): 40 refits, seed 0." in markdown
+    assert markdown.count("**Too narrow:** drawn from 3 case(s) only: ") == 1  # trials of the pulley
+    told = [bootstrap["coverage"] for bootstrap in fit_results.fit_as_dict(drum_report)["bootstraps"]]
+    assert told == [bootstrap.coverage for bootstrap in drum_report.bootstraps]
+    for name, figure in figures.items():
+        assert np.ptp(imread(BytesIO(plotting.render(figure, name)[f"{name}.png"]))) > 0.5
+
+
+def test_a_corner_holds_the_ellipse(paper_route):
+    """95 % of points drawn from the covariance lie within the ellipse: chi-square of two, widened for the noise."""
+    rng = np.random.default_rng(1)
+    estimate = np.array([paper_route.value[name] for name in BOTH])
+    points = rng.multivariate_normal(estimate, paper_route.covariance, size=4000)
+    drawn = Bootstrap("parametric", BOTH, points, estimate, 0, 1)
+    figure = estimate_figures.bootstrap_figure(paper_route, drawn)
+    pair = next(axes for axes in figure.axes if axes.get_legend_handles_labels()[1][:1] == ["refits"])
+    (ellipse,) = pair.patches
+    inside = ellipse.get_path().contains_points(
+        ellipse.get_transform().inverted().transform(pair.transData.transform(points * [1, 1e-6]))
+    )
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.012)
+    assert (pair.get_xlabel(), pair.get_ylabel()) == ("Friction coefficient", "Young's modulus (MPa)")
+
+
+# --- what a fit hangs on, and how to repeat it ------------------------------------------------------
+
+
+def test_the_first_lines_name_a_bound(paper, pulley):
+    """The pulley says 0.42: held below 0.3, the parameter ends there, and the report begins with it."""
+    start = dataclasses.replace(paper, friction_coefficient=0.2)
+    fit = cddf.fit(start, pulley, free=("friction_coefficient",), bounds={"friction_coefficient": (0.0, 0.3)})
+    head = words_of(fit).partition("| parameter")[0]
+    assert "- friction_coefficient = 0.3: at bound" in head
+    assert "- friction_coefficient ended on its bound 0.3" in head
+
+
+def test_the_first_lines_name_what_did_not_move(paper, pulley):
+    """A pulley knows nothing of the body."""
+    fit = cddf.fit(paper, pulley)
+    head = words_of(fit).partition("| parameter")[0]
+    assert "- youngs_modulus: not identified" in head
+    assert "- youngs_modulus did not move: no datum depends on it" in head
+    assert words_of(fit).count("did not move") == 1
+
+
+def test_the_first_lines_name_the_one_point(paper):
+    """Wraps of 10 degrees hardly speak of friction beside one of 180."""
+    wrap = np.radians([10.0] * 5 + [180.0])
+    table = Measurements.from_columns(
+        "drum", weight=[5.0] * 6, wrap_angle=wrap, pulling_tension=5.0 * np.exp(0.42 * wrap)
+    )
+    fit = cddf.fit(paper, table, free=("friction_coefficient",), noise={"pulling_tension": 0.1})
+    head = words_of(fit).partition("| parameter")[0]
+    assert "- friction_coefficient depends on one datum, row 6 of drum: pulling_tension" in head
+
+
+def test_model_free_friction_is_set_beside_the_fit():
+    """Made by the capstan law with mu = 0.42: exact, so that fit and law agree; not said of published kinematics."""
+    angle, base = np.radians([10.0, 20.0, 30.0, 40.0]), np.array([9.0, 20.0, 31.0, 44.0])
+    scatter = 1 + 1e-3 * np.array([1, -1, -1, 1])
+    table = Measurements.from_columns(
+        "bench", base_tension=base, tip_tension=base * np.exp(-0.42 * angle) * scatter, tip_angle=angle
+    )
+    exact = cddf.fit(paper_body("exact"), table)
+    published = dataclasses.replace(exact, manipulator=paper_body("published"))
+    for fit, said in ((exact, True), (published, False)):
+        assert ("## Model-free friction\n\n- bench: friction_coefficient = 0.4" in words_of(fit)) == said
+        assert bool(results_of(fit)["model_free_friction"]) == said
+
+
+def test_the_files_of_a_report(drum, drum_report, tmp_path):
+    cddf.write_fit(drum, tmp_path, bootstraps=drum_report.bootstraps)
+    written = {path.name for path in tmp_path.iterdir()}
+    figures = {f"{name}.{suffix}" for name in report.report_figures(drum_report) for suffix in ("pdf", "png")}
+    assert written == {"report.md", "results.json", *figures}
+    named = re.findall(r"!\[.*\]\((.*)\)", (tmp_path / "report.md").read_text())
+    assert set(named) == {name for name in figures if name.endswith("png")}
+
+
+def test_a_fit_is_repeated_from_its_results(drum_report, drum, tmp_path):
+    results = json.loads(artifacts.as_json(fit_results.fit_as_dict(drum_report)))
+    assert set(results["versions"]) == {"python", "cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox"}
+    assert results["bootstraps"][0]["replicates"] == 40
+    again = repeated(results, tmp_path)
+    assert again.value == pytest.approx(drum.value, rel=1e-12)
+    assert again.standard_error == pytest.approx(drum.standard_error, rel=1e-9)
+    rise = results["profiles"]["friction_coefficient"]["rise"]
+    assert again.profile("friction_coefficient").rise == pytest.approx(rise, rel=1e-6, abs=1e-9)

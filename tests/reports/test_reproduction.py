@@ -1,0 +1,183 @@
+"""The paper's figures and table, the house style, and files that are whole or absent."""
+
+import json
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from bodies import paper_body
+from matplotlib.image import imread
+from places import DATA
+
+from cddf_jax.errors import InputError
+from cddf_jax.figures import fit as fit_figures
+from cddf_jax.files import artifacts
+from cddf_jax.files.manipulator_file import read_manipulator
+from cddf_jax.measurements.table import Measurements, read_measurements
+from cddf_jax.reports import reproduction
+from cddf_jax.reports.reproduction import reproduce
+from cddf_jax.units import round_number
+
+FIGURES = {  # name and width, inches
+    "fig3_tip_error": 3.5,
+    "fig4_iterations": 3.5,
+    "fig5_distributed_forces": 3.5,
+    "fig6_shapes": 7.16,
+    "fig8_tip_tension": 3.5,
+}
+
+
+@pytest.fixture(scope="module")
+def load_cells():
+    return read_measurements(DATA / "load_cells_simulated.csv")
+
+
+@pytest.fixture(scope="module")
+def reproduced(load_cells, tmp_path_factory):
+    """The answer, its folder, and whether the state of matplotlib stayed as it was."""
+    out = tmp_path_factory.mktemp("figures") / "made" / "on demand"
+    before = dict(mpl.rcParams), plt.get_fignums()
+    answer = reproduce(read_manipulator(DATA / "smooth_sil_940.toml"), load_cells, out)
+    return answer, out, before == (dict(mpl.rcParams), plt.get_fignums())
+
+
+@pytest.fixture(scope="module")
+def row(reproduced):
+    rows = {row["name"]: row for row in reproduced[0]["table"]}
+    return rows.__getitem__
+
+
+def test_files_are_those_named(reproduced):
+    answer, out, _ = reproduced
+    expected = [f"{name}.{suffix}" for name in FIGURES for suffix in ("pdf", "png")]
+    assert answer["files"] == [*expected, "reproduction.md", "reproduction.json"]
+    assert sorted(path.name for path in out.iterdir()) == sorted(answer["files"])
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures_are_whole(reproduced, name):
+    out = reproduced[1]
+    image = imread(out / f"{name}.png")
+    assert image.shape[1] == pytest.approx(300 * FIGURES[name], abs=1)
+    assert np.ptp(image) > 0.5  # something is drawn
+    pdf = (out / f"{name}.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF-")
+    assert pdf.rstrip().endswith(b"%%EOF")
+
+
+def test_matplotlib_stays_as_it_was(reproduced):
+    assert reproduced[2]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "tolerance"),
+    [  # design.md section 3: published kinematics, 75 N; tolerances are its last printed digit
+        ("tension_loss", 1 - 45.122927013148 / 75, 1e-10),
+        ("tip_tension", 45.122927013148, 1e-8),
+        ("tip_x", 0.12039593, 1e-8),
+        ("tip_y", 0.05700182, 1e-8),
+        ("tip_angle", np.deg2rad(63.16687), 1e-7),
+        ("iterations", 6, 0),  # 5 updates and the start
+        ("levels", 17, 0),
+        ("normal_force", 532, 0.5),  # design.md section 2, |F_CDDN| at the tip
+        # there too: T kappa_c = 708 N/m, eq. (10) is mu T kappa_c |u_c'|, and |u_c'| = 1 / (1 + d kappa_c)
+        ("friction_force", 0.42 * 708 / (1 + 0.010 * 708 / 45.1229), 0.3),
+    ],
+)
+def test_our_numbers(row, name, value, tolerance):
+    assert row(name)["ours"] == pytest.approx(value, rel=0, abs=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("name", "paper", "difference"),
+    [("tension_loss", 0.40, -0.0016), ("iterations", 6, 0), ("levels", 18, -1)],  # Liu et al. (2020), section IV
+)
+def test_the_papers_numbers(row, name, paper, difference):
+    assert row(name)["comparable"]
+    assert row(name)["paper"] == paper
+    assert row(name)["difference"] == pytest.approx(difference, abs=5e-5)
+
+
+def test_what_cannot_be_compared_says_so(row, reproduced):
+    error = row("mean_error")
+    assert error["paper"] == 0.1466
+    assert "measured" in error["note"]
+    assert "simulated" in error["note"]
+    unlike = [row for row in reproduced[0]["table"] if not row["comparable"]]
+    assert len(unlike) == 7
+    assert all(row["difference"] is None and row["note"].startswith("not comparable") for row in unlike)
+
+
+def test_mean_error_is_that_of_the_closed_form(row, load_cells):
+    base, tip = load_cells["base_tension"], load_cells["tip_tension"]
+    model = base / (1 + 0.42 / 1.4e6 * base * 2.942783188998e4)  # design.md section 3
+    assert row("mean_error")["ours"] == pytest.approx(np.mean(np.abs(model - tip) / tip), rel=1e-8)
+
+
+def test_answer_is_what_the_json_file_holds(reproduced):
+    answer, out, _ = reproduced
+    assert json.loads((out / "reproduction.json").read_text(encoding="utf-8")) == answer
+    json.dumps(answer, allow_nan=False)
+
+
+def test_markdown_holds_every_row(reproduced):
+    answer, out, _ = reproduced
+    text = (out / "reproduction.md").read_text(encoding="utf-8")
+    assert all(f"| {row['quantity']} |" in text for row in answer["table"])
+    assert "| tension loss at 75 N | 40.00 % | 39.84 % | -0.16 % |" in text
+
+
+def test_measured_trials_are_not_called_simulated(load_cells):
+    measured = Measurements.from_columns("bench", **load_cells.columns)
+    results = reproduction.PaperResults(paper_body(), *[None] * 2, load_cells=measured, predicted=np.zeros(0))  # type: ignore[arg-type]
+    assert results.trials == "trials"
+
+
+def test_a_failure_midway_leaves_nothing(load_cells, tmp_path, monkeypatch):
+    def broken(results):
+        raise RuntimeError("no figure")
+
+    monkeypatch.setattr(reproduction, "shapes_figure", broken)
+    with pytest.raises(RuntimeError, match="no figure"):
+        reproduce(paper_body(), load_cells, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_input_is_named(load_cells, tmp_path):
+    with pytest.raises(InputError, match=r"one tendon, this one has 2"):
+        reproduce(paper_body(num_tendons=2), load_cells, tmp_path)
+    with pytest.raises(InputError, match=r"^bench: the column tip_tension is missing"):
+        reproduce(paper_body(), Measurements.from_columns("bench", base_tension=[5.0, 10.0]), tmp_path)
+    assert not any(tmp_path.iterdir())
+
+
+# --- artifacts -----------------------------------------------------------------------------------
+
+
+def test_files_are_replaced_together_or_not_at_all(tmp_path):
+    artifacts.write_all(tmp_path, {"a.txt": "old", "b.bin": b"old"})
+    with pytest.raises(OSError, match="missing"):
+        artifacts.write_all(tmp_path, {"a.txt": "new", "missing/b.bin": b"new"})
+    assert (tmp_path / "a.txt").read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.bin"]
+
+
+def test_json_of_arrays_and_of_what_is_not_finite():
+    value = {"a": np.array([1.0, np.nan]), "b": (np.float64(np.inf), 2, True, None, "µ"), "c": np.int64(3)}
+    assert json.loads(artifacts.as_json(value)) == {"a": [1.0, None], "b": [None, 2, True, None, "µ"], "c": 3}
+
+
+# --- plotting ------------------------------------------------------------------------------------
+
+
+def test_readings_are_gathered_by_level():
+    levels = fit_figures.by_level([10.02, 5.0, 9.98, 20.0], [4.0, 1.0, 2.0, 7.0])
+    np.testing.assert_allclose(levels.x, [5.0, 10.0, 20.0])
+    np.testing.assert_allclose(levels.mean, [1.0, 3.0, 7.0])
+    np.testing.assert_allclose(levels.deviation, [np.nan, np.sqrt(2.0), np.nan])
+
+
+@pytest.mark.parametrize(("value", "expected"), [(531.6, 500), (27.3, 20), (1.0, 1), (0.09, 0.05)])
+def test_round_numbers(value, expected):
+    assert round_number(value) == pytest.approx(expected)

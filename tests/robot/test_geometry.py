@@ -1,0 +1,117 @@
+"""The body and its tendons: section properties, the paper's shape, what is refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, paper_body, two_slanted_tendons
+from scipy.integrate import dblquad
+
+import cddf_jax as cddf
+
+ROUNDING = 1e-13
+S = np.linspace(0, 0.14, 8)
+
+
+def over_the_annulus(integrand, outer, inner):
+    """An integral over the section in polar coordinates, by adaptive quadrature."""
+    return dblquad(lambda r, a: integrand(r, a) * r, 0, 2 * np.pi, inner, outer, epsabs=0, epsrel=1e-11)[0]
+
+
+@pytest.mark.parametrize("s", [0.0, 0.05, 0.14])
+def test_area_and_second_moment_are_integrals_over_the_section(s):
+    body, outer, inner = paper_body(), 0.020 - 0.007 * s / 0.14, 0.007
+    area = over_the_annulus(lambda r, a: 1.0, outer, inner)
+    second_moment = over_the_annulus(lambda r, a: (r * np.sin(a)) ** 2, outer, inner)  # eq. (12)
+    np.testing.assert_allclose(body.area(s), area, rtol=1e-10)
+    np.testing.assert_allclose(body.second_moment(s), second_moment, rtol=1e-10)
+    np.testing.assert_allclose(body.stiffness(s), 1.4e6 * second_moment, rtol=1e-10)
+
+
+def test_conical_tapers_linearly():
+    body = paper_body(inner_radius=(0.008, 0.006), tendon_offset=(0.011, 0.009))
+    np.testing.assert_allclose(body.outer_radius(S), np.linspace(0.020, 0.013, 8), rtol=ROUNDING)
+    np.testing.assert_allclose(body.inner_radius(S), np.linspace(0.008, 0.006, 8), rtol=ROUNDING)
+    np.testing.assert_allclose(body.offset(S), [np.linspace(0.011, 0.009, 8)], rtol=ROUNDING)
+
+
+def test_conical_takes_single_numbers_and_two_tendons():
+    body = paper_body(outer_radius=0.02, num_tendons=2)
+    assert [tendon.side for tendon in body.tendons] == [+1, -1]
+    assert body.num_tendons == 2
+    np.testing.assert_array_equal(body.offset(S), np.full((2, 8), 0.010))
+    assert body.offset(0.1).shape == (2,)
+    assert body.second_moment(S).shape == (8,)
+
+
+def test_defaults_are_exact_kinematics_and_the_friction_of_the_manipulator():
+    tendons = cddf.Tendon(0.01, friction_coefficient=0.1), cddf.Tendon(0.01, side=-1)
+    body = cddf.Manipulator(0.14, 0.02, 0.007, tendons, 1.4e6, 0.42)
+    np.testing.assert_array_equal(body.tendon_friction, [0.1, 0.42])
+    assert (body.kinematics, cddf.conical(**PAPER).kinematics) == ("exact", "exact")
+
+
+def test_breaks_of_body_and_tendons_are_gathered():
+    outer = cddf.Piecewise([0.03], [cddf.Constant(0.02), cddf.Constant(0.015)])
+    tendons = cddf.Tendon(cddf.Piecewise.linear([0, 0.05, 0.14], [0.01, 0.012, 0.01])), cddf.Tendon(0.01, -1, end=0.08)
+    body = cddf.Manipulator(0.14, outer, 0.007, tendons, 1.4e6, 0.42)
+    np.testing.assert_allclose(np.sort(body.breakpoints), [0.03, 0.05, 0.08])
+    assert body.slanted
+    assert paper_body().breakpoints.shape == (0,)
+    assert not paper_body().slanted
+
+
+def test_a_cross_section_has_the_derivatives_of_the_profiles():
+    offset = cddf.Spline([0, 0.04, 0.09, 0.14], [0.010, 0.012, 0.011, 0.009])
+    body = cddf.Manipulator(0.14, cddf.Linear(0.02, 0.013, 0.14), 0.007, (cddf.Tendon(offset, -1),), 1.4e6, 0.42)
+    s, h = 0.06, 1e-4
+    section = body.cross_section(s)
+    cubic = np.polyfit([0, 0.04, 0.09, 0.14], [0.010, 0.012, 0.011, 0.009], 3)  # four knots: one cubic
+    outer, slope = 0.02 - 0.05 * s, -0.05
+    np.testing.assert_allclose(section.stiffness_rate, 1.4e6 * np.pi * outer**3 * slope, rtol=ROUNDING)
+    np.testing.assert_allclose(section.offset, [np.polyval(cubic, s)], rtol=1e-10)
+    np.testing.assert_allclose(section.offset_slope, [np.polyval(np.polyder(cubic), s)], rtol=1e-10)
+    np.testing.assert_allclose(section.offset_bend, [np.polyval(np.polyder(cubic, 2), s)], rtol=1e-10)
+    np.testing.assert_array_equal(section.side, [-1])
+    change = (body.stiffness(s + h) - body.stiffness(s - h)) / (2 * h)
+    np.testing.assert_allclose(section.stiffness_rate, change, rtol=1e-5)  # central difference, h^2
+
+
+def test_numbers_can_be_traced_and_mapped():
+    def tip_stiffness(radius, modulus):
+        return paper_body(outer_radius=(0.02, radius), youngs_modulus=modulus).stiffness(0.14)
+
+    radii = jnp.array([0.010, 0.013, 0.016])
+    expected = 1.4e6 * np.pi / 4 * (np.asarray(radii) ** 4 - 0.007**4)  # eq. (12)
+    np.testing.assert_allclose(jax.vmap(tip_stiffness, (0, None))(radii, 1.4e6), expected, rtol=ROUNDING)
+    slope = jax.grad(tip_stiffness)(0.013, 1.4e6)
+    np.testing.assert_allclose(slope, 1.4e6 * np.pi * 0.013**3, rtol=ROUNDING)
+
+
+def test_mapping_over_the_leaves_of_a_manipulator():
+    bodies = jax.tree.map(lambda x: jnp.stack([x, 2 * x]), two_slanted_tendons())
+    doubled = jax.vmap(lambda body: body.second_moment(0.0))(bodies)
+    np.testing.assert_allclose(doubled[1], 16 * doubled[0], rtol=ROUNDING)  # a length to the fourth power
+
+
+@pytest.mark.parametrize("count", [0, 3, "two"])
+def test_conical_refuses_other_numbers_of_tendons(count):
+    with pytest.raises(ValueError, match=r"conical: num_tendons must be 1 or 2, got"):
+        paper_body(num_tendons=count)
+
+
+@pytest.mark.parametrize("name", ["outer_radius", "inner_radius", "tendon_offset"])
+def test_conical_refuses_what_is_neither_a_number_nor_a_pair(name):
+    with pytest.raises(ValueError, match=rf"conical: {name} must be a number or a pair .* got shape \(3,\)"):
+        paper_body(**{name: (0.01, 0.01, 0.01)})
+
+
+def test_a_manipulator_needs_a_tendon_on_one_side_and_known_kinematics():
+    for side in (0, 2, -2):
+        with pytest.raises(ValueError, match=r"Tendon: side must be \+1 or -1, got"):
+            cddf.Tendon(0.01, side=side)
+    for tendons in ((), (0.01,)):
+        with pytest.raises(ValueError, match="Manipulator: tendons must hold one Tendon or more"):
+            cddf.Manipulator(0.14, 0.02, 0.007, tendons, 1.4e6, 0.42)
+    with pytest.raises(ValueError, match=r"kinematics must be one of .*'published', 'exact'.* got 'literal'"):
+        paper_body("literal")

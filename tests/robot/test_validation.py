@@ -1,0 +1,176 @@
+"""What `validate` lets pass and what it refuses, with the place and the remedy."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import paper_body
+from hypothesis import given, strategies as st
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+from cddf_jax.statics.description import describe_crossing
+
+BODY = paper_body("exact")
+
+
+def with_offset(offset, **tendon):
+    return replace(BODY, tendons=(cddf.Tendon(offset, **tendon),))
+
+
+def message_of(body, **allow):
+    with pytest.raises(InputError) as error:
+        body.validate(**allow)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        BODY,
+        replace(BODY, friction_coefficient=0.0, inner_radius=0.0),
+        replace(BODY, outer_radius=lambda s: 0.02 - 0.3 * s**2),
+        with_offset(cddf.Linear(0.020, 0.013, 0.14)),  # on the very surface
+        with_offset(cddf.Linear(0.007, 0.007, 0.14)),
+        with_offset(0.015, end=0.1),  # inside the wall until 0.1 m only: 20 mm - 0.1/0.14 * 7 mm = 15 mm
+        with_offset(0.010, end=0.14),
+        with_offset(0.010, axial_stiffness=1.2e4, free_length=0.3),
+        with_offset(cddf.Piecewise.linear([0.0, 0.05, 0.14], [0.012, 0.009, 0.010])),
+        with_offset(cddf.Spline([0.0, 0.05, 0.1, 0.14], [0.012, 0.009, 0.010, 0.009])),
+        replace(BODY, outer_radius=cddf.Piecewise([0.07], [cddf.Constant(0.02), cddf.Constant(0.015)])),
+    ],
+)
+def test_sound_bodies_pass(body):
+    assert body.validate() is body
+
+
+@given(
+    st.floats(1e-3, 10),
+    st.floats(0.3, 1),
+    st.floats(0, 0.9),
+    st.floats(0, 1),
+    st.sampled_from([np.float64, np.float32]),
+)
+def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype):
+    base = 0.2 * length
+    inner, offset = bore * base, (bore + place * (1 - bore)) * base
+    body = cddf.conical(
+        length=length,
+        outer_radius=(base, taper * base),
+        inner_radius=(inner, taper * inner),
+        tendon_offset=(offset, taper * offset),
+        youngs_modulus=1e6,
+        friction_coefficient=0.3,
+    )
+    jax.tree.map(lambda x: jnp.asarray(x, dtype), body).validate()
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (replace(BODY, length=0.0), "length must be above 0, got 0 m; correct its value"),
+        (replace(BODY, youngs_modulus=-1.4e6), "youngs_modulus must be above 0, got -1.4e+06 Pa; correct its value"),
+        (replace(BODY, friction_coefficient=-0.1), "friction_coefficient must be 0 or more, got -0.1; correct its"),
+        (replace(BODY, density=-1.0), "density must be 0 or more, got -1 kg/m^3; correct its value"),
+        (replace(BODY, yield_strain=0.0), "yield_strain must be above 0, got 0; correct its value"),
+        (replace(BODY, youngs_modulus=np.nan), "youngs_modulus must be finite, got nan; correct its value"),
+        (with_offset(np.inf), "tendons[0].offset.value must be finite, got inf; correct its value"),
+        (with_offset(0.01, friction_coefficient=-0.2), "tendon 1: friction_coefficient must be 0 or more, got -0.2;"),
+        (with_offset(0.01, end=0.0), "tendon 1: end must be above 0, got 0 m; correct its value"),
+        (with_offset(0.01, axial_stiffness=0.0), "tendon 1: axial_stiffness must be above 0, got 0 N; correct its"),
+        (with_offset(0.01, axial_stiffness=np.inf), "tendons[0].axial_stiffness must be finite, got inf; correct"),
+        (with_offset(0.01, free_length=-0.1), "tendon 1: free_length must be 0 or more, got -0.1 m; correct its value"),
+        (
+            with_offset(0.01, end=0.15),
+            "tendon 1: end at s = 150 mm lies beyond the tip at 140 mm; anchor it on the body, or leave end out for "
+            "the tip",
+        ),
+        (
+            # 20 mm - 7 mm * s / 140 mm falls to 15 mm at s = 100 mm, between two points of the grid 0.14 mm apart
+            replace(BODY, inner_radius=0.015),
+            "outer_radius must exceed inner_radius: at s = 100.1 mm they are 14.995 mm and 15 mm; "
+            "make the wall thicker there or shorten the body",
+        ),
+        (
+            replace(BODY, inner_radius=cddf.Linear(0.001, -0.001, 0.14)),  # negative beyond 70 mm
+            "inner_radius must be 0 or more: at s = 70.14 mm it is -0.002 mm; enlarge it there",
+        ),
+        (
+            replace(BODY, outer_radius=cddf.Linear(0.02, 0.013, 0.0)),  # 0 / 0
+            "outer_radius must be finite: at s = 0 mm it is nan; correct the profile there",
+        ),
+        (
+            with_offset(cddf.Linear(0.01, -0.01, 0.14)),
+            "tendon 1: offset must be 0 or more: at s = 70.14 mm it is -0.02 mm; "
+            "give the distance from the neutral axis, and the side by side=-1",
+        ),
+        (
+            with_offset(0.015),  # leaves the wall after s = 100 mm by the line above
+            "tendon 1: offset must lie inside the wall: at s = 100.1 mm it is 15 mm and the wall runs "
+            "from 7 mm to 14.995 mm; move the tendon, or allow it with offsets_outside_wall",
+        ),
+        (
+            replace(BODY, tendons=(cddf.Tendon(0.01), cddf.Tendon(0.005, -1))),
+            "tendon 2: offset must lie inside the wall: at s = 0 mm it is 5 mm and the wall runs from 7 mm to 20 mm; "
+            "move the tendon, or allow it with offsets_outside_wall",
+        ),
+        (
+            with_offset(cddf.Piecewise([0.07], [cddf.Constant(0.01), cddf.Constant(0.011)])),
+            "tendon 1: offset must not jump: at s = 70 mm it goes from 10 mm to 11 mm; make the pieces meet",
+        ),
+        (
+            replace(BODY, outer_radius=cddf.Piecewise([0.1, 0.05], 3 * [cddf.Constant(0.02)])),
+            "outer_radius: its knots must increase, got 100 mm before 50 mm; sort them",
+        ),
+        (
+            with_offset(cddf.Piecewise([0.1], [cddf.Constant(0.01), cddf.Spline([0, 0.1, 0.1, 0.2], 4 * [0.01])])),
+            "tendon 1: offset: its knots must increase, got 100 mm before 100 mm; sort them",
+        ),
+        (replace(BODY, outer_radius=lambda s: 0.02), "outer_radius must give one value per arc length, got shape ()"),
+        (
+            jax.tree.map(lambda x: np.stack([x, x]), BODY),
+            "length must be one number, got shape (2,); validate one manipulator at a time",
+        ),
+    ],
+)  # fmt: skip
+def test_refused_with_place_and_remedy(body, message):
+    assert message in message_of(body)
+
+
+def test_a_thin_place_between_grid_points_is_seen_at_a_breakpoint():
+    ring = cddf.Piecewise([0.0500123, 0.0500124], [cddf.Constant(r) for r in (0.02, 0.005, 0.02)])
+    message = message_of(replace(BODY, outer_radius=ring))
+    assert message.startswith("outer_radius must exceed inner_radius: at s = 50.0123 mm they are 5 mm and 7 mm")
+
+
+def test_offsets_outside_the_wall_may_be_allowed():
+    body = with_offset(0.005)
+    assert body.validate(offsets_outside_wall=True) is body
+    assert "offset must be 0 or more" in message_of(with_offset(-0.005), offsets_outside_wall=True)
+
+
+@pytest.mark.parametrize("transformation", [jax.jit, jax.vmap])
+def test_traced_numbers_are_a_type_error(transformation):
+    def validated(modulus):
+        return replace(BODY, youngs_modulus=modulus).validate().youngs_modulus
+
+    with pytest.raises(TypeError, match=r"validate: youngs_modulus is traced; call validate\(\) before jit"):
+        transformation(validated)(jnp.array([1.4e6]))
+
+
+def test_crossing_is_described_where_it_is_worst():
+    # no friction, constant wall: kappa = T d / (E J + T d^2) (published), so d kappa = x / (1 + x), x = T d^2 / (E J)
+    body = replace(BODY, outer_radius=0.020, friction_coefficient=0.0, kinematics="published")
+    x = 900 * 0.01**2 / (1.4e6 * np.pi / 4 * (0.020**4 - 0.007**4))
+    text = describe_crossing(cddf.solve(body, 900.0, throw=False))
+    assert text == f"tendon 1: offset * curvature is {x / (1 + x):.3g} at s = 0 mm"
+
+
+def test_crossing_names_the_tendon_and_the_narrow_end():
+    body = replace(BODY, friction_coefficient=0.0, tendons=(cddf.Tendon(0.012, -1, end=0.1), cddf.Tendon(0.008, +1)))
+    text = describe_crossing(cddf.solve(body, [0.0, 60.0], throw=False))
+    assert text.startswith("tendon 2: offset * curvature is 0.")
+    assert text.endswith("at s = 140 mm")  # J is smallest at the tip, and T is constant

@@ -1,0 +1,439 @@
+"""Backbones with discs: a bending stiffness, masses per length and at places, a modulus that varies along the body."""
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, both_modes, code, codes, paper_body
+from marching import Marching
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
+
+import cddf_jax as cddf
+
+L, OFFSET, MU, PULL, GRAVITY = 0.2, 0.008, 0.25, 0.8, np.array([2.0, -9.81])
+
+
+class Numbers(NamedTuple):
+    """Of a backbone whose stiffness and mass per length fall in straight lines to 60 % of those at the base."""
+
+    stiffness: Any = 0.02  # E I at the base, N m^2
+    factor: Any = 0.9
+    per_length: Any = 0.15  # kg/m at the base
+    mass: Any = 0.020  # kg, of a disc
+    place: Any = 0.08  # m, of it
+    tip_mass: Any = 0.010  # kg, of a camera
+    tip_place: Any = L
+    force: Any = 0.02  # N, on the tip in the direction of gravity over its size
+
+
+def robot(x: Numbers = Numbers()) -> cddf.Manipulator:
+    return cddf.Manipulator(
+        length=L,
+        tendons=(cddf.Tendon(OFFSET),),
+        friction_coefficient=MU,
+        bending_stiffness=cddf.Linear(x.stiffness, 0.6 * x.stiffness, L),
+        stiffness_factor=x.factor,
+        mass_per_length=cddf.Linear(x.per_length, 0.6 * x.per_length, L),
+        point_masses=(cddf.PointMass(x.place, x.mass), cddf.PointMass(x.tip_place, x.tip_mass)),
+    )
+
+
+def loads(x: Numbers = Numbers()) -> cddf.Loads:
+    return cddf.Loads(tip_force=x.force * jnp.asarray(GRAVITY), gravity=GRAVITY)
+
+
+def observed(x: Numbers, **options: Any) -> tuple[jax.Array, Any]:
+    eq = cddf.solve(robot(x), PULL, loads(x), throw=False, **options)
+    moment = 100 * eq.base_moment  # all of them of about one size
+    return jnp.stack([eq.tip_tension[0], eq.tip_angle, *10 * eq.tip_position, moment]), eq.result
+
+
+def reference(x: Numbers = Numbers()) -> np.ndarray:
+    """The same by shooting with SciPy, design.md section 2: exact kinematics, one tendon of constant offset.
+
+    theta' = |kappa|, phi' = kappa, M' = -(t x N), E I kappa = d T_base exp(-mu theta) + M, M(L) = 0.
+    """
+    drop = 0.4 / L
+
+    def rate(s: float, y: np.ndarray) -> list[float]:
+        rest = x.per_length * ((L - s) - drop * (L**2 - s**2) / 2)  # int_s^L
+        beyond = x.force + rest + x.mass * (s < x.place) + x.tip_mass * (s < x.tip_place)
+        (nx, ny), (c, n) = beyond * GRAVITY, (np.cos(y[1]), np.sin(y[1]))
+        kappa = (OFFSET * PULL * np.exp(-MU * y[0]) + y[4]) / (x.factor * x.stiffness * (1 - drop * s))
+        return [abs(kappa), kappa, c, n, -(c * ny - n * nx)]
+
+    def tip(moment: float) -> np.ndarray:
+        y = np.array([0.0, 0.0, 0.0, 0.0, moment])
+        stops = sorted({0.0, x.place, x.tip_place, L})
+        for a, b in pairwise(stops):
+            inside = lambda s, y, b=b: rate(min(s, b - 1e-12), y)  # noqa: E731
+            y = solve_ivp(inside, (a, b), y, rtol=1e-11, atol=1e-13).y[:, -1]
+        return y
+
+    moment = brentq(lambda m: tip(m)[4], -0.5, 0.5, xtol=1e-14, rtol=1e-13)
+    theta, angle, u, v, _ = tip(moment)
+    return np.array([PULL * np.exp(-MU * theta), angle, 10 * u, 10 * v, 100 * moment])
+
+
+def test_a_backbone_with_discs_against_scipy_and_its_lanes():
+    nominal = Numbers()
+    lanes = [
+        nominal,
+        nominal._replace(mass=-0.02),  # none of these three is a body
+        nominal._replace(place=0.21),
+        nominal._replace(stiffness=-0.02),
+        nominal._replace(mass=0.0, per_length=0.0, tip_mass=0.03, force=0.0),
+        nominal._replace(mass=0.0, per_length=0.0, tip_mass=0.0, force=0.03),
+        nominal._replace(place=L, mass=0.004),  # two masses at one place
+        nominal._replace(tip_mass=0.014, mass=0.0),
+    ]
+    batch = Numbers(*map(jnp.asarray, zip(*lanes, strict=True)))
+    found, result = jax.jit(jax.vmap(observed))(batch)
+    R = cddf.RESULTS
+    good, bad = code(R.successful), code(R.unphysical)
+    assert codes(result) == [good, bad, bad, bad, good, good, good, good]
+    assert np.all(np.isnan(found[1:4]))
+    np.testing.assert_allclose(found[0], reference(), rtol=1e-8)
+    np.testing.assert_allclose(found[4], found[5], rtol=1e-10)  # the weight of a mass at the tip is a force there
+    np.testing.assert_allclose(found[6], found[7], rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_derivatives_by_masses_places_and_stiffness():
+    x = Numbers()
+    _, forward, reverse = both_modes(lambda flat: observed(Numbers(*flat))[0])(jnp.asarray([*x]))
+    np.testing.assert_allclose(forward, reverse, rtol=1e-7, atol=1e-9)
+    for i, name in enumerate(x._fields):
+        h = 1e-4 * x[i]
+        at = [reference(x._replace(**{name: x[i] + k * h})) for k in (-2, -1, 0)]
+        if name == "tip_place":  # from inside, by the second-order formula
+            expected = (1.5 * at[2] - 2 * at[1] + 0.5 * at[0]) / h
+        else:
+            expected = (reference(x._replace(**{name: x[i] + h})) - at[1]) / (2 * h)
+        scale = np.max(np.abs(expected))
+        np.testing.assert_allclose(forward[:, i], expected, rtol=1e-4, atol=1e-5 * scale, err_msg=name)
+
+
+@pytest.mark.slow
+def test_marching_meets_the_jumps_of_the_force():
+    found, result = observed(Numbers(), method=Marching())
+    assert result == cddf.RESULTS.successful
+    np.testing.assert_allclose(found, reference(), rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_the_energy_balance_lifts_the_masses():
+    balance = cddf.energy_balance(robot(), PULL, loads(), num_steps=8)
+    assert abs(balance.residual) < 1e-6 * balance.actuation_work[0]
+    assert balance.load_work > 0.2 * balance.actuation_work[0]
+
+
+# --- the same body, told in another way -------------------------------------------------------------
+
+
+def tip_tension(body: cddf.Manipulator) -> np.ndarray:
+    return np.asarray(cddf.solve(body, 50.0).tip_tension)
+
+
+def test_a_stiffness_and_a_mass_per_length_are_those_of_the_radii():
+    cone, s = paper_body("exact", density=1070.0), np.linspace(0.0, 0.14, 9)
+    told = {"length": 0.14, "tendons": cone.tendons, "friction_coefficient": 0.42}
+    same = cddf.Manipulator(
+        **told,
+        bending_stiffness=lambda s: 1.4e6 * np.pi / 4 * ((0.020 - 0.05 * s) ** 4 - 0.007**4),  # E J, eq. (12)
+        mass_per_length=lambda s: 1070.0 * np.pi * ((0.020 - 0.05 * s) ** 2 - 0.007**2),
+    )
+    np.testing.assert_allclose(same.stiffness(s), cone.stiffness(s), rtol=1e-12)
+    np.testing.assert_allclose(same.distributed_mass(s), cone.distributed_mass(s), rtol=1e-12)
+    np.testing.assert_allclose(tip_tension(same), tip_tension(cone), rtol=1e-10)
+    assert np.all(np.isnan(same.outer_strain(s, 1.0 + s)))
+
+
+def test_a_modulus_that_varies_along_the_body():
+    varying = paper_body("exact", youngs_modulus=cddf.Linear(1.8e6, 1.0e6, 0.14))
+
+    def compliance(s: float) -> float:  # d / (E J)
+        J = np.pi / 4 * ((0.020 - 0.05 * s) ** 4 - 0.007**4)
+        return 0.010 / ((1.8e6 - 0.8e6 * s / 0.14) * J)
+
+    expected = 50.0 / (1 + 0.42 * 50.0 * quad(compliance, 0, 0.14, epsrel=1e-12)[0])  # design.md section 3
+    np.testing.assert_allclose(tip_tension(varying), expected, rtol=1e-9)
+    np.testing.assert_allclose(cddf.closed_form_tension(varying, 50.0, 0.14), expected, rtol=1e-10)
+    constant, s = paper_body("exact", youngs_modulus=cddf.Constant(1.4e6)), np.linspace(0.0, 0.14, 9)
+    np.testing.assert_array_equal(constant.stiffness(s), paper_body("exact").stiffness(s))
+    jump = paper_body("exact", youngs_modulus=cddf.Piecewise([0.05], [1.8e6, 1.0e6]))
+    assert jump.breakpoints.tolist() == [0.05]
+
+
+# --- what is refused --------------------------------------------------------------------------------
+
+
+def refused(function: Any, error: type[Exception] = cddf.InputError) -> str:
+    with pytest.raises(error) as caught:
+        function()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+REFUSED = {
+    "both": ({"youngs_modulus": 1e6}, "youngs_modulus and bending_stiffness are both given"),
+    "neither": ({"bending_stiffness": None}, "or bending_stiffness in their place"),
+    "one radius": ({"outer_radius": 0.01}, "belong together"),
+    "density": ({"density": 1000.0}, "give mass_per_length instead"),
+    "no friction": ({"friction_coefficient": None}, "friction_coefficient is missing"),
+    "no point mass": ({"point_masses": (0.1,)}, "PointMass(arc_length="),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bodies_of_the_wrong_structure_are_refused(case):
+    changes, message = REFUSED[case]
+    told = {"length": L, "tendons": (cddf.Tendon(0.008),), "friction_coefficient": 0.2, "bending_stiffness": 0.02}
+    assert message in refused(lambda: cddf.Manipulator(**told | changes), ValueError)
+
+
+INVALID = {
+    "stiffness": (Numbers(stiffness=-0.02), "bending_stiffness must be above 0: at s = 0 mm it is -0.02 N m^2"),
+    "factor": (Numbers(factor=0.0), "stiffness_factor must be above 0"),
+    "per length": (Numbers(per_length=-0.1), "mass_per_length must be 0 or more: at s = 0 mm it is -0.1 kg/m"),
+    "mass": (Numbers(mass=-0.1), "point mass 1: mass must be 0 or more, got -0.1 kg"),
+    "place": (Numbers(place=0.3), "point mass 1: arc_length 300 mm lies beyond the tip at 200 mm; put it on the body"),
+    "clamp": (Numbers(place=0.0), "point mass 1: arc_length must be above 0"),
+}
+
+
+@pytest.mark.parametrize("case", INVALID)
+def test_validate_names_what_is_wrong(case):
+    numbers, message = INVALID[case]
+    assert message in refused(robot(numbers).validate)
+
+
+def test_what_needs_radii_says_so_and_what_does_not_works():
+    body = robot().validate()
+    assert "the body has no radii" in refused(lambda: body.area(0.1))
+    task = {"free": ("bending_stiffness",), "bounds": {"bending_stiffness": (0.01, 0.03)}, "cases": cddf.LoadCase(1.0)}
+    assert "'volume' needs radii" in refused(lambda: cddf.design(body, cddf.Least("volume"), **task))
+    with_radii = cddf.Manipulator(
+        length=L,
+        outer_radius=0.01,
+        inner_radius=0.0,
+        tendons=(cddf.Tendon(0.012),),
+        friction_coefficient=0.2,
+        bending_stiffness=0.02,
+        density=1000.0,
+    )
+    assert "offset must lie inside the wall" in refused(with_radii.validate)  # the wall is known
+    np.testing.assert_allclose(with_radii.distributed_mass(0.1), 1000 * np.pi * 1e-4, rtol=1e-12)
+
+
+def test_the_mass_of_a_design():
+    from cddf_jax.designing.body_quantities import BODY_QUANTITIES, BodyView
+
+    cone = paper_body("exact", density=1070.0)
+    volume = np.pi * quad(lambda s: (0.020 - 0.05 * s) ** 2 - 0.007**2, 0, 0.14)[0]
+    bare = BODY_QUANTITIES["mass"].of(BodyView(cone, np.zeros(1)))
+    np.testing.assert_allclose(bare, 1070 * volume, rtol=1e-12)
+    found = BODY_QUANTITIES["mass"].of(BodyView(robot(), np.zeros(1)))
+    np.testing.assert_allclose(found, 0.15 * 0.8 * L + 0.030, rtol=1e-12)  # a line from 100 to 60 %, and the points
+
+
+def beside_radii(**changes: Any) -> cddf.Manipulator:
+    """Radii for drawing and strain, that do not stiffen."""
+    told = {"length": L, "tendons": (cddf.Tendon(0.006),), "friction_coefficient": 0.2, "bending_stiffness": 0.02}
+    return cddf.Manipulator(**told | {"outer_radius": cddf.Linear(0.01, 0.008, L), "inner_radius": 0.002} | changes)
+
+
+def checked(body: cddf.Manipulator, name: str, wall_is_seen: bool = False, **loads: Any) -> None:
+    from cddf_jax.robot.named_numbers import Case
+    from cddf_jax.sweeping.axes import check_names, dimensions_of
+
+    case = Case(body, 1.0, cddf.Loads(**loads) if loads else None, 1.0)
+    check_names(dimensions_of({name: [0.006, 0.007]}), (), case, wall_is_seen)
+
+
+def test_radii_that_change_nothing_do_not_vary():
+    body, fall = beside_radii(), {"gravity": (0.0, -9.81)}
+    for name in ("outer_radius.tip", "inner_radius.value"):
+        message = f"{name!r} has no effect here; the bending_stiffness of this body is given"
+        assert message in refused(lambda name=name: checked(body, name))
+        checked(beside_radii(density=1000.0), name, **fall)  # they weigh
+        assert message in refused(lambda name=name: checked(beside_radii(mass_per_length=0.1), name, **fall))
+        checked(beside_radii(bending_stiffness=None, youngs_modulus=1e6), name)  # they stiffen
+    checked(body, "outer_radius.tip", wall_is_seen=True)
+    assert "has no effect" in refused(lambda: checked(body, "inner_radius.value", wall_is_seen=True))
+    cddf.sweep(body, {"outer_radius.tip": [0.006]}, 1.0, outputs=["peak_strain"], nodes=4)
+    assert "has no effect" in refused(lambda: cddf.sweep(body, {"outer_radius.tip": [0.006]}, 1.0))
+
+
+def test_the_explorer_offers_no_taper_that_bends_nothing():
+    from cddf_jax.explorer.model import RADII, Exploration
+
+    given, of_radii = (
+        Exploration(b) for b in (beside_radii(), beside_radii(bending_stiffness=None, youngs_modulus=1e6))
+    )
+    assert not set(RADII) & {control.name for control in given.controls}
+    assert set(RADII) <= {control.name for control in of_radii.controls}
+    assert given.case(given.start).manipulator.outer_radius is given.manipulator.outer_radius
+
+
+def test_the_strain_of_no_wall_is_refused():
+    message = "peak_strain: the body has no outer_radius; give it both radii"
+    assert message in refused(lambda: cddf.sweep(robot(), {"base_tension": [1.0]}, outputs=["peak_strain"]))
+
+
+# --- gravity on nothing -----------------------------------------------------------------------------
+
+
+def test_gravity_on_a_body_without_mass_is_refused():
+    body, fall = paper_body("exact"), cddf.Loads(gravity=(0.0, -9.81))
+    message = "loads.gravity: the body has no weight, since its density is 0; give it density, mass_per_length or"
+    assert message in refused(lambda: cddf.solve(body, 20.0, fall))
+    assert message in refused(lambda: cddf.tip_compliance(body, 20.0, fall))
+    assert message in refused(lambda: cddf.sweep(body, {"base_tension": [5.0]}, loads=fall))
+    assert message in refused(lambda: jax.jit(lambda pull: cddf.solve(body, pull, fall).tip_angle)(20.0))  # both known
+    with pytest.raises(cddf.InputError, match="the body has no weight"):
+        cddf.design(body, cddf.Least("volume"), free=("outer_radius",), cases=cddf.LoadCase(20.0, fall))
+
+
+# --- names and sweeps -------------------------------------------------------------------------------
+
+
+def test_numbers_have_names_and_units():
+    from cddf_jax.robot.named_numbers import Case, unit_of_name
+
+    case = Case(robot(), 1.0, loads(), 1.0)
+    named = {"point_masses.0.mass": 0.020, "point_masses.1.arc_length": L, "bending_stiffness.base": 0.02}
+    assert {name: float(case.number(name)) for name in named} == named
+    units = ["point_masses.0.mass", "point_masses.1.arc_length", "bending_stiffness.base", "mass_per_length.tip"]
+    assert [unit_of_name(name) for name in units] == ["kg", "m", "N m^2", "kg/m"]
+    assert unit_of_name("bending_stiffness.length") == "m"
+    longer = case.with_numbers({"length": 2 * L}).manipulator
+    assert float(longer.point_masses[0].arc_length) == 0.16
+    np.testing.assert_allclose(longer.stiffness(0.2), 0.9 * 0.02 * 0.8, rtol=1e-12)
+    for name in ("youngs_modulus", "outer_radius"):
+        assert f"{name}: the body has none" in refused(lambda name=name: case.number(name))
+
+
+# --- files ------------------------------------------------------------------------------------------
+
+FILE = """
+length = "200 mm"
+bending_stiffness = { base = "0.02 N m^2", tip = "12000 N mm^2" }
+friction_coefficient = 0.25
+stiffness_factor = 0.9
+mass_per_length = { base = "0.15 kg/m", tip = "90 g/m" }
+
+[[tendons]]
+offset = "8 mm"
+
+[[point_mass]]
+at = "80 mm"
+mass = "20 g"
+
+[[point_mass]]
+at = "200 mm"
+mass = "10 g"
+"""
+CONE = """
+length = "140 mm"
+outer_radius = { base = "20 mm", tip = "13 mm" }
+inner_radius = "7 mm"
+youngs_modulus = { ends = ["50 mm"], pieces = ["1.8 MPa", { base = "1.4 MPa", tip = "1 MPa" }] }
+friction_coefficient = 0.42
+tendons = [{ offset = "10 mm" }]
+"""
+
+
+def same(a: Any, b: Any) -> bool:
+    return jax.tree.structure(a) == jax.tree.structure(b) and jax.tree.all(jax.tree.map(np.array_equal, a, b))
+
+
+@pytest.mark.parametrize("text", [FILE, CONE], ids=["discs", "modulus"])
+def test_files_and_back(tmp_path, text):
+    (tmp_path / "body.toml").write_text(text)
+    body = cddf.read_manipulator(tmp_path / "body.toml")
+    if text == FILE:
+        assert same(body, robot())
+    else:
+        modulus = cddf.Piecewise([0.05], [cddf.Constant(1.8e6), cddf.Linear(1.4e6, 1.0e6, 0.14)])
+        assert same(body.youngs_modulus, modulus)
+    cddf.write_manipulator(body, tmp_path / "again.toml")
+    assert same(cddf.read_manipulator(tmp_path / "again.toml"), body)
+
+
+BAD_FILES = {
+    "both": (FILE + 'youngs_modulus = "1 MPa"', "unknown key 'youngs_modulus'"),  # of a point mass
+    "both above": ('youngs_modulus = "1 MPa"\n' + FILE, "youngs_modulus and bending_stiffness are both given"),
+    "unit": (FILE.replace("12000 N mm^2", "12000 N mm"), "bending_stiffness: tip needs a unit of bending stiffness"),
+    "place": (FILE.replace('at = "80 mm"\n', ""), "point_mass 1: at is missing; add it"),
+    "one mass": (FILE.replace("[[point_mass]]", "[point_mass]", 1).split("[[point_mass]]")[0], "below a line [[point"),
+    "beyond": (FILE.replace("80 mm", "0.8 m"), "point mass 1: arc_length 800 mm lies beyond the tip"),
+    "no stiffness": (FILE.replace("bending_stiffness", "#"), "outer_radius is missing; add it"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_files_that_are_refused(tmp_path, case):
+    text, message = BAD_FILES[case]
+    (tmp_path / "body.toml").write_text(text)
+    assert message in refused(lambda: cddf.read_manipulator(tmp_path / "body.toml"))
+
+
+# --- fits -------------------------------------------------------------------------------------------
+
+
+def bench_of(columns: str, tmp_path: Any) -> Any:
+    """A table of a body of twice the stiffness, in exact numbers: design.md section 3, closed form.
+
+    T_tip = T / (1 + mu T G), G = int d / (E I) over the body; exact kinematics: T_tip = T exp(-mu tip angle).
+    """
+    G = quad(lambda s: OFFSET / (2 * 0.02 * (1 - 0.4 * s / L)), 0, L, epsrel=1e-12)[0]
+    pull = np.linspace(2.0, 16.0, 8)
+    tip = pull / (1 + MU * pull * G)
+    noise = 1e-3 * np.array([1, -1, -1, 1, 1, -1, 1, -1])
+    values = {
+        "base_tension [N]": pull,
+        "tip_tension [N]": tip + noise,
+        "tip_angle [rad]": np.log(pull / tip) / MU + noise,
+    }
+    names = ["base_tension [N]", *columns.split("+")]
+    rows = [names, *([f"{values[name][i]:.10g}" for name in names] for i in range(8))]
+    path = tmp_path / "bench.csv"
+    path.write_text("\n".join(map(",".join, rows)))
+    return cddf.read_measurements(path)
+
+
+@pytest.mark.slow
+def test_a_factor_on_the_stiffness_is_fitted_where_there_is_no_modulus(tmp_path):
+    body = robot(Numbers(factor=None))
+    fit = cddf.fit(body, bench_of("tip_tension [N]+tip_angle [rad]", tmp_path))
+    assert fit.status == {"friction_coefficient": "identified", "stiffness_factor": "identified"}
+    assert abs(fit.value["stiffness_factor"] - 2.0) < 3 * fit.standard_error["stiffness_factor"] < 0.1
+    assert abs(fit.value["friction_coefficient"] - MU) < 3 * fit.standard_error["friction_coefficient"] < 0.1
+    assert float(fit.manipulator.stiffness_factor) == fit.value["stiffness_factor"]
+    assert "youngs_modulus" not in str(fit)
+    message = refused(lambda: cddf.fit(body, fit.tables, ("youngs_modulus",)))
+    assert message == "fit: the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness"
+    assert "changes nothing where bending_stiffness is given" in refused(lambda: cddf.fit(body, fit.tables, ("outer_radius_error",)))
+
+
+@pytest.mark.slow
+def test_tensions_tell_friction_over_the_factor(tmp_path):
+    fit = cddf.fit(robot(Numbers(factor=None)), bench_of("tip_tension [N]", tmp_path))
+    assert set(fit.status.values()) == {"not identified"}
+    value, error = fit.combinations["friction_coefficient / stiffness_factor"]
+    assert abs(value - MU / 2) < 3 * error < 0.01
+    assert "Tensions of one tendon determine only friction_coefficient / stiffness_factor." in str(fit)
+
+
+def test_the_paper_has_a_modulus_that_is_fitted():
+    from cddf_jax.identification.bench import free_parameters
+
+    modulus = PAPER["youngs_modulus"]
+    assert free_parameters(paper_body(), None) == ("friction_coefficient", "youngs_modulus")
+    varying = paper_body(youngs_modulus=cddf.Linear(modulus, 1e6, 0.14))
+    assert free_parameters(varying, None) == ("friction_coefficient", "stiffness_factor")

@@ -1,0 +1,245 @@
+"""Which equilibrium is found where there are several, whether it is stable, and where there is none."""
+
+import re
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, PlainBody, constant, paper_body, paper_plain
+from loaded_bodies import (
+    NotFoundError,
+    PlainLoads,
+    buckling_force,
+    dense_residual,
+    largest_difference,
+    loaded_reference,
+    smallest_tangent_eigenvalue,
+    tangent,
+)
+from scipy.optimize import brentq
+from scipy.special import jv
+
+import cddf_jax as cddf
+from cddf_jax.statics.equilibrium_derivatives import equilibrate
+from cddf_jax.statics.equilibrium_search import Setup
+
+R = cddf.RESULTS
+LENGTH = PAPER["length"]
+AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
+DISCRETE = 3e-4  # relative: 120 cells of equal width, of second order
+
+
+def solved(loads: PlainLoads, tension=0.0, body=None, direction=+1):
+    body = paper_body("exact") if body is None else body
+    return cddf.solve(body, tension, cddf.Loads(*loads), direction=direction, throw=False)
+
+
+def pressed(times, degrees):
+    """A tip force in units of E J / L^2 at the middle of the paper's body."""
+    force = times * 1.4e6 * paper_plain().second_moment(LENGTH / 2) / LENGTH**2
+    angle = np.radians(degrees)
+    return PlainLoads((float(force * np.cos(angle)), float(force * np.sin(angle))))
+
+
+# --- straight columns ----------------------------------------------------------------------------
+
+ROD = {"length": 0.2, "outer_radius": (0.004, 0.004), "inner_radius": 0.0, "tendon_offset": 0.002}
+RIGIDITY = 1e6 * np.pi / 4 * 0.004**4  # E J, N m^2
+PLAIN_ROD = PlainBody(0.2, constant(0.004), constant(0.0), [constant(0.002)], 1e6, [0.3], "exact")
+EULER = buckling_force(RIGIDITY, 0.2)
+# Greenhill (1881): a column buckles under its weight at q L^3 = (9/4) j^2 E J, j the first zero of J_(-1/3): 7.837
+ZERO = np.asarray(brentq(lambda x: jv(-1 / 3, x), 1.0, 3.0))
+GREENHILL = 9 / 4 * ZERO**2 * RIGIDITY / (0.2**3 * 1000.0 * np.pi * 0.004**2)
+
+
+def rod():
+    return cddf.conical(**ROD, youngs_modulus=1e6, friction_coefficient=0.3, density=1000.0)
+
+
+COLUMNS = {
+    "pressed": lambda fraction: PlainLoads((-fraction * EULER, 0.0)),
+    "under its weight": lambda fraction: PlainLoads(gravity=(-fraction * GREENHILL, 0.0)),
+}
+
+
+@pytest.mark.parametrize("column", COLUMNS)
+@pytest.mark.parametrize("fraction", [0.5, 0.999, 1.001, 2.0, 12.0])
+def test_a_straight_column_is_stable_up_to_its_critical_load(column, fraction):
+    """Euler: pi^2 E J / (4 L^2). Greenhill: 7.837 E J / L^3 per length. Beyond, straight is unstable."""
+    assert abs(GREENHILL * 0.2**3 * 1000.0 * np.pi * 0.004**2 / RIGIDITY - 7.837) < 1e-3
+    loads = COLUMNS[column](fraction)
+    solution = solved(loads, body=rod())
+    assert bool(solution.stable) == (fraction < 1)
+    assert solution.result == (R.successful if fraction < 1 else R.unstable)
+    np.testing.assert_array_equal(solution.curvature, 0.0)
+    np.testing.assert_allclose(solution.tip_position, [0.2, 0.0], atol=1e-12)
+    assert solution.load_fraction == 1.0
+
+
+@pytest.mark.parametrize("column", COLUMNS)
+@pytest.mark.parametrize("fraction", [0.97, 1.03])
+def test_the_smallest_eigenvalue_says_the_same(column, fraction):
+    """That of the dense tangent, whose own critical load is DISCRETE off."""
+    loads = COLUMNS[column](fraction)
+    solution = solved(loads, body=rod())
+    least = smallest_tangent_eigenvalue(PLAIN_ROD, 0.0, loads, 1000.0, +1, solution)
+    assert bool(solution.stable) == (least > 0)
+    assert abs(least) > 10 * DISCRETE * RIGIDITY
+
+
+def test_a_buckled_column_is_raised_and_keeps_its_numbers():
+    with pytest.raises(cddf.SolveError, match="The equilibrium is unstable"):
+        cddf.solve(rod(), 0.0, cddf.Loads(tip_force=(-1.1 * EULER, 0.0)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fraction", [0.95, 1.05])
+def test_equal_tendons_stiffen_a_column_in_the_published_kinematics(fraction):
+    """E J kappa = sum sigma d T (1 - sigma d kappa): 2 T d^2 adds to E J, design.md section 2."""
+    tension = 0.3 * RIGIDITY / 0.002**2
+    critical = buckling_force(RIGIDITY + 2 * tension * 0.002**2, 0.2)
+    assert critical > 1.5 * EULER
+    pair = cddf.conical(**ROD, youngs_modulus=1e6, friction_coefficient=0.3, num_tendons=2, kinematics="published")
+    solution = solved(PlainLoads((-fraction * critical, 0.0)), tension, pair)
+    assert bool(solution.stable) == (fraction < 1)
+    np.testing.assert_allclose(solution.curvature, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("fraction", [1.02, 1.5, 3.0])
+def test_a_slightly_bent_column_leaves_the_straight_line(fraction):
+    """With a hundredth of the critical force across, the path turns aside and stays stable."""
+    loads = PlainLoads((-fraction * EULER, 0.01 * fraction * EULER))
+    reference = loaded_reference(PLAIN_ROD, 0.0, loads)
+    solution = solved(loads, body=rod())
+    assert solution.result == R.successful
+    assert largest_difference(solution, reference, PLAIN_ROD) < AGREES
+
+
+# --- which equilibrium ---------------------------------------------------------------------------
+
+
+def in_small_steps(plain, tension, loads, steps=50, cells=60):
+    """The tip angle at the end of a path of stable equilibria of equal cells, by Newton's method at every step."""
+    # without loads: by the closed form, design.md section 3
+    places = LENGTH * (np.arange(cells) + 0.5) / cells
+    J = plain.second_moment(places)
+    kappa = 0.010 / (1.4e6 * J) * np.array([plain.closed_form(tension, x) for x in places])
+    for fraction in np.linspace(0, 1, steps + 1):
+        _, residual = dense_residual(plain, tension, loads.times(fraction), 0.0, +1, cells)
+        for _ in range(30):
+            change = np.linalg.solve(tangent(residual, kappa), residual(kappa[:, None])[:, 0])
+            kappa = kappa - change
+            if np.max(np.abs(change)) < 1e-9:
+                break
+        else:
+            raise NotFoundError(f"lost at {fraction}")
+        # where an eigenvalue turned negative on the way, the determinant did
+        assert np.linalg.slogdet(tangent(residual, kappa))[0] > 0
+    return np.sum(kappa) * LENGTH / cells
+
+
+HARD = {
+    # tension (N), force in E J / L^2, its angle (degrees), least number of steps, least tip angle (degrees)
+    "against the tendon": (60.0, 4.0, 240.0, 3, -180.0),
+    "curled past 170 degrees": (60.0, 8.0, 180.0 + 20.0, 4, 165.0),
+    "across and beyond": (75.0, 2.0, 140.0, 1, 90.0),
+    "turned over, steeply": (30.0, 4.0, 205.0, 5, -180.0),
+}
+
+
+@pytest.mark.parametrize("case", HARD)
+def test_the_end_of_the_path(case):
+    """The equilibrium that small steps of a caller reach, told from others by its tip angle; then the reference."""
+    tension, times, degrees, steps, angle = HARD[case]
+    loads, plain = pressed(times, degrees), paper_plain("exact")
+    solution = solved(loads, tension)
+    assert solution.result == R.successful
+    assert solution.num_load_steps >= steps
+    assert np.degrees(float(solution.tip_angle)) > angle
+    # 60 cells are of second order; other equilibria are more than a radian away
+    np.testing.assert_allclose(solution.tip_angle, in_small_steps(plain, tension, loads), atol=1e-2)
+    assert largest_difference(solution, loaded_reference(plain, tension, loads), plain) < AGREES
+
+
+# --- where the path ends -------------------------------------------------------------------------
+
+# bent up by the tendon and pressed down and back, the body snaps through
+SNAPPING = {"60 N": (60.0, pressed(4.0, 213.5)), "75 N": (75.0, pressed(4.0, 221.0))}
+
+
+def limit(plain, tension, loads):
+    """The largest part of the loads to which the reference finds a way, within 1e-4."""
+    with pytest.raises(NotFoundError) as error:
+        loaded_reference(plain, tension, loads)
+    found = re.search(r"beyond ([0-9.]+) of", str(error.value))
+    assert found
+    return float(found[1])
+
+
+@pytest.mark.parametrize("case", SNAPPING)
+def test_a_body_that_snaps(case):
+    """The path ends in a fold; near it the moment goes like the root of what is left, so that 3e-3 is close."""
+    tension, loads = SNAPPING[case]
+    fold = limit(paper_plain("exact"), tension, loads)
+    solution = solved(loads, tension)
+    assert solution.result == R.load_limit
+    np.testing.assert_allclose(solution.load_fraction, fold, atol=3e-3)
+    for name in ("tip_tension", "position", "curvature", "tension", "base_moment", "error_estimate"):
+        assert np.all(np.isnan(getattr(solution, name))), name
+    assert not solution.stable
+    with pytest.raises(cddf.SolveError, match=rf"up to {100 * float(solution.load_fraction):.3g} % of the loads"):
+        cddf.solve(paper_body("exact"), tension, cddf.Loads(*loads))
+    # a little less is carried, a little more is not
+    below = solved(loads.times(0.995 * fold), tension)
+    assert below.result == R.successful
+    assert below.stable
+    assert solved(loads.times(1.01 * fold), tension).result == R.load_limit
+
+
+JUMPS = {
+    # tension (N), force in E J / L^2, its angle: the path turns aside from the unstable branch, or ends
+    "10 N": (10.0, 6.0, 185.0),
+    "20 N": (20.0, 6.0, 191.0),
+    "45 N, a fold": (45.0, 4.0, 206.0),
+}
+
+
+@pytest.mark.parametrize("case", JUMPS)
+def test_a_step_does_not_leap_to_another_branch(case):
+    """Near a buckling load an unstable branch runs close to the path; a long step may land on it."""
+    tension, times, degrees = JUMPS[case]
+    loads, plain = pressed(times, degrees), paper_plain("exact")
+    solution = solved(loads, tension)
+    try:
+        reference = loaded_reference(plain, tension, loads)
+    except NotFoundError:
+        assert solution.result == R.load_limit
+        np.testing.assert_allclose(solution.load_fraction, limit(plain, tension, loads), atol=3e-3)
+        return
+    assert solution.result == R.successful
+    assert largest_difference(solution, reference, plain) < AGREES
+
+
+def test_the_tension_that_holds_a_load():
+    """The message's advice: with 90 N in place of 60 N the same load is carried."""
+    assert solved(SNAPPING["60 N"][1], 90.0).result == R.successful
+
+
+@eqx.filter_jit
+def travel_at(setup, base_tension):
+    return equilibrate(setup, base_tension).travel
+
+
+@pytest.mark.parametrize("force", [(0.0, 2.0), (0.0, -10.0)])
+def test_how_far_a_loaded_tendon_slides(force):
+    """By how much it slides in as its tension rises in proportion: against central differences of whole solves."""
+    body, loads, step = paper_body("exact"), cddf.Loads(tip_force=force), 1e-5
+
+    def displacement(tension):
+        return float(cddf.solve(body, tension, loads).tendon_displacement[0])
+
+    setup = Setup(body, jnp.ones(1), cddf.Loads(tip_force=jnp.asarray(force)), cddf.FixedPoint(), 16)
+    slope = (displacement(60.0 * (1 + step)) - displacement(60.0 * (1 - step))) / (2 * step)
+    travel = travel_at(setup, jnp.asarray([60.0]))
+    assert float(travel[0]) == pytest.approx(slope, rel=1e-6)

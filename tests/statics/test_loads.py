@@ -1,0 +1,546 @@
+"""Dead loads on the tip and gravity, against SciPy (loaded_bodies.py), textbooks, and themselves."""
+
+import re
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import (
+    PAPER,
+    PlainBody,
+    code,
+    codes,
+    constant,
+    fields_at,
+    lane,
+    paper_body,
+    paper_plain,
+    replaced,
+    stack,
+    straight,
+)
+from loaded_bodies import (
+    PlainLoads,
+    bvp_reference,
+    cantilever_tapered,
+    circle_tip,
+    elastica_tip,
+    largest_difference,
+    loaded_reference,
+    random_loaded,
+)
+from marching import Marching
+from scipy.integrate import cumulative_simpson
+from scipy.interpolate import CubicSpline
+
+import cddf_jax as cddf
+
+R = cddf.RESULTS
+AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
+TEXTBOOK = 1e-9  # formulas evaluated to round-off; the solver promises 1e-8
+ROUNDING = 1e-12  # the same operations in another order
+SETTLED = 1e-10  # passes and Newton's method stop at a relative change of 1e-12
+LENGTH = PAPER["length"]
+
+
+# --- random problems -----------------------------------------------------------------------------
+
+LANES = 5
+# kinematics, number of tendons, whether they are slanted
+QUICK = ("exact", 1, False)  # its program is compiled for other tests as well
+CASES = [("published", 1, False), ("exact", 1, False), ("exact", 2, False), ("exact", 2, True), ("published", 2, True)]
+
+
+@lru_cache
+def solver_of(kinematics: str, count: int) -> Any:
+    """One compiled program for the lanes of all cases with so many tendons, whose offsets may be slanted."""
+
+    def solve(body, tension, loads):
+        return cddf.solve(body, tension, loads, direction=(+1, -1)[:count], throw=False)
+
+    return jax.jit(jax.vmap(solve))
+
+
+def conical(numbers: dict[str, Any]) -> cddf.Manipulator:
+    """The body; two tendons count as slanted, even where their offsets are the same at base and tip."""
+    d = numbers["tendon_offset"]
+    both_ends = numbers["num_tendons"] == 2 and np.ndim(d) == 0
+    return cddf.conical(**{**numbers, "tendon_offset": (d, d) if both_ends else d})
+
+
+def random_batch(kinematics: str, count: int, slanted: bool) -> tuple[list, Any]:
+    """Problems with their references, and the solutions, one lane for each."""
+    rng = np.random.default_rng(20 + count)
+    problems = [random_loaded(rng, kinematics, count, slanted) for _ in range(LANES)]
+    assert all(problem.direction == (+1, -1)[:count] for problem in problems)
+    bodies, loads = ([conical(p.conical) for p in problems], [cddf.Loads(*p.loads) for p in problems])
+    if (kinematics, count, slanted) == QUICK:
+        given = zip(bodies, problems, loads, strict=True)
+        return problems, stack([cddf.solve(body, p.base_tension, load, throw=False) for body, p, load in given])
+    tensions = jnp.array([problem.base_tension for problem in problems])
+    return problems, solver_of(kinematics, count)(stack(bodies), tensions, stack(loads))
+
+
+def moment_outboard(solution, loads: PlainLoads, plain: PlainBody, density: float):
+    """M_ext at the nodes: the moment of all that lies outboard about each, from positions alone.
+
+    M_ext(s) = m + (u_L - u) x F + int_s^L rho A(xi) (u(xi) - u(s)) dxi x g, by Simpson's rule.
+    """
+    s = np.linspace(0, plain.length, 2001)
+    at = np.array(fields_at(solution, s).position)
+    area = np.pi * (plain.outer_radius(s) ** 2 - plain.inner_radius(s) ** 2)
+    mass = CubicSpline(s, cumulative_simpson(density * area, x=s, initial=0.0))
+    moments = CubicSpline(s, cumulative_simpson(density * area[:, None] * at, x=s, axis=0, initial=0.0 * at[:1]))
+    nodes, u = np.array(solution.arc_length), np.array(solution.position)
+
+    def cross(a, b):
+        return a[:, 0] * b[1] - a[:, 1] * b[0]
+
+    outboard = moments(s[-1]) - moments(nodes) - (mass(s[-1]) - mass(nodes))[:, None] * u
+    return loads.tip_moment + cross(u[-1] - u, loads.tip_force) + cross(outboard, loads.gravity)
+
+
+def assert_moments_balance(solution, problem):
+    """E J kappa = sum sigma d T t_c.t + M_ext, design.md section 2; at the base, M_ext is what the base holds."""
+    plain = problem.plain
+    s, kappa = np.array(solution.arc_length), np.array(solution.curvature)
+    side, d = np.array(plain.sides)[:, None], np.array([[offset(x) for x in s] for offset in plain.offsets])
+    slope = 0.0 * d if plain.slopes is None else np.array([[f(x) for x in s] for f in plain.slopes])
+    q = 1 - side * d * kappa
+    arm = d * (q if plain.kinematics == "published" else q / np.hypot(q, slope))
+    unit = plain.youngs_modulus * plain.second_moment(0.0) / plain.length
+    outboard = moment_outboard(solution, problem.loads, plain, problem.density)
+    balance = plain.youngs_modulus * plain.second_moment(s) * kappa - np.sum(side * arm * solution.tension, 0)
+    np.testing.assert_allclose(balance / unit, outboard / unit, atol=1e-8)  # the interpolants between nodes
+    np.testing.assert_allclose(solution.base_moment / unit, outboard[0] / unit, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("kinematics", "count", "slanted"),
+    [case if case == QUICK else pytest.param(*case, marks=pytest.mark.slow) for case in CASES],
+)
+def test_random_problems(kinematics, count, slanted):
+    """Against shooting; some as well against collocation, and by the moments about every node."""
+    problems, batch = random_batch(kinematics, count, slanted)
+    assert codes(batch.result) == [code(R.successful)] * LANES
+    for i, problem in enumerate(problems):
+        solution = lane(batch, i)
+        assert largest_difference(solution, problem.reference, problem.plain) < AGREES
+        assert solution.error_estimate < 1e-7
+        assert solution.stable  # random_loaded keeps stable equilibria only
+        assert solution.load_fraction == 1.0
+    # a load may push a tendon back further than its tension draws it in: that contradicts nothing
+    assert np.any(np.array([problem.reference.displacement * problem.direction for problem in problems]) < 0)
+    if not slanted:
+        second = bvp_reference(problems[0].plain, problems[0].base_tension, *problems[0][3:6])
+        assert largest_difference(lane(batch, 0), second, problems[0].plain) < 1e-7  # its residual is 1e-8, relative
+    if count == 1 or slanted:
+        assert any(problem.loads.gravity != (0.0, 0.0) for problem in problems[:3])
+        for i, problem in enumerate(problems[:3]):
+            assert_moments_balance(lane(batch, i), problem)
+
+
+# --- textbook ------------------------------------------------------------------------------------
+
+# a slender rod, so that a curl stays clear of its own offset
+ROD = {"length": 0.2, "outer_radius": (0.004, 0.004), "inner_radius": 0.0, "tendon_offset": 0.002}
+RIGIDITY = 1e6 * np.pi / 4 * 0.004**4  # E J, N m^2
+
+
+def rod(**changes):
+    return cddf.conical(**{**ROD, "youngs_modulus": 1e6, "friction_coefficient": 0.3, **changes})
+
+
+def test_a_tapered_cantilever_under_a_small_force():
+    """Castigliano's F int (L - s)^2 / (E J) ds; the rest is of second order in the slope of 1e-4."""
+    force = 1e-3
+    solution = cddf.solve(paper_body("exact"), 0.0, cddf.Loads(tip_force=(0.0, force)))
+    expected = cantilever_tapered(paper_plain(), force)
+    assert 1e-6 < expected / LENGTH < 1e-4
+    np.testing.assert_allclose(solution.tip_position[1], expected, rtol=1e-7)
+    np.testing.assert_allclose(solution.base_moment, force * LENGTH, rtol=1e-7)
+
+
+@pytest.mark.parametrize("alpha", [0.1, 2.0, -5.0, 20.0])
+def test_the_elastica(alpha):
+    """Bisshopp and Drucker (1945): a uniform cantilever under a transverse dead force alpha E J / L^2 at its tip."""
+    x, y, angle = elastica_tip(alpha)
+    assert alpha < 20 or np.degrees(angle) > 87
+    solution = cddf.solve(rod(), 0.0, cddf.Loads(tip_force=(0.0, alpha * RIGIDITY / 0.2**2)))
+    np.testing.assert_allclose(solution.tip_position / 0.2, [x, y], atol=TEXTBOOK)
+    np.testing.assert_allclose(solution.tip_angle, angle, atol=TEXTBOOK)
+    # the moment at the base is the force times its reach
+    np.testing.assert_allclose(solution.base_moment, alpha * x * RIGIDITY / 0.2, rtol=TEXTBOOK)
+
+
+@pytest.mark.parametrize("turns", [0.2, -0.7, 1.6])
+def test_a_tip_moment_makes_a_circle(turns):
+    """The curvature m / (E J) everywhere, also more than once around."""
+    kappa = 2 * np.pi * turns / 0.2
+    solution = cddf.solve(rod(), 0.0, cddf.Loads(tip_moment=kappa * RIGIDITY))
+    x, y, angle = circle_tip(kappa, 0.2)
+    np.testing.assert_allclose(solution.tip_position / 0.2, [x / 0.2, y / 0.2], atol=TEXTBOOK)
+    np.testing.assert_allclose(solution.heading, kappa * solution.arc_length, atol=TEXTBOOK * abs(angle))
+    np.testing.assert_allclose(solution.curvature, kappa, rtol=TEXTBOOK)
+    np.testing.assert_allclose(solution.base_moment, kappa * RIGIDITY, rtol=TEXTBOOK)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -9.81), (15.0, -30.0)], ids=str)
+def test_a_rod_hangs_under_its_weight(gravity):
+    """Against collocation by SciPy, which stops at a relative residual of 1e-8."""
+    plain = PlainBody(0.2, constant(0.004), constant(0.0), [constant(0.002)], 1e6, [0.3], "exact")
+    solution = cddf.solve(rod(density=1000.0), 0.0, cddf.Loads(gravity=gravity))
+    second = bvp_reference(plain, 0.0, PlainLoads(gravity=gravity), 1000.0)
+    assert solution.tip_angle < -1.0
+    assert largest_difference(solution, second, plain) < 1e-8
+
+
+def test_a_force_along_a_straight_rod_bends_nothing():
+    solution = cddf.solve(rod(density=1000.0), 0.0, cddf.Loads(tip_force=(1.0, 0.0), gravity=(9.81, 0.0)))
+    np.testing.assert_array_equal(solution.curvature, 0.0)
+    np.testing.assert_allclose(solution.tip_position, [0.2, 0.0], atol=ROUNDING)
+    assert solution.base_moment == 0.0
+
+
+# --- bodies that are not smooth ------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+def test_a_stepped_body_with_a_passive_tip_link(kinematics):
+    """Two tendons of their own offsets and friction end at 100 mm; beyond it the body is passive, under loads."""
+    outer = cddf.Piecewise([0.06], [cddf.Constant(0.018), cddf.Constant(0.014)])
+    tendons = (
+        cddf.Tendon(cddf.Linear(0.011, 0.008, LENGTH), end=0.10, friction_coefficient=0.2),
+        cddf.Tendon(cddf.Linear(0.009, 0.010, LENGTH), side=-1, end=0.10, friction_coefficient=0.35),
+    )
+    body = cddf.Manipulator(LENGTH, outer, 0.007, tendons, 1.4e6, 9.0, density=1100.0, kinematics=kinematics)
+    plain = paper_plain(
+        kinematics,
+        (+1, -1),
+        outer_radius=lambda s: np.where(s < 0.06, 0.018, 0.014),
+        offsets=[straight(0.011, 0.008, LENGTH), straight(0.009, 0.010, LENGTH)],
+        slopes=[constant(-0.003 / LENGTH), constant(0.001 / LENGTH)],
+        friction=[0.2, 0.35],
+        ends=(0.10, 0.10),
+        breaks=(0.06,),
+    )
+    loads = PlainLoads((0.3, -2.0), 0.02, (0.0, -9.81))
+    solution = cddf.solve(body, (50.0, 10.0), cddf.Loads(*loads), direction=(+1, -1))
+    reference = loaded_reference(plain, (50.0, 10.0), loads, 1100.0, (+1, -1))
+    assert largest_difference(solution, reference, plain) < AGREES
+    beyond = fields_at(solution, jnp.asarray([0.101, 0.13]))
+    np.testing.assert_array_equal(beyond.tension, 0.0)
+    assert abs(beyond.curvature[0]) > 1.0
+
+
+# --- limits and symmetries -----------------------------------------------------------------------
+
+PAIR_LOADS = cddf.Loads(tip_force=(-0.5, -1.0), tip_moment=0.03, gravity=(2.0, -9.81))
+mirrored = cddf.Loads(tip_force=(-0.5, 1.0), tip_moment=-0.03, gravity=(2.0, 9.81))
+
+
+def pair(**changes):
+    return paper_body("exact", num_tendons=2, **{"density": 1070.0, **changes})
+
+
+def solved_pair(loads=PAIR_LOADS, tension=(60.0, 15.0), direction=(+1, -1), **changes):
+    return cddf.solve(pair(**changes), tension, loads, direction=direction)
+
+
+def test_loads_of_zero_are_no_loads():
+    none = cddf.solve(pair(), (60.0, 15.0), direction=(+1, -1))
+    zero = solved_pair(cddf.Loads())
+    for name in ("position", "heading", "tension", "wrap_angle", "tendon_displacement"):
+        np.testing.assert_allclose(getattr(zero, name), getattr(none, name), rtol=SETTLED, atol=SETTLED)
+    np.testing.assert_allclose(zero.friction_force, none.friction_force, rtol=1e-8, atol=1e-8)
+    assert zero.base_moment == none.base_moment == 0.0
+    assert (int(none.num_load_steps), int(zero.num_load_steps)) == (0, 1)
+    assert (float(none.load_fraction), bool(none.stable)) == (1.0, True)
+
+
+def test_the_mirror_image():
+    """Tendons change places, and Y turns over."""
+    one, other = solved_pair(), solved_pair(mirrored, (15.0, 60.0), (-1, +1))
+    np.testing.assert_allclose(other.position, one.position * np.array([1, -1]), atol=SETTLED)
+    np.testing.assert_allclose(other.curvature, -one.curvature, rtol=SETTLED, atol=SETTLED)
+    np.testing.assert_allclose(other.tension, one.tension[::-1], rtol=SETTLED)
+    np.testing.assert_allclose(other.base_moment, -one.base_moment, rtol=SETTLED)
+    np.testing.assert_allclose(other.num_load_steps, one.num_load_steps)
+
+
+def test_millimetres_and_megapascals():
+    """N/mm^2 is MPa: moments in N mm, densities in kg/mm^3."""
+    loads = cddf.Loads((-0.5, -1.0), 30.0, (2.0, -9.81))
+    mm = solved_pair(
+        loads,
+        length=140.0,
+        outer_radius=(20.0, 13.0),
+        inner_radius=7.0,
+        tendon_offset=10.0,
+        youngs_modulus=1.4,
+        density=1070e-9,
+    )
+    si = solved_pair()
+    np.testing.assert_allclose(mm.position, si.position * 1e3, rtol=SETTLED, atol=1e3 * SETTLED)
+    np.testing.assert_allclose(mm.tip_tension, si.tip_tension, rtol=SETTLED)
+    np.testing.assert_allclose(mm.base_moment, si.base_moment * 1e3, rtol=SETTLED)
+    np.testing.assert_allclose(mm.friction_force, si.friction_force / 1e3, rtol=1e-8, atol=1e-9)
+
+
+def test_loads_tensions_and_stiffness_scale_together():
+    """Only ratios to E enter, design.md section 2."""
+    times = 7.0
+    loads = jax.tree.map(lambda x: times * x, PAIR_LOADS)
+    stiff = solved_pair(loads, (times * 60.0, times * 15.0), youngs_modulus=times * PAPER["youngs_modulus"])
+    # the weight is in gravity already, which is seven times as strong
+    np.testing.assert_allclose(stiff.position, solved_pair().position, rtol=SETTLED, atol=SETTLED)
+
+
+def test_fields_anywhere_agree_with_those_at_the_nodes():
+    solution = solved_pair()
+    along = fields_at(solution, solution.arc_length)
+    for name in ("curvature", "heading", "position", "tension", "wrap_angle", "normal_force", "friction_force"):
+        ours, theirs = getattr(along, name), getattr(solution, name)
+        np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.max(np.abs(theirs)), err_msg=name)
+
+
+# --- methods, precision, transformations ---------------------------------------------------------
+
+# on the paper's body: the tendon bends it up, the loads bend its tip back down
+OPPOSING = PlainLoads((0.5, -4.0), -0.05, (1.0, -9.81))
+
+
+def opposed(**changes):
+    return paper_body("exact", density=1070.0, **changes)
+
+
+@lru_cache
+def opposed_reference():
+    return loaded_reference(paper_plain("exact"), 60.0, OPPOSING, 1070.0)
+
+
+def test_the_opposed_tendon():
+    reference = opposed_reference()
+    assert len(reference.turning_points) == 1
+    solution = cddf.solve(opposed(), 60.0, cddf.Loads(*OPPOSING))
+    assert largest_difference(solution, reference, paper_plain("exact")) < AGREES
+
+
+@pytest.mark.slow
+def test_marching_agrees():
+    """RK4, eight steps between nodes, as it differs without loads too."""
+    solution = cddf.solve(opposed(), 60.0, cddf.Loads(*OPPOSING), method=Marching())
+    assert largest_difference(solution, opposed_reference(), paper_plain("exact")) < 1e-6
+
+
+def test_the_papers_iteration_knows_no_loads():
+    with pytest.raises(ValueError, match="knows no loads; use FixedPoint"):
+        cddf.solve(opposed(), 60.0, cddf.Loads(*OPPOSING), method=cddf.LiteralIteration())
+
+
+@pytest.mark.slow
+def test_single_precision():
+    """Within 1e-4: what float32 leaves of a boundary-value problem."""
+    body, loads = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (opposed(), cddf.Loads(*OPPOSING)))
+    solution = cddf.solve(body, jnp.float32(60.0), loads)
+    assert solution.result == R.successful
+    assert {x.dtype for x in jax.tree.leaves(solution) if jnp.issubdtype(x.dtype, jnp.floating)} == {np.dtype("f4")}
+    assert largest_difference(solution, opposed_reference(), paper_plain("exact")) < 1e-4
+
+
+def test_components_may_be_traced_one_by_one():
+    """Under jit, with a traced number beside plain ones."""
+    loads = jax.jit(lambda force: cddf.Loads((0.5, force), -0.05, (1.0, -9.81)))(np.float64(-4.0))
+    solution = cddf.solve(opposed(), 60.0, loads)
+    np.testing.assert_allclose(solution.tip_position, opposed_reference().tip_position, atol=AGREES)
+
+
+# --- derivatives ---------------------------------------------------------------------------------
+
+# of the tip and the base by multiples of every number that enters
+NUMBERS = ["Fx", "Fy", "m", "gx", "gy", "density", "E", "mu", "R base", "R tip", "r", "d", "T", "L"]
+VALUES = np.array([0.5, -4.0, -0.05, 1.0, -9.81, 1070, 1.4e6, 0.42, 0.020, 0.013, 0.007, 0.010, 60.0, 0.14])
+
+
+def tip_and_base(times):
+    """Order one each: tip tension, position, angle, base moment."""
+    fx, fy, m, gx, gy, density, E, mu, base, tip, r, d, T, length = times * VALUES
+    body = cddf.conical(
+        length=length,
+        outer_radius=(base, tip),
+        inner_radius=r,
+        tendon_offset=d,
+        youngs_modulus=E,
+        friction_coefficient=mu,
+        density=density,
+    )
+    solution = cddf.solve(body, T, cddf.Loads((fx, fy), m, (gx, gy)), throw=False)
+    last = jnp.stack([solution.tip_angle, solution.base_moment])
+    return jnp.concatenate([solution.tip_tension / 30, 10 * solution.tip_position, last]), solution
+
+
+class Derivatives(NamedTuple):
+    values: Any  # (lanes, 5)
+    forward: Any  # (lanes, 5, 14)
+    reverse: Any  # (5, lanes, 14), of the sums over the lanes
+    solutions: Any
+
+
+def total(times):
+    values, solutions = jax.vmap(tip_and_base)(times)
+    return (jnp.nansum(values, axis=0), values), solutions
+
+
+@jax.jit
+def derivatives(times):
+    """Both modes of a batch of lanes, compiled once; reverse mode is what `vjp` does, a linear map transposed."""
+    (sums, values), along, solutions = jax.linearize(total, times, has_aux=True)
+    in_all_lanes = jax.vmap(lambda number: along(jnp.broadcast_to(number, times.shape))[1], out_axes=-1)
+    (reverse,) = jax.vmap(jax.linear_transpose(lambda t: along(t)[0], times))(jnp.eye(sums.size))
+    return Derivatives(values, in_all_lanes(jnp.eye(len(NUMBERS))), reverse, solutions)
+
+
+@jax.jit
+def second_derivatives(times):
+    """Of the sums over the lanes, (5, lanes, 14, 14): forward mode over reverse mode."""
+
+    def along(number):
+        by = jax.jacrev(lambda times: total(times)[0][0])
+        return jax.jvp(by, (times,), (jnp.broadcast_to(number, times.shape),))[1]
+
+    return jax.vmap(along, out_axes=-1)(jnp.eye(len(NUMBERS)))
+
+
+def lane_of(density, loads):
+    """The multiples of one lane."""
+    return np.array([*loads.tip_force, loads.tip_moment, *loads.gravity, density, *VALUES[6:]]) / VALUES
+
+
+GOOD_LANES = [(1070.0, OPPOSING), (500.0, PlainLoads((0.0, 2.0)))]
+# 60 N against a force of 30 N at 213.5 degrees: the path of equilibria ends at 91 % of it, see test_load_path.py
+FOLDING = PlainLoads((-13.42, -8.88))
+BAD_LANES = {
+    "NaN force": (1070.0, PlainLoads((np.nan, 1.0)), R.unphysical),
+    "infinite gravity": (1070.0, PlainLoads(gravity=(0.0, np.inf)), R.unphysical),
+    "NaN moment": (1070.0, PlainLoads(tip_moment=np.nan), R.unphysical),
+    "negative density": (-1.0, OPPOSING, R.unphysical),
+    "no equilibrium": (1070.0, FOLDING, R.load_limit),
+}
+
+
+def between_good_ones(density, loads):
+    return jnp.array([lane_of(*GOOD_LANES[0]), lane_of(density, loads), lane_of(*GOOD_LANES[1])])
+
+
+@lru_cache
+def good():
+    return derivatives(between_good_ones(*GOOD_LANES[0]))
+
+
+@pytest.mark.slow
+def test_a_failing_lane_reports_itself_and_spoils_nothing():
+    for failure, (density, loads, expected) in BAD_LANES.items():
+        found = derivatives(between_good_ones(density, loads))
+        assert codes(found.solutions.result) == [0, code(expected), 0], failure
+        assert np.all(np.isnan(found.values[1])), failure
+        for name in ("tip_tension", "position", "tension", "base_moment", "error_estimate"):
+            assert np.all(np.isnan(getattr(found.solutions, name)[1])), (failure, name)
+        np.testing.assert_allclose(found.values[::2], good().values[::2], rtol=SETTLED, err_msg=failure)
+        for ours, theirs in (
+            (found.reverse, good().reverse),
+            (found.forward.swapaxes(0, 1), good().forward.swapaxes(0, 1)),
+        ):
+            np.testing.assert_allclose(ours[:, ::2], theirs[:, ::2], rtol=1e-8, atol=1e-12, err_msg=failure)
+        np.testing.assert_array_equal(found.reverse[:, 1], 0.0, err_msg=failure)
+
+
+@pytest.mark.slow
+def test_a_failing_lane_has_no_second_derivatives_and_spoils_none():
+    second = second_derivatives(between_good_ones(*GOOD_LANES[0]))
+    for failure, (density, loads, _) in BAD_LANES.items():
+        found = second_derivatives(between_good_ones(density, loads))
+        np.testing.assert_allclose(found[:, ::2], second[:, ::2], rtol=1e-8, atol=1e-12, err_msg=failure)
+        np.testing.assert_array_equal(found[:, 1], 0.0, err_msg=failure)
+
+
+def reference_tip_and_base(times):
+    fx, fy, m, gx, gy, density, E, mu, base, tip, r, d, T, length = times * VALUES
+    plain = PlainBody(length, straight(base, tip, length), constant(r), [constant(d)], E, [mu], "exact")
+    found = loaded_reference(plain, T, PlainLoads((fx, fy), m, (gx, gy)), density)
+    return np.concatenate([found.tip_tension / 30, 10 * found.tip_position, [found.tip_angle, found.base_moment]])
+
+
+def slope(function, at, direction, h=1e-4):
+    return (function(at + h * direction) - function(at - h * direction)) / (2 * h)
+
+
+def bend(function, at, direction, h=1e-2):
+    """The second derivative along a direction, of fourth order in h."""
+    far_back, back, here, ahead, far_ahead = (function(at + i * h * direction) for i in (-2, -1, 0, 1, 2))
+    return (-far_back + 16 * back - 30 * here + 16 * ahead - far_ahead) / (12 * h**2)
+
+
+@pytest.mark.slow
+def test_derivatives_by_every_number():
+    """Forward and reverse against differences of the reference: h^2 and its 1e-11 over h leave 1e-6."""
+    found, ones = good(), np.ones(len(NUMBERS))
+    for i, name in enumerate(NUMBERS):
+        expected = slope(reference_tip_and_base, ones, np.eye(len(NUMBERS))[i])
+        np.testing.assert_allclose(found.forward[0, :, i], expected, atol=1e-6, err_msg=name)
+    np.testing.assert_allclose(found.reverse[:, 0], found.forward[0], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_hessian():
+    """Along three directions, against second differences of the reference: h^4 and its 1e-11 over h^2."""
+    weights = np.array([1.0, -0.5, 0.7, 0.3, 2.0])
+    hessian = np.tensordot(weights, second_derivatives(between_good_ones(*GOOD_LANES[0]))[:, 0], 1)
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-8)
+    rng = np.random.default_rng(3)
+    for direction in rng.normal(size=(3, len(NUMBERS))) / 4:
+        second = weights @ bend(reference_tip_and_base, np.ones(len(NUMBERS)), direction)
+        np.testing.assert_allclose(direction @ hessian @ direction, second, rtol=1e-5, atol=1e-5)
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+
+def refused(kind, call):
+    with pytest.raises(kind) as error:
+        call()
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_loads_of_the_wrong_shape():
+    assert refused(ValueError, lambda: cddf.Loads(tip_force=3.0)) == (  # pyright: ignore[reportArgumentType]
+        "Loads: tip_force must have two components (X, Y), got shape ()"
+    )
+    assert "gravity must have two components" in refused(ValueError, lambda: cddf.Loads(gravity=(0.0, 0.0, -9.81)))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("loads", [5, (0.0, -1.0), {"tip_force": (0.0, -1.0)}, cddf.Loads], ids=repr)
+def test_loads_that_are_none(loads):
+    message = refused(TypeError, lambda: cddf.solve(opposed(), 60.0, loads))
+    assert re.match(r"solve: loads must be a Loads, as in Loads\(tip_force=\(0.0, -1.0\)\), got ", message)
+
+
+def test_batched_loads_want_vmap():
+    batch = cddf.Loads(np.zeros((3, 2)), np.zeros(3), np.zeros((3, 2)))
+    message = refused(ValueError, lambda: cddf.solve(opposed(), 60.0, batch))
+    assert message == "solve: loads.tip_force must have shape (2,), got (3, 2); batch with jax.vmap"
+    one = eqx.tree_at(lambda loads: loads.tip_moment, cddf.Loads(), np.zeros(3))
+    assert "loads.tip_moment must have shape ()" in refused(ValueError, lambda: cddf.solve(opposed(), 60.0, one))
+
+
+def test_unphysical_loads_are_said_so():
+    for loads in (cddf.Loads(tip_force=(np.nan, 0.0)), cddf.Loads(gravity=(0.0, np.inf))):
+        with pytest.raises(cddf.SolveError, match="not physical"):
+            cddf.solve(opposed(), 60.0, loads)
+    with pytest.raises(cddf.SolveError, match="not physical"):
+        cddf.solve(replaced(opposed(), density=-1.0), 60.0, cddf.Loads(*OPPOSING))

@@ -1,0 +1,114 @@
+"""Single precision: within 1e-5 of double, and single throughout."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import fields_at, paper_body, two_slanted_tendons
+from marching import Marching
+
+import cddf_jax as cddf
+from cddf_jax.statics.equilibrium import code_of
+
+SINGLE = 1e-5  # relative to tension, length, radian; issue 2, section 3
+
+
+def single(tree):
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tree)
+
+
+def assert_all_single(tree):
+    kinds = {str(x.dtype) for x in jax.tree.leaves(tree) if hasattr(x, "dtype")}
+    assert not kinds & {"float64", "complex128"}
+
+
+CASES = {
+    "published": (paper_body("published"), 75.0, +1),
+    "exact": (paper_body("exact"), 75.0, +1),
+    "slanted pair": (two_slanted_tendons(), (75.0, 20.0), (+1, -1)),
+}
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.slow) if case == "slanted pair" else case for case in CASES]
+)
+def test_numbers_in_single_precision_stay_there(case):
+    body, tension, direction = CASES[case]
+    double = cddf.solve(body, tension, direction=direction)
+    ours = cddf.solve(single(body), jnp.asarray(tension, jnp.float32), direction=direction)
+    assert_all_single(ours)
+    np.testing.assert_allclose(ours.tip_tension, double.tip_tension, rtol=SINGLE)
+    np.testing.assert_allclose(ours.tip_position, double.tip_position, atol=SINGLE * 0.14)
+    np.testing.assert_allclose(ours.tip_angle, double.tip_angle, atol=SINGLE)
+    np.testing.assert_allclose(ours.tension, double.tension, rtol=SINGLE)
+    assert ours.result == cddf.RESULTS.successful
+
+
+def test_a_plain_tension_follows_the_body_and_a_double_one_raises_it():
+    body = single(paper_body("exact"))
+    assert_all_single(cddf.solve(body, 75.0))
+    assert cddf.solve(body, jnp.asarray(75.0, jnp.float64)).tip_tension.dtype == jnp.float64
+
+
+def test_without_x64_everything_is_single():
+    """Against the tip tension printed in design.md section 3."""
+    with jax.enable_x64(False):
+        solution = cddf.solve(paper_body("published"), 75.0)
+        closed = cddf.closed_form_tension(paper_body("published"), 75.0, 0.14)
+        at = fields_at(solution, np.float32(0.07))
+    for tree in (solution, closed, at):
+        assert_all_single(tree)
+    np.testing.assert_allclose(solution.tip_tension, [45.122927013148], rtol=SINGLE)
+    np.testing.assert_allclose(closed, 45.122927013148, rtol=SINGLE)
+
+
+@pytest.mark.slow
+def test_the_history_of_iterates_is_single_without_x64():
+    with jax.enable_x64(False):
+        history = cddf.iteration_history(paper_body("published"), 75.0, max_updates=6)
+    assert_all_single(history)
+    assert history.num_updates == 5
+
+
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param(Marching(), marks=pytest.mark.slow), cddf.LiteralIteration()],
+    ids=lambda m: type(m).__name__,
+)
+def test_every_method_works_in_single_precision(method):
+    solution = cddf.solve(single(paper_body("published")), 75.0, method=method)
+    assert_all_single(solution)
+    # the literal iteration stops where the tip moves by 0.1 mm
+    tolerance = 1e-3 if isinstance(method, cddf.LiteralIteration) else SINGLE
+    np.testing.assert_allclose(solution.tip_tension, [45.122927013148], rtol=tolerance)
+
+
+def test_derivatives_in_single_precision():
+    """dT_tip/dT_base = (T_tip/T_base)^2 by the closed form."""
+
+    def tip_tension(tension):
+        return cddf.solve(single(paper_body("exact")), tension, throw=False).tip_tension[0]
+
+    tension = jnp.asarray(75.0, jnp.float32)
+    forward, reverse = jax.jit(lambda t: (jax.jacfwd(tip_tension)(t), jax.grad(tip_tension)(t)))(tension)
+    assert forward.dtype == reverse.dtype == jnp.float32
+    np.testing.assert_allclose([forward, reverse], (45.122927013148 / 75) ** 2, rtol=SINGLE)
+
+
+def test_many_bodies_in_single_precision():
+    """Tapers of 0.65 to 1 and losses up to 60 %, against double precision."""
+    rng = np.random.default_rng(11)
+    tip_radii, tensions = rng.uniform(0.013, 0.020, 32), rng.uniform(1.0, 100.0, 32)
+
+    def tip(radius, tension):
+        body = paper_body("exact", outer_radius=jnp.stack([0 * radius + 0.020, radius]))
+        body = jax.tree.map(lambda x: jnp.asarray(x, radius.dtype), body)
+        solution = cddf.solve(body, tension, throw=False)
+        return solution.tip_tension[0] / tension, solution.tip_position / 0.14, code_of(solution.result)
+
+    solve = jax.jit(jax.vmap(tip))
+    double = solve(jnp.asarray(tip_radii), jnp.asarray(tensions))
+    ours = solve(jnp.asarray(tip_radii, jnp.float32), jnp.asarray(tensions, jnp.float32))
+    assert ours[0].dtype == jnp.float32
+    for a, b in zip(ours, double, strict=True):
+        np.testing.assert_allclose(a, b, atol=SINGLE)

@@ -1,0 +1,184 @@
+"""Both kinematics against SciPy's integrators, which share no line with the library (see bodies.py)."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import (
+    PAPER,
+    constant,
+    fields_at,
+    one_kinematics_at_once,
+    paper_body,
+    paper_plain,
+    straight,
+)
+from loaded_bodies import reference_solution
+from scipy.interpolate import CubicSpline
+
+import cddf_jax as cddf
+
+LENGTH = PAPER["length"]
+TENSION = 1e-8  # relative; the accuracy that issue 2 asks of the default
+POSITION = 1e-7  # per length
+ALONG = 1e-6  # rad and per length: between the nodes the interpolant has degree 8, not the order 16 of the ends
+
+TAPER = cddf.Linear(0.020, 0.013, LENGTH)
+PAIR = (+1, -1)
+
+
+def manipulator(kinematics, *tendons, outer_radius=TAPER):
+    return cddf.Manipulator(LENGTH, outer_radius, 0.007, tendons, 1.4e6, 0.42, kinematics=kinematics)
+
+
+def pair(kinematics, first, second, end=None):
+    """Antagonists by their offsets at base and tip; `end` of the first. One structure for slanted and parallel ones."""
+    one = cddf.Tendon(cddf.Linear(*first, LENGTH), end=end)
+    return manipulator(kinematics, one, cddf.Tendon(cddf.Linear(*second, LENGTH), -1))
+
+
+def pair_plain(kinematics, first, second, end=None):
+    offsets = [straight(*ends, LENGTH) for ends in (first, second)]
+    slopes = [constant((tip - base) / LENGTH) for base, tip in (first, second)]
+    return paper_plain(kinematics, PAIR, offsets=offsets, slopes=slopes, ends=(LENGTH if end is None else end, LENGTH))
+
+
+def compare_pair(kinematics, first, second, base_tension, direction, end=None):
+    plain = pair_plain(kinematics, first, second, end)
+    compare(pair(kinematics, first, second, end), plain, base_tension, direction)
+
+
+PARALLEL, SLANTED = (0.010, 0.010), (0.012, 0.009)
+
+
+def compare(body, plain, base_tension, direction=+1, nodes=16):
+    solution = cddf.solve(body, base_tension, direction=direction, nodes=nodes)
+    reference = reference_solution(plain, base_tension, direction)
+    np.testing.assert_allclose(solution.tip_tension, reference.tip_tension, rtol=TENSION)
+    np.testing.assert_allclose(solution.tip_position, reference.tip_position, atol=POSITION * LENGTH)
+    np.testing.assert_allclose(solution.tip_angle, reference.tip_angle, atol=POSITION)
+    np.testing.assert_allclose(solution.wrap_angle[:, -1], reference.wrap_angle, atol=POSITION)
+    np.testing.assert_allclose(solution.tendon_displacement, reference.displacement, atol=POSITION * LENGTH)
+    at = np.linspace(0, reference.arc_length.size - 1, 12).astype(int)  # one shape for every case
+    along = fields_at(solution, reference.arc_length[at])
+    np.testing.assert_allclose(along.heading, reference.heading[at], atol=ALONG)
+    np.testing.assert_allclose(along.position, reference.position[at], atol=ALONG * LENGTH)
+
+
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
+def test_one_tendon(kinematics, direction):
+    compare(paper_body(kinematics), paper_plain(kinematics), 30.0, direction)
+
+
+@one_kinematics_at_once
+@pytest.mark.parametrize("direction", [(+1, +1), (+1, -1), (-1, +1)], ids=str)
+def test_two_tendons(kinematics, direction):
+    tension = (75.0, 20.0) if direction[0] > 0 else (30.0, 40.0)
+    compare_pair(kinematics, PARALLEL, PARALLEL, tension, direction)
+
+
+@pytest.mark.slow
+def test_three_tendons_with_their_own_friction():
+    offsets, friction, sides = (0.010, 0.012, 0.008), (0.42, 0.1, 0.3), (+1, -1, +1)
+    tendons = [cddf.Tendon(*numbers[:2], None, numbers[2]) for numbers in zip(offsets, sides, friction, strict=True)]
+    plain = paper_plain("exact", sides, offsets=[constant(d) for d in offsets], friction=list(friction))
+    compare(manipulator("exact", *tendons), plain, (40.0, 10.0, 15.0), (+1, -1, +1))
+
+
+KNOTS = np.array([0.0, 0.05, 0.10, LENGTH])
+
+
+def bent(kinematics, heights):
+    """One tendon along straight lines through four points."""
+    return manipulator(kinematics, cddf.Tendon(cddf.Piecewise.linear(KNOTS, heights)))
+
+
+def bent_plain(kinematics, heights):
+    slope = np.diff(heights) / np.diff(KNOTS)
+
+    def slope_at(s):
+        return slope[min(np.searchsorted(KNOTS, s, side="right") - 1, 2)]
+
+    offset = [lambda s: np.interp(s, KNOTS, heights)]
+    return paper_plain(kinematics, offsets=offset, slopes=[slope_at], breaks=(0.05, 0.10))
+
+
+@one_kinematics_at_once
+@pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
+@pytest.mark.parametrize(("base", "tip"), [(0.012, 0.009), (0.008, 0.0115)], ids=["converging", "diverging"])
+def test_one_slanted_tendon(kinematics, direction, base, tip):
+    """On one straight line, for which the compiled program of the kinked tendon serves."""
+    heights = base + (tip - base) * KNOTS / LENGTH
+    offsets, slopes = [straight(base, tip, LENGTH)], [constant((tip - base) / LENGTH)]
+    compare(bent(kinematics, heights), paper_plain(kinematics, offsets=offsets, slopes=slopes), 30.0, direction)
+
+
+@one_kinematics_at_once
+@pytest.mark.parametrize("direction", [(+1, +1), (+1, -1), (-1, +1)], ids=str)
+def test_two_slanted_tendons(kinematics, direction):
+    compare_pair(kinematics, SLANTED, SLANTED, (75.0, 20.0) if direction[0] > 0 else (30.0, 60.0), direction)
+
+
+SPLINE_KNOTS = np.array([0.0, 0.03, 0.06, 0.10, 0.14])
+SPLINE_HEIGHTS = np.array([0.0100, 0.0108, 0.0110, 0.0103, 0.0090])
+
+
+@pytest.mark.slow
+@one_kinematics_at_once
+def test_a_spline_offset(kinematics):
+    scipy_spline = CubicSpline(SPLINE_KNOTS, SPLINE_HEIGHTS, bc_type="not-a-knot")
+    plain = paper_plain(
+        kinematics, offsets=[scipy_spline], slopes=[scipy_spline.derivative()], breaks=tuple(SPLINE_KNOTS[1:-1])
+    )
+    compare(manipulator(kinematics, cddf.Tendon(cddf.Spline(SPLINE_KNOTS, SPLINE_HEIGHTS))), plain, 60.0)
+
+
+@pytest.mark.slow
+@one_kinematics_at_once
+@pytest.mark.parametrize(
+    "other", [pytest.param((0.011, 0.011), marks=pytest.mark.slow), SLANTED], ids=["parallel", "slanted"]
+)
+def test_a_tendon_that_ends_before_the_tip(kinematics, other):
+    """The curvature jumps where the first ends, and with it a slanted tendon's angle to the axis."""
+    compare_pair(kinematics, PARALLEL, other, (40.0, 15.0), (+1, -1), end=0.08)
+
+
+def test_nothing_bends_beyond_the_last_anchor():
+    solution = cddf.solve(manipulator("exact", cddf.Tendon(0.010, end=0.08)), 40.0)
+    beyond = fields_at(solution, np.array([0.0800001, 0.1, 0.14]))
+    np.testing.assert_array_equal(beyond.curvature, 0.0)
+    np.testing.assert_array_equal(beyond.tension, 0.0)
+    np.testing.assert_allclose(beyond.heading, solution.tip_angle, atol=1e-12)
+    # design.md section 3, closed form of SciPy at the anchor
+    np.testing.assert_allclose(solution.tip_tension, [paper_plain().closed_form(40.0, 0.08)], rtol=TENSION)
+
+
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+def test_a_step_of_the_section(kinematics):
+    step = cddf.Piecewise([0.05, 0.09], [cddf.Constant(0.020), cddf.Constant(0.014), cddf.Constant(0.017)])
+    plain = paper_plain(
+        kinematics, outer_radius=lambda s: 0.020 if s < 0.05 else 0.014 if s < 0.09 else 0.017, breaks=(0.05, 0.09)
+    )
+    compare(manipulator(kinematics, cddf.Tendon(0.010), outer_radius=step), plain, 40.0)
+
+
+@pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
+@pytest.mark.parametrize("heights", [(0.008, 0.012, 0.010, 0.010), (0.012, 0.008, 0.011, 0.010)], ids=["out", "in"])
+def test_a_kinked_tendon_loses_tension_at_the_kink(direction, heights):
+    """In the exact kinematics T jumps by exp(-mu |delta psi|) where the tendon turns by a finite angle."""
+    compare(bent("exact", heights), bent_plain("exact", heights), 30.0, direction)
+
+
+def test_the_jump_at_a_kink_is_the_capstan_of_its_angle():
+    heights = (0.008, 0.012, 0.010, 0.010)
+    solution = cddf.solve(bent("exact", heights), 30.0)
+    gap = 1e-9
+    before, after = (fields_at(solution, jnp.asarray(0.05 + side * gap)) for side in (-1, +1))
+    # psi = phi + atan2(d', 1 - d kappa), design.md section 2; d' = 0.08 before, -0.04 after
+    psi = [
+        float(at.heading + np.arctan2(slope, 1 - 0.012 * at.curvature))
+        for at, slope in ((before, 0.08), (after, -0.04))
+    ]
+    jump = np.exp(-0.42 * abs(psi[1] - psi[0]))
+    assert jump < 0.97
+    np.testing.assert_allclose(after.tension / before.tension, [jump], rtol=1e-7)  # 2 gap kappa_c is of this size

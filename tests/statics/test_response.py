@@ -1,0 +1,131 @@
+"""Compliance and Jacobian of the tip: textbook, closed form, SciPy, reciprocity."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, constant, paper_body, paper_plain, replaced
+from loaded_bodies import PlainLoads, loaded_reference
+
+import cddf_jax as cddf
+
+LENGTH, d, MU, E = (PAPER[name] for name in ("length", "tendon_offset", "friction_coefficient", "youngs_modulus"))
+LOADS = cddf.Loads(tip_force=(1.0, -2.0), tip_moment=0.02)
+# one structure of each kinematics: one tendon, and two of which one slides out
+EXACT = {"body": paper_body("exact"), "tension": 40.0, "direction": +1}
+PUBLISHED = {"body": paper_body("published", num_tendons=2), "tension": (60.0, 20.0), "direction": (+1, -1)}
+CASES = {"exact": (EXACT, paper_plain("exact")), "published": (PUBLISHED, paper_plain("published", (+1, -1)))}
+
+
+def compliance_of(case, **changes):
+    body, tension, direction = case["body"], case["tension"], case["direction"]
+    return np.asarray(cddf.tip_compliance(replaced(body, **changes), tension, LOADS, direction=direction))
+
+
+@pytest.mark.slow
+def test_a_uniform_cantilever():
+    """Straight and without tension: L^3 / (3 E J), L^2 / (2 E J), L / (E J); nothing along the axis."""
+    body = paper_body("exact", outer_radius=(0.015, 0.015))
+    stiffness = float(body.stiffness(0.0))
+    y, phi, both = LENGTH**3 / (3 * stiffness), LENGTH / stiffness, LENGTH**2 / (2 * stiffness)
+    expected = [[0, 0, 0], [0, y, both], [0, both, phi]]
+    np.testing.assert_allclose(cddf.tip_compliance(body, 0.0), expected, rtol=1e-9, atol=1e-15)
+
+
+def test_of_a_cylinder_under_a_load():
+    """By the force across the tip: against central differences of SciPy's shooting, error h^2, noise 1e-10 / h."""
+    body = paper_body("published", outer_radius=(0.015, 0.015))
+    plain, h = paper_plain("published", outer_radius=constant(0.015)), 1e-3
+
+    def pose(force):
+        found = loaded_reference(plain, 20.0, PlainLoads((0.0, force)))
+        return np.array([*found.tip_position, found.tip_angle])
+
+    compliance = cddf.tip_compliance(body, 20.0, cddf.Loads(tip_force=(0.0, -1.0)), nodes=8)
+    np.testing.assert_allclose(compliance[:, 1], (pose(h - 1.0) - pose(-h - 1.0)) / (2 * h), rtol=2e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_against_differences_of_the_reference(name):
+    """Central differences of SciPy's shooting, steps h of 1e-3 N and 1e-4 N m: error h^2, noise 1e-10 / h."""
+    case, plain = CASES[name]
+    wrench = np.array([1.0, -2.0, 0.02])
+
+    def pose(wrench):
+        loads = PlainLoads((wrench[0], wrench[1]), wrench[2])
+        found = loaded_reference(plain, case["tension"], loads, direction=case["direction"])
+        return np.array([*found.tip_position, found.tip_angle])
+
+    steps = np.diag([1e-3, 1e-3, 1e-4])
+    columns = [(pose(wrench + h) - pose(wrench - h)) / (2 * np.max(h)) for h in steps]
+    np.testing.assert_allclose(compliance_of(case), np.stack(columns, axis=1), rtol=2e-5, atol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_reciprocity_and_its_loss(name):
+    """At constant tensions a frictionless body has a potential, so C is symmetric (Maxwell, Betti)."""
+    case, _ = CASES[name]
+    smooth = compliance_of(case, friction_coefficient=0.0)
+    np.testing.assert_allclose(smooth, smooth.T, rtol=1e-9)
+    assert np.all(np.linalg.eigvalsh(smooth) > 0)
+    rough = compliance_of(case)
+    assert np.max(np.abs(rough - rough.T) / np.abs(rough)) > 0.02
+
+
+@pytest.mark.slow
+def test_a_held_displacement_is_stiffer_than_a_held_tension():
+    """Holding the tendon's length adds a constraint, which without friction can only take compliance away.
+
+    The length that 40 N pull in is SciPy's.
+    """
+    body = paper_body("exact", friction_coefficient=0.0)
+    tension = 40.0
+    plain = paper_plain("exact", friction=[0.0])
+    pulled = loaded_reference(plain, tension, PlainLoads((1.0, -2.0), 0.02)).displacement[0]
+    free = cddf.tip_compliance(body, tension, LOADS)
+    held = cddf.tip_compliance(body, cddf.Displacement(pulled), LOADS)
+    taken = np.linalg.eigvalsh(np.asarray(free - (held + held.T) / 2))
+    assert taken[-1] > 1e-3
+    assert taken[0] > -1e-10
+    # d phi is the pulled length, so the tip cannot turn at all
+    np.testing.assert_allclose(held[2], 0.0, atol=1e-9)
+
+
+def test_jacobian_against_the_closed_form():
+    """phi(L) = ln(1 + a T) / mu with a = mu G / E, design.md section 3."""
+    plain, tension = paper_plain("exact"), 40.0
+    a = MU * plain.compliance(LENGTH) / E
+    jacobian = cddf.tip_jacobian(paper_body("exact"), tension)
+    assert jacobian.loads is None
+    by_tension = a / (1 + a * tension) / MU
+    assert jacobian.base_tension[2] == pytest.approx(by_tension, rel=1e-8)
+    assert jacobian.manipulator.youngs_modulus[2] == pytest.approx(-by_tension * tension / E, rel=1e-8)
+    by_mu = by_tension * tension / MU - np.log1p(a * tension) / MU**2
+    assert jacobian.manipulator.friction_coefficient[2] == pytest.approx(by_mu, rel=1e-8)
+
+
+@pytest.mark.slow
+def test_jacobian_of_two_tendons_is_that_of_forward_mode():
+    body, direction = PUBLISHED["body"], PUBLISHED["direction"]
+    jacobian = cddf.tip_jacobian(body, PUBLISHED["tension"], LOADS, direction=direction)
+
+    def pose(tension):
+        found = cddf.solve(body, tension, LOADS, direction=direction)
+        return jnp.append(found.tip_position, found.tip_angle)
+
+    forward = jax.jit(jax.jacfwd(pose))(jnp.array(PUBLISHED["tension"]))
+    np.testing.assert_allclose(np.stack(jacobian.base_tension, axis=1), forward, rtol=1e-9)
+    assert jacobian.loads.gravity.shape == (3, 2)
+
+
+def test_a_failed_solve_has_no_jacobian():
+    assert np.all(np.isnan(cddf.tip_jacobian(paper_body("exact"), -1.0).base_tension))
+
+
+@pytest.mark.slow
+def test_a_displacement_that_is_slack_or_out_of_reach_has_no_compliance():
+    assert np.all(np.isnan(cddf.tip_compliance(paper_body("exact"), -1.0)))
+    for pulled in (-0.002, 0.1):
+        assert np.all(np.isnan(cddf.tip_compliance(paper_body("exact"), cddf.Displacement(pulled))))

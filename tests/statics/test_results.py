@@ -1,0 +1,286 @@
+"""What comes back: codes, messages, fields anywhere along the body, displacements, and what is refused."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import fields_at, paper_body, paper_plain, two_slanted_tendons
+from scipy.integrate import quad
+
+import cddf_jax as cddf
+
+R = cddf.RESULTS
+FIELDS = ("arc_length", "curvature", "heading", "position", "tension", "wrap_angle", "normal_force", "friction_force")
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return cddf.solve(two_slanted_tendons(), (75.0, 20.0), direction=(+1, -1))
+
+
+# --- codes ---------------------------------------------------------------------------------------
+
+
+def test_success_has_no_message():
+    assert cddf.RESULTS[cddf.solve(paper_body("exact"), 75.0).result] == ""
+
+
+FAILURES = {
+    "unphysical: modulus": (paper_body("exact", youngs_modulus=-1.0), 30.0, +1, R.unphysical, "not physical"),
+    "unphysical: friction": (paper_body("exact", friction_coefficient=-0.1), 30.0, +1, R.unphysical, "validate"),
+    "unphysical: NaN": (paper_body("exact", youngs_modulus=np.nan), 30.0, +1, R.unphysical, "NaN"),
+    "unphysical: wall": (paper_body("exact", inner_radius=0.0135), 30.0, +1, R.unphysical, "a wall of no thickness"),
+    "unphysical: length": (paper_body("exact", length=0.0), 30.0, +1, R.unphysical, "not physical"),
+    "unphysical: offset": (paper_body("exact", tendon_offset=-0.01), 30.0, +1, R.unphysical, "not physical"),
+    "unphysical: tension": (paper_body("exact"), -30.0, +1, R.unphysical, "negative tension"),
+    "unphysical: direction": (paper_body("exact"), 30.0, 0.5, R.unphysical, r"direction other than \+1 or -1"),
+    "crossing": (paper_body("exact", youngs_modulus=3e5, friction_coefficient=0.05), 200.0, +1, R.crossing, "cross"),
+    "locked": (paper_body("exact"), 1.01 * 1.4e6 / 0.42 / 2.942783188998e4, -1, R.locked, "locks"),
+}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_failure_has_its_code_and_is_raised_with_its_message(failure):
+    body, tension, direction, expected, message = FAILURES[failure]
+    solution = cddf.solve(body, tension, direction=direction, throw=False)
+    assert solution.result == expected
+    with pytest.raises(cddf.SolveError, match=message):
+        cddf.solve(body, tension, direction=direction)
+
+
+def test_a_crossing_keeps_its_numbers_and_is_one():
+    """Offset times curvature at the tip by the closed form: d^2 T / (E J) >= 1."""
+    body, tension, *_ = FAILURES["crossing"]
+    plain = paper_plain("exact", youngs_modulus=3e5, friction=[0.05])
+    assert 0.010**2 * plain.closed_form(tension, 0.14) / (3e5 * plain.second_moment(0.14)) > 1
+    solution = cddf.solve(body, tension, throw=False)
+    np.testing.assert_allclose(solution.tip_tension, [plain.closed_form(tension, 0.14)], rtol=1e-6)
+
+
+def test_the_other_failures_have_no_numbers():
+    solution = cddf.solve(paper_body("exact"), -30.0, throw=False)
+    for name in (*FIELDS, "tip_tension", "tension_loss", "tendon_displacement", "tip_position", "error_estimate"):
+        assert np.all(np.isnan(getattr(solution, name))), name
+    assert np.all(np.isnan(fields_at(solution, np.array(0.07)).position))
+
+
+def test_nothing_is_raised_under_a_transformation():
+    values = jax.jit(jax.vmap(lambda t: cddf.solve(paper_body("exact"), t).tip_tension))(jnp.array([30.0, -30.0]))
+    assert np.isfinite(values[0, 0])
+    assert np.isnan(values[1, 0])
+
+
+def test_a_solve_error_is_a_runtime_error():
+    assert issubclass(cddf.SolveError, RuntimeError)
+
+
+def test_a_contradicted_direction_is_said_and_not_raised():
+    solution = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=+1)
+    assert solution.result == R.direction_contradicted
+    np.testing.assert_array_equal(solution.direction_contradicted, [False, True])
+    assert solution.tendon_displacement[1] < 0
+    assert "flip it or leave it out" in cddf.RESULTS[solution.result]
+    right = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=(+1, -1))
+    assert right.result == R.successful
+    assert not np.any(right.direction_contradicted)
+
+
+def test_a_slack_tendon_contradicts_nothing():
+    """Without tension there is no friction whose sign could be wrong."""
+    solution = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 0.0), direction=+1)
+    assert solution.result == R.successful
+
+
+# --- arguments -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tension", [(1.0, 2.0, 3.0), np.ones((2, 1)), [[1.0]]], ids=["three", "column", "nested"])
+def test_a_wrong_number_of_tensions(tension):
+    with pytest.raises(ValueError, match=r"solve: base_tension must be a number or one per tendon \(2\), got shape"):
+        cddf.solve(two_slanted_tendons(), tension)
+
+
+def test_a_wrong_number_of_directions():
+    with pytest.raises(ValueError, match=r"solve: direction must be a number or one per tendon \(1\), got shape \(2,"):
+        cddf.solve(paper_body(), 75.0, direction=(+1, -1))
+
+
+@pytest.mark.parametrize("nodes", [3, 0, -8, 16.0, True, "16", None])
+def test_nodes_are_a_whole_number_of_four_or_more(nodes):
+    with pytest.raises(ValueError, match="nodes must be a whole number of 4 or more, got"):
+        cddf.solve(paper_body(), 75.0, nodes=nodes)
+
+
+@pytest.mark.slow
+def test_one_number_serves_every_tendon():
+    body = two_slanted_tendons()
+    one, each = cddf.solve(body, 30.0, direction=+1), cddf.solve(body, (30.0, 30.0), direction=(+1, +1))
+    np.testing.assert_array_equal(one.tip_tension, each.tip_tension)
+
+
+# --- fields --------------------------------------------------------------------------------------
+
+
+def test_shapes(pair):
+    assert pair.arc_length.shape == pair.curvature.shape == pair.heading.shape == (18,)
+    assert pair.position.shape == (18, 2)
+    assert pair.tension.shape == pair.wrap_angle.shape == (2, 18)
+    assert pair.normal_force.shape == pair.friction_force.shape == (2, 18, 2)
+    for value in (pair.tip_tension, pair.tension_loss, pair.tendon_displacement, pair.direction_contradicted):
+        assert value.shape == (2,)
+    assert pair.tip_position.shape == (2,)
+    assert pair.tip_angle.shape == pair.error_estimate.shape == pair.num_iterations.shape == ()
+
+
+def test_the_ends_of_the_fields(pair):
+    assert pair.arc_length[0] == 0.0
+    assert pair.arc_length[-1] == 0.14
+    assert np.all(np.diff(pair.arc_length) > 0)
+    np.testing.assert_array_equal(pair.position[0], 0.0)
+    np.testing.assert_array_equal(pair.heading[0], 0.0)
+    np.testing.assert_array_equal(pair.wrap_angle[:, 0], 0.0)
+    np.testing.assert_allclose(pair.tension[:, 0], [75.0, 20.0], rtol=1e-14)
+    np.testing.assert_allclose(pair.tension[:, -1], pair.tip_tension, rtol=1e-14)
+    np.testing.assert_allclose(pair.tension_loss, 1 - np.asarray(pair.tip_tension) / [75.0, 20.0], rtol=1e-12)
+    np.testing.assert_array_equal(pair.tip_position, pair.position[-1])
+    np.testing.assert_array_equal(pair.tip_angle, pair.heading[-1])
+
+
+def test_the_capstan_law_along_the_body(pair):
+    """Eq. (8): T = T_base exp(-mu theta) sliding in, exp(+mu theta) sliding out."""
+    sign = np.array([[1.0], [-1.0]])
+    expected = np.array([[75.0], [20.0]]) * np.exp(-sign * 0.42 * np.asarray(pair.wrap_angle))
+    # at inner nodes tension and wrap angle are collocated apart
+    np.testing.assert_allclose(pair.tension, expected, rtol=1e-7)
+    np.testing.assert_allclose(pair.tip_tension, expected[:, -1], rtol=1e-9)
+
+
+def test_at_gives_the_nodes_at_the_nodes(pair):
+    at = fields_at(pair, pair.arc_length)
+    for name in FIELDS:
+        ours, theirs = getattr(at, name), getattr(pair, name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10 * np.max(np.abs(theirs)), err_msg=name)
+
+
+def test_at_takes_any_shape(pair):
+    at = fields_at(pair, np.full((2, 3), 0.07))
+    assert at.arc_length.shape == at.curvature.shape == at.heading.shape == (2, 3)
+    assert at.position.shape == (2, 3, 2)
+    assert at.tension.shape == at.wrap_angle.shape == (2, 2, 3)
+    assert at.normal_force.shape == at.friction_force.shape == (2, 2, 3, 2)
+
+
+@pytest.mark.slow
+def test_at_between_the_nodes_is_smooth(pair):
+    """More nodes give the same there: the interpolant of 9 points per panel."""
+    s = jnp.linspace(0.0, 0.14, 23)
+    fine = cddf.solve(two_slanted_tendons(), (75.0, 20.0), direction=(+1, -1), nodes=48)
+    ours, theirs = fields_at(pair, s), fields_at(fine, s)
+    np.testing.assert_allclose(ours.position, theirs.position, atol=1e-7 * 0.14)
+    np.testing.assert_allclose(ours.tension, theirs.tension, rtol=1e-6)
+    np.testing.assert_allclose(ours.curvature, theirs.curvature, rtol=1e-6)
+
+
+def test_at_outside_the_body_is_nan(pair):
+    at = fields_at(pair, jnp.array([-1e-9, 0.0, 0.14, 0.14 + 1e-9, jnp.nan]))
+    outside = [True, False, False, True, True]
+    np.testing.assert_array_equal(np.isnan(at.heading), outside)
+    np.testing.assert_array_equal(np.isnan(at.position[:, 0]), outside)
+    np.testing.assert_array_equal(np.isnan(at.tension[0]), outside)
+
+
+def test_at_can_be_differentiated(pair):
+    """Of the heading the curvature, of the position the axis t: design.md section 1."""
+    s = jnp.asarray(0.0613)
+    slope = jax.jit(jax.jacfwd(lambda s: (pair.at(s).heading, pair.at(s).position)))(s)
+    at = fields_at(pair, s)
+    np.testing.assert_allclose(slope[0], at.curvature, rtol=1e-5)  # the slope of an interpolant of degree 8
+    np.testing.assert_allclose(slope[1], [np.cos(at.heading), np.sin(at.heading)], rtol=1e-5)
+
+
+# --- displacement --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+def test_displacement_of_a_parallel_tendon_is_offset_times_angle(kinematics):
+    """The integral of 1 - |1 - d kappa| = d kappa: both kinematics, both sides."""
+    solution = cddf.solve(paper_body(kinematics, num_tendons=2), (75.0, 20.0), direction=(+1, -1))
+    expected = 0.010 * float(solution.tip_angle) * np.array([1.0, -1.0])
+    np.testing.assert_allclose(solution.tendon_displacement, expected, rtol=1e-9)
+
+
+def test_displacement_of_slanted_tendons_is_the_change_of_their_length(pair):
+    """SciPy's integral of sqrt(1 + d'^2) - |u_c'| over the solved curvature, u_c' of design.md section 2."""
+    dense = jax.jit(lambda s: pair.at(s).curvature)
+    slope = -0.003 / 0.14
+
+    def shortening(s, side):
+        q = 1 - side * (0.012 + slope * s) * float(dense(s))
+        return np.sqrt(1 + slope**2) - np.sqrt(q**2 + slope**2)
+
+    expected = [quad(shortening, 0, 0.14, args=(side,), epsrel=1e-10, limit=200)[0] for side in (+1, -1)]
+    np.testing.assert_allclose(pair.tendon_displacement, expected, rtol=1e-7)
+
+
+def test_a_solution_is_a_tree_that_passes_through_jit(pair):
+    doubled = jax.jit(lambda solution: 2 * solution.tip_tension)(pair)
+    np.testing.assert_allclose(doubled, 2 * pair.tip_tension)
+
+
+# --- what hides between the nodes ----------------------------------------------------------------
+
+
+class Notch(eqx.Module):
+    """A smooth notch of the outer radius at `place`, `width` wide and 8 mm deep."""
+
+    place: jax.Array
+    width: jax.Array
+
+    def __call__(self, arc_length):
+        return 0.020 - 0.008 * jnp.exp(-(((arc_length - self.place) / self.width) ** 2))
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(0, None))
+def of_notched_body(place, width):
+    """The relative error of the tip tension, and whether the solve calls itself successful."""
+    notch = Notch(place, jnp.asarray(width))
+    body = cddf.Manipulator(0.14, notch, 0.007, (cddf.Tendon(0.010),), 1.4e6, 0.42, kinematics="published")
+    solution = cddf.solve(body, 75.0, throw=False)
+    exact = cddf.closed_form_tension(body, 75.0, 0.14, nodes=960)
+    return solution.tip_tension[0] / exact - 1, solution.result == cddf.RESULTS.successful
+
+
+@pytest.mark.parametrize("width", [1e-3, 1.5e-3, 3e-3])
+def test_a_notch_between_the_nodes_is_seen(width):
+    """Wherever it lies: no body whose tension misses the closed form by 1e-5 may pass for successful.
+
+    The oracle is the closed form over 60 panels of Gauss nodes, 960 in all.
+    """
+
+    miss, passed = of_notched_body(jnp.linspace(0.0, 0.14, 141), width)
+    assert np.abs(miss).max() > 1e-3  # the notch matters
+    assert np.abs(miss)[np.asarray(passed)].max(initial=0.0) < 1e-5
+
+
+def test_crossing_is_seen_at_the_very_tip():
+    """Without friction d kappa = T d^2 / (E J), largest at the tip of a cone: 1.005 there, below 1 at the nodes."""
+    body = paper_body("exact", friction_coefficient=0.0)
+    stiffness = 1.4e6 * np.pi / 4 * (0.013**4 - 0.007**4)
+    result = cddf.solve(body, 1.005 * stiffness / 0.010**2, throw=False).result
+    assert result == cddf.RESULTS.crossing
+
+
+def test_plain_functions_are_profiles():
+    body = cddf.Manipulator(0.14, lambda s: 0.020 - 0.05 * s, 0.007, (cddf.Tendon(0.010),), 1.4e6, 0.42)
+    same = paper_body("exact")  # 20 to 13 mm over 140 mm
+    np.testing.assert_allclose(cddf.solve(body, 75.0).tip_position, cddf.solve(same, 75.0).tip_position, rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["literal", cddf.FixedPoint])
+def test_a_method_that_is_none_is_named(method):
+    with pytest.raises(TypeError, match="method must be one such as FixedPoint"):
+        cddf.solve(paper_body(), 75.0, method=method)

@@ -1,0 +1,458 @@
+"""What may stand in place of a tension: displacements and targets, against closed forms and SciPy.
+
+The closed form of design.md section 3, with G(s) = int_0^s d/J ds and constant d in the exact kinematics, inverted:
+T(s) = T_base / (1 + a T_base), a = mu G / E; phi(L) = ln(1 + a T_base) / mu; pulled length = d phi(L).
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, code, codes, constant, lane, paper_body, paper_plain, replaced, stack
+from jax.sharding import AxisType, PartitionSpec
+from loaded_bodies import PlainLoads, largest_difference, loaded_reference, random_loaded
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+import cddf_jax as cddf
+
+R = cddf.RESULTS
+d, MU, E = PAPER["tendon_offset"], PAPER["friction_coefficient"], PAPER["youngs_modulus"]
+PLAIN = paper_plain("exact")
+G = PLAIN.compliance(PLAIN.length)
+A = MU * G / E
+CLOSED = 1e-9  # the solver promises 1e-8; a target is reached to 1e-9 of its size
+AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
+ROUND_TRIP = 1e-7  # tensions found again from a displacement or an angle that SciPy computed to 1e-10
+
+
+def curvature_tension(kappa, s):
+    """T_base for a wanted curvature at s: T(s) = kappa E J / d."""
+    local = kappa * E * PLAIN.second_moment(s) / d
+    return local / (1 - MU / E * local * PLAIN.compliance(s))
+
+
+def crossing_tension():
+    """Where d kappa first reaches 1 somewhere: the closed form's kappa d = T(s) d^2 / (E J)."""
+    s = np.linspace(0, PLAIN.length, 2001)
+    flow = np.array([PLAIN.compliance(x) for x in s])
+    J = np.array([PLAIN.second_moment(x) for x in s])
+    return brentq(lambda T: np.max(T / (1 + MU / E * T * flow) * d**2 / (E * J)) - 1, 100.0, 1e5)
+
+
+# --- one tendon ----------------------------------------------------------------------------------
+
+RIGID = 1e30  # N, the axial stiffness of a tendon that stretches by nothing that counts
+SOFT, FREE, SOFT_TENSION = 4000.0, 0.25, 60.0
+
+
+def soft_displacement():
+    """Pulled length = d phi + (T_base free + int T ds) / (E A), with T(s) of the closed form."""
+    inside = quad(lambda s: PLAIN.closed_form(SOFT_TENSION, s), 0, PLAIN.length, epsabs=1e-12)[0]
+    return d * np.log1p(A * SOFT_TENSION) / MU + (SOFT_TENSION * FREE + inside) / SOFT
+
+
+def stretching(axial_stiffness, free_length):
+    tendon = cddf.Tendon(d, axial_stiffness=axial_stiffness, free_length=free_length)
+    return replace(paper_body("exact"), tendons=(tendon,))
+
+
+# one compiled program each: body and target of the wanted value x and other numbers, and the lanes
+PROGRAMS = {
+    "displacement": (
+        lambda x, EA, free: (stretching(EA, free), cddf.Displacement(x)),
+        [(0.012, RIGID, 0.0), (soft_displacement(), SOFT, FREE), (-0.002, RIGID, 0.0)],
+    ),
+    "tip_tension": (lambda x: (paper_body("exact"), cddf.TipTension(x)), [(45.0,), (200.0,), (-1.0,)]),
+    "total_tension": (lambda x: (paper_body("exact"), cddf.TotalTension(x)), [(30.0,)]),
+    "curvature": (
+        lambda x, place: (paper_body("exact"), cddf.CurvatureAt(x, place)),
+        [(10.0, 0.09), (-3.0, 0.05), (5.0, -0.01), (5.0, 0.15)],
+    ),
+}
+ANGLES = [1.0, 0.5, -0.5, 12.0, np.nan]
+
+
+@lru_cache
+def lanes_of(name):
+    """The equilibria of all lanes, and the derivatives of their tensions by the wanted value in forward mode."""
+    make, lanes = PROGRAMS[name]
+
+    def solve(x, *others):
+        body, target = make(x, *others)
+        found = cddf.solve(body, target, throw=False)
+        return found.base_tension[0], found
+
+    def with_slope(x, *others):
+        _, slope, found = jax.jvp(lambda x: solve(x, *others), (x,), (jnp.ones_like(x),), has_aux=True)
+        return found, slope
+
+    return jax.jit(jax.vmap(with_slope))(*jnp.asarray(lanes, float).T)
+
+
+class ByAngle(NamedTuple):
+    """All that is asked of lanes that shall reach an angle; `slope`: of the sum of their tensions, reverse mode."""
+
+    found: Any
+    forward: Any  # derivatives of the tensions by the angles
+    slope: Any
+    slope_by_body: Any
+    second: Any  # derivatives of `slope` by the angles, forward mode over reverse mode
+
+
+@lru_cache
+def by_angle():
+    def total(angles, bodies):
+        found = jax.vmap(lambda body, x: cddf.solve(body, cddf.TipAngle(x), throw=False))(bodies, angles)
+        return jnp.nansum(found.base_tension), found
+
+    @jax.jit
+    def everything(angles, bodies):
+        def slopes(angles):
+            slopes, found = jax.grad(total, (0, 1), has_aux=True)(angles, bodies)
+            return (slopes, found.base_tension[:, 0]), found
+
+        at, along, found = jax.jvp(slopes, (angles,), (jnp.ones_like(angles),), has_aux=True)
+        (slope, slope_by_body), _ = at
+        return ByAngle(found, along[1], slope, slope_by_body, along[0][0])
+
+    return everything(jnp.array(ANGLES), stack([paper_body("exact")] * len(ANGLES)))
+
+
+def lane_of(name, wanted):
+    """The lane of a wanted value, and its derivative."""
+    if name == "tip_angle":
+        values, (found, slopes) = ANGLES, by_angle()[:2]
+    else:
+        values, (found, slopes) = [x for x, *_ in PROGRAMS[name][1]], lanes_of(name)
+    i = values.index(wanted)
+    return lane(found, i), slopes[i]
+
+
+CASES = {
+    "displacement": (0.012, lambda x: np.expm1(MU * x / d) / A),
+    "tip_angle": (1.0, lambda x: np.expm1(MU * x) / A),
+    "tip_tension": (45.0, lambda x: x / (1 - A * x)),
+    "total_tension": (30.0, lambda x: x),
+    "curvature": (10.0, lambda x: curvature_tension(x, 0.09)),
+}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [case if case == "tip_angle" else pytest.param(case, marks=pytest.mark.slow) for case in CASES],
+)
+def test_one_tendon_against_the_closed_form(name):
+    """The tension that is found, and its derivative in forward mode."""
+    wanted, tension = CASES[name]
+    found, forward = lane_of(name, wanted)
+    h = 1e-3 * wanted
+    slope = (tension(wanted - 2 * h) - 8 * tension(wanted - h) + 8 * tension(wanted + h) - tension(wanted + 2 * h)) / (
+        12 * h
+    )
+    assert found.base_tension[0] == pytest.approx(tension(wanted), rel=CLOSED)
+    assert forward == pytest.approx(slope, rel=1e-7)  # the difference quotient of fourth order
+
+
+def test_reverse_mode_and_the_second_derivative():
+    """T = expm1(mu phi) / a: its derivative is mu exp(mu phi) / a, and so on."""
+    derivatives = by_angle()
+    assert derivatives.slope[0] == pytest.approx(MU * np.exp(MU) / A, rel=1e-8)
+    assert derivatives.second[0] == pytest.approx(MU**2 * np.exp(MU) / A, rel=1e-7)
+
+
+@pytest.mark.slow
+def test_a_tendon_that_stretches():
+    """The tension from which `soft_displacement` was computed."""
+    pulled = soft_displacement()
+    found, _ = lane_of("displacement", pulled)
+    assert found.base_tension == pytest.approx(SOFT_TENSION, rel=CLOSED)
+    assert found.tendon_displacement == pytest.approx(pulled, rel=CLOSED)
+
+
+# --- under loads ---------------------------------------------------------------------------------
+
+LANES = 5
+
+
+ROUND_TRIPS = {"angle": ("exact", 1), "displacement": ("published", 2)}
+
+
+@lru_cache
+def solver_of(target):
+    """Lanes of bodies, loads, wanted values and tensions; what is wanted stands in place of the first tension."""
+    make = {"angle": cddf.TipAngle, "displacement": cddf.Displacement}[target]
+    direction = (1.0, -1.0)[: ROUND_TRIPS[target][1]]
+
+    @jax.jit
+    @jax.vmap
+    def solve(body, load, wanted, tension):
+        return cddf.solve(body, (make(wanted), *tension[1:]), load, direction=direction, throw=False)
+
+    return solve
+
+
+@pytest.mark.slow
+def test_round_trip_of_a_cylinder_under_a_load():
+    """The tip angle that SciPy finds for 20 N leads back to 20 N."""
+    plain = paper_plain("published", outer_radius=constant(0.015))
+    reference = loaded_reference(plain, 20.0, PlainLoads((0.0, -1.0)))
+    body, loads = paper_body("published", outer_radius=(0.015, 0.015)), cddf.Loads(tip_force=(0.0, -1.0))
+    found = cddf.solve(body, cddf.TipAngle(reference.tip_angle), loads, nodes=8)
+    assert found.base_tension == pytest.approx([20.0], rel=ROUND_TRIP)
+    np.testing.assert_allclose(found.tip_position, reference.tip_position, atol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ROUND_TRIPS)
+def test_round_trip_under_loads(target):
+    """SciPy's displacement or tip angle of random loaded bodies leads back to the tension that made it."""
+    kinematics, count = ROUND_TRIPS[target]
+    rng = np.random.default_rng(70 + count)
+    problems = [random_loaded(rng, kinematics, count, slanted=False) for _ in range(LANES)]
+    assert all(problem.direction == (+1, -1)[:count] for problem in problems)
+    bodies = stack([cddf.conical(**p.conical) for p in problems])
+    loads = stack([cddf.Loads(*p.loads) for p in problems])
+    tension = jnp.asarray([np.broadcast_to(p.base_tension, count) for p in problems], float)
+    angle = np.array([p.reference.tip_angle for p in problems])
+    displacement = np.array([p.reference.displacement[0] for p in problems])
+    wanted = {"angle": angle, "displacement": displacement}[target]
+    found = solver_of(target)(bodies, loads, jnp.asarray(wanted), tension)
+    assert set(codes(found.result)) <= {code(R.successful), code(R.direction_contradicted)}
+    np.testing.assert_allclose(found.base_tension, tension, rtol=ROUND_TRIP)
+    np.testing.assert_allclose(found.tip_angle, angle, atol=1e-8)
+    np.testing.assert_allclose(found.tendon_displacement[:, 0], displacement, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_slack_under_a_load_is_what_the_load_leaves():
+    """A force that bends the body towards the tendon takes up more tendon than the micrometer does.
+
+    How the body hangs without tension, and what that takes up, is SciPy's.
+    """
+    force, plain = (0.0, 6.0), paper_plain("published", (+1, -1))
+    hanging = loaded_reference(plain, (0.0, 0.0), PlainLoads(force), direction=(+1, -1))
+    taken_up = hanging.displacement[0]
+    assert taken_up > 0.001
+    wanted = jnp.asarray([0.8, 0.4, 1.2, 1.1, 1.3]) * taken_up
+    bodies, loads = (stack([x] * LANES) for x in (paper_body("published", num_tendons=2), cddf.Loads(force)))
+    found = solver_of("displacement")(bodies, loads, wanted, jnp.zeros((LANES, 2)))
+    assert codes(found.result)[:2] == [code(R.slack)] * 2
+    for i in (0, 1):
+        assert largest_difference(lane(found, i), hanging, plain) < AGREES
+    np.testing.assert_array_equal(found.base_tension[:2], 0.0)
+    np.testing.assert_allclose(found.position[0], found.position[1], atol=1e-12)
+    assert codes(found.result)[2:] == [code(R.successful)] * 3
+    assert np.all(found.base_tension[2:, 0] > 0)
+    np.testing.assert_allclose(found.tendon_displacement[2:, 0], wanted[2:], rtol=CLOSED)
+
+
+@pytest.mark.slow
+def test_shard_map():
+    """A target under a load, four devices against one."""
+    body, loads = paper_body("exact"), cddf.Loads(tip_force=(0.0, -1.0))
+
+    def tension(angle):
+        return jax.vmap(lambda x: cddf.solve(body, cddf.TipAngle(x), loads, throw=False).base_tension[0])(angle)
+
+    lanes, angles = PartitionSpec("lanes"), jnp.linspace(0.3, 0.6, 4)
+    mesh = jax.make_mesh((4,), ("lanes",), axis_types=(AxisType.Auto,))
+    sharded = jax.jit(jax.shard_map(tension, mesh=mesh, in_specs=lanes, out_specs=lanes))(angles)
+    bodies, loads = (stack([x] * LANES) for x in (body, loads))
+    alone = solver_of("angle")(bodies, loads, jnp.append(angles, 0.5), jnp.zeros((LANES, 1)))
+    np.testing.assert_allclose(sharded, alone.base_tension[:4, 0], rtol=1e-10)
+
+
+# --- two tendons ---------------------------------------------------------------------------------
+
+PAIR = paper_body("exact", num_tendons=2)
+IN_OUT = (+1, -1)
+
+
+def test_two_tendons_for_an_angle_and_a_total_tension():
+    """Frictionless and parallel: E kappa J = d (T1 - T2), so phi = (T1 - T2) G / E, and T1 + T2 is given."""
+    body = replaced(PAIR, friction_coefficient=0.0)
+    found = cddf.solve(body, (cddf.TipAngle(0.6), cddf.TotalTension(120.0)), direction=IN_OUT)
+    difference = 0.6 * E / G
+    assert found.base_tension == pytest.approx([60 + difference / 2, 60 - difference / 2], rel=CLOSED)
+
+
+def test_friction_costs_tension():
+    found = cddf.solve(PAIR, (cddf.TipAngle(0.6), cddf.TotalTension(120.0)), direction=IN_OUT)
+    again = cddf.solve(PAIR, found.base_tension, direction=IN_OUT)
+    assert again.tip_angle == pytest.approx(0.6, abs=CLOSED)
+    assert jnp.sum(found.base_tension) == pytest.approx(120.0, rel=CLOSED)
+    assert found.base_tension[0] - found.base_tension[1] > 0.6 * E / G
+
+
+@pytest.mark.slow
+def test_tip_stiffness_is_the_inverse_of_the_compliance_across_the_tip():
+    """Co-contraction stiffens in the published kinematics: E J + sum T d^2.
+
+    The compliance is the difference quotient of SciPy's deflections, of fourth order: 1e-9, noise 1e-12 m / (C h).
+    """
+    body = paper_body("published", num_tendons=2)
+    found = cddf.solve(body, (cddf.TipAngle(0.5), cddf.TipStiffness(350.0)), direction=IN_OUT)
+    assert found.tip_angle == pytest.approx(0.5, abs=CLOSED)
+    plain, across = paper_plain("published", (+1, -1)), np.array([-np.sin(0.5), np.cos(0.5)])
+
+    def deflection(force):
+        loads = PlainLoads(tuple(force * across))
+        return across @ loaded_reference(plain, found.base_tension, loads, direction=IN_OUT).tip_position
+
+    h = 0.1
+    slope = (8 * (deflection(h) - deflection(-h)) - (deflection(2 * h) - deflection(-2 * h))) / (12 * h)
+    assert 1 / slope == pytest.approx(350.0, rel=1e-7)
+
+
+# --- what cannot be reached ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted", "nearest"),
+    [
+        ("tip_angle", -0.5, 0.0),
+        ("tip_angle", 12.0, crossing_tension()),
+        pytest.param("tip_tension", 200.0, crossing_tension(), marks=pytest.mark.slow),
+        pytest.param("curvature", -3.0, 0.0, marks=pytest.mark.slow),
+        pytest.param("tip_tension", -1.0, 0.0, marks=pytest.mark.slow),
+    ],
+)
+def test_an_unreachable_target_gives_the_nearest(name, wanted, nearest):
+    found, _ = lane_of(name, wanted)
+    assert found.result == R.unreachable
+    assert found.base_tension[0] == pytest.approx(nearest, rel=1e-5, abs=1e-9)
+    assert abs(found.target_miss[0]) > 1e-3
+    plain = cddf.solve(paper_body("exact"), found.base_tension)
+    np.testing.assert_allclose(found.tip_angle, plain.tip_angle, atol=1e-12)
+    if name == "tip_angle":
+        with pytest.raises(cddf.SolveError, match=r"^The nearest that can be reached misses the targets by .* \(SI\)"):
+            cddf.solve(paper_body("exact"), cddf.TipAngle(wanted))
+
+
+def test_the_published_tip_tension_has_a_supremum():
+    """T_tip < E / (mu G) for any base tension, design.md section 3; the published curvature never crosses."""
+    found = cddf.solve(paper_body("published"), cddf.TipTension(1.01 * E / (MU * G)), throw=False)
+    assert found.result == R.unreachable
+    assert 0.9 * E / (MU * G) < found.tip_tension[0] < E / (MU * G)
+    assert found.target_miss[0] == pytest.approx(float(found.tip_tension[0]) - 1.01 * E / (MU * G), rel=1e-9)
+
+
+def test_a_tendon_cannot_push():
+    found, _ = lane_of("displacement", -0.002)
+    assert found.result == R.slack
+    assert found.base_tension[0] == 0.0
+    assert found.target_miss == pytest.approx([0.002], rel=1e-12)
+
+
+def soft_pair(axial_stiffness, free_length, **changes):
+    """Antagonists that stretch."""
+    tendons = (cddf.Tendon(d, side, axial_stiffness=axial_stiffness, free_length=free_length) for side in IN_OUT)
+    return replaced(replace(PAIR, tendons=tuple(tendons)), **{"friction_coefficient": MU, **changes})
+
+
+def solved_pair(body, pulled, **options):
+    return cddf.solve(body, tuple(cddf.Displacement(x) for x in pulled), direction=IN_OUT, **options)
+
+
+@pytest.mark.slow
+def test_a_slack_tendon_leaves_the_other_its_displacement():
+    """Rigid antagonists, 8 mm in and 12 mm out: the second goes slack, the first is one tendon alone (CASES)."""
+    body, pulled = soft_pair(RIGID, 0.0), (0.008, -0.012)
+    found = solved_pair(body, pulled, throw=False)
+    assert found.result == R.slack
+    np.testing.assert_allclose(found.tendon_displacement, [0.008, -0.008], rtol=CLOSED)
+    np.testing.assert_allclose(found.target_miss, [0.0, 0.004], atol=1e-11)
+    assert found.base_tension == pytest.approx([np.expm1(MU * 0.008 / d) / A, 0.0], rel=CLOSED)
+    with pytest.raises(cddf.SolveError, match="A tendon would have to push"):
+        solved_pair(body, pulled)
+
+
+def test_antagonists_that_do_not_stretch_leave_their_tensions_open():
+    """Parallel tendons on a midline that does not stretch: d phi and -d phi, whatever the tensions."""
+    body = soft_pair(RIGID, 0.0)
+    assert solved_pair(body, (0.005, -0.005), throw=False).result == R.undetermined
+    with pytest.raises(cddf.SolveError, match="Other base tensions give what is wanted just as well"):
+        solved_pair(body, (0.005, -0.005))
+    assert solved_pair(body, (0.005, -0.004), throw=False).result != R.successful
+
+
+def test_antagonists_that_stretch_have_their_tensions():
+    """Frictionless: delta_i = +-d (T1 - T2) G / E + T_i (L + free) / (E A)."""
+    soft, free = 3000.0, 0.1
+    body = soft_pair(soft, free, friction_coefficient=0.0)
+    tension = np.array([80.0, 30.0])
+    bend = d * (tension[0] - tension[1]) * G / E
+    wanted = np.array([bend, -bend]) + tension * (PLAIN.length + free) / soft
+    found = solved_pair(body, wanted)
+    assert found.base_tension == pytest.approx(tension, rel=1e-8)
+
+
+def test_lanes_that_cannot_reach_harm_no_neighbour():
+    """The gradient of a sum over a batch is that of the lanes that reach their target; a held lane has none."""
+    batch, slope = by_angle().found, by_angle().slope
+    expected = [R.successful, R.successful, R.unreachable, R.unreachable, R.unphysical]
+    assert codes(batch.result) == [code(result) for result in expected]
+    for i in (0, 1):
+        assert lane(batch, i).base_tension[0] == pytest.approx(np.expm1(MU * ANGLES[i]) / A, rel=CLOSED)
+        assert slope[i] == pytest.approx(MU * np.exp(MU * ANGLES[i]) / A, rel=1e-8)
+    np.testing.assert_array_equal(slope[2:], 0.0)
+    assert np.all(np.isnan(lane(batch, 4).base_tension))
+
+
+def test_derivatives_by_the_body_at_constant_angle():
+    """The tension expm1(mu phi) E / (mu G), by E and by mu."""
+    slope, tension = lane(by_angle().slope_by_body, 0), np.expm1(MU) / A
+    assert slope.youngs_modulus == pytest.approx(tension / E, rel=1e-8)
+    assert slope.friction_coefficient == pytest.approx(E / (MU * G) * np.exp(MU) - tension / MU, rel=1e-8)
+
+
+# --- how it is asked -----------------------------------------------------------------------------
+
+
+def test_a_target_of_one_tendon_needs_no_tuple():
+    lone, listed = (cddf.solve(paper_body("exact"), x) for x in (cddf.TipAngle(0.4), [cddf.TipAngle(0.4)]))
+    assert lone.base_tension == listed.base_tension
+
+
+@pytest.mark.parametrize(
+    ("tension", "error", "message"),
+    [
+        (cddf.TipAngle(0.4), ValueError, "with a target, base_tension must hold one tension or target per tendon (2)"),
+        ((cddf.TipAngle(0.4),) * 3, ValueError, "one tension or target per tendon (2), got 3"),
+        ((cddf.TipAngle, 5.0), TypeError, "solve: TipAngle needs a value, as in TipAngle(...)"),
+    ],
+    ids=repr,
+)
+def test_refusals(tension, error, message):
+    with pytest.raises(error) as refusal:
+        cddf.solve(PAIR, tension)
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.slow
+def test_a_place_off_the_body_is_refused():
+    found, _ = lanes_of("curvature")
+    assert codes(found.result)[2:] == [code(R.unphysical)] * 2
+    assert np.all(np.isnan(found.tip_angle[2:]))
+
+
+@pytest.mark.slow
+def test_float32():
+    """Single precision reaches its targets to about 1e-5."""
+    body = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), paper_body("exact"))
+    with jax.enable_x64(False):
+        found = cddf.solve(body, cddf.TipAngle(1.0))
+    assert found.base_tension.dtype == jnp.float32
+    assert found.base_tension[0] == pytest.approx(np.expm1(MU) / A, rel=1e-4)
+
+
+def test_numbers_of_a_target_are_leaves():
+    target = eqx.tree_at(lambda target: target.value, cddf.TipAngle(0.4), jnp.asarray(0.7, float))
+    assert cddf.solve(paper_body("exact"), target).tip_angle == pytest.approx(0.7, abs=CLOSED)

@@ -1,0 +1,205 @@
+"""jit, vmap, scan, map and shard_map change nothing, and a lane that fails harms no other."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import code, codes, lane, paper_body, paper_plain, replaced, stack, two_slanted_tendons
+from jax.sharding import AxisType, PartitionSpec
+
+import cddf_jax as cddf
+
+SAME = 1e-12  # the same operations, in an order that the compiler may change
+R = cddf.RESULTS
+
+
+def assert_same(a, b, tolerance=SAME):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
+
+
+def lanes_of_bodies():
+    numbers = [(0.42, 1.4e6, 0.014), (0.2, 1.0e6, 0.012), (0.6, 3e6, 0.010), (0.05, 2e6, 0.018)]
+    return [
+        two_slanted_tendons(friction_coefficient=mu, youngs_modulus=E, outer_radius=(0.020, tip))
+        for mu, E, tip in numbers
+    ]
+
+
+def solve_pair(body, tension):
+    return cddf.solve(body, tension, direction=(+1, -1), throw=False)
+
+
+solve_pairs = jax.jit(jax.vmap(solve_pair))
+TENSIONS = jnp.array([[75.0, 20.0], [30.0, 5.0], [60.0, 0.0], [40.0, 39.0]])
+
+
+@pytest.mark.slow
+def test_vmap_over_the_leaves_of_pairs_is_a_loop():
+    bodies = lanes_of_bodies()
+    batch = solve_pairs(stack(bodies), TENSIONS)
+    for i, body in enumerate(bodies):
+        assert_same(lane(batch, i), solve_pair(body, TENSIONS[i]), 1e-10)  # the passes of a batch end together
+
+
+@pytest.mark.slow
+def test_jit_is_eager():
+    """One tendon: every operation is a call of its own, and with antagonists there are very many."""
+
+    def solved():
+        return cddf.solve(paper_body("published"), 40.0, nodes=8, throw=False)
+
+    with jax.disable_jit():
+        eager = solved()
+    assert_same(solved(), eager)
+
+
+# --- lanes that fail -----------------------------------------------------------------------------
+
+# one tendon that slides out, 40 N; the lanes differ in their body, mu is shared
+GOOD = paper_body("exact", friction_coefficient=0.3)
+LOCKING = replaced(GOOD, youngs_modulus=0.15e6)
+FAILURES = {
+    "NaN modulus": (replaced(GOOD, youngs_modulus=jnp.nan), 30.0, R.unphysical),
+    "negative modulus": (replaced(GOOD, youngs_modulus=-1.4e6), 30.0, R.unphysical),
+    "infinite length": (replaced(GOOD, length=jnp.inf), 30.0, R.unphysical),
+    "no wall": (paper_body("exact", friction_coefficient=0.3, inner_radius=0.014), 30.0, R.unphysical),
+    "negative tension": (GOOD, -30.0, R.unphysical),
+    "NaN tension": (GOOD, jnp.nan, R.unphysical),
+    "locks": (LOCKING, 60.0, R.locked),
+}
+NEIGHBOURS = [(GOOD, 30.0), (paper_body("exact", outer_radius=(0.020, 0.018)), 50.0)]
+
+
+def tip_of(body, tension, mu):
+    """Shared mu and a tendon that slides out."""
+    solution = cddf.solve(replaced(body, friction_coefficient=mu), tension, direction=-1, throw=False)
+    return jnp.concatenate([solution.tip_tension, 10 * solution.tip_position]), solution
+
+
+def masked_sum(bodies, tensions, mu):
+    values, _ = jax.vmap(tip_of, (0, 0, None))(bodies, tensions, mu)
+    return jnp.nansum(values)
+
+
+batch_of_three = jax.jit(jax.vmap(tip_of, (0, 0, None)))
+slopes_of_three = jax.jit(lambda *a: (jax.jacfwd(masked_sum, 2)(*a), jax.grad(masked_sum, 2)(*a)))
+curvature_of_three = jax.jit(jax.hessian(masked_sum, 2))
+
+
+def batch_with(failure):
+    lanes = [NEIGHBOURS[0], FAILURES[failure][:2], NEIGHBOURS[1]]
+    return stack([body for body, _ in lanes]), jnp.array([tension for _, tension in lanes])
+
+
+def without_failure():
+    """Two lanes twice over would be another shape: the failing lane becomes a copy of the first, then taken off."""
+    bodies = stack([NEIGHBOURS[0][0], NEIGHBOURS[0][0], NEIGHBOURS[1][0]])
+    tensions = jnp.array([NEIGHBOURS[0][1], NEIGHBOURS[0][1], NEIGHBOURS[1][1]])
+    first = stack([NEIGHBOURS[0][0]] * 3), jnp.full(3, NEIGHBOURS[0][1])
+    return (bodies, tensions), first
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_failing_lane_reports_itself_and_no_other(failure):
+    bodies, tensions = batch_with(failure)
+    values, solutions = batch_of_three(bodies, tensions, 0.3)
+    expected = FAILURES[failure][2]
+    contradicted = code(R.direction_contradicted)  # the tendons shorten, and are said to slide out
+    assert codes(solutions.result) == [contradicted, code(expected), contradicted]
+    assert np.all(np.isnan(values[1]))
+    for field in (solutions.tension, solutions.position, solutions.normal_force, solutions.error_estimate):
+        assert np.all(np.isnan(field[1]))
+    (good, good_tensions), _ = without_failure()
+    neighbours, _ = batch_of_three(good, good_tensions, 0.3)
+    np.testing.assert_allclose(values[jnp.array([0, 2])], neighbours[jnp.array([0, 2])], rtol=1e-10)
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_failing_lane_leaves_the_derivative_by_a_shared_number_alone(failure):
+    """Forward and reverse: d(nansum)/dmu is the sum over the two lanes that are left."""
+    (good, good_tensions), (first, first_tensions) = without_failure()
+    all_three = np.array(slopes_of_three(good, good_tensions, 0.3))
+    one = np.array(slopes_of_three(first, first_tensions, 0.3)) / 3
+    slopes = slopes_of_three(*batch_with(failure), 0.3)
+    np.testing.assert_allclose(slopes, all_three - one, rtol=1e-9)
+
+
+def test_failing_lanes_leave_second_derivatives_alone():
+    (good, good_tensions), (first, first_tensions) = without_failure()
+    expected = curvature_of_three(good, good_tensions, 0.3) - curvature_of_three(first, first_tensions, 0.3) / 3
+    for failure in FAILURES:
+        np.testing.assert_allclose(curvature_of_three(*batch_with(failure), 0.3), expected, rtol=1e-8)
+
+
+# --- loops and devices ---------------------------------------------------------------------------
+
+BODY = paper_body("exact")
+LADDER = jnp.linspace(10.0, 80.0, 8)
+
+
+def tip_tension(tension):
+    return cddf.solve(BODY, tension, throw=False).tip_tension[0]
+
+
+tip_tensions = jax.jit(jax.vmap(lambda t: (tip_tension(t), jax.grad(tip_tension)(t))))
+
+
+def test_scan_and_map_are_a_loop():
+    expected = tip_tensions(LADDER)
+
+    def step(total, tension):
+        value, slope = jax.value_and_grad(tip_tension)(tension)
+        return total + value, (value, slope)
+
+    total, scanned = jax.jit(lambda x: jax.lax.scan(step, 0.0, x))(LADDER)
+    assert_same(scanned, expected)
+    np.testing.assert_allclose(total, jnp.sum(expected[0]), rtol=SAME)
+    mapped = jax.jit(lambda x: jax.lax.map(tip_tension, x))(LADDER)
+    np.testing.assert_allclose(mapped, expected[0], rtol=SAME)
+
+
+def test_a_derivative_through_scan_is_the_sum_of_derivatives():
+    def total(scale):
+        return jax.lax.scan(lambda c, t: (c + tip_tension(scale * t), None), 0.0 * scale, LADDER)[0]
+
+    _, slopes = tip_tensions(LADDER)
+    np.testing.assert_allclose(jax.jit(jax.grad(total))(1.0), jnp.sum(LADDER * slopes), rtol=1e-10)
+
+
+LANES, EVERYWHERE = PartitionSpec("lanes"), PartitionSpec()
+
+
+def on_four_devices(function, in_specs=LANES, out_specs=LANES):
+    mesh = jax.make_mesh((4,), ("lanes",), axis_types=(AxisType.Auto,))
+    return jax.jit(jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs))
+
+
+def test_shard_map_gives_values_slopes_and_curvatures():
+    def values(tension):
+        slope, bend = jax.jvp(jax.grad(tip_tension), (tension,), (jnp.ones_like(tension),))
+        return tip_tension(tension), slope, bend
+
+    sharded = on_four_devices(jax.vmap(values))(LADDER)
+    assert_same(sharded[:2], tip_tensions(LADDER), 1e-10)
+    a = 0.42 / 1.4e6 * paper_plain("exact").compliance(0.14)  # T / (1 + a T), design.md section 3
+    np.testing.assert_allclose(sharded[2], -2 * a / (1 + a * LADDER) ** 3, rtol=1e-7)
+    assert len(sharded[0].sharding.device_set) == 4
+
+
+@pytest.mark.slow
+def test_shard_map_carries_whole_solutions_of_slanted_pairs():
+    bodies = stack(lanes_of_bodies())
+    sharded = on_four_devices(jax.vmap(solve_pair))(bodies, TENSIONS)
+    assert_same(sharded, solve_pairs(bodies, TENSIONS), 1e-10)
+
+
+def test_a_derivative_across_devices():
+    """Of the sum over all lanes by a number that every device shares."""
+
+    def local(scale, tensions):
+        return jax.lax.psum(jnp.sum(jax.vmap(lambda t: tip_tension(scale * t))(tensions)), "lanes")
+
+    total = on_four_devices(local, (EVERYWHERE, LANES), EVERYWHERE)
+    _, slopes = tip_tensions(LADDER)
+    np.testing.assert_allclose(jax.jit(jax.grad(total))(1.0, LADDER), jnp.sum(LADDER * slopes), rtol=1e-10)

@@ -1,0 +1,383 @@
+"""Sweeps: the closed form, one solve at a time, and whatever is wrong with an axis is said by name."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import paper_body, paper_plain
+from loaded_bodies import PlainLoads, loaded_reference
+from marching import Marching
+from scipy.integrate import quad
+
+import cddf_jax as cddf
+from cddf_jax.batch.fingerprint import numbers_of
+from cddf_jax.sweeping.axes import dimensions_of
+from cddf_jax.sweeping.one_solve import OUTPUTS, RESULT_NAMES
+from cddf_jax.sweeping.sweep import Sweep
+
+TENSIONS, FRICTION = np.linspace(5.0, 85.0, 5), np.linspace(0.1, 0.6, 4)
+SAME = 1e-12  # another batch, another order of the same operations
+xarray = pytest.importorskip("xarray")
+
+
+def compliance(body):
+    """G(L) of T_tip = T / (1 + mu G T / E), design.md: the integral of d / J."""
+
+    def rate(s):
+        outer, inner = float(body.outer_radius(s)), float(body.inner_radius(s))
+        return 0.010 / (np.pi / 4 * (outer**4 - inner**4))
+
+    return quad(rate, 0.0, 0.14, epsabs=0.0, epsrel=1e-13)[0]
+
+
+@pytest.fixture(scope="module")
+def grid():
+    """A product of two axes with every scalar of one tendon, and derivatives by a swept number and another."""
+    return cddf.sweep(
+        paper_body(),
+        {"base_tension": TENSIONS, "friction_coefficient": FRICTION},
+        outputs=("tip_tension", "tip_position", "tip_angle", "tension_loss", "stable", "num_iterations", "curvature"),
+        observables={
+            "height": lambda found: found.tip_position[1],
+            "ends": lambda found: found.curvature[jnp.array([0, -1])],
+        },
+        sensitivities=("friction_coefficient", "youngs_modulus"),
+    )
+
+
+def test_tip_tensions_are_those_of_the_closed_form(grid):
+    x = TENSIONS[:, None] * FRICTION * compliance(paper_body()) / 1.4e6
+    np.testing.assert_allclose(grid.tip_tension[..., 0], TENSIONS[:, None] / (1 + x), rtol=1e-11)
+    # its derivatives, by hand
+    slope = -TENSIONS[:, None] * x / (1 + x) ** 2
+    np.testing.assert_allclose(grid.tip_tension_by_friction_coefficient[..., 0], slope / FRICTION, rtol=1e-10)
+    np.testing.assert_allclose(grid.tip_tension_by_youngs_modulus[..., 0], -slope / 1.4e6, rtol=1e-10)
+
+
+def test_it_is_labelled(grid):
+    assert dict(grid.sizes) == {
+        "base_tension": 5,
+        "friction_coefficient": 4,
+        "tendon": 1,
+        "component": 2,
+        "point": 18,
+        "ends_0": 2,
+    }
+    assert list(grid.component.values) == ["X", "Y"]
+    np.testing.assert_array_equal(grid.base_tension, TENSIONS)
+    assert grid.tip_position.dims == ("base_tension", "friction_coefficient", "component")
+    units = {name: grid[name].attrs.get("units") for name in grid.variables}
+    assert units["base_tension"] == units["tip_tension"] == "N"
+    assert units["friction_coefficient"] == units["tension_loss"] == "1"
+    assert units["tip_position"] == "m"
+    assert units["tip_tension_by_friction_coefficient"] == "N"
+    assert units["tip_position_by_youngs_modulus"] == "m/Pa"
+    assert units["curvature_by_youngs_modulus"] == "1/m/Pa"
+    assert units["height"] is None  # nobody knows what a function returns
+
+
+def test_observables_are_functions_of_the_equilibrium(grid):
+    np.testing.assert_array_equal(grid.height, grid.tip_position.sel(component="Y"))
+    np.testing.assert_array_equal(grid.ends, grid.curvature.isel(point=[0, -1]))
+    np.testing.assert_allclose(
+        grid.height_by_youngs_modulus, grid.tip_position_by_youngs_modulus.sel(component="Y"), rtol=SAME
+    )
+
+
+def test_all_is_well_and_said_to_be(grid):
+    assert grid.successful.all()
+    assert grid.stable.dtype == bool
+    assert grid.stable.all()
+    assert "stable_by_youngs_modulus" not in grid
+
+
+def test_every_output_is_an_attribute_of_an_equilibrium():
+    found = cddf.solve(paper_body(), 40.0)
+    answer = cddf.sweep(
+        paper_body(), {"base_tension": [40.0]}, outputs=[name for name in OUTPUTS if name != "base_tension"]
+    )
+    for name in OUTPUTS:
+        if name != "base_tension":
+            assert answer[name].shape[1:] == np.shape(getattr(found, name))
+            np.testing.assert_allclose(answer[name][0], getattr(found, name), rtol=1e-10, atol=1e-12)
+
+
+def one_by_one(answer, solve):
+    """`solve(**coordinates)` for every solve of an answer whose numbers vary along `sample`."""
+    names = [name for name, coord in answer.coords.items() if coord.dims == ("sample",)]
+    for i in range(answer.sizes["sample"]):
+        found = solve(*(float(answer[name][i]) for name in names))
+        np.testing.assert_allclose(answer.tip_tension[i], found.tip_tension, rtol=1e-9)
+        np.testing.assert_allclose(answer.tip_position[i], found.tip_position, rtol=1e-9, atol=1e-12)
+
+
+def test_numbers_that_vary_together():
+    ranges = {"base_tension": (5.0, 85.0), "outer_radius.tip": (0.0125, 0.0150), "tendons.0.offset": (0.008, 0.011)}
+    answer = cddf.sweep(paper_body("exact"), {"sample": cddf.latin_hypercube(ranges, 6)})
+
+    def solve(tension, tip, offset):
+        return cddf.solve(paper_body("exact", outer_radius=(0.020, tip), tendon_offset=offset), tension)
+
+    assert answer["outer_radius.tip"].attrs["units"] == "m"
+    assert answer.tip_tension.dims == ("sample", "tendon")
+    one_by_one(answer, solve)
+
+
+@pytest.mark.slow
+def test_with_the_length_the_taper_varies_too():
+    """Against bodies of these lengths, made anew; their radii at base and tip stay."""
+    lengths = [0.10, 0.14, 0.21]
+
+    def body(length):
+        return cddf.conical(
+            length=length,
+            outer_radius=(0.020, 0.013),
+            inner_radius=0.007,
+            tendon_offset=0.010,
+            youngs_modulus=1.4e6,
+            friction_coefficient=0.42,
+        )
+
+    swept = cddf.sweep(body(0.14), {"length": lengths}, base_tension=40.0, sensitivities=("length",))
+    for i, length in enumerate(lengths):
+        alone, step = cddf.solve(body(length), 40.0), 1e-6
+        assert float(swept.tip_tension[i, 0]) == pytest.approx(float(alone.tip_tension[0]), rel=SAME)
+        ahead, behind = (cddf.solve(body(length + h), 40.0).tip_tension[0] for h in (step, -step))
+        slope = float(swept["tip_tension_by_length"][i, 0])
+        assert slope == pytest.approx(float(ahead - behind) / (2 * step), rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 2])
+def test_tendons_loads_and_directions(count):
+    body, direction = paper_body(num_tendons=count), (1, -1)[:count]
+    rng = np.random.default_rng(0)
+    pulls = {"base_tension_1": rng.uniform(20, 60, 4), "base_tension_2": rng.uniform(0, 15, 4)}
+    forces = {"loads.tip_force.1": rng.uniform(-2, 2, 4)}
+    answer = cddf.sweep(body, {"sample": dict(list(pulls.items())[:count]) | forces}, direction=direction)
+
+    def solve(*numbers):
+        """By SciPy."""
+        *tensions, force = numbers
+        plain = paper_plain(body.kinematics, (+1, -1)[:count])
+        return loaded_reference(plain, tensions, PlainLoads((0.0, force)), direction=direction)
+
+    assert answer["loads.tip_force.1"].attrs["units"] == "N"
+    one_by_one(answer, solve)
+
+
+def test_one_tension_for_all_tendons_one_of_several_and_a_load():
+    """The numbers of a solve, by the names of what varies; test_tendons_loads_and_directions solves such cases."""
+    body = paper_body(num_tendons=2)
+    both = Sweep(manipulator=body, dimensions=dimensions_of({"base_tension": [30.0]})).case
+    assert both.with_numbers({"base_tension": 30.0}).base_tension == 30.0
+    over = {"base_tension_2": [20.0], "loads.tip_force.1": [-2.0]}
+    one = Sweep(manipulator=body, dimensions=dimensions_of(over), base_tension=30.0).case
+    there = one.with_numbers({"base_tension_2": 20.0, "loads.tip_force.1": -2.0})
+    np.testing.assert_array_equal(there.base_tension, [30.0, 20.0])
+    np.testing.assert_array_equal(there.loads.tip_force, [0.0, -2.0])
+    assert [one.unit(name) for name in over] == ["N", "N"]
+
+
+@pytest.mark.slow
+def test_a_target_is_swept_by_its_value():
+    angles = np.deg2rad([20.0, 40.0])
+    answer = cddf.sweep(
+        paper_body(),
+        {"base_tension.value": angles},
+        base_tension=cddf.TipAngle(0.0),
+        outputs=("tip_angle", "base_tension"),
+    )
+    assert answer["base_tension.value"].attrs["units"] == "rad"
+    np.testing.assert_allclose(answer.tip_angle, angles, rtol=1e-9)
+    expected = [float(cddf.solve(paper_body(), cddf.TipAngle(angle)).base_tension[0]) for angle in angles]
+    np.testing.assert_allclose(answer.base_tension[:, 0], expected, rtol=1e-8)
+
+
+def test_options_are_axes_too():
+    """One program for each pair of options; the tip tensions by their laws in both kinematics (design.md)."""
+    answer = cddf.sweep(
+        paper_body(),
+        {"way": {"kinematics": ["published", "exact"], "nodes": [8, 16]}, "base_tension": [40.0, 75.0]},
+        outputs=["tip_tension", "tip_angle"],
+    )
+    assert list(answer.kinematics.values) == ["published", "exact"]
+    assert list(answer.nodes.values) == [8, 16]
+    tension = answer.base_tension.values
+    published, exact = answer.tip_tension[..., 0].values
+    expected = tension / (1 + tension * 0.42 * compliance(paper_body()) / 1.4e6)
+    np.testing.assert_allclose(published, expected, rtol=1e-10)
+    np.testing.assert_allclose(exact, tension * np.exp(-0.42 * answer.tip_angle[1]), rtol=1e-10)  # the capstan law
+
+
+@pytest.mark.slow
+def test_methods_side_by_side():
+    methods = [cddf.FixedPoint(), Marching()]
+    answer = cddf.sweep(paper_body(), {"method": methods}, base_tension=75.0, outputs=["tip_tension"])
+    assert [str(label).split("(")[0] for label in answer.method.values] == ["FixedPoint", "Marching"]
+    np.testing.assert_allclose(answer.tip_tension[0], answer.tip_tension[1], rtol=1e-8)
+
+
+def test_failed_and_doubtful_solves_are_masked_and_harm_no_neighbour():
+    answer = cddf.sweep(
+        paper_body("exact"),
+        {"base_tension": [40.0, -1.0, 4000.0, 75.0]},
+        outputs=["tip_tension"],
+        sensitivities=["youngs_modulus"],
+    )
+    kinds = [RESULT_NAMES[code] for code in answer.result.values]
+    assert kinds == ["successful", "unphysical", "crossing", "successful"]
+    assert answer.successful.values.tolist() == [True, False, False, True]
+    assert answer.result.attrs["flag_meanings"].split() == list(RESULT_NAMES)
+    assert np.isnan(answer.tip_tension[1, 0])
+    alone = cddf.sweep(
+        paper_body("exact"), {"base_tension": [40.0, 75.0]}, outputs=["tip_tension"], sensitivities=["youngs_modulus"]
+    )
+    for name in ("tip_tension", "tip_tension_by_youngs_modulus"):
+        np.testing.assert_allclose(answer[name][[0, 3]], alone[name], rtol=SAME)
+
+
+def test_the_names_of_the_results_are_those_of_the_enumeration():
+    for i, name in enumerate(RESULT_NAMES):
+        assert int(getattr(cddf.RESULTS, name)._value) == i
+
+
+@pytest.mark.slow
+def test_sensitivities_are_those_of_reverse_mode():
+    body = eqx.tree_at(
+        lambda m: m.tendons[0].friction_coefficient, paper_body("exact"), 0.3, is_leaf=lambda x: x is None
+    )
+    names = ("outer_radius.tip", "youngs_modulus", "tendons.0.friction_coefficient", "base_tension")
+    moduli = [1.2e6, 1.6e6]
+    answer = cddf.sweep(body, {"youngs_modulus": moduli}, 50.0, outputs=["tip_angle"], sensitivities=names)
+
+    @jax.jit
+    def slopes(modulus):
+        def angle(body, tension):
+            return cddf.solve(body, tension, throw=False).tip_angle
+
+        there = eqx.tree_at(lambda m: m.youngs_modulus, body, modulus)
+        by_body, by_tension = jax.grad(angle, (0, 1))(there, 50.0)
+        tendon = by_body.tendons[0].friction_coefficient
+        return by_body.outer_radius.tip, by_body.youngs_modulus, tendon, by_tension
+
+    for i, modulus in enumerate(moduli):
+        found = [float(answer[f"tip_angle_by_{name}"][i]) for name in names]
+        np.testing.assert_allclose(found, slopes(modulus), rtol=1e-9)
+    assert answer["tip_angle_by_outer_radius.tip"].attrs["units"] == "rad/m"
+
+
+def test_single_precision():
+    single = cddf.sweep(paper_body(), {"base_tension": TENSIONS}, outputs=["tip_tension"], precision="float32")
+    assert single.tip_tension.dtype == np.float32
+    assert single.attrs["precision"] == "float32"
+    double = TENSIONS / (1 + TENSIONS * 0.42 * compliance(paper_body()) / 1.4e6)
+    np.testing.assert_allclose(single.tip_tension[:, 0], double, rtol=1e-5)
+    assert np.max(np.abs(single.tip_tension[:, 0] - double)) > 0
+
+
+def test_float64_where_jax_has_none_is_refused():
+    with jax.enable_x64(False), pytest.raises(cddf.InputError, match="jax_enable_x64"):
+        cddf.sweep(paper_body(), {"base_tension": TENSIONS}, precision="float64")
+
+
+def test_a_single_range_of_a_dictionary_of_one_is_still_labelled():
+    answer = cddf.sweep(paper_body(), {"pull": {"base_tension": [10.0, 20.0]}}, outputs=["tip_tension"])
+    assert answer.base_tension.dims == ("pull",)
+
+
+OWN_FRICTION = replace(paper_body(), tendons=(replace(paper_body().tendons[0], friction_coefficient=0.3),))
+ENDS_EARLY = replace(paper_body(), tendons=(replace(paper_body().tendons[0], end=0.1),))
+BAD = {
+    "no manipulator": ({"base_tension": [1.0]}, {"manipulator": "robot.toml"}, "manipulator must be a Manipulator"),
+    "no loads": ({"base_tension": [1.0]}, {"loads": (0.0, -5.0)}, "loads must be Loads"),
+    "memory in words": ({"base_tension": [1.0]}, {"memory": "2 GB"}, "memory must be a number of bytes"),
+    "one name": ({"base_tension": [1.0]}, {"outputs": "tip_angle"}, "outputs must be a tuple of names"),
+    "a name twice": ({"base_tension": [1.0]}, {"outputs": ["tip_angle"] * 2}, "outputs names something twice"),
+    "tension twice": ({"base_tension": [1.0]}, {"base_tension": 1.0}, "given and an axis"),
+    "no function": ({"base_tension": [1.0]}, {"observables": {"x": 3}}, "'x' must be a function"),
+    "a bad function": (
+        {"base_tension": [1.0]},
+        {"observables": {"x": lambda found: found.nothing}},
+        "the observable 'x' makes no array",
+    ),
+    "direction": ({"direction": [1.0, 0.0]}, {"base_tension": 1.0}, "must hold 1 for sliding in and -1"),
+    "one direction": ({"base_tension": [1.0]}, {"direction": 0}, "direction is 1 for sliding in and -1"),
+    "an end beyond the tip": (
+        {"tendons.0.end": [0.1, 0.2]},
+        {"base_tension": 1.0, "manipulator": ENDS_EARLY},
+        "holds 0.2 m, which is not on the body",
+    ),
+    "a slash": ({"a/b": {"base_tension": [1.0]}}, {}, "cannot be called 'a/b'"),
+    "no stretch": ({"tendons.0.free_length": [0.1]}, {"base_tension": 1.0}, "the tendon does not stretch"),
+    "overruled": (
+        {"friction_coefficient": [0.1]},
+        {"base_tension": 1.0, "manipulator": OWN_FRICTION},
+        "'friction_coefficient' has no effect here; every tendon has its own",
+    ),
+    "no gravity": ({"density": [1e3]}, {"base_tension": 1.0}, "'density' has no effect here; there is no gravity"),
+    "no density": (
+        {"loads.gravity.1": [-9.8]},
+        {"base_tension": 1.0},
+        "the body has no weight; give it density, mass_per_length",
+    ),
+    "no axes": ({}, {}, "axes must be a dictionary"),
+    "no dictionary": ([1.0], {}, "axes must be a dictionary"),
+    "unknown": ({"youngs_modulos": [1.0]}, {"base_tension": 1.0}, "did you mean 'youngs_modulus'"),
+    "unknown part": ({"outer_radius.tp": [1.0]}, {"base_tension": 1.0}, "outer_radius has no 'tp'; did you mean 'tip'"),
+    "beyond the tendons": ({"tendons.1.offset": [1.0]}, {"base_tension": 1.0}, "tendons has no '1'"),
+    "tendons count from 1": ({"base_tension.1": [1.0]}, {"base_tension": 1.0}, "from 1; write 'base_tension_2'"),
+    "no such tendon": ({"base_tension_2": [1.0]}, {"base_tension": 1.0}, r"the manipulator has 1 tendon\(s\)"),
+    "no number": ({"outer_radius": [1.0]}, {"base_tension": 1.0}, r"not one number.*outer_radius.tip"),
+    "a vector": ({"loads.tip_force": [1.0]}, {"base_tension": 1.0}, r"loads.tip_force.0, loads.tip_force.1"),
+    "words": ({"base_tension": ["much"]}, {}, "'base_tension' must be a list of numbers"),
+    "empty": ({"base_tension": []}, {}, "one number or more"),
+    "one number": ({"base_tension": 5.0}, {}, "one number or more"),
+    "not finite": ({"base_tension": [1.0, np.nan]}, {}, "holds nan at place 1"),
+    "lengths": ({"s": {"base_tension": [1.0], "youngs_modulus": [1e6, 2e6]}}, {}, "base_tension 1, youngs_modulus 2"),
+    "nothing along it": ({"s": {}}, {}, "nothing varies along the axis 's'"),
+    "twice": ({"base_tension": [1.0], "s": {"base_tension": [1.0]}}, {}, "varies along two axes"),
+    "inside another": ({"base_tension": [1.0], "base_tension_1": [1.0]}, {}, "only one of them"),
+    "reserved": ({"tendon": [1.0]}, {}, "rename it"),
+    "no tension": ({"youngs_modulus": [1e6]}, {}, "neither given nor an axis"),
+    "nodes": ({"nodes": [2]}, {"base_tension": 1.0}, "nodes must be a whole number of 4 or more, got 2"),
+    "kinematics": ({"kinematics": ["exakt"]}, {"base_tension": 1.0}, "'exakt' is not known"),
+    "method": ({"method": ["FixedPoint"]}, {"base_tension": 1.0}, "method must be one such as"),
+    "output": ({"base_tension": [1.0]}, {"outputs": ["tip_tensions"]}, "'tip_tensions' is no output"),
+    "no output": ({"base_tension": [1.0]}, {"outputs": []}, "nothing is asked for"),
+    "axis and output": ({"base_tension": [1.0]}, {"outputs": ["base_tension"]}, "an axis and an output"),
+    "observable": ({"base_tension": [1.0]}, {"observables": {"result": len}}, "no observable can be called"),
+    "sensitivity": ({"base_tension": [1.0]}, {"sensitivities": ["nodes"]}, "nothing can be differentiated by 'nodes'"),
+    "absent": ({"base_tension": [1.0]}, {"sensitivities": ["drag"]}, "has no 'drag' to differentiate by"),
+    "overlap": ({"base_tension": [1.0]}, {"sensitivities": ["base_tension_1"]}, "overlap"),
+    "precision": ({"base_tension": [1.0]}, {"precision": "float16"}, "'float32' or 'float64'"),
+    "chunk": ({"base_tension": [1.0]}, {"chunk": 0}, "chunk must be"),
+    "fields over nodes": (
+        {"nodes": [8, 16]},
+        {"base_tension": 1.0, "outputs": ["curvature"]},
+        "changes with the nodes",
+    ),
+    "memory": ({"base_tension": TENSIONS}, {"memory": 200.0}, "give out= or memory="),
+    "no memory": ({"base_tension": TENSIONS}, {"memory": 20.0}, "raise memory="),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_named(case):
+    axes, options, message = BAD[case]
+    with pytest.raises(cddf.InputError, match=message) as error:
+        cddf.sweep(axes=axes, **({"manipulator": paper_body()} | options))
+    assert "\n" not in str(error.value)
+
+
+def test_bodies_that_differ_in_a_plain_function_are_not_the_same_work():
+    """A store of one is refused by the sweep of the other; written anew, the same function is the same."""
+
+    def told(radius):
+        return numbers_of(cddf.Manipulator(0.14, radius, 0.007, (cddf.Tendon(0.010),), 1.4e6, 0.42))
+
+    assert told(lambda s: 0.02 - 0.05 * s) == told(lambda s: 0.02 - 0.05 * s)
+    assert told(lambda s: 0.02 - 0.05 * s) != told(lambda s: 0.02 - 0.04 * s)

@@ -1,0 +1,228 @@
+"""Who imports whom: the flow of the physics, a light start, and no backend touched on import."""
+
+import ast
+import functools
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import cddf_jax as cddf
+
+SOURCE = Path(cddf.__file__).parent
+TESTS = Path(__file__).parent
+# a room imports only from rooms above it in this list, and from the modules at the top of the package
+ROOMS = (
+    "numerics",
+    "robot",
+    "mechanics",
+    "statics",
+    "batch",
+    "sweeping",
+    "estimation",
+    "files",
+    "measurements",
+    "identification",
+    "designing",
+    "figures",
+    "reports",
+    "explorer",
+    "cli",
+)
+CORE = ROOMS[: ROOMS.index("statics") + 1]
+# asked for when it is called, not on import: `Manipulator.validate` and what `print` shows
+ON_DEMAND = {
+    ("robot/manipulator", "robot/validation"),
+    ("robot/manipulator", "robot/description"),
+    ("statics/equilibrium", "statics/description"),
+    ("designing/results", "designing/report"),
+    ("designing/pareto", "designing/report"),
+}
+SEARCH = "numerics/constrained"  # SciPy's, of which designs alone make use
+HEAVY = {"matplotlib", "typer", "rich", "pint", "pandas", "xarray", "zarr", "scipy", "optimistix"}
+
+
+FILES = sorted(path.relative_to(SOURCE).with_suffix("").as_posix() for path in SOURCE.rglob("*.py"))
+
+
+@functools.cache
+def tree_of(name):
+    return ast.parse((SOURCE / f"{name}.py").read_text())
+
+
+def room_of(name):
+    return name.rpartition("/")[0]
+
+
+def is_ours(node):
+    return isinstance(node, ast.ImportFrom) and (node.level > 0 or (node.module or "").startswith("cddf_jax"))
+
+
+def imported_by(name, node):
+    """The files that one import statement in the file `name` takes something from."""
+    here = ["cddf_jax", *name.split("/")]
+    package = here[: -node.level] if node.level else []
+    module = "/".join([*package, *(node.module or "").split(".")]).strip("/").removeprefix("cddf_jax").strip("/")
+    candidates = {module} | {f"{module}/{alias.name}".strip("/") for alias in node.names}
+    return {each for each in candidates if each in FILES}
+
+
+def typing_only(tree):
+    """The nodes under `if TYPE_CHECKING`, which are not imported when the program runs."""
+    blocks = [node for node in ast.walk(tree) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
+    return {inner for block in blocks for inner in ast.walk(block)}
+
+
+@functools.cache
+def our_imports(name):
+    """The files of the package that a file imports when it runs, wherever in it."""
+    tree = tree_of(name)
+    left_out = typing_only(tree)
+    return {
+        found for node in ast.walk(tree) if is_ours(node) and node not in left_out for found in imported_by(name, node)
+    }
+
+
+def packages(name):
+    """The packages that a file imports when it is itself imported."""
+    found = set()
+    for node in tree_of(name).body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            found.add((node.module or "").split(".")[0])
+    return found
+
+
+def run(program):
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if room_of(name)])
+def test_a_room_imports_only_from_rooms_before_it(name):
+    for imported in our_imports(name):
+        room = room_of(imported)
+        if room:
+            assert ROOMS.index(room) <= ROOMS.index(room_of(name)), f"{name}.py imports {imported}.py"
+
+
+def test_the_top_of_the_package_imports_no_room():
+    for name in FILES:
+        if not room_of(name):
+            assert not any(map(room_of, our_imports(name))), name
+
+
+def test_nothing_imports_in_a_circle():
+    wanted = {name: our_imports(name) - {b for a, b in ON_DEMAND if a == name} - {name} for name in FILES}
+    while wanted:
+        ready = {name for name, needs in wanted.items() if not needs & set(wanted)}
+        assert ready, f"a circle among {sorted(wanted)}"
+        wanted = {name: needs for name, needs in wanted.items() if name not in ready}
+
+
+@pytest.mark.parametrize(("name", "imported"), sorted(ON_DEMAND))
+def test_what_is_imported_on_demand_is_not_imported_at_once(name, imported):
+    assert imported in our_imports(name)
+    at_once = [node for node in tree_of(name).body if is_ours(node)]
+    assert imported not in {found for node in at_once for found in imported_by(name, node)}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_is_small_and_says_what_it_is_for(room):
+    files = list((SOURCE / room).glob("*.py"))
+    assert 3 <= len(files) <= 14
+    assert (ast.get_docstring(tree_of(f"{room}/__init__")) or "").splitlines()[0].endswith((".", "`"))
+    assert not [path for path in (SOURCE / room).iterdir() if path.is_dir() and path.name != "__pycache__"]
+
+
+def test_the_package_has_these_rooms_and_few_modules_beside_them():
+    assert {room_of(name) for name in FILES} - {""} == set(ROOMS)
+    assert len([name for name in FILES if not room_of(name)]) <= 6
+
+
+def test_the_tests_mirror_the_rooms():
+    folders = {path.parent.relative_to(TESTS).as_posix() for path in TESTS.rglob("test_*.py")} - {"."}
+    assert folders == set(ROOMS)
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if room_of(name) in CORE and name != SEARCH])
+def test_the_core_imports_nothing_heavy(name):
+    assert not packages(name) & HEAVY
+
+
+def test_the_statistics_know_nothing_of_manipulators():
+    for name in FILES:
+        if room_of(name) in ("numerics", "estimation"):
+            assert {room_of(imported) for imported in our_imports(name)} <= {"", "numerics", "batch", "estimation"}, (
+                name
+            )
+
+
+def test_only_the_friction_law_knows_friction():
+    """The paper's own algorithms beside the solver have it in their closed forms."""
+    written = {name for name in FILES if "section.friction_coefficient" in (SOURCE / f"{name}.py").read_text()}
+    assert written == {"mechanics/friction", "statics/literal_iteration"}
+
+
+def test_importing_the_package_imports_neither_jax_nor_matplotlib():
+    loaded = run("import sys, cddf_jax; dir(cddf_jax); print(*{name.split('.')[0] for name in sys.modules})")
+    assert "cddf_jax" in loaded
+    assert not set(loaded) & ({"jax", "jaxlib", "equinox", "numpy"} | HEAVY)
+
+
+def test_a_manipulator_starts_no_backend_changes_no_precision_and_loads_nothing_heavy():
+    program = """
+import sys, cddf_jax as cddf, cddf_jax.statics.literal_iteration, cddf_jax.mechanics.capstan, cddf_jax.statics.response
+body = cddf.conical(length=0.14, outer_radius=(0.02, 0.013), inner_radius=0.007, tendon_offset=0.01,
+                    youngs_modulus=1.4e6, friction_coefficient=0.42)
+import jax
+import jax._src.xla_bridge
+assert not jax._src.xla_bridge._backends, jax._src.xla_bridge._backends
+assert not jax.config.jax_enable_x64
+print(*{name.split('.')[0] for name in sys.modules})
+"""
+    loaded = set(run(program))
+    assert "jax" in loaded
+    # jax itself loads parts of scipy
+    assert not loaded & (HEAVY - {"scipy"})
+
+
+def test_every_public_name_is_there_and_no_module_bears_it():
+    """A lazily exported function named like its module turns into the module on second access, design.md section 6."""
+    modules = {path.stem for path in SOURCE.iterdir()}
+    assert not set(cddf.__all__) & modules
+    for name in cddf.__all__:
+        assert getattr(cddf, name) is getattr(cddf, name)
+    with pytest.raises(AttributeError, match="No cddf_jax attribute nothing"):
+        _ = cddf.nothing
+
+
+def test_no_module_starts_threads_when_it_is_imported():
+    """Nor keeps a pool of them, which would be shut down with the first that uses it."""
+    program = """
+import importlib, pkgutil, threading
+from concurrent.futures import Executor
+before = threading.enumerate()
+import cddf_jax
+for module in pkgutil.walk_packages(cddf_jax.__path__, "cddf_jax."):
+    names = vars(importlib.import_module(module.name))
+    kept = [item for value in names.values() for item in (value if isinstance(value, (list, tuple)) else [value])]
+    assert not any(isinstance(item, (Executor, threading.Thread)) for item in kept), module.name
+    assert set(threading.enumerate()) <= set(before), module.name
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=600)
+
+
+def test_one_name_is_one_thing():
+    """No public function or class has the name of another, but for a command and the function that it calls."""
+    places = {}
+    for name in FILES:
+        for node in tree_of(name).body:
+            if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(name)
+    twice = {name for name, files in places.items() if len(files) > 1}
+    assert twice == {"design", "fit", "plan", "reproduce", "solve", "sweep"}
+    assert all(sum(room_of(file) == "cli" for file in places[name]) == 1 and len(places[name]) == 2 for name in twice)
