@@ -1,16 +1,17 @@
-"""A sweep of 100,000 unloaded solves beside a compiled loop: `python benchmarks/batch.py`, five minutes.
+"""A batch of 100,000 unloaded solves beside a compiled loop: `python benchmarks/batch.py`, five minutes.
 
-The body is the paper's with one parallel tendon, exact kinematics; tension, friction coefficient and modulus differ
-from solve to solve. Asked for are tip tension, tip position and tip angle. Beside `solve`, on two devices of the CPU,
-where the samples lie already, in chunks of 5,120 lanes, runs what a numba user would write: the four equations of this
-very case by RK4, one tendon and no more, in parallel on both cores, with 8 and 32 steps. All in one run, interleaved,
-medians. Errors are those of tip tension (relative, against the closed form) and of the tip position (m, against 48
-nodes).
+The body is the paper's with one parallel tendon, exact kinematics. Tension, friction coefficient and modulus differ
+from solve to solve. Outputs are tip tension, tip position and tip angle. `solve` runs in chunks of 5,120 lanes on two
+devices of the CPU, with the samples already on the devices. Beside it runs what a numba user would write: the four
+equations of exactly this case, for one tendon, by RK4 with 8 and 32 steps, in parallel on both cores. All calls run
+in turn in one process; times are medians. Errors are those of the tip tension (relative, against the closed form) and
+of the tip position (m, against 48 nodes).
 
-Then 16,384 of them under a tip force, in chunks of 512 lanes, beside shooting: RK4 from the base, the secant method on
-M_ext(0) until the moment at the tip is 1e-8 N m. The force acts in one step, nobody looks for kinks or asks which
-equilibrium that is and whether it is stable. (0, -1) N turns the curvature over in a tenth of the samples, (0, -10) N
-in all of them: there 32 steps are not enough, and 512 are shown too.
+Then 16,384 of the samples under a tip force, in chunks of 512 lanes, beside shooting: RK4 from the base, and the
+secant method on M_ext(0) until the moment at the tip is 1e-8 N m. Shooting applies the force in one step. It does not
+locate kinks, and does not ask which equilibrium it found or whether that is stable. The curvature changes sign in a
+tenth of the samples under (0, -1) N, and in all of them under (0, -10) N. There 32 steps are not enough, so 512 are
+shown too.
 """
 
 import time
@@ -26,8 +27,8 @@ from jax.sharding import NamedSharding, PartitionSpec
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax_for_batches
-from cddf_jax.artifacts import as_json, write_all
-from cddf_jax.bench import with_parameters
+from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.identification.bench import with_parameters
 
 COUNT, LOADED, ROUNDS = 102_400, 16_384, 15
 CHUNK, LOADED_CHUNK = 5_120, 512
@@ -57,13 +58,13 @@ def tip(robot: cddf.Manipulator, nodes: int, force: tuple[float, float] | None =
 
 
 def on_devices() -> NamedSharding:
-    """An equal share on each."""
+    """Sharding that gives each device an equal share."""
     mesh = jax.make_mesh((DEVICES,), ("lanes",), axis_types=(jax.sharding.AxisType.Auto,))
     return NamedSharding(mesh, PartitionSpec("lanes"))
 
 
 def batched(function: Callable[..., Any], chunk: int) -> Callable[..., Any]:
-    """In chunks, an equal share of them on each device."""
+    """The function over a batch: an equal share on each device, in chunks."""
     mesh, lanes = on_devices().mesh, on_devices().spec
 
     def share(*inputs):
@@ -73,7 +74,7 @@ def batched(function: Callable[..., Any], chunk: int) -> Callable[..., Any]:
 
 
 def columns(tip: Any) -> np.ndarray:
-    """T_tip, x, y and phi of every sample, of ours or the loop's."""
+    """T_tip, x, y and phi of every sample as columns, from `solve` or from the loop."""
     return tip if isinstance(tip, np.ndarray) else np.column_stack([np.asarray(x) for x in tip])
 
 
@@ -106,7 +107,7 @@ def runge_kutta(tension, friction, modulus, length, outer, inner, offset, steps,
 
 
 def numba_loop(robot: cddf.Manipulator, steps: int) -> Callable[..., np.ndarray]:
-    """The loop over given samples."""
+    """A function that runs the loop over samples."""
     ends = np.array([0.0, float(robot.length)])
     outer, inner = map(np.asarray, robot.radii(ends))
     offset = float(robot.tendons[0].offset(0.0))
@@ -122,7 +123,7 @@ def numba_loop(robot: cddf.Manipulator, steps: int) -> Callable[..., np.ndarray]
 
 @numba.njit
 def shoot(moment, tension, mu, bend, offset, force, stiffness, h, out):
-    """T' = -mu |kappa| T with kappa = (d T + M) / (E J), phi' = kappa, u' = t, M' = -t x F; M at the tip."""
+    """T' = -mu |kappa| T with kappa = (d T + M) / (E J), phi' = kappa, u' = t, M' = -t x F. Returns M at the tip."""
     half = 0.5 * h
     T, phi, x, y, M = tension, 0.0, 0.0, 0.0, moment
     for k in range(stiffness.size // 2):
@@ -148,7 +149,7 @@ def shoot(moment, tension, mu, bend, offset, force, stiffness, h, out):
 
 @numba.njit(parallel=True)
 def shooting(tension, friction, modulus, length, stiffness, offset, force, out):
-    """The secant method from M_ext(0) = 0 and that of the straight body."""
+    """The secant method, which starts with M_ext(0) = 0 and with that of the straight body."""
     h = length / (stiffness.size // 2)
     for i in numba.prange(tension.size):
         bend = 1.0 / (modulus[i] * np.pi / 4)
@@ -162,7 +163,7 @@ def shooting(tension, friction, modulus, length, stiffness, offset, force, out):
 
 
 def numba_shooting(robot: cddf.Manipulator, force: tuple[float, float], steps: int) -> Callable[..., np.ndarray]:
-    """Shooting over given samples."""
+    """A function that runs shooting over samples."""
     length, offset = float(robot.length), float(robot.tendons[0].offset(0.0))
     stiffness = np.asarray(robot.second_moment(jnp.linspace(0.0, length, 2 * steps + 1))) * 4 / np.pi
 
@@ -176,7 +177,7 @@ def numba_shooting(robot: cddf.Manipulator, force: tuple[float, float], steps: i
 
 
 def interleaved(calls: dict[str, Callable[[], Any]]) -> dict[str, float]:
-    """Median seconds of each, all of them in turn, after a first call."""
+    """Median seconds of each call. All run in turn, after a first call of each."""
     for call in calls.values():
         jax.block_until_ready(call())
     times: dict[str, list[float]] = {name: [] for name in calls}
@@ -189,7 +190,7 @@ def interleaved(calls: dict[str, Callable[[], Any]]) -> dict[str, float]:
 
 
 def rows_of(functions: dict[str, Callable[..., Any]], samples: tuple, numba32: str, exact: np.ndarray) -> dict:
-    """Times of all, and the errors of those that return the tip, against a tip that is exact."""
+    """Times of all functions, and errors of those that return the tip, against an exact tip."""
     times = interleaved({name: lambda f=f: f(*samples) for name, f in functions.items()})
     rows = {name: {"us": 1e6 * t / len(samples[0]), "numba32 over it": times[numba32] / t} for name, t in times.items()}
     for name, function in functions.items():
@@ -201,7 +202,7 @@ def rows_of(functions: dict[str, Callable[..., Any]], samples: tuple, numba32: s
 
 
 def loaded_rows(robot: cddf.Manipulator, samples: tuple) -> dict:
-    """Under the tip forces."""
+    """The rows under the tip forces."""
     rows = {}
     for force, steps in FORCES.items():
         under = f"under ({force[0]:g}, {force[1]:g}) N"
@@ -238,7 +239,7 @@ def main() -> None:
     rows = rows_of(functions, placed, "numba, RK4, 32 steps", exact) | loaded_rows(
         robot, jax.device_put(tuple(x[:LOADED] for x in samples), on_devices())
     )
-    lines = ["| what | us a solve | numba, 32 steps, over it | error of T_tip | error of u(L), m |"]
+    lines = ["| what | us a solve | times faster than numba, 32 steps | error of T_tip | error of u(L), m |"]
     lines += ["| --- | ---: | ---: | ---: | ---: |"]
     for name, row in rows.items():
         errors = [f"{row[key]:.1e}" if key in row else "" for key in ("tension error", "position error")]

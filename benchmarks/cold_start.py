@@ -1,6 +1,7 @@
-"""What a first call costs, in fresh processes: `python benchmarks/cold_start.py`.
+"""The time of a first call in fresh processes: `python benchmarks/cold_start.py`.
 
-Imports, help, a first solve and a first fit at the command line, with an empty cache of compiled code and a full one.
+Imports, help, a first solve and a first fit at the command line, with an empty and with a full cache of compiled
+code.
 """
 
 import os
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cddf_jax.artifacts import as_json, write_all
+from cddf_jax.files.artifacts import as_json, write_all
 
 ROOT = Path(__file__).parents[1]
 CDDF = str(Path(sys.executable).parent / "cddf")
@@ -23,14 +24,14 @@ RUNS = 3
 
 
 def seconds(command: list[str], cache: str) -> float:
-    """One run with its cache folder under `cache`."""
+    """Seconds of one run whose cache folder is in `cache`."""
     begin = time.perf_counter()
     subprocess.run(command, check=True, cwd=ROOT, env=os.environ | {"XDG_CACHE_HOME": cache}, stdout=subprocess.DEVNULL)
     return time.perf_counter() - begin
 
 
 def cold_and_warm(command: list[str]) -> tuple[float, float]:
-    """Medians with an empty cache, and with what such a run left in it."""
+    """Median seconds with an empty cache, and with the cache that such a run filled."""
     cold, warm = [], []
     for _ in range(RUNS):
         with tempfile.TemporaryDirectory() as cache:

@@ -1,10 +1,10 @@
 """A fit, 1,000 bootstrap refits and a profile beside SciPy and lmfit: `python benchmarks/fits.py`.
 
-Friction and modulus from the tip tensions and tip angles of data/tip_angle_simulated.csv, exact kinematics, noise
-known. SciPy and lmfit fit what a user would write: the paper's iteration in NumPy over 200 points, row by row. Their
-bootstrap is timed over 10 refits and multiplied. lmfit takes part where it is installed (`pip install lmfit`).
-Distances are those of the estimates, in standard errors, from a SciPy fit of the closed form at tolerance 1e-15.
-All times are medians of one run, compiled beforehand; the first call is told apart.
+Friction and modulus from the tip tensions and tip angles of data/tip_angle_simulated.csv, exact kinematics, with
+known noise. SciPy and lmfit fit what a user would write: the paper's iteration in NumPy over 200 points, row by row.
+Their bootstrap is timed over 10 refits, and the time is scaled to 1,000. lmfit is used if it is installed (`pip
+install lmfit`). The distance is that of the estimates from a SciPy fit of the closed form at tolerance 1e-15, in
+standard errors. All times are medians of one run after compilation; the first call is reported separately.
 """
 
 import time
@@ -19,7 +19,7 @@ from scipy.optimize import brentq, least_squares
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.artifacts import as_json, write_all
+from cddf_jax.files.artifacts import as_json, write_all
 
 DATA = Path(__file__).parents[1] / "data"
 NOISE = {"tip_tension": 0.5, "tip_angle": np.radians(1.0)}
@@ -48,7 +48,7 @@ def closed(mu: float, modulus: float, pull: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def residual_of(table: cddf.Measurements, tip: np.ndarray, angle: np.ndarray, model: Callable) -> Callable:
-    """(predicted - observed) / noise as a function of (mu, E) over their starts."""
+    """(predicted - observed) / noise as a function of (mu, E) divided by their start values."""
     pulls = table["base_tension"]
 
     def residual(x):
@@ -170,7 +170,7 @@ def main() -> None:
     }
     base = results["cddf_jax"]
     lines = [
-        f"{len(table)} rows; seconds, and how many times ours",
+        f"{len(table)} rows; seconds, and in brackets times the time of cddf_jax",
         "",
         "| | distance from exact, standard errors | fit | 1,000 refits | profile of E |",
         "| --- | --- | --- | --- | --- |",
@@ -179,7 +179,7 @@ def main() -> None:
         cells = [f"{row[what]:.3g} ({row[what] / base[what]:.3g} x)" for what in ("fit", "bootstrap", "profile")]
         lines.append(f"| {name} | {row['distance']:.1e} | " + " | ".join(cells) + " |")
     first = ", ".join(f"{what} {base[f'first {what}']:.3g} s" for what in ("fit", "bootstrap", "profile"))
-    lines += ["", f"Ours the first time, compiling included: {first}."]
+    lines += ["", f"The first calls of cddf_jax, with compilation: {first}."]
     text = "\n".join(lines) + "\n"
     write_all("out/benchmark", {"fits.md": text, "fits.json": as_json(results)})
     print(text)

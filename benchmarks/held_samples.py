@@ -1,9 +1,10 @@
-"""Samples of one hold taken for independent readings: `python benchmarks/held_samples.py`, about a minute.
+"""Samples of one hold treated as independent readings: `python benchmarks/held_samples.py`, about a minute.
 
-200 benches of the paper's body: eight levels of base tension, each held for 50 samples of tip tension and tip angle
-whose noise is autoregressive (correlation 0.95 from sample to sample; 0 for comparison). Friction coefficient and
-modulus are fitted to all samples, as if they were independent, and to one mean for each hold (`average_holds`). The
-tip tension and angle of one tendon are closed forms. Told is how often the 95 % intervals hold the truth.
+200 benches of the paper's body are simulated. Each has eight levels of base tension, and each level is held for 50
+samples of tip tension and tip angle. Their noise is autoregressive (correlation 0.95 from sample to sample; 0 for
+comparison). Friction coefficient and modulus are fitted to all samples, as if they were independent, and to one mean
+for each hold (`average_holds`). The tip tension and angle of one tendon are closed forms. The result is how often the
+95 % intervals contain the true value.
 """
 
 from typing import Any
@@ -13,9 +14,9 @@ import numpy as np
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.artifacts import as_json, write_all
-from cddf_jax.holds import holds_of, serial_correlation
-from cddf_jax.measurements import Measurements
+from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.measurements.holds import holds_of, serial_correlation
+from cddf_jax.measurements.table import Measurements
 
 BENCHES, SAMPLES, SEED = 200, 50, 18
 LEVELS = np.arange(10.0, 81.0, 10.0)  # N
@@ -54,13 +55,13 @@ def bench(rng: np.random.Generator, lag_one: float) -> Measurements:
 
 
 def fitted(table: Measurements, predict: Predict) -> cddf.LeastSquaresFit:
-    """Friction and modulus, the noise estimated."""
+    """The fit of friction and modulus with estimated noise."""
     bounds = dict.fromkeys(START, (0.0, None))
     return cddf.least_squares_fit(predict, START, {name: table[name] for name in DEVIATION}, bounds=bounds)
 
 
 def coverage(lag_one: float) -> dict[str, Any]:
-    """Per cent of the benches whose intervals hold the truth, and of those that raise the alarm."""
+    """Per cent of the benches whose intervals contain the true value, and per cent with an alarm."""
     all_samples, means = Predict(np.repeat(LEVELS, SAMPLES)), Predict(LEVELS)
     held: dict[str, list[list[bool]]] = {"all samples": [], "one mean a hold": []}
     alarms, effective = [], []
@@ -78,8 +79,8 @@ def coverage(lag_one: float) -> dict[str, Any]:
         alarms.append(found.alarming)
         effective.append(found.num_effective)
     shares = {how: dict(zip(START, (100 * np.mean(rows, axis=0)).tolist(), strict=True)) for how, rows in held.items()}
-    told = {"alarms": 100 * float(np.mean(alarms)), "effective readings, median": float(np.median(effective))}
-    return {"intervals that hold the truth, %": shares} | told
+    summary = {"alarms": 100 * float(np.mean(alarms)), "effective readings, median": float(np.median(effective))}
+    return {"intervals that hold the truth, %": shares} | summary
 
 
 def main() -> None:

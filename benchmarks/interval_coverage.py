@@ -1,11 +1,11 @@
-"""How often a 95 % interval holds the truth: `python benchmarks/interval_coverage.py`, about 15 minutes.
+"""How often a 95 % interval contains the true value: `python benchmarks/interval_coverage.py`, about 15 minutes.
 
-The experiments are those of data/*_simulated.csv, drawn anew 1,000 times: a pulley test, then tension pairs of the
-paper's body at 17 levels of 5 to 85 N in six trials; friction coefficient and modulus are fitted to both tables
-together. The tip tension is the closed form of one tendon. Bootstraps are of the first 500 experiments, 200 refits
-each: that few refits alone cost a percentile interval one per cent of its coverage (the percentiles of 200 draws
-lie at 3.0 and 97.0 per cent on average). Where friction differs between trials, `fit(..., per_trial=True)` is tried
-too, on the first 500 experiments.
+The experiments are those of data/*_simulated.csv, simulated 1,000 times: a pulley test, then tension pairs of the
+paper's body at 17 levels of 5 to 85 N in six trials. Friction coefficient and modulus are fitted to both tables
+together. The tip tension is the closed form of one tendon. Bootstraps use the first 500 experiments with 200 refits
+each. So few refits cost a percentile interval one per cent of its coverage: the percentiles of 200 draws lie at 3.0
+and 97.0 per cent on average. Where friction differs between trials, the first 500 experiments are also fitted with
+`fit(..., per_trial=True)`.
 """
 
 import time
@@ -19,11 +19,11 @@ import numpy as np
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.artifacts import as_json, write_all
-from cddf_jax.least_squares import LeastSquaresFit, least_squares_fit
-from cddf_jax.measurements import Measurements
-from cddf_jax.observations import Noise
-from cddf_jax.pulley import pulling_tension
+from cddf_jax.estimation.least_squares import LeastSquaresFit, least_squares_fit
+from cddf_jax.estimation.observations import Noise
+from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.measurements.table import Measurements
+from cddf_jax.mechanics.capstan import pulling_tension
 
 ROBOT = Path(__file__).parents[1] / "data" / "smooth_sil_940.toml"
 EXPERIMENTS, BOOTSTRAPPED, REPLICATES = 1000, 500, 200
@@ -40,12 +40,12 @@ CLUSTERS = {"load_cells": ("trial", TRIALS), "pulley": ("pulley trial", PULLEY_T
 
 @dataclass(frozen=True)
 class Scenario:
-    """How experiments are drawn, and what the fit is told of their noise."""
+    """How experiments are simulated, and which noise the fit is given."""
 
     floor: float
     fraction: float
     sigma: Any
-    friction_scatter: float = 0.0  # of mu from trial to trial at the bench, relative
+    friction_scatter: float = 0.0  # of mu from trial to trial on the manipulator, relative
 
 
 SCENARIOS = {
@@ -59,7 +59,7 @@ Predict = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 def paper() -> tuple[dict[str, float], Predict]:
-    """The truth, and both tables as functions of it: T_tip = T / (1 + mu G T / E), and the pulley's eq. (5)."""
+    """The true values, and a function that predicts both tables: T_tip = T / (1 + mu G T / E), and eq. (5)."""
     robot = cddf.read_manipulator(ROBOT)
     truth = {MU: float(robot.friction_coefficient), E: float(robot.youngs_modulus)}
     tip = float(cddf.closed_form_tension(robot, 1.0, robot.length))
@@ -85,7 +85,7 @@ def draw(rng: np.random.Generator, scenario: Scenario, truth: dict[str, float], 
 
 
 def per_trial_intervals(data: dict[str, Any], sigma: Any) -> dict[str, tuple[float, float]] | None:
-    """95 % intervals with a friction of its own in each trial; None where the fit failed."""
+    """95 % intervals of a fit with its own friction in each trial; None if the fit failed."""
     robot = cddf.read_manipulator(ROBOT)
     tables = [
         Measurements.from_columns("pulley", weight=WEIGHTS, wrap_angle=WRAPS, pulling_tension=data["pulley"]),
@@ -97,7 +97,7 @@ def per_trial_intervals(data: dict[str, Any], sigma: Any) -> dict[str, tuple[flo
 
 
 def intervals(fit: LeastSquaresFit, seed: int | None = None) -> dict[str, dict[str, tuple[float, float]]]:
-    """95 % intervals by method and parameter; with a seed those of the bootstraps too."""
+    """95 % intervals by method and parameter. With a seed also those of the bootstraps."""
     found = {
         "t": fit.confidence_interval,
         "profile": {name: fit.profile(name).confidence_interval for name in fit.names},
@@ -111,13 +111,13 @@ def intervals(fit: LeastSquaresFit, seed: int | None = None) -> dict[str, dict[s
 
 
 def simulate(scenario: Scenario, experiments: int, bootstrapped: int = 0, seed: int = SEED) -> list[dict[str, Any]]:
-    """By experiment, method and parameter, whether the interval held the truth."""
+    """Whether the interval contains the true value, by experiment, method and parameter."""
     truth, predict = paper()
     held = []
     for k in range(experiments):
         data = draw(np.random.default_rng((seed, k)), scenario, truth, predict)
         fit = least_squares_fit(predict, truth, data, scenario.sigma, BOUNDS)
-        if not fit.success:  # an interval of a failed fit is none
+        if not fit.success:  # a failed fit has no interval
             print(f"experiment {k}: {fit.result}")
             continue
         found = intervals(fit, k if k < bootstrapped else None)
@@ -131,7 +131,7 @@ def simulate(scenario: Scenario, experiments: int, bootstrapped: int = 0, seed: 
 
 
 def coverage(held: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Share of intervals that held the truth, per cent, and its Monte Carlo error, by method and parameter."""
+    """Per cent of intervals that contain the true value, with its Monte Carlo error, by method and parameter."""
     result = {}
     for how in held[0]:
         rows = [row[how] for row in held if how in row]

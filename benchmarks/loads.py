@@ -1,10 +1,10 @@
 """A loaded solve beside an unloaded one and beside SciPy: `python benchmarks/loads.py`.
 
-The body is the paper's in the exact kinematics at 40 N. The loads are a tip force that helps, one that opposes until
-the curvature changes sign, and one so large that it takes several steps. SciPy solves the same equations as a user
-would write them: `solve_bvp`, and shooting on the base moment with `solve_ivp` and `brentq`. Errors are the largest of
-tip tension (relative), tip angle (rad) and tip position (per length) against shooting at relative tolerance 1e-13.
-All times are medians of one run.
+The body is the paper's in the exact kinematics at 40 N. The loads are a tip force that helps the tendon, one that
+opposes it until the curvature changes sign, and one so large that it takes several steps. SciPy solves the same
+equations as a user would write them: with `solve_bvp`, and by shooting on the base moment with `solve_ivp` and
+`brentq`. The error is the largest of the errors of tip tension (relative), tip angle (rad) and tip position (per
+length). Its reference is shooting at a relative tolerance of 1e-13. All times are medians of one run.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.artifacts import as_json, write_all
+from cddf_jax.files.artifacts import as_json, write_all
 
 PULL, BATCH, LENGTH, OFFSET, MU, MODULUS = 40.0, 1024, 0.140, 0.010, 0.42, 1.4e6
 FORCES = {
@@ -51,7 +51,7 @@ def rate(force: tuple[float, float]) -> Callable:
 
 
 def shooting(force: tuple[float, float], tolerance: float = 1e-9) -> np.ndarray:
-    """The tip's state by solve_ivp, the base moment by brentq along five steps of the load."""
+    """The state at the tip by solve_ivp. brentq finds the base moment in ten steps of the load."""
 
     def tip(moment, force):
         at = {"rtol": tolerance, "atol": 1e-3 * tolerance, "method": "DOP853"}
@@ -67,7 +67,7 @@ def shooting(force: tuple[float, float], tolerance: float = 1e-9) -> np.ndarray:
 
 
 def collocation(force: tuple[float, float]) -> np.ndarray:
-    """The tip's state by solve_bvp with its kink left where it is, the load in five steps."""
+    """The state at the tip by solve_bvp in five steps of the load. The kink is not located."""
     s = np.linspace(0, LENGTH, 50)
     state = np.stack([0 * s + PULL, 0 * s, s, 0 * s, 0 * s])
     found = None

@@ -1,9 +1,9 @@
 """Accuracy against time of the methods, values and derivatives: `python benchmarks/methods.py`.
 
-The body is the paper's, published kinematics, 75 N. Every method is timed in the same run, one solve through a
-compiled call and a batch of 4096, beside what a user would otherwise write: SciPy's solve_ivp, and the paper's
-iteration in NumPy over 200 points. Errors are those of the tip tension, and of its derivatives by mu and E, against
-the closed form.
+The body is the paper's, published kinematics, 75 N. Every method is timed in the same run: one solve through a
+compiled call, and a batch of 4096. Beside them is what a user would write otherwise: SciPy's solve_ivp, and the
+paper's iteration in NumPy over 200 points. Errors are those of the tip tension, and of its derivatives by mu and E,
+against the closed form.
 """
 
 import time
@@ -17,8 +17,8 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.artifacts import as_json, write_all
-from cddf_jax.bench import with_parameters
+from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.identification.bench import with_parameters
 
 PULL, BATCH = 75.0, 4096
 METHODS = {
@@ -26,13 +26,11 @@ METHODS = {
     "FixedPoint, 8 nodes": (cddf.FixedPoint(), 8),
     "LiteralIteration, tip 1e-4 m": (cddf.LiteralIteration(), 16),
     "LiteralIteration, tip 1e-12 m": (cddf.LiteralIteration(tip_tolerance=1e-12), 16),
-    "Marching, 4 steps a node": (cddf.Marching(), 16),
-    "Marching, 1 step a node": (cddf.Marching(steps=1), 16),
 }
 
 
 def median_time(call: Callable[[], Any], least: float = 0.3) -> float:
-    """Seconds, the median of repetitions that take `least` seconds together, after a first call."""
+    """Median seconds of a call. After a first call it is repeated for at least `least` seconds."""
     jax.block_until_ready(call())
     times: list[float] = []
     while sum(times) < least or len(times) < 5:
@@ -83,7 +81,7 @@ def geometry(robot: cddf.Manipulator) -> tuple[Callable[[Any], Any], float, floa
 
 
 def scipy_march(robot: cddf.Manipulator) -> float:
-    """T' = -mu T^2 d / (E J), with heading and position, by solve_ivp at its usual tight setting."""
+    """T' = -mu T^2 d / (E J), with heading and position, by solve_ivp with a usual tight tolerance."""
     stiffness, d, mu = geometry(robot)
 
     def rate(s, y):

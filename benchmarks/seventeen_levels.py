@@ -1,11 +1,12 @@
 """Friction and modulus from 17 levels with tip positions: `python benchmarks/seventeen_levels.py`, two minutes.
 
-The readings are the model's own of the paper's body, exact kinematics, at 5 to 85 N, with simulated noise of 0.3 N and
-0.3 mm. SciPy's `least_squares` fits them over the paper's iteration on 200 points, in NumPy and compiled by numba: with
-the double integral of its equation (14), as a user would take it from the paper, and with that integral solved by hand,
-where the moment is d T. Ours is told twice: the search alone, which is what SciPy does, and `fit`, which also finds out
-what the data determine. Distances are those of the estimates from the fit of SciPy over our own model at tolerance
-1e-15, in standard errors: how far the 200 points lead astray. Warm calls in turn, medians of one run.
+The readings are those of the model for the paper's body, exact kinematics, at 5 to 85 N, with simulated noise of 0.3
+N and 0.3 mm. SciPy's `least_squares` fits the paper's iteration on 200 points, in NumPy and compiled by numba. It
+does so in two forms: with the double integral of equation (14), as a user would take it from the paper, and with that
+integral solved by hand, where the moment is d T. cddf_jax has two rows: the search alone, which is what SciPy does,
+and `fit`, which also finds what the data determine. The distance is that of the estimates from a SciPy fit of our own
+model at tolerance 1e-15, in standard errors. So it shows the error that the 200 points cause. Times are medians of
+warm calls in turn in one run.
 """
 
 import tempfile
@@ -25,8 +26,8 @@ from scipy.optimize import least_squares
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.artifacts import as_json, write_all
-from cddf_jax.levenberg_marquardt import minimise
+from cddf_jax.estimation.levenberg_marquardt import minimise
+from cddf_jax.files.artifacts import as_json, write_all
 
 LEVELS = np.arange(5.0, 86.0, 5.0)
 NOISE = {"tip_tension": 0.3, "tip_x": 3e-4, "tip_y": 3e-4}
@@ -54,7 +55,7 @@ def tip(mu: float, modulus: float, pull: float) -> np.ndarray:
 
 
 def update_as_printed(mu: float, modulus: float, pull: float, kappa: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Tensions and tip of a shape, and the curvature by eq. (14): the moment of all forces of the tendon outboard."""
+    """Tensions and tip of a shape, and its curvature by eq. (14): the moment of all tendon forces outboard."""
     weight = np.triu(np.full((POINTS, POINTS), S[1] - S[0]))
     weight[:, -1] *= 0.5
     np.fill_diagonal(weight, 0.5 * (S[1] - S[0]))
@@ -84,7 +85,7 @@ def tip_as_printed(mu: float, modulus: float, pull: float) -> np.ndarray:
 
 @numba.njit
 def iterated_by_numba(mu, modulus, pulls, out):
-    """The iteration of `fits.iterated` in loops, and the position of the tip."""
+    """The iteration of `fits.iterated` written as loops, and the position of the tip."""
     step = S[1] - S[0]
     tension, angle = np.empty(POINTS), np.empty(POINTS)
     for row in range(pulls.size):
@@ -124,7 +125,7 @@ def by_numba(mu: float, modulus: float) -> np.ndarray:
 
 @jax.jit
 def by_solve(mu: Any, modulus: Any) -> jax.Array:
-    """Ours."""
+    """Tip tension and position by `solve`."""
     body = eqx.tree_at(lambda m: (m.friction_coefficient, m.youngs_modulus), paper(*TRUTH), (mu, modulus))
 
     def one(pull):
@@ -145,13 +146,13 @@ def scipy_fit(model: Callable[[float, float], Any], readings: np.ndarray, **opti
 
 
 def in_turn(calls: dict[str, Callable[[], Any]]) -> dict[str, float]:
-    """Median seconds of each, a fifth of a second of one after the other, for the machine changes its speed."""
+    """Median seconds of each call. They run in turn, a fifth of a second each, as the machine changes its speed."""
     rounds = [{name: median_time(call, least=0.2) for name, call in calls.items()} for _ in range(ROUNDS)]
     return {name: float(np.median([one[name] for one in rounds])) for name in calls}
 
 
 def table_of(readings: np.ndarray) -> cddf.Measurements:
-    """The readings as a table, by way of a file as a user has it."""
+    """The readings as a table, read from a file as a user would."""
     lines = ["base_tension [N], tip_tension [N], tip_x [m], tip_y [m]"]
     lines += [", ".join(repr(float(x)) for x in (pull, *row)) for pull, row in zip(LEVELS, readings, strict=True)]
     with tempfile.TemporaryDirectory() as folder:
@@ -169,13 +170,13 @@ def main() -> None:
     started = paper(*START)
     exact = scipy_fit(by_solve, readings, xtol=1e-15, ftol=1e-15, gtol=1e-15)
     fit = cddf.fit(started, table, noise=NOISE)
-    search, first = fit.search, np.asarray(fit.search.problem.space.first())
+    search, first = fit.minimum, np.asarray(fit.minimum.problem.space.first())
     error = np.array([fit.standard_error[name] for name in fit.names])
 
     calls: dict[str, Callable[[], np.ndarray]] = {
         "cddf_jax, the search": lambda: minimise(search.problem, search.noise, first).parameters,
         "cddf_jax, fit": lambda: np.array(list(cddf.fit(started, table, noise=NOISE).value.values())),
-        "SciPy over ours": lambda: scipy_fit(by_solve, readings),
+        "SciPy over our model": lambda: scipy_fit(by_solve, readings),
         "SciPy over numba": lambda: scipy_fit(by_numba, readings),
         "SciPy over NumPy": lambda: scipy_fit(by_numpy, readings),
         "SciPy over NumPy, eq. (14) as printed": lambda: scipy_fit(as_printed, readings),
@@ -187,7 +188,7 @@ def main() -> None:
     }
     base, whole = rows["cddf_jax, the search"]["ms"], rows["cddf_jax, fit"]["ms"]
     lines = [
-        "| | ms | over our search | over our fit | distance, standard errors |",
+        "| | ms | times our search | times our fit | distance, standard errors |",
         "| --- | ---: | ---: | ---: | ---: |",
     ]
     for name, row in rows.items():

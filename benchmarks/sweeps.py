@@ -1,12 +1,11 @@
 """Sweeps of a thousand to ten million solves: `python benchmarks/sweeps.py`, about three minutes.
 
-The body is the paper's in the exact kinematics; tension and friction coefficient are a product grid. Asked for are tip
-tension, tip position and tip angle; every solve has its error estimate and its result, without which no number of a
-sweep is handed out. Each row is a process of its own that sweeps a small grid first, which compiles, then the large one
-`ROUNDS` times; told are the medians, and the most memory that the process ever took beyond what it took after the small
-sweep. The errors are those of the tip tension against the closed form, relative. Rows with two processes share one
-store. The last rows are the loop of benchmarks/batch.py, compiled by numba, on both cores: the bare numbers, no check,
-all of them in memory.
+The body is the paper's in the exact kinematics. Tension and friction coefficient form a product grid. Outputs are tip
+tension, tip position and tip angle; every solve also has its error estimate and its result. Each row is a process of
+its own. It first sweeps a small grid, which compiles, then `ROUNDS` times the large one. The time is the median. The
+memory is the peak of the process beyond its peak after the small sweep. Errors are those of the tip tension against
+the closed form, relative. Rows with two processes share one store. The last rows are the loop of benchmarks/batch.py,
+compiled by numba, on both cores: only the numbers, without any check, all in memory.
 """
 
 import json
@@ -26,7 +25,7 @@ import numpy as np
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax_for_batches
-from cddf_jax.artifacts import as_json, write_all
+from cddf_jax.files.artifacts import as_json, write_all
 
 ROUNDS = 3
 FORCE = {"loads": cddf.Loads(tip_force=(0.0, -1.0))}
@@ -68,12 +67,12 @@ def axes(solves: int) -> dict[str, np.ndarray]:
 
 
 def peak() -> float:
-    """The most memory this process ever took, MB."""
+    """Peak memory of this process, MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def child(asked: dict[str, Any]) -> dict[str, float]:
-    """One row, in a process of its own."""
+    """Measure one row; it runs in its own process."""
     configure_jax_for_batches()
     if asked.get("numba"):
         return loop(asked)
@@ -96,17 +95,17 @@ def child(asked: dict[str, Any]) -> dict[str, float]:
         found = run(asked["solves"], str(i))
         spent.append(time.perf_counter() - begin)
     assert found is not None
-    told: dict[str, float] = {
+    row: dict[str, float] = {
         "us a solve": 1e6 * float(np.median(spent)) / found.successful.size,
         "memory, MB": peak() - before,
     }
     if not asked.get("loaded"):
-        told["error"] = closed_form_error(found)
-    return told | {"doubtful": int((~found.successful).sum())}
+        row["error"] = closed_form_error(found)
+    return row | {"doubtful": int((~found.successful).sum())}
 
 
 def loop(asked: dict[str, Any]) -> dict[str, float]:
-    """A row of the loop of batch.py with 32 steps."""
+    """Measure a row of the loop of batch.py with 32 steps."""
     import batch
 
     def samples(solves: int) -> tuple[np.ndarray, ...]:
@@ -141,7 +140,7 @@ def closed_form_error(found: Any) -> float:
 
 
 def measured(asked: dict[str, Any]) -> dict[str, float]:
-    """The row, from as many processes as it asks for."""
+    """Start the processes of a row, and return its measurement."""
     count, folder = asked.get("processes", 1), tempfile.mkdtemp()
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -152,10 +151,10 @@ def measured(asked: dict[str, Any]) -> dict[str, float]:
             subprocess.Popen([sys.executable, __file__, json.dumps(one)], stdout=subprocess.PIPE, text=True)
             for one in commands
         ]
-        told = [json.loads(process.communicate(timeout=600)[0].splitlines()[-1]) for process in started]
+        rows = [json.loads(process.communicate(timeout=600)[0].splitlines()[-1]) for process in started]
     finally:
         shutil.rmtree(folder)
-    return told[0]
+    return rows[0]
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
-"""All that the benchmarks measured, on one page: `python benchmarks/table.py`, the last step of `make benchmark`.
+"""All results of the benchmarks on one page: `python benchmarks/table.py`, the last step of `make benchmark`.
 
-It measures nothing: it puts what the other scripts left in out/benchmark together. The page is kept in
-benchmarks/measured.md, which the documentation shows; what was not run here stays as it was there, with its date.
+It measures nothing. It collects what the other scripts left in out/benchmark and writes benchmarks/measured.md, which
+the documentation shows. The table of a script that was not run stays as it was, with its date.
 """
 
 import json
@@ -11,7 +11,7 @@ from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
-from cddf_jax.artifacts import as_json, write_all
+from cddf_jax.files.artifacts import as_json, write_all
 
 FOLDER = Path("out/benchmark")
 KEPT = Path("benchmarks")
@@ -33,11 +33,11 @@ def main() -> None:
     """Print and save."""
     packages = {name: version(name) for name in ("jax", "numpy", "scipy", "numba", "lmfit")}
     about = {"cores": os.cpu_count(), "processor": platform.machine(), "python": platform.python_version(), **packages}
-    told = ", ".join(f"{name} {value}" for name, value in about.items())
+    versions = ", ".join(f"{name} {value}" for name, value in about.items())
     remark = (
-        "Medians of one run each; every script tells what it compares. Tables of other days may be of other versions."
+        "Each time is a median of one run. Each script says what it compares. Older tables may be of older versions."
     )
-    pages, results = [f"# Benchmarks\n\n{told}. {remark}\n"], {}
+    pages, results = [f"# Benchmarks\n\n{versions}. {remark}\n"], {}
     earlier = KEPT / "measured.md"
     sections = earlier.read_text().split("\n## ")[1:] if earlier.exists() else []
     kept = {title: text for title, _, text in (section.partition("\n\n") for section in sections)}

@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WORK = Path(tempfile.mkdtemp(prefix="cddf_docs_"))
 RUNS = ROOT / "out" / "notebooks"  # pictures of the notebooks, kept from build to build
 FONT = Path(ziamath.__file__).parent / "fonts" / "STIXTwoMath-Regular.ttf"  # for formulas, where none is installed
-PAGES = {"changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
+PAGES = {"index.md": "README.md", "changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
 log = logging.getLogger("mkdocs.hooks")
 drawing: dict[str, subprocess.Popen] = {}  # by script
 sys.modules["hooks"] = sys.modules[__name__]  # pages import from here
@@ -53,7 +53,7 @@ def on_pre_build(config: Any, **_: Any) -> None:
 
 
 def on_build_error(**_: Any) -> None:
-    """Let nobody draw on."""
+    """Stop the processes that draw."""
     for process in drawing.values():
         process.kill()
 
@@ -105,14 +105,23 @@ def on_post_build(config: Any, **_: Any) -> None:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """The changelog, how to contribute, the gallery, the notebooks themselves, and a font for formulas."""
+    """README, changelog, how to contribute, the gallery, the notebooks themselves, and a font for formulas."""
     for page, source in PAGES.items():
-        files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
+        files.append(File.generated(config, page, content=_as_page((ROOT / source).read_text(encoding="utf-8"))))
     files.append(File.generated(config, "gallery.md", content=_gallery(config.extra["gallery"])))
     for path in (*NOTEBOOKS, FONT):
         folder = "fonts" if path == FONT else "notebooks"
         files.append(File.generated(config, f"{folder}/{path.name}", abs_src_path=str(path)))
     return files
+
+
+def _as_page(text: str) -> str:
+    """A file of the project as a page of the site, whose Python blocks are run and show what they print themselves."""
+    text = re.sub(r"^```text\n.*?^```\n", "", text, flags=re.M | re.S)
+    pages = {f"]({source})": f"]({page})" for page, source in PAGES.items()}
+    for there, here in (*pages.items(), ("](docs/", "](")):
+        text = text.replace(there, here)
+    return re.sub(r"\[([^]]+)\]\((data/README\.md|CITATION\.cff|LICENSE)\)", r"\1", text)  # on no page of the site
 
 
 def _gallery(drawn: bool) -> str:
@@ -150,15 +159,17 @@ def benchmark_tables() -> str:
 
 
 def command_tables() -> str:
-    """Every command of `cddf` with its arguments and options."""
+    """Every command of `cddf` with an example, its arguments and its options."""
     import typer
 
-    from cddf_jax.cli import app
+    from cddf_jax.cli.app import app
 
     parts = []
     for name, command in typer.main.get_command(app).commands.items():
         rows = [_parameter_row(parameter) for parameter in command.params]
-        parts.append("\n".join([f"## cddf {name}\n", command.help, "", "| name | meaning |", "| --- | --- |", *rows]))
+        example = ["", "```sh", command.epilog.removeprefix("Example: "), "```"] if command.epilog else []
+        head = [f"## cddf {name}\n", command.help, *example, "", "| name | meaning |", "| --- | --- |"]
+        parts.append("\n".join([*head, *rows]))
     return "\n\n".join(parts)
 
 
@@ -167,7 +178,16 @@ def _parameter_row(parameter: Any) -> str:
     kind = parameter.type_descriptor.annotation
     choices = " or ".join(f"`{choice.value}`" for choice in kind) if isinstance(kind, EnumType) else ""
     words = [parameter.help or "", choices and f"One of {choices}.", "Required." if parameter.required else ""]
+    words.append(_default_in_words(parameter))
     return f"| {names} | {' '.join(filter(None, words))} |".replace("\n", " ")
+
+
+def _default_in_words(parameter: Any) -> str:
+    """As `--help` shows it; nothing for switches, and for what has no default."""
+    if parameter.required or getattr(parameter, "is_flag", False) or parameter.show_default is False:
+        return ""
+    told = parameter.show_default if isinstance(parameter.show_default, str) else parameter.default
+    return "" if told is None else f"Default: {getattr(told, 'value', told)}."
 
 
 # --- examples ---------------------------------------------------------------------------------------
@@ -209,7 +229,8 @@ def _console(block: str) -> str:
 
 def _run(command: str) -> str:
     """What `cddf` prints, in this process."""
-    from cddf_jax import application, cli
+    from cddf_jax import application
+    from cddf_jax.cli import app as cli
 
     said, code = io.StringIO(), None
     with (

@@ -30,7 +30,7 @@ plan = cddf.plan(fit, [one for one in candidates if "weight" not in one.name])
 axes = {"base_tension": np.linspace(5.0, 145.0, 15), "friction_coefficient": np.linspace(0.1, 0.6, 6)}
 grid = cddf.sweep(robot, axes, outputs=("tip_tension", "tension_loss"))
 
-task = dict(free=("outer_radius",), bounds={"outer_radius": (8e-3, 25e-3)}, base_tension=50.0)
+task = dict(free=("outer_radius",), bounds={"outer_radius": (8e-3, 25e-3)}, cases=cddf.LoadCase(50.0))
 angle, strain = cddf.Limit("tip_angle", most=np.pi / 4), cddf.Limit("strain", most=0.105)
 design = cddf.design(robot, cddf.Least("volume"), constraints=[angle, strain], **task)
 both = cddf.Least("volume"), cddf.Least("strain")
@@ -63,7 +63,7 @@ PICTURES = (
     Picture(
         "along_tension",
         "Tension along the body",
-        "One line for each tendon, told apart by its dashes and its number.",
+        "One line for each tendon, with its own dashes and its number.",
         'figures.draw_along(pair, loaded, "tension")',
     ),
     Picture(

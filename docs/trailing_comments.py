@@ -6,13 +6,13 @@ from griffe import Attribute, Class, Docstring, Extension
 
 
 class TrailingComments(Extension):
-    """Fields of public classes are told of in comments, as in `tip_angle: ...  # phi(L), rad`."""
+    """Fields of public classes are described in comments, as in `tip_angle: ...  # phi(L), rad`."""
 
     def on_class(self, *, cls: Class, **_: Any) -> None:
         """Add them to the docstring of the class, in Google form."""
-        told = {name: comment for name, field in cls.attributes.items() if (comment := comment_of(field))}
-        if told and cls.docstring is not None:
-            lines = [f"    {name}: {comment}" for name, comment in told.items()]
+        described = {name: comment for name, field in cls.attributes.items() if (comment := comment_of(field))}
+        if described and cls.docstring is not None:
+            lines = [f"    {name}: {comment}" for name, comment in described.items()]
             text = "\n".join([cls.docstring.value, "", "Attributes:", *lines])
             cls.docstring = Docstring(text, lineno=cls.docstring.lineno, parent=cls)
 

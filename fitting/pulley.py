@@ -1,4 +1,4 @@
-"""Study: the pulley test alone. It holds the friction, Liu et al. (2020) eq. (5), and nothing of the modulus."""
+"""Study: the pulley test alone. It determines the friction, Liu et al. (2020) eq. (5), but not the modulus."""
 
 from pathlib import Path
 

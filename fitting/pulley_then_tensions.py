@@ -1,7 +1,7 @@
-"""Study: the paper's own route, Liu et al. (2020) section IV.
+"""Study: the method of the paper, Liu et al. (2020) section IV.
 
-The pulley gives the friction, the load cells then the modulus. Both tables are fitted at once, so that the
-uncertainty of the friction reaches the modulus.
+The pulley test determines the friction. With it the load cells determine the modulus. Both tables are fitted together,
+so that the uncertainty of the friction is part of the uncertainty of the modulus.
 """
 
 from pathlib import Path

@@ -1,19 +1,22 @@
 """Study: a measured body, a conical silicone tentacle that hangs from its base (../shared/data/soft_tentacle).
 
-The 14 poses with one tendon pulled, against gravity, with the passive link at the tip. One modulus predicts their 112
-marker coordinates in the plane to 8.9 mm (published kinematics, 302 kPa) and 9.8 mm (exact, 336 kPa), root mean square,
-on 360 mm. The friction coefficient is not identified. Coordinates that erred one by one would give 0.09 +- 0.03
-(0.12 +- 0.03), but the errors are the model's and common to a pose, three patterns holding 95 % of them, and what they
-are taken for turns with the poses: below 7 N the same fit ends near 0, with tendon 1 at 0.04 (0.07) and with
-tendon 2 at 0.14 (0.17).
+The data are 14 poses with one tendon pulled, under gravity. The tip of the body is a passive link without a tendon. One
+modulus predicts the 112 marker coordinates in the plane to 8.9 mm (published kinematics, 302 kPa) and to 9.8 mm (exact,
+336 kPa), root mean square, on 360 mm.
 
-What the error is made of: freeing the friction leaves 8.3 mm (8.8), a direction of gravity for each tendon 8.5 mm
-(9.2), so that neither explains it; a modulus for each pose, from 235 to over 450 kPa, leaves 5.2 mm. A third of its
-square is constant, above all marker 1 lying 6 mm lower than stated. Tendons also shorten the body, by 9 mm at 5 N,
-which a midline that does not stretch cannot do.
+The friction coefficient is not identified. If the errors of all coordinates were independent, it would be 0.09 +- 0.03
+(exact: 0.12 +- 0.03). But the errors are errors of the model and common to a pose: three patterns make up 95 % of them.
+The friction that fits them best depends on the poses. Below 7 N the same fit ends near 0, with tendon 1 at 0.04 (0.07)
+and with tendon 2 at 0.14 (0.17).
 
-Where the planar model ends: up to 6.2 N markers stay within 11 mm of the tendon's plane, at 7.7 N they leave it by up
-to 23 mm. The eight poses with two tendons pulled bend between the planes of their tendons and are out of its reach.
+Sources of the error:
+- Free friction leaves 8.3 mm (8.8), a free direction of gravity for each tendon 8.5 mm (9.2). So neither explains it.
+- A modulus for each pose, from 235 to over 450 kPa, leaves 5.2 mm.
+- A third of the mean square is constant. Its largest part is marker 1, which lies 6 mm lower than stated.
+- Tendons also shorten the body, by 9 mm at 5 N. An axis that does not stretch cannot do that.
+
+Limits of the planar model: up to 6.2 N the markers stay within 11 mm of the tendon's plane. At 7.7 N they leave it by
+up to 23 mm. The eight poses with two tendons pulled bend between the planes of their tendons. They are not used.
 """
 
 from collections.abc import Sequence
@@ -28,9 +31,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import cddf_jax as cddf
-from cddf_jax import plotting as draw
 from cddf_jax.application import configure_jax
-from cddf_jax.artifacts import as_json, write_all
+from cddf_jax.figures import style as draw
+from cddf_jax.files.artifacts import as_json, write_all
 
 TABLE = Path(__file__).resolve().parents[2] / "shared/data/soft_tentacle/tension_markers.csv"
 OUT = "out/fitting/soft_tentacle"
@@ -39,31 +42,31 @@ TENDONS = np.array([[0.5, 0.75**0.5], [0.5, -(0.75**0.5)]])  # seen from the axi
 MARKER = np.array([0.1291, 0.2195, 0.280, 0.360])  # arc length
 AHEAD = np.array([0.0, 0.0, 0.0, 0.008])  # of the cross-section, along the tangent
 ASIDE = np.array([0.025, -0.021, 0.020, 0.0])  # of the axis, along the body's z, which is the base frame's x
-# what the model gets wrong is common to a pose: its eight coordinates, 9 mm off each, count as one
+# the error of the model is common to a pose: its eight coordinates, each 9 mm off, count as one reading
 POSE_ERROR = 0.009 * 8**0.5
-LEFT_OUT = 1e3  # m: the standard deviation of a pose that shall not count
+LEFT_OUT = 1e3  # m: standard deviation of a pose that is not used
 START = {"youngs_modulus": 3e5, "friction_coefficient": 0.1, "tilt": np.zeros(2)}
 BOUNDS = {"youngs_modulus": (1e5, 6e5), "friction_coefficient": (0.0, None)}
 FITS = ("modulus alone", "modulus and friction", "modulus and direction of gravity")
 
 
 class Poses(NamedTuple):
-    """The poses with one tendon pulled, seen in the plane of that tendon and the straight axis; m and N."""
+    """The poses with one tendon pulled, in the plane of that tendon and the straight axis; m and N."""
 
     name: np.ndarray
     tension: np.ndarray
     towards: np.ndarray  # (poses, 2): the tendon, seen from the axis, in the base frame's x-y
     in_plane: np.ndarray  # (poses, markers, 2): X along the straight body, Y towards the tendon
-    out_of_plane: np.ndarray  # (poses, markers), less what the offset of the marker makes
+    out_of_plane: np.ndarray  # (poses, markers), without the part due to the offset of the marker
 
     @property
     def tendon(self) -> np.ndarray:
-        """Its number, 1 or 2."""
+        """Number of the pulled tendon, 1 or 2."""
         return np.where(self.towards[:, 1] > 0, 1, 2)
 
 
 def read_poses() -> Poses:
-    """The table in the frames of its poses: X is -z of the base frame, Y lies in its x-y."""
+    """The table, in the frame of each pose: X is -z of the base frame, Y lies in its x-y plane."""
     table: Any = np.genfromtxt(TABLE, delimiter=",", names=True, dtype=None, encoding="utf-8")
     tension = np.stack([table["tendon1_tension_N"], table["tendon2_tension_N"]], axis=1)
     alone = np.count_nonzero(tension, axis=1) == 1
@@ -76,7 +79,7 @@ def read_poses() -> Poses:
 
 
 def body(youngs_modulus: Any, friction_coefficient: Any, kinematics: Any) -> cddf.Manipulator:
-    """The tentacle: solid, conical up to the anchor of the tendon, then its link."""
+    """The tentacle: solid, conical up to the anchor of the tendon, then the passive link."""
     return cddf.Manipulator(
         length=LENGTH,
         outer_radius=cddf.Piecewise.linear([0.0, ANCHOR, LENGTH], [15.41e-3, 6.42e-3, 4.80e-3]),
@@ -90,11 +93,11 @@ def body(youngs_modulus: Any, friction_coefficient: Any, kinematics: Any) -> cdd
 
 
 class Prediction(eqx.Module):
-    """What parameters make of all poses at once. A modulus may be one number or one per pose."""
+    """Predicts all poses from parameters. The modulus is one number or one per pose."""
 
     tension: Any
     towards: Any
-    friction_coefficient: Any  # where it is not fitted
+    friction_coefficient: Any  # used if it is not fitted
     kinematics: Any = eqx.field(static=True)
 
     def equilibria(self, parameters: dict[str, Any]) -> cddf.Equilibrium:
@@ -113,7 +116,7 @@ class Prediction(eqx.Module):
 
 
 def markers(equilibrium: cddf.Equilibrium) -> jax.Array:
-    """The markers in the plane, m: they move with their cross-sections."""
+    """Positions of the markers in the plane, m. A marker moves with its cross-section."""
     at = equilibrium.at(MARKER)
     t = jnp.stack([jnp.cos(at.heading), jnp.sin(at.heading)], axis=-1)
     n = jnp.stack([-jnp.sin(at.heading), jnp.cos(at.heading)], axis=-1)
@@ -127,7 +130,7 @@ def prediction(poses: Poses, kinematics: str, friction_coefficient: float = 0.0)
 
 
 def fit(predict: Prediction, poses: Poses, free: Sequence[str], use: Any = True) -> cddf.LeastSquaresFit:
-    """Fit parameters to the poses that are used."""
+    """Fit parameters to the poses where `use` is true."""
     sigma = np.where(np.broadcast_to(use, poses.tension.shape), POSE_ERROR, LEFT_OUT)[:, None, None]
     sigma = np.broadcast_to(sigma, poses.in_plane.shape)
     start, bounds = ({name: table[name] for name in free if name in table} for table in (START, BOUNDS))
@@ -139,14 +142,14 @@ def rms(residuals: Any, axis: Any = None) -> Any:
     return np.sqrt(np.mean(np.asarray(residuals) ** 2, axis=axis))
 
 
-def told(found: cddf.LeastSquaresFit, use: Any = True) -> dict[str, Any]:
-    """What a fit found."""
+def described(found: cddf.LeastSquaresFit, use: Any = True) -> dict[str, Any]:
+    """The result of a fit as a dictionary."""
     names = ("value", "standard_error", "confidence_interval", "status", "correlation", "success")
     return {name: getattr(found, name) for name in names} | {"rms": rms(found.residuals[np.asarray(use)])}
 
 
 def with_friction(poses: Poses, kinematics: str) -> dict[str, Any]:
-    """Modulus and friction together: what all poses tell, and what some of them do."""
+    """Fits of modulus and friction to all poses, and to some of them."""
     subsets = {
         "all poses": poses.tension > 0.0,
         "below 7 N": poses.tension < 7.0,
@@ -154,17 +157,17 @@ def with_friction(poses: Poses, kinematics: str) -> dict[str, Any]:
         "tendon 2": poses.tendon == 2,
     }
     predict, free = prediction(poses, kinematics), ("youngs_modulus", "friction_coefficient")
-    return {name: told(fit(predict, poses, free, use), use) for name, use in subsets.items()}
+    return {name: described(fit(predict, poses, free, use), use) for name, use in subsets.items()}
 
 
 def by_modulus(poses: Poses, kinematics: str, youngs_modulus: Any) -> np.ndarray:
-    """Measured less predicted without friction, for each of several moduli, (moduli, poses, markers, 2)."""
+    """Measured minus predicted for each modulus, without friction, (moduli, poses, markers, 2)."""
     predict = eqx.filter_jit(prediction(poses, kinematics))
     return np.stack([poses.in_plane - predict({"youngs_modulus": jnp.asarray(E)}) for E in youngs_modulus])
 
 
 def per_pose(poses: Poses, residuals: np.ndarray) -> list[dict[str, Any]]:
-    """What is left of each pose in the plane, and how far its markers are out of it."""
+    """Error of each pose in the plane, and how far its markers are out of the plane."""
     columns = {
         "pose": poses.name,
         "tendon": poses.tendon,
@@ -177,7 +180,7 @@ def per_pose(poses: Poses, residuals: np.ndarray) -> list[dict[str, Any]]:
 
 
 def modulus_of_each_pose(poses: Poses, kinematics: str) -> dict[str, Any]:
-    """The best of a row of moduli, pose by pose."""
+    """The best of a list of moduli, for each pose."""
     moduli = np.linspace(2.0e5, 4.5e5, 26)
     residuals = by_modulus(poses, kinematics, moduli)
     best = np.argmin(rms(residuals, (2, 3)), axis=0)
@@ -186,20 +189,20 @@ def modulus_of_each_pose(poses: Poses, kinematics: str) -> dict[str, Any]:
 
 
 def study(poses: Poses, kinematics: str) -> dict[str, Any]:
-    """Everything that is reported of one kinematics, SI units."""
+    """All results for one kinematics, SI units."""
     fits = {f"mu = {mu:g}": fit(prediction(poses, kinematics, mu), poses, ["youngs_modulus"]) for mu in (0.0, 0.4)}
     tilted = fit(prediction(poses, kinematics), poses, ["youngs_modulus", "tilt"])
     return {
-        "modulus alone": {name: told(found) for name, found in fits.items()},
+        "modulus alone": {name: described(found) for name, found in fits.items()},
         "poses": per_pose(poses, fits["mu = 0"].residuals),
         "modulus and friction": with_friction(poses, kinematics),
-        "modulus and direction of gravity": {"free": told(tilted)},
+        "modulus and direction of gravity": {"free": described(tilted)},
         "modulus of each pose": modulus_of_each_pose(poses, kinematics),
     }
 
 
 def shape_figure(poses: Poses, kinematics: str, youngs_modulus: float) -> Figure:
-    """The hanging body to scale at five tensions, predicted, with the markers of both tendons' poses."""
+    """The predicted body to scale at five tensions, with the measured markers of both tendons."""
     chosen = np.flatnonzero((poses.tendon == 1) & ~np.isin(poses.name, ("m1_u012", "m1_u018")))
     chosen = chosen[np.argsort(poses.tension[chosen])]
     predict = prediction(poses, kinematics)
@@ -232,12 +235,12 @@ def shape_figure(poses: Poses, kinematics: str, youngs_modulus: float) -> Figure
 
 
 def _hung(points: np.ndarray) -> np.ndarray:
-    """X downwards, Y to the right, mm."""
+    """Points with X downwards and Y to the right, mm."""
     return 1e3 * np.stack([points[..., 1], -points[..., 0]], axis=-1)
 
 
 def error_figure(results: dict[str, Any]) -> Figure:
-    """Per pose over tension: the error in the plane, and how far markers are out of it."""
+    """For each pose over its tension: the error in the plane, and how far the markers are out of the plane."""
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.4)
         left, right = figure.subplots(1, 2)
@@ -265,21 +268,21 @@ def _draw_by_tendon(axes: Axes, rows: list[dict[str, Any]], column: str, note: s
 
 
 def summary(results: dict[str, Any]) -> list[str]:
-    """The findings, line by line."""
+    """The results, one line for each fit."""
     lines = []
     for kinematics, result in results.items():
-        fits = {(kind, name): told for kind in FITS for name, told in result[kind].items()}
-        for (kind, name), told in fits.items():
-            words = [f"E = {1e-3 * told['value']['youngs_modulus']:.0f} kPa"]
-            if "friction_coefficient" in told["value"]:
-                words += [f"mu = {told['value']['friction_coefficient']:.2f} {told['status']['friction_coefficient']}"]
-            lines.append(f"{kinematics}, {kind}, {name}: {1e3 * told['rms']:.2f} mm, {', '.join(words)}")
+        fits = {(kind, name): one for kind in FITS for name, one in result[kind].items()}
+        for (kind, name), one in fits.items():
+            words = [f"E = {1e-3 * one['value']['youngs_modulus']:.0f} kPa"]
+            if "friction_coefficient" in one["value"]:
+                words += [f"mu = {one['value']['friction_coefficient']:.2f} {one['status']['friction_coefficient']}"]
+            lines.append(f"{kinematics}, {kind}, {name}: {1e3 * one['rms']:.2f} mm, {', '.join(words)}")
         lines.append(f"{kinematics}, modulus of each pose: {1e3 * result['modulus of each pose']['rms']:.2f} mm")
     return lines
 
 
 def main() -> None:
-    """Run the study and write it, where its data are."""
+    """Run the study and write its files, if the data are there."""
     if not TABLE.exists():
         print(f"soft_tentacle: nothing done, the measured data are not here: {TABLE}")
         return

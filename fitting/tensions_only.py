@@ -1,4 +1,4 @@
-"""Study: load cells at base and tip alone. They hold friction over modulus, and neither of the two."""
+"""Study: load cells at base and tip alone. They determine only the ratio of friction and modulus."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Study: tip angles beside the tensions, exact kinematics. Together they hold friction and modulus without a pulley."""
+"""Study: tensions and tip angles, exact kinematics. They determine friction and modulus without a pulley test."""
 
 from dataclasses import replace
 from pathlib import Path
