@@ -19,7 +19,7 @@ from .free_numbers import Bounds, FreeNumbers, free_numbers_of
 from .limits import Limit, number_of
 from .load_cases import LoadCase, case_numbers
 from .objectives import Least, Objective
-from .problem import USABLE, Cap, DesignEvaluation, DesignProblem, NonlinearProgram, Term
+from .problem import USABLE, DesignEvaluation, DesignProblem, NonlinearProgram, Term
 from .results import Design, design_of, displayed
 from .search import WANDERING, DesignSearch, ShowProgress
 
@@ -211,8 +211,7 @@ def problem_of(
         manipulator,
         numbers,
         used,
-        terms=tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives),
-        caps=tuple(Cap(aim, one, one) for _, aim in objectives) if capped else (),
+        terms=tuple(Term(aim, jnp.asarray(weight, float), one, one if capped else None) for weight, aim in objectives),
         limits=tuple(jax.tree.map(jnp.asarray, replace(limit, scale=one)) for limit in limits),
         stations=jnp.asarray(_stations(manipulator)),
         implied=(*[False] * len(constraints), *[True] * len(implied)),
@@ -228,12 +227,14 @@ def _sized(problem: DesignProblem, limits: Sequence[Limit]) -> DesignProblem:
     found = NonlinearProgram(problem).evaluation(start)
     _demand_start(problem, found, limits)
     sizes = [jnp.asarray(float(np.max(np.abs(aim))) or 1.0, float) for aim in found.aims]
-    terms = [replace(term, reference=size) for term, size in zip(problem.terms, sizes, strict=True)]
-    caps = [replace(cap, most=FAR * size, reference=size) for cap, size in zip(problem.caps, sizes, strict=False)]
+    terms = [
+        replace(term, reference=size, most=None if term.most is None else FAR * size)
+        for term, size in zip(problem.terms, sizes, strict=True)
+    ]
     margins = [float(np.max(np.abs(margin), initial=0.0)) for margin in found.margins]
     scales = [jnp.asarray(limit.size(margin), float) for limit, margin in zip(limits, margins, strict=True)]
     scaled = [replace(limit, scale=scale) for limit, scale in zip(problem.limits, scales, strict=True)]
-    return replace(problem, terms=tuple(terms), caps=tuple(caps), limits=tuple(scaled))
+    return replace(problem, terms=tuple(terms), limits=tuple(scaled))
 
 
 def _implied(body: Manipulator, limits: Sequence[Limit], *, offsets_outside_wall: bool) -> list[Limit]:

@@ -126,27 +126,24 @@ class _Points:
 
 def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
     """The problem with one objective made small and the other below a level, which may be infinite."""
-    weights = [SECOND, SECOND]
-    weights[small] = 1.0
-    terms = tuple(replace(term, weight=jnp.asarray(w, float)) for term, w in zip(problem.terms, weights, strict=True))
-    caps = list(problem.caps)
-    other = caps[1 - small]
-    caps[1 - small] = replace(other, most=jnp.minimum(jnp.asarray(level, float), FAR * other.reference))
-    return replace(problem, terms=terms, caps=tuple(caps))
+    terms = [replace(term, weight=jnp.asarray(SECOND)) for term in problem.terms]
+    terms[small] = replace(terms[small], weight=jnp.asarray(1.0))
+    other = terms[1 - small]
+    terms[1 - small] = replace(other, most=jnp.minimum(jnp.asarray(level, float), FAR * other.reference))
+    return replace(problem, terms=tuple(terms))
 
 
 def _raw(result: SearchResult, i: int) -> float:
     """An objective as the optimiser has it."""
-    problem, found = result.program.problem, result.evaluation
-    return float(np.max(found.aims[i]) if i in problem.peaks else problem.mean(jnp.asarray(found.aims[i])))
+    return float(result.program.problem.over_the_cases(i, result.evaluation.aims[i]))
 
 
 def _rate(result: SearchResult) -> float:
     """The multiplier of the level, as units of the first objective per unit of the second."""
     problem, found = result.program.problem, result.evaluation
     begin = sum(np.size(margin) for margin in found.margins)
-    for i, (cap, aim) in enumerate(zip(problem.caps, found.capped, strict=True)):
-        size = problem.room(cap, jnp.asarray(aim)).size
+    for i, aim in enumerate(found.aims):
+        size = problem.room(i, aim).size
         price = float(np.sum(result.local.optimality.inequality[begin : begin + size]))
         begin += size
         if price > 0:

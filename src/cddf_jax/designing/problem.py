@@ -30,33 +30,16 @@ class Term(eqx.Module):
     objective: Objective
     weight: Scalar
     reference: Scalar  # its size at the start; it counts relative to this
-
-
-class Cap(eqx.Module):
-    """A level that an objective may not exceed."""
-
-    objective: Objective
-    most: Scalar  # SI, as the objective's own values
-    reference: Scalar
+    most: Scalar | None  # a level that it may not exceed, SI
 
 
 class DesignEvaluation(NamedTuple):
     """All values at one point, by term and by limit; the leading axis is that of the load cases, or 1."""
 
     aims: tuple[Array, ...]  # (cases, ...) SI, of the terms
-    capped: tuple[Array, ...]  # the same of the caps
     margins: tuple[Array, ...]  # (cases, sides, ...), scaled; negative where a limit is broken
     zeros: tuple[Array, ...]  # (cases, ...), scaled
     codes: Int[Array, " cases"]  # results of the solves
-
-
-class _Part(NamedTuple):
-    """The values that need the bent body, or those that do not; None for the others."""
-
-    aims: tuple[Array | None, ...]
-    capped: tuple[Array | None, ...]
-    margins: tuple[Array | None, ...]
-    zeros: tuple[Array | None, ...]
 
 
 class ProgramValues(NamedTuple):
@@ -78,7 +61,6 @@ class DesignProblem(eqx.Module):
     free: FreeNumbers
     cases: tuple[LoadCase, ...]
     terms: tuple[Term, ...]
-    caps: tuple[Cap, ...]
     limits: tuple[Limit, ...]
     stations: Vector  # arc lengths over the length, at which limits are evaluated
     implied: tuple[bool, ...] = eqx.field(static=True)  # of each limit, whether it is one that every body must keep
@@ -116,32 +98,31 @@ class DesignProblem(eqx.Module):
 
     def evaluate(self, z: Vector) -> DesignEvaluation:
         """Objectives, margins and zeros at scaled free numbers."""
-        body = self.body(z)
-        unbent = self._part(BodyView(body, self._places(body)), bent=False)
-        objectives = [each.objective for each in (*self.terms, *self.caps)]
-        if not any(part.bent for part in (*objectives, *self.limits)):
-            return _joined([unbent], jnp.zeros((0,), int))
-
-        def of_case(case: LoadCase) -> tuple[_Part, Array]:
-            view = self.view(z, case)
-            return self._part(view, bent=True), jnp.asarray(code_of(view.equilibrium.result))
-
-        found = self._of_every_case(of_case)
-        return _joined([unbent, *(part for part, _ in found)], jnp.stack([code for _, code in found]))
-
-    def _part(self, view: BodyView, *, bent: bool) -> _Part:
-        def of_all(parts: Sequence[Objective] | Sequence[Limit], of: Callable) -> tuple[Array | None, ...]:
-            return tuple(of(part) if part.bent == bent else None for part in parts)
-
-        return _Part(
-            of_all([term.objective for term in self.terms], lambda aim: aim.values(view)),
-            of_all([cap.objective for cap in self.caps], lambda aim: aim.values(view)),
-            of_all(self.limits, lambda limit: limit.inequalities(view)),
-            of_all(self.limits, lambda limit: limit.equalities(view)),
+        functions = (
+            [(term.objective.bent, term.objective.values) for term in self.terms],
+            [(limit.bent, limit.inequalities) for limit in self.limits],
+            [(limit.bent, limit.equalities) for limit in self.limits],
         )
 
-    def _of_every_case(self, function: Callable[[LoadCase], Answer]) -> list[Answer]:
-        """The function of every case; cases that are alike at once."""
+        def part(view: BodyView, *, bent: bool) -> tuple[tuple[Array | None, ...], ...]:
+            """The values that need the bent body, or those that do not; None for the others."""
+            return tuple(tuple(of(view) if needs == bent else None for needs, of in some) for some in functions)
+
+        def of_case(case: LoadCase) -> tuple[PyTree, Array]:
+            view = self.view(z, case)
+            return part(view, bent=True), jnp.asarray(code_of(view.equilibrium.result))
+
+        body = self.body(z)
+        values = jax.tree.map(lambda x: x[None], part(BodyView(body, self._places(body)), bent=False))
+        codes = jnp.zeros((0,), int)
+        if any(needs for some in functions for needs, _ in some):
+            solved, codes = self._of_every_case(of_case)
+            values = eqx.combine(values, solved)
+        aims, margins, zeros = values
+        return DesignEvaluation(aims, margins, zeros, codes)
+
+    def _of_every_case(self, function: Callable[[LoadCase], Answer]) -> Answer:
+        """The function of every case, with a leading axis on its values; cases that are alike at once."""
         answers: dict[int, Answer] = {}
         for group in alike(self.cases):
             if len(group) == 1:
@@ -149,7 +130,7 @@ class DesignProblem(eqx.Module):
                 continue
             many = jax.vmap(function)(stacked([self.cases[i] for i in group]))
             answers |= {i: jax.tree.map(lambda x, k=k: x[k], many) for k, i in enumerate(group)}
-        return [answers[i] for i in range(len(self.cases))]
+        return jax.tree.map(lambda *values: jnp.stack(values), *(answers[i] for i in range(len(self.cases))))
 
     def values(self, unknowns: Vector) -> tuple[ProgramValues, DesignEvaluation]:
         """The values of the nonlinear program, and what they are made of."""
@@ -164,14 +145,19 @@ class DesignProblem(eqx.Module):
             else:
                 total += term.weight / term.reference * self.mean(aim)
         none = jnp.zeros((0,), total.dtype)
-        caps = [self.room(cap, aim) for cap, aim in zip(self.caps, found.capped, strict=True)]
-        inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *caps, *below])
+        capped = [self.room(i, aim) for i, aim in enumerate(found.aims) if self.terms[i].most is not None]
+        inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *capped, *below])
         return ProgramValues(total, inequality, jnp.concatenate([none, *map(jnp.ravel, found.zeros)])), found
 
-    def room(self, cap: Cap, aim: Array | np.ndarray) -> Part:
-        """How far an objective is below its cap, scaled."""
-        peak = cap.objective.peak or self.worst
-        return (cap.most - jnp.ravel(aim if peak else self.mean(aim))) / cap.reference
+    def room(self, i: int, aim: Array | np.ndarray) -> Part:
+        """How far an objective is below its level, scaled."""
+        term = self.terms[i]
+        assert term.most is not None
+        return (term.most - jnp.ravel(aim if i in self.peaks else self.mean(aim))) / term.reference
+
+    def over_the_cases(self, i: int, aim: Array | np.ndarray) -> Float[Array, ""]:
+        """One value of an objective: of a peak the largest, else the weighted mean."""
+        return jnp.max(aim) if i in self.peaks else self.mean(aim)
 
     def mean(self, aim: Float[Array | np.ndarray, " cases"]) -> Float[Array, ""]:
         """Over the cases by their weights."""
@@ -182,16 +168,6 @@ class DesignProblem(eqx.Module):
         """The same with every objective over its size at the start of another problem."""
         pairs = zip(self.terms, other.terms, strict=True)
         return replace(self, terms=tuple(replace(own, reference=term.reference) for own, term in pairs))
-
-
-def _joined(parts: list[_Part], codes: Array) -> DesignEvaluation:
-    """One leading axis on every value: 1 for the body itself, or the load cases."""
-
-    def stacked_where_known(*values: Array | None) -> Array:
-        return jnp.stack([value for value in values if value is not None])
-
-    aims, capped, margins, zeros = jax.tree.map(stacked_where_known, *parts, is_leaf=lambda x: x is None)
-    return DesignEvaluation(aims, capped, margins, zeros, codes)
 
 
 def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.ndarray]:

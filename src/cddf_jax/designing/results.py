@@ -220,9 +220,7 @@ def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignE
     """Each objective at the start and at the end."""
 
     def value(i: int, found: DesignEvaluation) -> float:
-        aim = found.aims[i]
-        number = np.max(aim) if i in problem.peaks else problem.mean(aim)
-        return problem.terms[i].objective.displayed(float(number))
+        return problem.terms[i].objective.displayed(float(problem.over_the_cases(i, found.aims[i])))
 
     return tuple(
         Achieved(str(aim), value(i, at_start), value(i, at_end), float(term.weight), aim.dimension)

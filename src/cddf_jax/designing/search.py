@@ -120,9 +120,9 @@ class DesignSearch:
 
     def with_heights(self, z: np.ndarray) -> np.ndarray:
         """Scaled free numbers, and behind them the heights of the peaks there."""
-        found = self.program.evaluation(np.append(z, np.zeros(len(self.problem.peaks))))
-        terms = self.problem.terms
-        return np.append(z, [np.max(found.aims[i]) / float(terms[i].reference) for i in self.problem.peaks])
+        problem = self.problem
+        aims = self.program.evaluation(np.append(z, np.zeros(len(problem.peaks)))).aims
+        return np.append(z, [np.max(aims[i]) / float(problem.terms[i].reference) for i in problem.peaks])
 
     def from_start(self, z: np.ndarray) -> SearchResult:
         """The best from one start, and from elsewhere where first derivatives tell nothing of some numbers.
@@ -248,8 +248,7 @@ class _Merit(eqx.Module):
         found = self.problem.evaluate(z)
         total = jnp.zeros(())
         for i, (term, aim) in enumerate(zip(self.problem.terms, found.aims, strict=True)):
-            value = jnp.max(aim) if i in self.problem.peaks else self.problem.mean(aim)
-            total += term.weight / term.reference * value
+            total += term.weight / term.reference * self.problem.over_the_cases(i, aim)
         broken = [jnp.max(-margin, initial=0.0) for margin in found.margins]
         broken += [jnp.max(jnp.abs(zero), initial=0.0) for zero in found.zeros]
         merit = total + BROKEN * jnp.max(jnp.stack([jnp.zeros(()), *broken]))
