@@ -79,8 +79,8 @@ def design(
 ) -> Design:
     """The body that meets an objective best, within what can be made, with proof.
 
-    SciPy's SLSQP with exact derivatives of the solver; where it stops short, SciPy's trust region with Hessian products
-    goes on. The answer is the best body nearby; `DesignOptions(starts=...)` searches further away.
+    SciPy's SLSQP with exact derivatives of the solver; where it stops short, it begins again from there. The answer is
+    the best body nearby; `DesignOptions(starts=...)` searches further away.
 
     Args:
         manipulator: the start, with all numbers that stay as they are.

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from ..numerics.constrained import Point, Weights
+from ..numerics.constrained import Point
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Scalar
 from ..statics.equilibrium import RESULTS, code_of
@@ -198,11 +198,6 @@ class NonlinearProgram:
         inequality, equality = (values.inequality, slopes.inequality), (values.equality, slopes.equality)
         return Point(np.array(x), float(values.objective), slopes.objective, *inequality, *equality, usable)
 
-    def curvature(self, x: np.ndarray, weights: Weights, along: np.ndarray) -> np.ndarray:
-        """The Hessian of the weighted sum, times a vector."""
-        arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (x, weights, along))
-        return np.asarray(_curvature(self.problem, *arrays))
-
     def evaluation(self, x: np.ndarray) -> DesignEvaluation:
         """What the values are made of."""
         return jax.tree.map(np.asarray, _values_and_slopes(self.problem, jnp.asarray(x))[2])
@@ -220,16 +215,3 @@ def _values_and_slopes(problem: DesignProblem, x: Array) -> tuple[ProgramValues,
 
     slopes, (values, found) = jax.jacfwd(twice, has_aux=True)(x)
     return values, slopes, found
-
-
-@eqx.filter_jit
-def _curvature(problem: DesignProblem, x: Array, weights: Weights, along: Array) -> Array:
-    def weighted(x: Array) -> Array:
-        values, _ = problem.values(x)
-        return (
-            weights.objective * values.objective
-            + weights.inequality @ values.inequality
-            + weights.equality @ values.equality
-        )
-
-    return jax.jvp(jax.jacfwd(weighted), (x,), (along,))[1]

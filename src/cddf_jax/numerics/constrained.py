@@ -1,4 +1,4 @@
-"""The minimum of a smooth function under smooth limits: SciPy's optimisers, exact derivatives, multipliers as proof.
+"""The minimum of a smooth function under smooth limits: SciPy's SLSQP, exact derivatives, multipliers as proof.
 
 The multipliers are computed here, and not taken from SciPy: its SLSQP returns none for bounds, and those of its last
 step only; here they are needed at any point, also where several sets of them meet the conditions.
@@ -6,17 +6,16 @@ step only; here they are needed at any point, also where several sets of them me
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
-from scipy.optimize import NonlinearConstraint, linprog, lsq_linear, minimize
-from scipy.sparse.linalg import LinearOperator
+from scipy.optimize import linprog, lsq_linear, minimize
 
 TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
 ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
 REFUSED = 1e3  # times the objective: the value where the function has no answer
-POLISHING = 50  # iterations of the trust region
+RUNS = 4  # of SLSQP, each from where the one before ended
 
 Vector = Float[np.ndarray, " _"]
 Matrix = Float[np.ndarray, "_ _"]
@@ -38,25 +37,6 @@ class Point(NamedTuple):
     def violation(self) -> float:
         """The largest, scaled."""
         return float(max(np.max(-self.inequality, initial=0.0), np.max(np.abs(self.equality), initial=0.0)))
-
-
-class Weights(NamedTuple):
-    """Of the parts of a Lagrangian."""
-
-    objective: float
-    inequality: Vector
-    equality: Vector
-
-
-@runtime_checkable
-class VectorFunction(Protocol):
-    """An objective and its limits, with derivatives."""
-
-    def __call__(self, x: Vector) -> Point: ...
-
-    def curvature(self, x: Vector, weights: Weights, along: Vector) -> Vector:
-        """The Hessian of the weighted sum of objective, inequalities and equalities, times a vector."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -116,6 +96,7 @@ class LocalMinimum(NamedTuple):
         return self.point.violation <= TOLERANCE
 
 
+VectorFunction = Callable[[Vector], Point]  # an objective and its limits, with derivatives
 AfterIteration = Callable[[int, Point], None]
 
 
@@ -128,13 +109,13 @@ def minimise_constrained(
     max_iterations: int = 300,
     after: AfterIteration = lambda count, point: None,
 ) -> LocalMinimum:
-    """Search from one start with SLSQP; if that ends before a stationary point, go on with Hessian products.
+    """Search from one start with SLSQP, which begins again where it ends before a stationary point.
 
     Args:
         function: values and exact first derivatives anywhere within the bounds.
         start: (unknowns,), usable.
         lower, upper: bounds of the unknowns, infinite for none.
-        max_iterations: of SLSQP.
+        max_iterations: of all runs of SLSQP together.
         after: called after every iteration with its number and its point.
     """
     seen = _Seen(function, np.clip(start, lower, upper))
@@ -145,26 +126,31 @@ def minimise_constrained(
         history.append((point.objective, point.violation))
         after(len(history), point)
 
-    with np.errstate(all="ignore"):
-        found = minimize(
-            lambda x: seen(x).objective,
-            np.clip(start, lower, upper),
-            jac=lambda x: seen(x).gradient,
-            bounds=list(zip(lower, upper, strict=True)),
-            constraints=[
-                {"type": "ineq", "fun": lambda x: seen(x).inequality, "jac": lambda x: seen(x).inequality_slopes},
-                {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
-            ],
-            method="SLSQP",
-            callback=iterated,
-            options={"maxiter": max_iterations, "ftol": 1e-14},
-        )
-    last = seen(np.clip(found.x, lower, upper))
-    point = last if last.usable and last.violation <= max(TOLERANCE, seen.best.violation) else seen.best
-    local = LocalMinimum(point, optimality(point, lower, upper), history, seen.count)
-    if local.feasible and local.optimality.residual > TOLERANCE:
-        local = _polished(seen, local, lower, upper)
-    return local._replace(evaluations=seen.count)
+    def run(x: Vector) -> LocalMinimum:
+        with np.errstate(all="ignore"):
+            found = minimize(
+                lambda x: seen(x).objective,
+                x,
+                jac=lambda x: seen(x).gradient,
+                bounds=list(zip(lower, upper, strict=True)),
+                constraints=[
+                    {"type": "ineq", "fun": lambda x: seen(x).inequality, "jac": lambda x: seen(x).inequality_slopes},
+                    {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
+                ],
+                method="SLSQP",
+                callback=iterated,
+                options={"maxiter": max_iterations - len(history), "ftol": 1e-14},
+            )
+        last = seen(np.clip(found.x, lower, upper))
+        point = last if last.usable and last.violation <= max(TOLERANCE, seen.best.violation) else seen.best
+        return LocalMinimum(point, optimality(point, lower, upper), history, seen.count)
+
+    local = run(np.clip(start, lower, upper))
+    for _ in range(RUNS - 1):
+        if not local.feasible or local.optimality.residual <= TOLERANCE or len(history) >= max_iterations:
+            break
+        local = run(local.point.x)
+    return local
 
 
 class _Seen:
@@ -189,71 +175,6 @@ class _Seen:
 def _rank(point: Point) -> tuple[float, float]:
     """Smaller is better: first the violation, then, where both keep to the limits, the objective."""
     return max(point.violation, TOLERANCE), point.objective
-
-
-def _polished(seen: _Seen, local: LocalMinimum, lower: Vector, upper: Vector) -> LocalMinimum:
-    """The stationary point on the active limits, by SciPy's trust region with exact Hessian products.
-
-    It is taken if it breaks no other limit and is nearer to optimal.
-    """
-    face = _ActiveFace(seen, local)
-    if face.free.size == 0:
-        return local
-    limits = NonlinearConstraint(face.limits, 0.0, 0.0, jac=face.limit_slopes, hess=face.limit_curvature)  # type: ignore[arg-type]
-    found = minimize(
-        lambda y: face(y).objective,
-        face.base[face.free],
-        jac=lambda y: face(y).gradient[face.free],
-        hess=face.objective_curvature,
-        constraints=[limits] if face.rows.size or local.point.equality.size else [],  # type: ignore[arg-type]
-        method="trust-constr",
-        options={"maxiter": POLISHING, "gtol": 1e-10, "xtol": 1e-14, "initial_tr_radius": 1e-3},
-    )
-    point = seen(np.clip(face.full(found.x, face.base), lower, upper))
-    better = local._replace(point=point, optimality=optimality(point, lower, upper))
-    good = point.usable and better.feasible and better.optimality.residual < local.optimality.residual
-    return better if good else local
-
-
-class _ActiveFace:
-    """The function where active limits stay active, in the unknowns that are on no bound."""
-
-    def __init__(self, seen: _Seen, local: LocalMinimum):
-        self.seen, self.base = seen, local.point.x
-        self.rows = np.flatnonzero(local.optimality.inequality > 0)
-        self.free = np.flatnonzero((local.optimality.lower <= 0) & (local.optimality.upper <= 0))
-        self.no_weights = Weights(0.0, np.zeros(local.point.inequality.size), np.zeros(local.point.equality.size))
-
-    def full(self, y: Vector, others: Vector) -> Vector:
-        """All unknowns: the free ones, and the others as given."""
-        x = others.copy()
-        x[self.free] = np.ravel(y)
-        return x
-
-    def __call__(self, y: Vector) -> Point:
-        return self.seen(self.full(y, self.base))
-
-    def limits(self, y: Vector) -> Vector:
-        return np.concatenate([self(y).inequality[self.rows], self(y).equality])
-
-    def limit_slopes(self, y: Vector) -> Matrix:
-        return np.concatenate([self(y).inequality_slopes[self.rows], self(y).equality_slopes])[:, self.free]
-
-    def objective_curvature(self, y: Vector) -> LinearOperator:
-        return self._product(y, self.no_weights._replace(objective=1.0))
-
-    def limit_curvature(self, y: Vector, multipliers: Vector) -> LinearOperator:
-        inequality = self.no_weights.inequality.copy()
-        inequality[self.rows] = multipliers[: self.rows.size]
-        return self._product(y, Weights(0.0, inequality, multipliers[self.rows.size :]))
-
-    def _product(self, y: Vector, weights: Weights) -> LinearOperator:
-        def along(v: np.ndarray) -> Vector:
-            direction = self.full(v, np.zeros_like(self.base))
-            return self.seen.function.curvature(self.full(y, self.base), weights, direction)[self.free]
-
-        size = (self.free.size, self.free.size)
-        return LinearOperator(size, matvec=along, dtype=np.float64)  # type: ignore[call-arg]
 
 
 def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
@@ -297,11 +218,6 @@ class RelaxedLimits:
         gradient = np.append(np.zeros(x.size - 1), 1.0)
         none = np.zeros((0, x.size))
         return Point(x, by, gradient, margins, np.column_stack([slopes, give]), np.zeros(0), none, inner.usable)
-
-    def curvature(self, x: Vector, weights: Weights, along: Vector) -> Vector:
-        inequality, above, below = self.by_kind(weights.inequality, self.function(x[:-1]).equality.size)
-        inner = self.function.curvature(x[:-1], Weights(0.0, inequality, above - below), along[:-1])
-        return np.append(inner, 0.0)
 
     @staticmethod
     def by_kind(values: Vector, equalities: int) -> tuple[Vector, Vector, Vector]:
