@@ -259,7 +259,7 @@ def test_a_map_either_way_round(grid):
         ),
         (
             lambda it: figures.draw_lines(it("grid"), "stable", "base_tension", friction_coefficient=0.3),
-            "draw_lines: friction_coefficient has no value 0.3; the nearest is 0.2",
+            "draw_lines: friction_coefficient has no value 0.3; there are 0.2, 0.4, 0.6",
         ),
         (
             lambda it: figures.draw_lines(it("grid"), "stable", "base_tension", length=0.1),
@@ -267,11 +267,11 @@ def test_a_map_either_way_round(grid):
         ),
         (
             lambda it: figures.draw_lines(it("grid"), "tip_position", "friction_coefficient"),
-            "draw_lines: base_tension varies too, with 5 values; choose one, as in base_tension=10.0",
+            "draw_lines: base_tension varies too, with 5 values; choose one, as in dataset.isel({'base_tension'",
         ),
         (
             lambda it: figures.draw_map(it("grid"), "tip_position", "base_tension", "friction_coefficient"),
-            "draw_map: component varies too, with 2 values; choose one, as in component='X'",
+            "draw_map: component varies too, with 2 values; choose one, as in dataset.isel({'component'",
         ),
         (lambda it: figures.draw_map(it("grid"), "stable", "base_tension", "base_tension"), "draw_map: x and y"),
     ],

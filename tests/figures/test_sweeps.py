@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from cddf_jax.figures.style import render
-from cddf_jax.figures.sweep_panels import name_in_words
-from cddf_jax.figures.sweeps import left_out_of_figure, sweep_figure
+from cddf_jax.figures.sweeps import left_out_of_figure, name_in_words, sweep_figure
 from cddf_jax.sweeping.one_solve import RESULT_NAMES
 
 CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")
@@ -27,6 +26,7 @@ def answer_over(axes, *, tendons=1, together=None):
     if together:
         coords = {name: c for name, c in coords.items() if name != "sample"}
         coords |= {name: ("sample", values, {"units": UNITS[name]}) for name, values in together.items()}
+    coords["tendon"] = np.arange(tendons)
     dims = tuple(axes)
     return xarray.Dataset(
         {
@@ -181,8 +181,9 @@ def test_samples_as_dots():
     assert [axes.get_ylabel() for axes in panels[:, 0]] == ["Tip tension (N)", "Tip angle (deg)"]
     dots, doubtful = panels[0, 0].lines
     assert dots.get_linestyle() == "None"
-    np.testing.assert_allclose(dots.get_xdata(), np.repeat(1e-6 * together["youngs_modulus"], 2)[2:])
-    np.testing.assert_allclose(dots.get_ydata(), 100 * (np.arange(40)[:, None] + [0, 1]).ravel()[2:])
+    np.testing.assert_allclose(dots.get_xdata()[2:], np.repeat(1e-6 * together["youngs_modulus"], 2)[2:])
+    expected = 100.0 * (np.arange(40)[:, None] + [0, 1]).ravel()
+    np.testing.assert_allclose(dots.get_ydata(), [np.nan, np.nan, *expected[2:]])
     np.testing.assert_allclose(doubtful.get_ydata(), [0.0, 100.0])
 
 

@@ -145,8 +145,7 @@ def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
 def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> Json:
     """Write exports, figures and the JSON; where they are, and what has no place in them."""
     from ..figures.style import render
-    from ..figures.sweep_panels import name_in_words
-    from ..figures.sweeps import left_out_of_figure, sweep_figure
+    from ..figures.sweeps import left_out_of_figure, name_in_words, sweep_figure
     from ..files.artifacts import as_json, write_all
 
     if places.netcdf is not None:

@@ -66,6 +66,7 @@ STYLE: Settings = FILES | {
     "axes.labelsize": 8.5,
     "axes.linewidth": 0.6,
     "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "xtick.direction": "in",
@@ -135,23 +136,28 @@ def figure_of(axes: Axes) -> Figure:
 
 def legend_above(axes: Axes, columns: int = 2) -> None:
     """The legend of what is labelled, if anything is, over the axes."""
-    handles, labels = axes.get_legend_handles_labels()
-    if labels:
+    if found := _labelled([axes]):
         look = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "columnspacing": 1.2, "borderpad": 0.1}
-        axes.legend(handles, labels, ncols=min(columns, len(labels)), **look)
+        axes.legend(found.values(), found.keys(), ncols=min(columns, len(found)), **look)
 
 
 def common_legend(figure: Figure, panels: Sequence[Axes]) -> None:
     """One legend for all panels, above them, in place of their own."""
+    for panel in panels:
+        if (own := panel.get_legend()) is not None:
+            own.remove()
+    if found := _labelled(panels):
+        columns = min(2 if figure.get_figwidth() < DOUBLE_COLUMN else 4, len(found))
+        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=columns)
+
+
+def _labelled(panels: Sequence[Axes]) -> dict[str, Artist]:
+    """What is labelled, each label once."""
     found: dict[str, Artist] = {}
     for panel in panels:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
             found.setdefault(label, handle)
-        if (own := panel.get_legend()) is not None:
-            own.remove()
-    if found:
-        columns = min(2 if figure.get_figwidth() < DOUBLE_COLUMN else 4, len(found))
-        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=columns)
+    return found
 
 
 def include_zero(axes: Axes) -> None:

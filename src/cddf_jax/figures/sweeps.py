@@ -1,39 +1,41 @@
-"""Figures of sweeps: outputs over one number as lines, over two or three as contours, over samples as dots."""
+"""Figures of sweeps: outputs over one number as lines, over two or three as contours, over samples as dots.
 
-from collections.abc import Mapping, Sequence
-from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+A sweep is first brought into the units of its labels. The code of each solve is then the coordinate "result" of every
+output: so every part of an output that is drawn knows which of its solves failed.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice, product
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from ..errors import InputError
+from ..quantities import QUANTITIES
 from ..sweeping.axes import OPTIONS
-from ..sweeping.one_solve import RESULT
+from ..sweeping.one_solve import COMPONENTS, RESULT, RESULT_NAMES
+from ..units import DIMENSION_OF, preferred
 from . import style as draw
-from .sweep_panels import (
-    components,
-    draw_curves,
-    draw_dots,
-    draw_maps,
-    is_numeric,
-    labelled,
-    name_in_words,
-    needed_for,
-    part_words,
-    parts_of,
-    shown_values,
-    write_ticks,
-)
 
 if TYPE_CHECKING:
     import xarray
 
+SUCCESSFUL = RESULT_NAMES.index("successful")
 LINES, COLUMNS, DOT_COLUMNS, PANELS = len(draw.CURVES), 4, 6, 12  # drawn at most
-SAMPLES, VALUES = 3000, {1: 2000, 2: 300}  # drawn at most: in all, and along each of one or two axes
+SAMPLES, VALUES = 3000, 500  # drawn at most: in all, and along each axis
+MARKED = 30  # values up to which a line has a marker at each
+LABELLED = 2  # maps beside each other up to which contours have their numbers
 NEAR = 1e-6  # relative: a value of the user that is this near to one along an axis means it
+# which part of an output
+PARTS: dict[str, Callable[[Any], str]] = {"tendon": lambda number: f"of tendon {number + 1}", "component": str}
 
 
 # --- one output ----------------------------------------------------------------------------------
@@ -61,7 +63,7 @@ def draw_lines(
     """
     array = _chosen("draw_lines", dataset, output, (over,), selection, LINES)
     with draw.axes_or_new(axes, 2.4) as axes:
-        draw_curves(axes, array, over)
+        _draw_curves(axes, array, over)
         draw.legend_above(axes)
     return axes
 
@@ -86,8 +88,7 @@ def draw_map(
     """
     array = _chosen("draw_map", dataset, output, (x, y), selection, 1)
     with draw.axes_or_new(axes, 2.5) as axes:
-        draw_maps([axes], [array], x, y)
-        axes.set(xlabel=array[x].attrs["label"], ylabel=array[y].attrs["label"])
+        _draw_maps([axes], [array], x, y)
         draw.legend_above(axes)
     return axes
 
@@ -96,64 +97,43 @@ def _chosen(
     who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str], selection: Mapping[str, object], most: int
 ) -> "xarray.DataArray":
     """An output over one or two numbers and what else varies, of which there may be `most` combinations."""
-    if output not in dataset.data_vars or RESULT not in dataset.data_vars:
-        raise InputError(f"{who}: {output!r} is no output of this sweep; there are {', '.join(map(str, dataset))}")
-    answer = needed_for(dataset, [output])
+    answer = dataset.drop_dims("point", errors="ignore")
+    if output not in answer.data_vars:
+        there = ", ".join(map(str, answer))
+        raise InputError(f"{who}: {output!r} is no output of this sweep, or one along the body; there are {there}")
     for name, value in selection.items():
-        answer = answer.isel(_place(who, answer, name, value))
-    own = [_dimension(who, answer, name) for name in over]
+        answer = _selected(who, answer, name, value)
+    answer = answer.squeeze(drop=True)
+    numbers = [name for name, c in _lists(answer).items() if _is_numeric(c.values) and name not in PARTS]
+    if lost := [name for name in over if name not in numbers]:
+        raise InputError(f"{who}: {lost[0]!r} is no number that varies; there are {', '.join(numbers) or 'none left'}")
+    own = [answer[name].dims[0] for name in over]
     if len(set(own)) < len(own):
         raise InputError(f"{who}: x and y must be numbers along two different axes, got {' and '.join(over)}")
-    answer = answer.isel({d: 0 for d in answer[output].dims if d not in own and answer.sizes[d] == 1})
-    rest = [str(d) for d in answer[output].dims if d not in own]
-    if int(np.prod([answer.sizes[d] for d in rest])) > most:
-        raise InputError(f"{who}: {_too_many(answer, max(rest, key=lambda d: answer.sizes[d]))}")
-    answer = answer.isel({d: _spread(answer.sizes[d], VALUES[len(own)]) for d in own}).load().sortby(list(over))
-    chosen = {str(d): answer[d].item() for d in dataset[output].dims if d in ("tendon", "component") and d not in rest}
-    words = [part_words(d, value) for d, value in chosen.items() if dataset.sizes[d] > 1]
-    return labelled(shown_values(answer, output, {}), words).transpose(*own, *rest)
+    others = {str(d): n for d, n in answer[output].sizes.items() if d not in own}
+    if np.prod([*others.values()]) > most:
+        name = max(others, key=others.__getitem__)
+        remedy = f"choose one, as in dataset.isel({{{name!r}: 0}})"
+        raise InputError(f"{who}: {name} varies too, with {others[name]} values; {remedy}")
+    answer = answer.swap_dims(dict(zip(own, over, strict=True)))
+    return _shown(_thinned(answer, dict.fromkeys(over, VALUES)), {})[output].transpose(*over, ...)
 
 
-def _place(who: str, answer: "xarray.Dataset", name: str, value: object) -> dict[str, int]:
-    """Where an axis has a value, as `isel` takes it."""
-    if name not in answer.coords or answer.coords[name].ndim != 1:
-        there = [str(key) for key, coordinate in answer.coords.items() if coordinate.ndim == 1]
+def _selected(who: str, answer: "xarray.Dataset", name: str, value: object) -> "xarray.Dataset":
+    """The sweep at a value along an axis."""
+    if name not in (there := _lists(answer)):
         raise InputError(f"{who}: nothing varies along {name!r}; there are {', '.join(there)}")
-    (dimension,), values = answer.coords[name].dims, answer.coords[name].values
-    wanted = np.asarray(value)
-    if is_numeric(values) and is_numeric(wanted) and wanted.ndim == 0:
-        place = int(np.argmin(np.abs(values - wanted)))
-        found = bool(abs(values[place] - wanted) <= NEAR * max(abs(wanted), np.ptp(values)))
-        hint = f"the nearest is {values[place]:.10g}"
-    else:
-        found, place = bool(np.any(values == wanted)), int(np.argmax(values == wanted))
-        hint = f"there are {', '.join(map(str, values))}"
-    if not found:
-        raise InputError(f"{who}: {name} has no value {value!r}; {hint}")
-    return {str(dimension): place}
+    values = there[name].values
+    near = _is_numeric(values) and _is_numeric(np.asarray(value))
+    found = np.isclose(values, np.asarray(value), NEAR, NEAR * np.ptp(values)) if near else values == value
+    if not np.any(found):
+        raise InputError(f"{who}: {name} has no value {value!r}; there are {', '.join(map(str, values))}")
+    return answer.isel({there[name].dims[0]: int(np.argmax(found))}, drop=found.size == 1)
 
 
-def _dimension(who: str, answer: "xarray.Dataset", name: str) -> str:
-    """The dimension along which a number varies."""
-    numbers = [str(key) for key, c in answer.coords.items() if c.ndim == 1 and is_numeric(c.values)]
-    if name not in numbers:
-        there = ", ".join(key for key in numbers if key != "tendon") or "none left"
-        raise InputError(f"{who}: {name!r} is no number that varies; there are {there}")
-    (dimension,), steps = answer.coords[name].dims, np.diff(answer.coords[name].values)
-    if dimension != name and not (np.all(steps > 0) or np.all(steps < 0)):
-        raise InputError(
-            f"{who}: {name} varies together with others along {dimension!r}, in no order; sweep_figure draws samples"
-        )
-    return str(dimension)
-
-
-def _too_many(answer: "xarray.Dataset", name: str) -> str:
-    said = f"{name} varies too, with {answer.sizes[name]} values"
-    if name not in answer.coords:
-        return f"{said}; choose with dataset.isel({name}=0)"
-    value = answer.coords[name].values.tolist()[0]
-    keyword = f"{name}={value!r}" if name.isidentifier() else f"**{{{name!r}: {value!r}}}"
-    return f"{said}; choose one, as in {keyword}"
+def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
+    """What varies along each dimension, by name."""
+    return {str(name): c for name, c in answer.coords.items() if c.ndim == 1}
 
 
 # --- all outputs ---------------------------------------------------------------------------------
@@ -176,43 +156,43 @@ def sweep_figure(
     Returns:
         The figure; or in words why there is none.
     """
-    answer = answer.isel({d: 0 for d in answer[RESULT].dims if answer.sizes[d] == 1})
+    names = [name for name in outputs if "point" not in answer[name].dims]
+    answer = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
     kinds = _kinds(answer)
-    drawn = [name for name in outputs if "point" not in answer[name].dims]
-    if not drawn:
+    if not names:
         return "outputs along the body are not drawn over what varies"
     if not kinds.numbers and not kinds.sampled:
         return "no number varies"
     if not kinds.sampled and len(kinds.numbers) > 3 - bool(kinds.options):
         count = f"{len(kinds.numbers)} axes{' and options' if kinds.options else ''}"
         return f"{count} are too many for one; choose with xarray"
-    if varied is None:
-        varied = {str(name): name_in_words(str(name)) for name in answer.coords if name not in ("tendon", "component")}
-    answer = _thinned(needed_for(answer, drawn), kinds)
-    each = (part for name in drawn for part in components(shown_values(answer, name, varied), answer[RESULT].dims))
+    varied = varied or {name: name_in_words(name) for name in _lists(answer)}
+    shown, swept = _shown(_thinned(answer, _room(answer, kinds)), varied), answer[RESULT].dims
+    each = (part for name in names for _, part in _parts_of(shown[name], swept, PANELS))
     arrays = list(islice(each, PANELS))
     if kinds.sampled:
-        numbers = [name for name in varied if name not in OPTIONS and answer.coords[name].ndim]
-        return _dots_figure(arrays, numbers[:DOT_COLUMNS], kinds.options)
-    return _lines_figure(arrays, *kinds.numbers) if len(kinds.numbers) == 1 else _maps_figure(arrays, kinds)
+        numbers = [name for name in varied if name in shown.coords and name not in (*OPTIONS, *PARTS)][:DOT_COLUMNS]
+        dots = [dimension for dimension in swept if dimension not in kinds.options]
+        return _curves_figure(arrays, numbers, len(numbers), dots)
+    return _curves_figure(arrays, kinds.numbers, 2) if len(kinds.numbers) == 1 else _maps_figure(arrays, kinds)
 
 
 def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list[str]:
     """What the figure of a sweep has no room for, in words."""
-    sizes = {str(name): answer.sizes[name] for name in answer[RESULT].dims if answer.sizes[name] > 1}
-    kinds = _kinds(answer.isel({d: 0 for d in answer[RESULT].dims if answer.sizes[d] == 1}))
-    drawn = [name for name in outputs if "point" not in answer[name].dims]
-    found = [f"{name}, which runs along the body" for name in outputs if name not in drawn]
-    varied = [name for name, c in answer.coords.items() if c.ndim > 0 and name not in ("tendon", "component")]
-    components = sum(int(np.prod(answer[name].shape[answer[RESULT].ndim :])) for name in drawn)
+    names = [name for name in outputs if "point" not in answer[name].dims]
+    short = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
+    kinds, sizes, room = _kinds(short), short.sizes, _room(short, _kinds(short))
+    varied = [name for name in short.coords if name not in (*OPTIONS, *PARTS)]
+    components = sum(short[name].size // short[RESULT].size for name in names)
     combinations = int(np.prod([sizes[name] for name in kinds.options]))
     lines = bool(kinds.sampled) or len(kinds.numbers) == 1
     counts = [(components, PANELS, "components of outputs")]
     counts += [(combinations, LINES if lines else COLUMNS, "combinations of options")]
-    counts += [(sizes[name], COLUMNS, f"values of {name}") for name in kinds.numbers[:1] if len(kinds.numbers) == 3]
+    counts += [(sizes[name], COLUMNS, f"values of {name}") for name in kinds.numbers[:-2]]
     counts += [(len(varied), DOT_COLUMNS, "numbers that vary")] if kinds.sampled else []
-    counts += [(sizes[name], SAMPLES, "samples") for name in kinds.sampled[:1]]
-    return found + [f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room]
+    counts += [(sizes[name], room[name], "samples") for name in kinds.sampled]
+    along = [f"{name}, which runs along the body" for name in outputs if name not in names]
+    return along + [f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room]
 
 
 class _Kinds(NamedTuple):
@@ -230,13 +210,16 @@ def _kinds(answer: "xarray.Dataset") -> _Kinds:
     return _Kinds(sampled, options, [name for name in dimensions if name not in (*sampled, *options)])
 
 
-def _thinned(answer: "xarray.Dataset", kinds: _Kinds) -> "xarray.Dataset":
-    """No more than can be seen along each number or of the samples, in ascending order."""
-    most = SAMPLES if kinds.sampled else VALUES[min(len(kinds.numbers), 2)]
-    sizes = {name: min(answer.sizes[name], most) for name in kinds.numbers}
-    few = max(SAMPLES // int(np.prod(list(sizes.values()))), 1)
-    sizes |= dict.fromkeys(kinds.sampled, few)
-    return answer.isel({d: _spread(answer.sizes[d], size) for d, size in sizes.items()}).load().sortby(kinds.numbers)
+def _room(answer: "xarray.Dataset", kinds: _Kinds) -> dict[str, int]:
+    """How many places along each number, and how many samples, can be seen."""
+    places = int(np.prod([min(answer.sizes[name], VALUES) for name in kinds.numbers]))
+    return dict.fromkeys(kinds.numbers, VALUES) | dict.fromkeys(kinds.sampled, max(SAMPLES // places, 1))
+
+
+def _thinned(answer: "xarray.Dataset", room: Mapping[str, int]) -> "xarray.Dataset":
+    """At most so many places along each dimension, numbers in ascending order."""
+    places = {name: _spread(answer.sizes[name], most) for name, most in room.items()}
+    return answer.isel(places).load().sortby([name for name in room if name in answer.coords])
 
 
 def _spread(size: int, most: int) -> np.ndarray:
@@ -244,12 +227,16 @@ def _spread(size: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, size - 1, min(size, most)).round().astype(int))
 
 
-def _lines_figure(arrays: Sequence["xarray.DataArray"], number: str) -> Figure:
-    """A panel for each array, a line for each combination of options."""
+def _curves_figure(
+    arrays: Sequence["xarray.DataArray"], numbers: Sequence[str], columns: int, dots: Sequence[object] = ()
+) -> Figure:
+    """A panel for each array over each number, with a line or the dots of each combination of options."""
     with draw.house_style():
-        figure, panels = draw.panel_axes(len(arrays), 2, 2.1)
-        for panel, array in zip(panels, arrays, strict=True):
-            draw_curves(panel, array, number)
+        figure, panels = draw.panel_axes(len(arrays) * len(numbers), columns, 2.1 if columns < 3 else 1.6)
+        for panel, (array, number) in zip(panels, product(arrays, numbers), strict=True):
+            _draw_curves(panel, array, number, dots)
+            if len(numbers) > 1:
+                panel.label_outer()
         draw.common_legend(figure, panels)
         figure.align_labels()
     return figure
@@ -257,43 +244,167 @@ def _lines_figure(arrays: Sequence["xarray.DataArray"], number: str) -> Figure:
 
 def _maps_figure(arrays: Sequence["xarray.DataArray"], kinds: _Kinds) -> Figure:
     """A panel for each array; for options or a third axis a row of panels for each, with one scale of colours."""
-    *third, x, y = kinds.numbers
-    arrays = [array.isel({d: _spread(array.sizes[d], COLUMNS) for d in third}) for array in arrays]
-    rows = [list(islice(parts_of(array, (x, y)), COLUMNS)) for array in arrays]
-    titles = [title for title, _ in rows[0]]
-    alone = len(titles) == 1
+    *_, x, y = kinds.numbers
+    rows = [list(_parts_of(array, (x, y), COLUMNS)) for array in arrays]
+    across = len(rows[0])
     with draw.house_style():
-        if alone:
-            figure, each = draw.panel_axes(len(arrays), 2, 2.2)
-            panels = np.array(each, object)[:, None]
-        else:
-            figure = draw.new_figure(draw.DOUBLE_COLUMN, (2.2 if len(titles) < 4 else 1.7) * len(arrays) + 0.4)
-            panels = figure.subplots(len(arrays), len(titles), squeeze=False, sharex=True, sharey=True)
-        for row, parts in zip(panels, rows, strict=True):
-            draw_maps(row.tolist(), [part for _, part in parts], x, y)
-        for (i, k), panel in np.ndenumerate(panels):
-            panel.set_xlabel(arrays[0][x].attrs["label"] if alone or i == len(rows) - 1 else "")
-            panel.set_ylabel(arrays[0][y].attrs["label"] if alone or k == 0 else "")
-            panel.set_title(titles[k] if i == 0 else "")
-        draw.common_legend(figure, panels.ravel().tolist())
+        figure, panels = draw.panel_axes(len(rows) * across, max(across, 2), 2.2 if across < COLUMNS else 1.7)
+        for i, row in enumerate(rows):
+            own = panels[i * across : (i + 1) * across]
+            _draw_maps(own, [part for _, part in row], x, y)
+            for panel, (title, _) in zip(own if across > 1 else (), row, strict=False):
+                panel.set_title(title if i == 0 else "")
+                panel.label_outer()
+        draw.common_legend(figure, panels)
     return figure
 
 
-def _dots_figure(arrays: Sequence["xarray.DataArray"], numbers: Sequence[str], options: Sequence[str]) -> Figure:
-    """A row for each array, a column for each number that varies."""
-    with draw.house_style():
-        width = draw.SINGLE_COLUMN if len(numbers) == 1 else draw.DOUBLE_COLUMN
-        figure = draw.new_figure(width, (2.2 if len(numbers) == 1 else 1.6) * len(arrays) + 0.4)
-        panels = figure.subplots(len(arrays), len(numbers), squeeze=False, sharex="col", sharey="row")
-        for (i, k), panel in np.ndenumerate(panels):
-            array, name = arrays[int(i)], numbers[int(k)]
-            parts = parts_of(array, [d for d in array.dims if d not in options])
-            for (label, part), look in zip(parts, draw.CURVES, strict=False):
-                draw_dots(panel, part, name, look, label)
-            x_label = array[name].attrs["label"] if i == len(arrays) - 1 else ""
-            panel.set(xlabel=x_label, ylabel=array.attrs["label"] if k == 0 else "")
-            write_ticks(panel, array)
-            panel.xaxis.set_major_locator(MaxNLocator(4))
-        draw.common_legend(figure, panels.ravel().tolist())
-        figure.align_labels()
-    return figure
+# --- units and words -----------------------------------------------------------------------------
+
+
+def _shown(answer: "xarray.Dataset", words: Mapping[str, str]) -> "xarray.Dataset":
+    """A sweep in the units of its labels, NaN where there is no number; the results are a coordinate of each output."""
+    there = answer[RESULT] >= 0
+    for array in answer.data_vars.values():
+        if array.dtype.kind == "f":
+            there = there & array.notnull().all([d for d in array.dims if d not in there.dims])
+
+    def shown(array: "xarray.DataArray") -> tuple[object, np.ndarray, dict[str, object]]:
+        name, unit = str(array.name), array.attrs.get("units", "1")
+        scale, unit = preferred(DIMENSION_OF[unit]) if unit in DIMENSION_OF else (1.0, unit)
+        if name in QUANTITIES and QUANTITIES[name].in_percent:
+            scale, unit = QUANTITIES[name].shown
+        # whole numbers and true or false cannot be NaN: other outputs tell
+        values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
+        attrs = {"words": words.get(name) or name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
+        return array.dims, np.asarray(scale * values), attrs
+
+    outputs = {name: shown(array) for name, array in answer.data_vars.items() if name != RESULT}
+    numbers = {name: shown(c) for name, c in answer.coords.items() if _is_numeric(c.values) and name not in PARTS}
+    return answer.assign(outputs).assign_coords(numbers).set_coords(RESULT)
+
+
+def _is_numeric(values: np.ndarray) -> bool:
+    return bool(np.issubdtype(values.dtype, np.number))
+
+
+def _parts_of(array: "xarray.DataArray", over: Sequence[object], most: int) -> Iterator[tuple[str, "xarray.DataArray"]]:
+    """One array over some dimensions for each combination of the others, which the words name; at most so many."""
+    others = [str(d) for d in array.dims if d not in over]
+    places = list(np.ndindex(*(array.sizes[d] for d in others)))
+    for k in _spread(len(places), most):
+        at = dict(zip(others, places[k], strict=True))
+        yield ", ".join(_value_words(array[d], i) for d, i in at.items()), array.isel(at)
+
+
+def _value_words(coordinate: "xarray.DataArray", place: int) -> str:
+    """The value at a place along a dimension: "tendon 2", "exact kinematics", "Friction coefficient = 0.4"."""
+    name, value = str(coordinate.name), coordinate.values[place]
+    if name in PARTS:
+        return PARTS[name](value).removeprefix("of ")
+    if name in OPTIONS or "words" not in coordinate.attrs:
+        return f"{value} {name}"
+    words = f"{coordinate.attrs['words']} = {value:.4g} {coordinate.attrs['unit']}"
+    return words.strip().replace("-", "\N{MINUS SIGN}")
+
+
+def _axis_label(array: "xarray.DataArray") -> str:
+    """What is drawn, which part of an output it is, and the unit: "Tip tension of tendon 2 (N)"."""
+    at = {} if array.name in array.coords else array.coords
+    parts = [words(at[name].item()) for name, words in PARTS.items() if name in at and not at[name].ndim]
+    unit = f"({array.attrs['unit']})" if array.attrs["unit"] else ""
+    return " ".join(filter(None, [array.attrs["words"], *parts, unit]))
+
+
+def name_in_words(name: str) -> str:
+    """The name of a number or output in words: "loads.tip_force.1" is "Tip force Y"."""
+    if name in QUANTITIES:
+        return QUANTITIES[name].label
+    parts = name.removeprefix("loads.").replace("tendons.", "tendon.").split(".")
+    places = COMPONENTS if parts[0] in ("tip_force", "gravity") else range(1, 100)
+    words = " ".join(str(places[int(part)]) if part.isdigit() else part for part in parts).replace("_", " ")
+    return words[:1].upper() + words[1:]
+
+
+def _results_in_words(codes: np.ndarray) -> str:
+    """What kept some solves from being successful."""
+    return ", ".join(RESULT_NAMES[code].replace("_", " ") for code in np.unique(codes) if code != SUCCESSFUL)
+
+
+# --- drawing -------------------------------------------------------------------------------------
+
+
+def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequence[object] = ()) -> None:
+    """A line for each combination of what else varies, and the solves that are doubtful or failed.
+
+    Solves along the dimensions `dots` are dots of one colour in place of lines.
+    """
+    curves = []
+    for (label, part), look in zip(_parts_of(array, dots or (over,), LINES), draw.CURVES, strict=False):
+        x = part[over].broadcast_like(part).transpose(*part.dims).values.ravel()
+        y, codes = part.values.ravel(), part[RESULT].values.ravel()
+        style: draw.Look = look | ({"marker": "none"} if x.size > MARKED else {})
+        if dots:
+            style = look | {"linestyle": "none", "markeredgewidth": 0, "alpha": 0.6, "rasterized": x.size > 500}
+            style["markersize"] = float(np.clip(60.0 / np.sqrt(x.size), 1.2, 3.5))
+        axes.plot(x, np.where(codes == SUCCESSFUL, y, np.nan), label=label, **style)
+        curves.append((x, y, codes, look))
+    for x, y, codes, look in curves:
+        _draw_others(axes, x, y, codes, look)
+    axes.set(xlabel=_axis_label(array[over]), ylabel=_axis_label(array))
+    if array.attrs["yes_or_no"]:
+        axes.set_ylim(-0.15, 1.15)
+        axes.set_yticks([0, 1], ["no", "yes"])
+
+
+def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, look: draw.Look) -> None:
+    """Solves that are doubtful, as hollow markers, and solves that gave no number, as crosses at the foot."""
+    others, there = codes != SUCCESSFUL, np.isfinite(y)
+    if np.any(doubtful := others & there):
+        label = f"hollow: doubtful, {_results_in_words(codes[doubtful])}"
+        hollow = {"linestyle": "none", "markerfacecolor": "white", "markeredgewidth": 0.7, "zorder": 1.9}
+        axes.plot(x[doubtful], y[doubtful], label=label, **(look | hollow))
+    if np.any(failed := others & ~there):
+        label = f"at the foot: no number, {_results_in_words(codes[failed])}"
+        foot = {"transform": axes.get_xaxis_transform(), "markeredgewidth": 0.7, "zorder": 4, "label": label}
+        axes.plot(x[failed], np.full(failed.sum(), 0.03), "x", color=draw.BLACK, **foot)
+
+
+def _draw_maps(panels: Sequence[Axes], arrays: Sequence["xarray.DataArray"], x: str, y: str) -> None:
+    """A panel for each array, with one scale of colours beside the last; hatched where nothing is drawn."""
+    sure = [array.where(array[RESULT] == SUCCESSFUL).transpose(y, x) for array in arrays]
+    numbers = [np.ma.masked_invalid(array.values) for array in sure]
+    levels = _levels(np.ma.stack(numbers).compressed())
+    norm, points = BoundaryNorm(levels, 256), (arrays[0][x].values, arrays[0][y].values)
+    lost = _results_in_words(np.array([array[RESULT].values for array in arrays]))
+    for panel, values in zip(panels, numbers, strict=True):
+        panel.set(xlim=points[0][[0, -1]], ylim=points[1][[0, -1]], axisbelow=False)
+        panel.set(xlabel=_axis_label(arrays[0][x]), ylabel=_axis_label(arrays[0][y]))
+        if values.count():
+            panel.contourf(*points, values, levels=levels, cmap=draw.TENSION_COLOURS, norm=norm)
+        within = [level for level in levels if values.count() and values.min() < level < values.max()]
+        if within:
+            lines = panel.contour(*points, values, within, colors=draw.BLACK, linewidths=0.5, linestyles="solid")
+            if len(panels) <= LABELLED:
+                _write_levels(panel, lines)
+        if lost:
+            look = {"facecolor": draw.PALE, "edgecolor": draw.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
+            panel.add_patch(Rectangle((0, 0), 1, 1, transform=panel.transAxes, label=f"hatched: {lost}", **look))
+    scale = ScalarMappable(norm, draw.TENSION_COLOURS)
+    draw.figure_of(panels[0]).colorbar(scale, ax=list(panels), label=_axis_label(arrays[0]), pad=0.02, aspect=25)
+
+
+def _levels(there: np.ndarray) -> np.ndarray:
+    """Round numbers that hold all values between them."""
+    low, high = (there.min(), there.max()) if there.size else (0.0, 1.0)
+    if np.isclose(low, high, rtol=1e-9, atol=0.0):
+        low, high = low - (0.01 * abs(low) or 1.0), high + (0.01 * abs(high) or 1.0)
+    return np.asarray(MaxNLocator(8).tick_values(low, high))
+
+
+def _write_levels(axes: Axes, lines: QuadContourSet) -> None:
+    """The level on each line, unless it would lie over the frame."""
+    for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=draw.BLACK, inline=False):
+        text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
+        place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
+        text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))
