@@ -12,7 +12,7 @@ import cddf_jax as cddf
 from cddf_jax import figures
 from cddf_jax.files import simplest_profile
 from cddf_jax.files.cross_sections import cross_sections_csv, in_one_line
-from cddf_jax.files.manipulator_file import section_columns_of
+from cddf_jax.files.manipulator_file import read_robot_file
 from cddf_jax.files.simplest_profile import Taken
 from cddf_jax.robot.profiles import Polyline
 
@@ -254,7 +254,7 @@ def stepped_robot(tmp_path):
 
 
 def test_what_was_read_is_said_by_column_and_in_one_line(stepped_robot):
-    outer, inner, offset = columns = section_columns_of(stepped_robot)
+    outer, inner, offset = columns = read_robot_file(stepped_robot).columns
     assert str(outer).startswith("outer_radius: straight lines through 6 points (a smooth curve would leave the range")
     assert (str(inner), str(offset)) == ("inner_radius: constant 0 mm", "offset_1: constant 6 mm")
     np.testing.assert_array_equal(outer.arc_length, 1e-3 * np.array([0, 60, 70, 130, 140, 200.0]))
@@ -265,7 +265,7 @@ def test_what_was_read_is_said_by_column_and_in_one_line(stepped_robot):
 def test_solve_says_what_was_read_and_draws_it(tmp_path, cddf_command, stepped_robot):
     code, out, _ = cddf_command("solve", str(stepped_robot), "-t", "20 N", "--out", str(tmp_path / "out"))
     assert (code, "78.415 deg" in out) == (0, True)
-    assert in_one_line(section_columns_of(stepped_robot)) in out.splitlines()
+    assert in_one_line(read_robot_file(stepped_robot).columns) in out.splitlines()
     assert {"cross_sections.pdf", "cross_sections.png"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
@@ -280,7 +280,7 @@ def test_a_design_and_the_explorer_say_what_was_read(tmp_path, stepped_robot):
     )
     (line,) = read_task(tmp_path / "task.toml").read_as
     assert "outer_radius: straight lines through 6 points" in line
-    words, picture = sections_as_read(section_columns_of(stepped_robot))
+    words, picture = sections_as_read(read_robot_file(stepped_robot).columns)
     assert "outer_radius: straight lines through 6 points" in words.object
     assert picture.object.startswith(b"\x89PNG")
 

@@ -28,11 +28,10 @@ def explore(
 
     It is served on this machine alone and needs no network. Ctrl-C ends it.
     """
-    manipulator = None if robot is None else read_robot(robot, kinematics)
+    read = None if robot is None else read_robot(robot, kinematics)
     from dataclasses import replace
 
     from .. import application
-    from ..files.manipulator_file import section_columns_of
 
     application.configure_jax()
     try:
@@ -42,14 +41,13 @@ def explore(
             raise
         raise InputError("explore needs the package panel; install it with pip install 'cddf-jax[explore]'") from None
 
-    if manipulator is None:
-        manipulator = server.papers_manipulator()
-        manipulator = manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
+    paper = server.papers_manipulator()
+    paper = paper if kinematics is None else replace(paper, kinematics=kinematics.value)
     server.serve(
-        manipulator,
+        paper if read is None else read.manipulator,
         read_data(data or [], column),
         server.PAPER if robot is None else str(robot),
-        () if robot is None else section_columns_of(robot),
+        () if read is None else read.columns,
         port=port,
         browser=not no_browser,
         say=typer.echo,

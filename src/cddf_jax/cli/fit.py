@@ -102,7 +102,9 @@ def fit(
     from .. import application
 
     # code that is compiled quickly makes refits slow
-    manipulator = read_robot(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
+    manipulator = read_robot(
+        robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap)
+    ).manipulator
     from ..identification.fit import fit
     from ..reports.fit_report import fit_in_words, write_report
     from ..reports.fit_results import fit_as_dict, make_report

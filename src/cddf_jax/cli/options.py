@@ -11,6 +11,7 @@ import typer
 from ..errors import InputError
 
 if TYPE_CHECKING:
+    from ..files.manipulator_file import RobotFile
     from ..measurements.table import Measurements
     from ..robot.manipulator import Manipulator
 
@@ -110,8 +111,8 @@ def read_robot(
     configure: Callable[[], None] | None = None,
     *,
     note_columns: bool = True,
-) -> "Manipulator":
-    """Set JAX up and read the manipulator.
+) -> "RobotFile":
+    """Set JAX up and read the manipulator's file.
 
     Args:
         robot: the TOML file.
@@ -125,12 +126,13 @@ def read_robot(
 
     (configure or application.configure_jax)()
     from ..files.cross_sections import in_one_line
-    from ..files.manipulator_file import read_manipulator, section_columns_of
+    from ..files.manipulator_file import read_robot_file
 
-    manipulator = read_manipulator(robot)
-    if note_columns and (columns := section_columns_of(robot)):
-        note([in_one_line(columns)])
-    return manipulator if kinematics is None else replace(manipulator, kinematics=kinematics.value)
+    read = read_robot_file(robot)
+    if note_columns and read.columns:
+        note([in_one_line(read.columns)])
+    other = read.manipulator if kinematics is None else replace(read.manipulator, kinematics=kinematics.value)
+    return read._replace(manipulator=other)
 
 
 def read_data(

@@ -54,7 +54,7 @@ def plan(
     out: Out = None,
 ) -> None:
     """Which measurement next: what each candidate would add to what is known."""
-    manipulator = read_robot(robot, kinematics)
+    manipulator = read_robot(robot, kinematics).manipulator
     from ..identification.experiment_design import plan, standard_candidates
     from ..identification.fit import fit
     from ..reports.plan_report import plan_as_dict, plan_as_markdown

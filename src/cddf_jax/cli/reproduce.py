@@ -20,7 +20,7 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for the figures and the table.")] = Path("out/reproduce"),
 ) -> None:
     """The figures of Liu et al. (2020), and a table of its numbers beside ours."""
-    manipulator = read_robot(robot, None)
+    manipulator = read_robot(robot, None).manipulator
     from ..reports.reproduction import reproduce
 
     answer = reproduce(manipulator, read_data([load_cells], column)[0], out)

@@ -57,10 +57,9 @@ def solve(
 
     X runs along the straight body from its base, Y to the side of a tendon with side = 1.
     """
-    manipulator = read_robot(robot, kinematics, note_columns=False)
+    manipulator, columns, _ = read_robot(robot, kinematics, note_columns=False)
     from ..files.actuation import read_actuation, read_loads
     from ..files.cross_sections import in_one_line
-    from ..files.manipulator_file import section_columns_of
     from ..reports.solve_report import solve_as_dict, solve_in_words
     from ..statics.equilibrium import RESULTS
 
@@ -70,7 +69,7 @@ def solve(
     equilibrium = _solve(manipulator, actuation, loads, directions, nodes, base_tension)
     answer = solve_as_dict(equilibrium, actuation, loads)
     text = solve_in_words(equilibrium, actuation, base_tension, loads)
-    if columns := section_columns_of(robot):
+    if columns:
         answer["cross_sections"] = {column.name: column.words for column in columns}
         text += f"\n{in_one_line(columns)}"
     if out is not None:

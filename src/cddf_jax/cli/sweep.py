@@ -175,7 +175,7 @@ def sweep(
     def configure() -> None:
         _configure(coordinator, num_processes, process_id, distributed=distributed)
 
-    manipulator = read_robot(robot, kinematics, configure)
+    manipulator = read_robot(robot, kinematics, configure).manipulator
     from ..files.actuation import read_loads
     from . import sweep_run, sweep_texts
 

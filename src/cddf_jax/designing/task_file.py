@@ -14,14 +14,8 @@ from ..errors import InputError, within
 from ..files.actuation import read_actuation, read_loads
 from ..files.artifacts import markdown_table
 from ..files.cross_sections import in_one_line
-from ..files.manipulator_file import (
-    allows_offsets_outside_wall,
-    check_keys,
-    read_manipulator,
-    read_toml,
-    section_columns_of,
-)
-from ..robot.manipulator import KINEMATICS, Manipulator
+from ..files.manipulator_file import check_keys, read_robot_file, read_toml
+from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import unit_of_name
 from ..robot.profiles import Linear, Profile, Spline
 from ..units import DIMENSION_OF, Dimension, quantity
@@ -182,20 +176,16 @@ def read_task(path: Path, *, progress: bool = False) -> DesignTask:
 def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
     options = [key.name for key in KEYS[""] if not key.required]
     check_keys("", table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
-    robot = path.parent / _text(table, "robot")
-    body = read_manipulator(robot)
+    body, columns, outside = read_robot_file(path.parent / _text(table, "robot"))
     if "kinematics" in table:
-        if table["kinematics"] not in KINEMATICS:
-            raise InputError(f"kinematics must be one of {KINEMATICS}, got {table['kinematics']!r}")
         body = replace(body, kinematics=table["kinematics"])
     cases = tuple(_case(where, each, body) for where, each in _list(table, "case"))
     body, bounds, choices = _free(body, cases[0], _entries(table, "free"))
-    columns = section_columns_of(robot)
     read_as: tuple[str, ...] = (in_one_line(columns),) if columns else ()
     if "uncertain" in table:
         cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent)
         read_as += notes
-    given = {"offsets_outside_wall": allows_offsets_outside_wall(robot), "progress": progress}
+    given = {"offsets_outside_wall": outside, "progress": progress}
     given |= {key.name: table[key.name] for key in KEYS[""] if key.name in table and key.name in _OPTIONS}
     return DesignTask(
         path=path,

@@ -80,7 +80,7 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
     Raises:
         InputError: names the file, row (line), column, value and remedy.
     """
-    return _read(path, tolerance)[0]
+    return sections_and_columns(path, tolerance)[0]
 
 
 def section_columns(path: str | os.PathLike[str], *, tolerance: float = TOLERANCE) -> tuple[SectionColumn, ...]:
@@ -93,7 +93,7 @@ def section_columns(path: str | os.PathLike[str], *, tolerance: float = TOLERANC
     Raises:
         InputError: as `read_cross_sections`.
     """
-    return _read(path, tolerance)[1]
+    return sections_and_columns(path, tolerance)[1]
 
 
 def in_one_line(columns: Sequence[SectionColumn]) -> str:
@@ -147,8 +147,10 @@ _KIND = Kind(
 )
 
 
-def _read(path: str | os.PathLike[str], tolerance: float) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
-    """The body, and its columns one by one."""
+def sections_and_columns(
+    path: str | os.PathLike[str], tolerance: float
+) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
+    """What `read_cross_sections` and `section_columns` give."""
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"tolerance must be a positive length in m, got {tolerance}")
     table = read_table(path, _KIND)

@@ -56,18 +56,18 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..quantities import dimension_of
-from ..robot.manipulator import KINEMATICS, Manipulator, PointMass, Tendon
+from ..robot.manipulator import Manipulator, PointMass, Tendon
 from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Scalar, Spline, as_profile
 from ..units import Dimension, quantity, written
 from .artifacts import write_all
-from .cross_sections import TOLERANCE, CrossSections, SectionColumn, read_cross_sections, section_columns
+from .cross_sections import TOLERANCE, CrossSections, SectionColumn, sections_and_columns
 
 _Table = Mapping[str, Any]
 _NUMBERS = ("length", "friction_coefficient", "density", "drag", "yield_strain", "stiffness_factor")
@@ -83,18 +83,32 @@ _SECTIONS = "cross_sections"
 _FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
 
+class RobotFile(NamedTuple):
+    """What a file holds."""
+
+    manipulator: Manipulator
+    columns: tuple[SectionColumn, ...]  # of its table of cross-sections, as they were read; none without a table
+    offsets_outside_wall: bool  # whether tendons may run in the bore or outside the body
+
+
 def read_manipulator(path: str | os.PathLike[str]) -> Manipulator:
     """The manipulator in a TOML file, validated; the module's text shows the format.
 
     Raises:
         InputError: names the file, the key, the value and the remedy.
     """
+    return read_robot_file(path).manipulator
+
+
+def read_robot_file(path: str | os.PathLike[str]) -> RobotFile:
+    """As `read_manipulator`, with what else the file says."""
     with within(path, ValueError):
         table = read_toml(path, 'length = "140 mm"')
         outside = table.get("offsets_outside_wall", False)
         if not isinstance(outside, bool):
             raise InputError(f"offsets_outside_wall must be true or false, got {outside!r}")
-        return _manipulator(table, Path(path).parent).validate(offsets_outside_wall=outside)
+        sections, columns = _read_sections(table, Path(path).parent) if _SECTIONS in table else (_sections(table), ())
+        return RobotFile(_manipulator(table, sections).validate(offsets_outside_wall=outside), columns, outside)
 
 
 def read_toml(path: str | os.PathLike[str], example: str) -> dict[str, Any]:
@@ -111,24 +125,6 @@ def read_toml(path: str | os.PathLike[str], example: str) -> dict[str, Any]:
         raise InputError("is not UTF-8 text; save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not TOML: {error}; quantities are quoted, as in {example}") from None
-
-
-def allows_offsets_outside_wall(path: str | os.PathLike[str]) -> bool:
-    """What a file that `read_manipulator` reads says of tendons in the bore or outside the body."""
-    return tomllib.loads(Path(path).read_text(encoding="utf-8-sig")).get("offsets_outside_wall", False)
-
-
-def section_columns_of(path: str | os.PathLike[str]) -> tuple[SectionColumn, ...]:
-    """The columns of the table of cross-sections that a manipulator's file names; none where it names none.
-
-    Args:
-        path: a file that `read_manipulator` has read without an error.
-    """
-    table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-    if _SECTIONS not in table:
-        return ()
-    file, tolerance = _named(table[_SECTIONS], Path(path).parent)
-    return section_columns(file, tolerance=tolerance)
 
 
 def write_manipulator(
@@ -177,21 +173,13 @@ def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = F
 # --- reading -------------------------------------------------------------------------------------
 
 
-def _manipulator(table: _Table, folder: Path) -> Manipulator:
-    if _SECTIONS in table:
-        sections = _with_tables(_read_sections(table, folder), table)._asdict()
-    else:
-        check_keys("", table, *_keys(table, _REQUIRED))
-        sections = _sections(table)
+def _manipulator(table: _Table, sections: dict[str, Any]) -> Manipulator:
     numbers = _numbers(table, _NUMBERS)
     for key in table.keys() & set(_MORE_PROFILES):
         numbers[key] = _number_or_profile(table[key], sections["length"], key)
     masses = enumerate(_tables(table, "point_mass", "mass"), 1)
     numbers["point_masses"] = [_point_mass(mass, f"point_mass {i}") for i, mass in masses]
-    kinematics = table.get("kinematics", "exact")
-    if kinematics not in KINEMATICS:
-        raise InputError(f"kinematics must be one of {KINEMATICS}, got {kinematics!r}")
-    return Manipulator(**numbers | sections, kinematics=kinematics)
+    return Manipulator(**numbers | sections, kinematics=table.get("kinematics", "exact"))
 
 
 def _numbers(table: _Table, keys: Iterable[str], where: str = "") -> dict[str, Any]:
@@ -223,6 +211,7 @@ def _point_mass(table: _Table, where: str) -> PointMass:
 
 def _sections(table: _Table) -> dict[str, Any]:
     """The body as its keys say."""
+    check_keys("", table, *_keys(table, _REQUIRED))
     length = _numbers(table, ["length"])["length"]
     tables = enumerate(_tables(table, "tendons", "tendon"), 1)
     tendons = [_tendon(tendon, length, f"tendon {number}") for number, tendon in tables]
@@ -239,15 +228,23 @@ def _tables(table: _Table, key: str, one: str) -> list[_Table]:
     return found
 
 
-def _read_sections(table: _Table, folder: Path) -> CrossSections:
-    """The body in the CSV file that is named."""
+def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[SectionColumn, ...]]:
+    """The body in the CSV file that is named, with what the tables of the tendons add, and its columns."""
     for key in ("length", *_RADII):
         if key in table:
             raise InputError(f"{key} is in the table of {_SECTIONS} too; leave one of them out")
     must, may = _keys(table, [key for key in _REQUIRED if key not in CrossSections._fields])
     check_keys("", table, must, [*may, "tendons"])
     file, tolerance = _named(table[_SECTIONS], folder)
-    return read_cross_sections(file, tolerance=tolerance)
+    sections, columns = sections_and_columns(file, tolerance)
+    tendons = list(sections.tendons)
+    tables = _tables(table, "tendons", "tendon") if "tendons" in table else [{}] * len(tendons)
+    if len(tables) != len(tendons):
+        raise InputError(f"tendons: {len(tables)} tables for {len(tendons)} columns of offsets; write as many, or none")
+    for i, own in enumerate(tables):
+        check_keys(f"tendon {i + 1}: ", own, (), [key for key in _TENDON_NUMBERS if key != "end"])
+        tendons[i] = dataclasses.replace(tendons[i], **_numbers(own, own, f"tendon {i + 1}: "))
+    return sections._replace(tendons=tuple(tendons))._asdict(), columns
 
 
 def _named(value: object, folder: Path) -> tuple[Path, float]:
@@ -258,20 +255,6 @@ def _named(value: object, folder: Path) -> tuple[Path, float]:
         case {"file": str(file), "tolerance": str(tolerance), **rest} if not rest:
             return folder / file, quantity(tolerance, "length", f"{_SECTIONS}: tolerance")
     raise InputError(f'{_SECTIONS} must name a CSV file, "body.csv" or {{ file = "body.csv", tolerance = "10 um" }}')
-
-
-def _with_tables(sections: CrossSections, table: _Table) -> CrossSections:
-    """The same with what the tables of the tendons add."""
-    if "tendons" not in table:
-        return sections
-    tables, count = _tables(table, "tendons", "tendon"), len(sections.tendons)
-    if len(tables) != count:
-        raise InputError(f"tendons: {len(tables)} tables for {count} columns of offsets; write as many, or none")
-    tendons = []
-    for i, (tendon, own) in enumerate(zip(sections.tendons, tables, strict=True), 1):
-        check_keys(f"tendon {i}: ", own, (), [key for key in _TENDON_NUMBERS if key != "end"])
-        tendons.append(dataclasses.replace(tendon, **_numbers(own, own, f"tendon {i}: ")))
-    return sections._replace(tendons=tuple(tendons))
 
 
 def _tendon(table: _Table, length: float, where: str) -> Tendon:
