@@ -190,7 +190,7 @@ def test_a_bug_of_ours_is_not_hidden(monkeypatch):
     def broken(path):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("cddf_jax.files.manipulator_file.read_manipulator", broken)
+    monkeypatch.setattr("cddf_jax.files.manipulator_file.read_robot_file", broken)
     monkeypatch.setattr(sys, "argv", ["cddf", "solve", PAPER, *PULL])
     with pytest.raises(ZeroDivisionError, match="a bug"):
         cli.main()

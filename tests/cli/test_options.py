@@ -6,10 +6,10 @@ from bodies import paper_body
 
 import cddf_jax as cddf
 from cddf_jax.cli.fit_texts import read_bound, read_noise, read_prior
-from cddf_jax.cli.options import read_all, read_column, read_data, read_directions
+from cddf_jax.cli.options import read_all, read_column, read_data
 from cddf_jax.estimation.observations import Noise
 from cddf_jax.estimation.parameter_space import Prior, Uniform
-from cddf_jax.files.actuation import read_actuation, read_loads
+from cddf_jax.files.actuation import read_actuation, read_directions, read_loads
 
 ONE, TWO = paper_body("exact"), paper_body("exact", num_tendons=2)
 

@@ -13,7 +13,6 @@ from ..errors import InputError
 if TYPE_CHECKING:
     from ..files.manipulator_file import RobotFile
     from ..measurements.table import Measurements
-    from ..robot.manipulator import Manipulator
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
 T = TypeVar("T")
@@ -170,17 +169,3 @@ def read_all(texts: Sequence[str] | None, read: Callable[[str], tuple[str, T]], 
             raise InputError(f"{option} {name} is given twice; leave one out")
         found[name] = value
     return found
-
-
-def read_directions(direction: Sequence[int] | None, manipulator: "Manipulator") -> list[int] | None:
-    """The directions of all tendons; None where they are to be found.
-
-    Raises:
-        InputError: for a direction other than 1 and -1, or for too few or too many of them.
-    """
-    from ..files.actuation import one_for_each_tendon
-
-    for value in direction or ():
-        if value not in (+1, -1):
-            raise InputError(f"--direction {value}: give +1 for a tendon that slides in, -1 for one that slides out")
-    return one_for_each_tendon("--direction", list(direction), manipulator.num_tendons) if direction else None

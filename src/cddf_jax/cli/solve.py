@@ -17,7 +17,6 @@ from .options import (
     TipForce,
     TipMoment,
     print_answer,
-    read_directions,
     read_robot,
     stop,
 )
@@ -58,7 +57,7 @@ def solve(
     X runs along the straight body from its base, Y to the side of a tendon with side = 1.
     """
     manipulator, columns, _ = read_robot(robot, kinematics, note_columns=False)
-    from ..files.actuation import read_actuation, read_loads
+    from ..files.actuation import read_actuation, read_directions, read_loads
     from ..files.cross_sections import in_one_line
     from ..reports.solve_report import solve_as_dict, solve_in_words
     from ..statics.equilibrium import RESULTS

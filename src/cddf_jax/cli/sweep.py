@@ -21,7 +21,6 @@ from .options import (
     TipForce,
     TipMoment,
     print_answer,
-    read_directions,
     read_robot,
     stop,
 )
@@ -176,7 +175,7 @@ def sweep(
         _configure(coordinator, num_processes, process_id, distributed=distributed)
 
     manipulator = read_robot(robot, kinematics, configure).manipulator
-    from ..files.actuation import read_loads
+    from ..files.actuation import read_directions, read_loads
     from . import sweep_run, sweep_texts
 
     varied = {text.partition("=")[0].strip() for text in (*(over or []), *(sample or []))}

@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import NamedTuple, TypedDict
+from typing import TypedDict
 
 import numpy as np
 
 from ..errors import InputError, within
-from ..files.actuation import read_actuation, read_loads
-from ..files.artifacts import markdown_table
+from ..files.actuation import read_actuation, read_directions, read_loads
 from ..files.cross_sections import in_one_line
 from ..files.manipulator_file import check_keys, read_robot_file, read_toml
 from ..robot.manipulator import Manipulator
@@ -80,27 +79,18 @@ least = "2 mm"                               # with or without most
 # most = "5 mm"                              # with or without least
 # equal = "2 mm"                             # instead of least and most
 """
-_HEADER = re.compile(r"(?:# )?\[+(\w+)\]+ +# (.+)")
-_KEY = re.compile(r"(?:# )?(?:outer_radius = { )?(\w+) = (.+?)(?: })? +# (required: )?(.+)")
+_HEADER = re.compile(r"(?:# )?\[+(\w+)\]+ +# ")
+_KEY = re.compile(r"(?:# )?(?:outer_radius = { )?(\w+) = .+? +# (required: )?")
 
 
-class Key(NamedTuple):
-    """A key of a task file, as a line of `TEMPLATE` has it."""
-
-    name: str
-    example: str  # TOML
-    required: bool
-    words: str
-
-
-def _keys() -> dict[str, list[Key]]:
-    """The keys of every table, "" for those above the first."""
-    tables: dict[str, list[Key]] = {"": []}
+def _keys() -> dict[str, dict[str, bool]]:
+    """The keys of every table, "" for those above the first, and whether each is required."""
+    tables: dict[str, dict[str, bool]] = {"": {}}
     for line in TEMPLATE.splitlines():
-        if header := _HEADER.fullmatch(line):
-            tables[header[1]] = []
-        elif key := _KEY.fullmatch(line):
-            tables[list(tables)[-1]].append(Key(key[1], key[2], key[3] is not None, key[4]))
+        if header := _HEADER.match(line):
+            tables[header[1]] = {}
+        elif key := _KEY.match(line):
+            tables[list(tables)[-1]][key[1]] = key[2] is not None
     return tables
 
 
@@ -115,20 +105,10 @@ def template() -> str:
     return f"{TEMPLATE}\n{textwrap.fill(names, 110, initial_indent='# ', subsequent_indent='# ')}\n"
 
 
-def keys_in_words() -> str:
-    """A table in Markdown of the keys of each table."""
-    lines = []
-    for name, keys in KEYS.items():
-        rows = [(f"`{key.name}`", f"`{key.example}`", "yes" if key.required else "", key.words) for key in keys]
-        lines += [f"`{name}`:" if name else "At the top:", ""]
-        lines += [*markdown_table(("key", "example", "required", "meaning"), rows), ""]
-    return "\n".join(lines)
-
-
 def _check(name: str, where: str, table: Table) -> None:
     """Refuse unknown keys, and demand those that are required."""
-    required = [key.name for key in KEYS[name] if key.required]
-    check_keys(f"{where}: ", table, required, [key.name for key in KEYS[name] if not key.required])
+    keys = KEYS[name]
+    check_keys(f"{where}: ", table, [key for key in keys if keys[key]], [key for key in keys if not keys[key]])
 
 
 class SharedArguments(TypedDict):
@@ -174,7 +154,7 @@ def read_task(path: Path, *, progress: bool = False) -> DesignTask:
 
 
 def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
-    options = [key.name for key in KEYS[""] if not key.required]
+    options = [key for key, required in KEYS[""].items() if not required]
     check_keys("", table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
     body, columns, outside = read_robot_file(path.parent / _text(table, "robot"))
     if "kinematics" in table:
@@ -186,7 +166,7 @@ def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
         cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent)
         read_as += notes
     given = {"offsets_outside_wall": outside, "progress": progress}
-    given |= {key.name: table[key.name] for key in KEYS[""] if key.name in table and key.name in _OPTIONS}
+    given |= {key: table[key] for key in _OPTIONS if key in table}
     return DesignTask(
         path=path,
         manipulator=body,
@@ -272,33 +252,25 @@ def _case(where: str, table: Table, body: Manipulator) -> LoadCase:
     for key, value in loads.items():
         if value is not None and not isinstance(value, str):
             raise InputError(f'{where}: {key} must be text such as "0 N, -5 N", got {value!r}')
-    with within(where):
-        actuation = read_actuation([str(text) for text in texts], body, called=str)
-        acting = read_loads(**loads, has_weight=body.has_mass, called=str)  # type: ignore[arg-type]
     direction = table.get("direction")
-    each = direction if isinstance(direction, list) else [] if direction is None else [direction]
-    if any(isinstance(value, bool) or value not in (1, -1) for value in each):
-        raise InputError(f"{where}: direction must be 1 for sliding in or -1 for sliding out, got {direction!r}")
-    if isinstance(direction, list) and len(direction) != body.num_tendons:
-        raise InputError(
-            f"{where}: direction has {len(direction)} values for {body.num_tendons} tendons; give one each"
+    directions = direction if isinstance(direction, list | None) else [direction]
+    with within(where):
+        return LoadCase(
+            read_actuation([str(text) for text in texts], body, called=str),
+            read_loads(**loads, has_weight=body.has_mass, called=str),  # type: ignore[arg-type]
+            read_directions(directions, body, called=str),
+            _case_numbers(table.get("numbers", {}), body),
+            quantity(table.get("weight", 1.0), "dimensionless", "weight"),
+            str(table.get("name", where)),
         )
-    stated = direction if isinstance(direction, list | int | float) else None
-    numbers = _case_numbers(where, table.get("numbers", {}), body)
-    weight = quantity(table.get("weight", 1.0), "dimensionless", f"{where}: weight")
-    if not weight > 0:
-        raise InputError(f"{where}: weight must be above 0, got {weight:g}")
-    return LoadCase(actuation, acting, stated, numbers, weight, str(table.get("name", where)))
 
 
-def _case_numbers(where: str, table: object, body: Manipulator) -> dict[str, float]:
+def _case_numbers(table: object, body: Manipulator) -> dict[str, float]:
     if not isinstance(table, dict):
-        raise InputError(f'{where}: numbers must be a table, as in numbers = {{ youngs_modulus = "1.5 MPa" }}')
+        raise InputError('numbers must be a table, as in numbers = { youngs_modulus = "1.5 MPa" }')
     for name in table:
         case_numbers(body).number(name)
-    return {
-        name: quantity(value, DIMENSION_OF[unit_of_name(name)], f"{where}: {name}") for name, value in table.items()
-    }
+    return {name: quantity(value, DIMENSION_OF[unit_of_name(name)], name) for name, value in table.items()}
 
 
 def _uncertain(

@@ -62,6 +62,22 @@ def one_for_each_tendon(name: str, values: list[Entry], count: int) -> list[Entr
     return values * count if len(values) == 1 else values
 
 
+def read_directions(
+    given: Sequence[object] | None, manipulator: Manipulator, *, called: Callable[[str], str] = as_option
+) -> list[int] | None:
+    """The directions of all tendons, of which one or one for each is given; None where they are to be found.
+
+    Raises:
+        InputError: for a direction other than 1 and -1, or for too few or too many of them.
+    """
+    name, found = called("direction"), []
+    for value in given or ():
+        if isinstance(value, bool) or value not in (1, -1):
+            raise InputError(f"{name} {value}: give +1 for a tendon that slides in, -1 for one that slides out")
+        found.append(int(str(value)))
+    return one_for_each_tendon(name, found, manipulator.num_tendons) if given else None
+
+
 def _entry(name: str, text: str, manipulator: Manipulator) -> float | Target:
     kind, equals, value = (part.strip() for part in text.partition("="))
     first, where = kind.split(" ")[0], f"{name} {text!r}"
