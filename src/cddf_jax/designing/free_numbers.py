@@ -71,21 +71,19 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
     for name in bounds:
         if name not in free:
             raise InputError(f"design: {name!r} has bounds and is not free; add it to free")
-    names, start, low, high = [], [], [], []
+    rows = []
     for group in free:
-        if list(free).count(group) > 1:
-            raise InputError(f"design: {group!r} is free twice; name it once")
         for tied in numbers_under(case, group):
             value = float(np.asarray(case.number(tied[0])))
-            lower, upper = _bounds_of(group, value, bounds)
-            names.append(tied)
-            start.append(value)
-            low.append(lower)
-            high.append(upper)
-    _check_once(names)
-    start, low, high = (np.asarray(x) for x in (start, low, high))
+            rows.append((tied, value, *_bounds_of(group, value, bounds)))
+    flat = [name for tied, *_ in rows for name in tied]
+    for name in flat:
+        if flat.count(name) > 1:
+            raise InputError(f"design: {name!r} is free twice; leave one out")
+    names = tuple(tied for tied, *_ in rows)
+    start, low, high = np.transpose([numbers for _, *numbers in rows])
     size = np.minimum(high - low, np.where(start == 0, np.inf, np.abs(start)))
-    return FreeNumbers(tuple(names), start, low, high, size)
+    return FreeNumbers(names, start, low, high, size)
 
 
 def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
@@ -105,13 +103,6 @@ def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
             "widen them or start elsewhere"
         )
     return lower, upper
-
-
-def _check_once(names: Sequence[tuple[str, ...]]) -> None:
-    flat = [name for tied in names for name in tied]
-    for name in flat:
-        if flat.count(name) > 1:
-            raise InputError(f"design: {name!r} is free under two names; leave one out")
 
 
 def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, NamedTuple, TypedDict
+from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -58,16 +58,6 @@ class LimitReport(NamedTuple):
     all_along: bool  # whether it is active along more than half of the body
     case: str  # the load case; "" for the body itself
     implied: bool  # whether it is one that every body must keep, and not the user's
-    dimension: Dimension
-
-
-class _Named(TypedDict):
-    """The fields of a `LimitReport` that name the limit."""
-
-    name: str
-    side: str
-    case: str
-    implied: bool
     dimension: Dimension
 
 
@@ -242,58 +232,54 @@ def limit_reports(problem: DesignProblem, local: LocalMinimum, unit: float) -> t
             reports.append(_of_range(problem, i, side, np.asarray(found.margins[i])[:, k], prices, length))
         for case, miss in enumerate(np.asarray(found.zeros[i]) if limit.equal is not None else ()):
             prices = _prices(local, "equality", equations[i][case], price) if miss.size == 1 else (np.nan, np.nan)
-            reports.append(_of_equation(problem, i, case, miss, prices))
+            wanted = np.asarray(limit.equal)
+            values = _plain(wanted), _plain(wanted + miss * np.asarray(limit.scale))
+            reports.append(_report(problem, i, "equal", case, values, -float(np.max(np.abs(miss))), prices))
     return tuple(reports)
 
 
 def _of_range(
     problem: DesignProblem, i: int, side: str, margin: np.ndarray, prices: tuple[float, float], length: float
 ) -> LimitReport:
-    """One side of a limit with its scaled margins, (cases, ...)."""
+    """One side of a limit with its scaled margins, (cases, ...), where it is tightest."""
     limit = problem.limits[i]
     at = np.unravel_index(np.argmin(margin), margin.shape)
     bound, room = float(getattr(limit, side)), float(margin[at])
+    reached = bound + (room if side == "least" else -room) * float(limit.scale)  # type: ignore[arg-type]
+    report = _report(problem, i, side, int(at[0]), (bound, reached), room, prices)
+    if not limit.along:
+        return report
     along = np.min(margin.reshape(-1, margin.shape[-1]), axis=0)  # the tightest of cases and tendons at every place
-    return LimitReport(
-        **_named(problem, i, side, int(at[0])),
-        limit=bound,
-        reached=bound + (room if side == "least" else -room) * float(limit.scale),  # type: ignore[arg-type]
-        margin=room,
-        active=room <= ACTIVE,
-        multiplier=prices[0],
-        tightening=prices[1],
-        arc_length=float(problem.stations[at[-1]]) * length if limit.along else np.nan,
-        all_along=limit.along and bool(np.mean(along <= ACTIVE) > 0.5),
-    )
+    place = float(problem.stations[at[-1]]) * length
+    return report._replace(arc_length=place, all_along=bool(np.mean(along <= ACTIVE) > 0.5))
 
 
-def _of_equation(
-    problem: DesignProblem, i: int, case: int, miss: np.ndarray, prices: tuple[float, float]
+def _report(
+    problem: DesignProblem,
+    i: int,
+    side: str,
+    case: int,
+    values: tuple[float | list[float], float | list[float]],
+    margin: float,
+    prices: tuple[float, float],
 ) -> LimitReport:
-    """A limit that must be equal to a value, in one load case, with its scaled difference."""
-    limit = problem.limits[i]
-    wanted = np.asarray(limit.equal)
+    """Of a limit without a place: its value and the one that is reached, the scaled margin, and what it costs."""
+    limit, several = problem.limits[i], len(problem.cases) > 1
     return LimitReport(
-        **_named(problem, i, "equal", case),
-        limit=_plain(wanted),
-        reached=_plain(wanted + miss * np.asarray(limit.scale)),
-        margin=-float(np.max(np.abs(miss))),
-        active=True,
+        name=name_of(limit.quantity),
+        side=side,
+        limit=values[0],
+        reached=values[1],
+        margin=margin,
+        active=side == "equal" or margin <= ACTIVE,
         multiplier=prices[0],
         tightening=prices[1],
         arc_length=np.nan,
         all_along=False,
+        case=(problem.cases[case].name or (f"case {case + 1}" if several else "")) if limit.bent else "",
+        implied=problem.implied[i],
+        dimension=quantity_named(limit.quantity).dimension,
     )
-
-
-def _named(problem: DesignProblem, i: int, side: str, case: int) -> _Named:
-    """What a report of a limit says of the limit itself."""
-    limit = problem.limits[i]
-    dimension, name = quantity_named(limit.quantity).dimension, problem.cases[case].name if limit.bent else ""
-    if limit.bent and not name and len(problem.cases) > 1:
-        name = f"case {case + 1}"
-    own = {"name": name_of(limit.quantity), "side": side, "case": name}
-    return _Named(**own, implied=problem.implied[i], dimension=dimension)
 
 
 def _prices(

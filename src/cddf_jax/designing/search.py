@@ -1,7 +1,6 @@
 """Searches for the best body: from one start or many, and again where limits are broken between the stations."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -305,6 +304,4 @@ def _moved(program: NonlinearProgram, places: np.ndarray) -> NonlinearProgram:
     """The program with stations where limits were broken, in the place of the oldest of those that wander."""
     stations = np.asarray(program.problem.stations)
     kept, wandering = stations[:-WANDERING], stations[-WANDERING:]
-    return NonlinearProgram(
-        replace(program.problem, stations=jnp.asarray(np.concatenate([kept, wandering[len(places) :], places])))
-    )
+    return program.at_stations(np.concatenate([kept, wandering[len(places) :], places]))

@@ -106,11 +106,9 @@ def with_fixed(problem: DesignProblem, numbers: Mapping[FixedNumber, Array]) -> 
 
 
 @eqx.filter_jit
-def _slope(
-    problem: DesignProblem, x: Array, numbers: dict[FixedNumber, Array], towards: dict[FixedNumber, Array]
-) -> ProgramValues:
-    """The derivative of all values along a direction of the fixed numbers: one small program for all of them."""
-    return jax.jvp(lambda numbers: with_fixed(problem, numbers).values(x)[0], (numbers,), (towards,))[1]
+def _slopes(problem: DesignProblem, x: Array, fixed: tuple[FixedNumber, ...], numbers: Array) -> ProgramValues:
+    """The derivatives of all values by fixed numbers, on the last axis."""
+    return jax.jacfwd(lambda numbers: with_fixed(problem, dict(zip(fixed, numbers, strict=True))).values(x)[0])(numbers)
 
 
 def sensitivities(problem: DesignProblem, local: LocalMinimum) -> dict[FixedNumber, float]:
@@ -118,13 +116,11 @@ def sensitivities(problem: DesignProblem, local: LocalMinimum) -> dict[FixedNumb
 
     NaN where several sets of multipliers meet the conditions: the objective has a kink there.
     """
-    x = jnp.asarray(local.point.x)
-    numbers = {name: jnp.asarray(value, jnp.float64) for name, value in fixed_numbers(problem).items()}
-    answer = {}
-    for name in numbers:
-        towards = {other: jnp.asarray(other == name, jnp.float64) for other in numbers}
-        slope = jax.tree.map(np.asarray, _slope(problem, x, numbers, towards))
-        low, high = local.optimality.range_of(slope.inequality, slope.equality)
+    numbers, answer = fixed_numbers(problem), {}
+    values = jnp.asarray(list(numbers.values()))
+    slopes = jax.tree.map(np.asarray, _slopes(problem, jnp.asarray(local.point.x), tuple(numbers), values))
+    for i, name in enumerate(numbers):
+        low, high = local.optimality.range_of(slopes.inequality[:, i], slopes.equality[:, i])
         unique = high - low <= KINK * max(1.0, abs(low), abs(high))
-        answer[name] = float(slope.objective) - low if unique else np.nan
+        answer[name] = float(slopes.objective[i]) - low if unique else np.nan
     return answer
