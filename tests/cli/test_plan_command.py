@@ -108,7 +108,7 @@ def test_added_to_what_was_measured(run):
         ("", "holds no candidates"),
         ("x = [", "is not TOML"),
         ("[[candidate]]\nbase_tension = '20 N'", "candidate 1: needs what is read"),
-        (CANDIDATES.replace("1 deg", "1 deg + 2 mm"), "tip_angle needs a unit of angle"),
+        (CANDIDATES.replace("1 deg", "1 deg + 2 mm"), "tip_angle: the part that grows with the reading is in %"),
         (CANDIDATES.replace("1 deg", "0 deg + 0 %"), "with standard deviations > 0"),
         (CANDIDATES.replace("1 deg", "1 mm"), "tip_angle needs a unit of angle"),
         (CANDIDATES.replace("repeats = 2", "repeats = 0"), "repeats must be 1 or more"),

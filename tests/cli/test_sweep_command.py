@@ -259,7 +259,7 @@ def test_a_task_file_gives_the_options_and_the_command_line_overrides_it(run, tm
     ("task", "message"),
     [
         ("outputs = 3", "task.toml: there is no option 'outputs'; there are robot, over, together, sample, "),
-        ("over = ", "task.toml: is no TOML ("),
+        ("over = ", "task.toml: is not TOML: "),
         (None, "task.toml: cannot be read (No such file or directory); check the path"),
     ],
 )

@@ -9,12 +9,7 @@ import typer
 
 from ..errors import InputError, SolveError
 from . import design, explore, fit, plan, reproduce, solve, sweep
-from .options import (
-    BAD_INPUT,
-    FAILED,
-    INTERRUPTED,
-    stop,
-)
+from .options import BAD_INPUT, FAILED, INTERRUPTED, stop
 
 app = typer.Typer(
     help="Friction in tendon-driven continuum manipulators: predict it, find it from measurements, design for it.",

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, within
-from ..estimation.observations import Noise
 from ..files.manipulator_file import read_toml
 from ..identification.experiment_design import Candidate
 from ..measurements.columns import column_dimension
@@ -45,15 +44,9 @@ def _candidate(where: str, entry: dict[str, object]) -> Candidate:
     if isinstance(cost, bool) or not isinstance(cost, int | float):
         raise InputError(f"{where}: cost must be a number, got {cost!r}")
     conditions = {column: _numbers(where, column, value) for column, value in entry.items()}
-    deviations = {column: _noise(where, column, value) for column, value in noise.items()}
+    deviations = {column: noise_from_text(column, str(value), f"{where}: {column}") for column, value in noise.items()}
     with within(where):
         return Candidate(str(name), conditions, deviations, repeats, float(cost))
-
-
-def _noise(where: str, column: str, value: object) -> float | Noise:
-    if isinstance(value, str) and value.rstrip().endswith("%"):
-        return noise_from_text(column, value, f"{where}: {column}")
-    return float(_numbers(where, column, value)[0])
 
 
 def _numbers(where: str, column: str, value: object) -> np.ndarray:

@@ -42,7 +42,7 @@ def explore(
         raise InputError("explore needs the package panel; install it with pip install 'cddf-jax[explore]'") from None
 
     paper = server.papers_manipulator()
-    paper = paper if kinematics is None else replace(paper, kinematics=kinematics.value)
+    paper = paper if kinematics is None else replace(paper, kinematics=kinematics)
     server.serve(
         paper if read is None else read.manipulator,
         read_data(data or [], column),

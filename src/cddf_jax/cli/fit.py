@@ -1,9 +1,8 @@
 """`cddf fit`: friction and modulus from measurements."""
 
 import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -31,15 +30,7 @@ EXAMPLE = "Example: cddf fit data/smooth_sil_940.toml data/pulley_simulated.csv 
 LEAST_TRIALS = 3  # to draw from with replacement
 
 
-class LossName(StrEnum):
-    """How residuals count."""
-
-    linear = "linear"
-    soft_l1 = "soft_l1"
-    huber = "huber"
-    cauchy = "cauchy"
-
-
+LossName = Literal["linear", "soft_l1", "huber", "cauchy"]
 Free = Annotated[
     list[str] | None,
     typer.Option(
@@ -79,9 +70,7 @@ def fit(
     prior: PriorOption = None,
     bound: Bound = None,
     noise: NoiseOption = None,
-    loss: Annotated[
-        LossName, typer.Option(help="With a loss other than linear, outliers count less.")
-    ] = LossName.linear,
+    loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[
         int | None,
         typer.Option(help="Number of points from which to search.", min=1, show_default="one, more where it fails"),
@@ -119,7 +108,7 @@ def fit(
         bounds=read_all(bound, read_bound, "--bound"),
         noise=known_noise,
         per_trial=per_trial,
-        loss=loss.value,
+        loss=loss,
         starts=starts,
         seed=seed,
         nodes=nodes,

@@ -2,9 +2,8 @@
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, TypeVar
 
 import typer
 
@@ -16,15 +15,7 @@ if TYPE_CHECKING:
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
 T = TypeVar("T")
-
-
-class Kinematics(StrEnum):
-    """As in the file of the manipulator."""
-
-    published = "published"
-    exact = "exact"
-
-
+Kinematics = Literal["published", "exact"]
 Robot = Annotated[
     Path, typer.Argument(help="TOML file of the manipulator, data/smooth_sil_940.toml.", show_default=False)
 ]
@@ -130,7 +121,7 @@ def read_robot(
     read = read_robot_file(robot)
     if note_columns and read.columns:
         note([in_one_line(read.columns)])
-    other = read.manipulator if kinematics is None else replace(read.manipulator, kinematics=kinematics.value)
+    other = read.manipulator if kinematics is None else replace(read.manipulator, kinematics=kinematics)
     return read._replace(manipulator=other)
 
 

@@ -2,13 +2,12 @@
 
 import os
 import sys
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, within
 from .options import (
     FAILED,
     INTERRUPTED,
@@ -39,12 +38,10 @@ def read_sweep_task(context: typer.Context, path: Path | None) -> Path | None:
     """
     if path is None:
         return None
-    try:
-        task = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f'{path}: is no TOML ({error}); texts are quoted, as in out = "out/sweep"') from None
+    from ..files.manipulator_file import read_toml
+
+    with within(path):
+        task = read_toml(path, 'out = "out/sweep"')
     options = [str(option.name) for option in context.command.params if option.name not in ("task", "help")]
     for name, value in task.items():
         if name not in options:

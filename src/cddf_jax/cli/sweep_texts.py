@@ -113,18 +113,21 @@ def _numbers(name: str, text: str, dimension: units.Dimension) -> np.ndarray:
     what = f"--over {name}"
     if ":" not in text:
         return np.array([units.quantity(part.strip(), dimension, what) for part in text.split(",")])
-    first, _, rest = text.partition(":")
-    last, _, count = (part.strip() for part in rest.partition(":"))
-    if not count.isdigit() or int(count) < 2:
-        one, two = (units.written(x, dimension) for x in (1.0, 2.0))
-        example = f"{name}={one}:{two}:11"
-        raise InputError(f"{what}: write first, last and how many, 2 or more, as in {example}, got {text!r}")
+    ends, _, count = text.rpartition(":")
+    if not count.strip().isdigit() or int(count) < 2:
+        example = _example(name, dimension)
+        raise InputError(f"{what}: write first, last and how many, 2 or more, as in {example}:11, got {text!r}")
     if int(count) > MOST:
         raise InputError(f"{what}: {count} values are more than the {MOST:,} that one axis may have; give fewer")
-    start, stop = (units.quantity(end.strip(), dimension, what) for end in (first, last))
+    start, stop = (units.quantity(end.strip(), dimension, what) for end in ends.split(":", 1))
     if start == stop:
         raise InputError(f"{what}: first and last are the same, got {text!r}; give two different ones")
     return np.linspace(start, stop, int(count))
+
+
+def _example(name: str, dimension: units.Dimension) -> str:
+    """A range, "youngs_modulus=1 MPa:2 MPa"."""
+    return f"{name}={':'.join(units.written(x, dimension) for x in (1.0, 2.0))}"
 
 
 def _options(name: str, text: str) -> list[str] | list[int]:
@@ -139,11 +142,10 @@ def _options(name: str, text: str) -> list[str] | list[int]:
 
 
 def _limits(name: str, text: str, dimension: units.Dimension) -> tuple[float, float]:
-    low, colon, high = (part.strip() for part in text.partition(":"))
-    if not colon or ":" in high:
-        one, two = (units.written(x, dimension) for x in (1.0, 2.0))
-        raise InputError(f"--sample {name}: write least and largest as in {name}={one}:{two}, got {text!r}")
-    least, largest = (units.quantity(end, dimension, f"--sample {name}") for end in (low, high))
+    ends = text.split(":")
+    if len(ends) != 2:
+        raise InputError(f"--sample {name}: write least and largest as in {_example(name, dimension)}, got {text!r}")
+    least, largest = (units.quantity(end.strip(), dimension, f"--sample {name}") for end in ends)
     if not least < largest:
         raise InputError(f"--sample {name}: the least comes first and is less than the largest, got {text!r}")
     return least, largest
