@@ -8,8 +8,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium, Fields, fields_on
+
+GREATEST_MOMENT_ARC = np.radians(190.0)  # it stays clear of the body behind the tip
 
 
 class Body(NamedTuple):
@@ -29,6 +32,14 @@ class Body(NamedTuple):
     def outline(self) -> np.ndarray:
         """The outer surface, up one side and back on the other, (2 points, 2)."""
         return np.concatenate([self.at_distance(self.outer_radius), self.at_distance(-self.outer_radius)[::-1]])
+
+    @property
+    def walls(self) -> list[np.ndarray]:
+        """Outlines of what is solid, (points, 2) each: two where there is a bore, one where there is none."""
+        if not np.any(self.inner_radius):
+            return [self.outline]
+        outside, inside = ([self.at_distance(s * r) for s in (+1, -1)] for r in (self.outer_radius, self.inner_radius))
+        return [np.concatenate([wall, bore[::-1]]) for wall, bore in zip(outside, inside, strict=True)]
 
 
 def stations(manipulator: Manipulator) -> np.ndarray:
@@ -74,6 +85,28 @@ def tendon_paths(manipulator: Manipulator, body: Body, arc_length: np.ndarray) -
     distance = side * 1e3 * np.asarray(manipulator.offset(arc_length))
     distance = np.where(reached(manipulator, arc_length), distance, np.nan)
     return np.stack([body.at_distance(d) for d in distance])
+
+
+def tip_force_line(body: Body, loads: Loads, length: float) -> np.ndarray:
+    """The line of an arrow along the tip force, (points, 2), a fifth of a length; no points where there is none.
+
+    It starts at the tip, or ends there: it lies ahead of the body.
+    """
+    force, ahead = np.asarray(loads.tip_force), np.array([np.cos(body.heading[-1]), np.sin(body.heading[-1])])
+    if not np.any(force):
+        return np.zeros((0, 2))
+    reach = 0.2 * length * force / np.linalg.norm(force)
+    start = body.midline[-1] - (reach if reach @ ahead < -1e-9 else 0.0)
+    return np.linspace(start, start + reach, 25)
+
+
+def tip_moment_line(body: Body, loads: Loads, length: float) -> np.ndarray:
+    """The line of an arrow around the tip as its moment turns, (points, 2); no points where there is none."""
+    moment = float(loads.tip_moment)
+    ring = max(1.4 * body.outer_radius[-1], 0.06 * length)
+    angles = body.heading[-1] + np.sign(moment) * np.linspace(-0.5, 0.5, 61) * GREATEST_MOMENT_ARC
+    line = body.midline[-1] + ring * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return line if moment else line[:0]
 
 
 def drawn_radii(

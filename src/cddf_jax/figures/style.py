@@ -18,9 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch, Rectangle
-from matplotlib.path import Path as Outline
-from matplotlib.quiver import Quiver
+from matplotlib.patches import Rectangle
 
 from ..errors import InputError
 from ..files.artifacts import write_all
@@ -215,39 +213,10 @@ def _bytes(figure: Figure, suffix: str) -> bytes:
 def draw_body(axes: Axes, body: Body) -> None:
     """Wall and bore to scale, the midline dash-dotted."""
     look = {"facecolor": PALE, "edgecolor": GREY, "linewidth": 0.5}
-    if np.any(body.inner_radius):
-        for side in (+1, -1):
-            outside, inside = body.at_distance(side * body.outer_radius), body.at_distance(side * body.inner_radius)
-            axes.fill(*np.concatenate([outside, inside[::-1]]).T, **look)
-    else:
-        axes.fill(*body.outline.T, **look)
+    for wall in body.walls:
+        axes.fill(*wall.T, **look)
     axes.plot(*body.midline.T, color=GREY, linestyle=(0, (8, 2, 1, 2)), linewidth=0.6)
     axes.set_aspect("equal")
-
-
-def draw_arrows(axes: Axes, points: np.ndarray, vectors: np.ndarray, scale: float, **style: LookValue) -> Quiver:
-    """Vectors as arrows from points, both (points, 2); `scale` is vector units per unit of the axes."""
-    look = {"angles": "xy", "scale_units": "xy", "units": "inches", "width": 0.011, "zorder": 3}
-    axes.update_datalim(points + vectors / scale)
-    axes.autoscale_view()
-    return axes.quiver(*points.T, *vectors.T, scale=scale, **(look | style))
-
-
-_ARROW: Look = {
-    "arrowstyle": "-|>",
-    "mutation_scale": 8,
-    "linewidth": 1.2,
-    "shrinkA": 0,
-    "shrinkB": 0,
-    "zorder": 6,
-    "fill": True,
-}
-
-
-def draw_arrow(axes: Axes, points: np.ndarray, **style: LookValue) -> None:
-    """An arrow along a line of points, (points, 2), with its head at the last."""
-    axes.update_datalim(points)
-    axes.add_patch(FancyArrowPatch(path=Outline(points), **(_ARROW | style)))
 
 
 def draw_coloured_line(axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize) -> None:
@@ -265,34 +234,3 @@ def draw_clamp(axes: Axes, half_width: float, depth: float) -> None:
     look = {"facecolor": "white", "edgecolor": GREY, "hatch": "///////", "linewidth": 0.0, "zorder": 0}
     axes.add_patch(Rectangle((-depth, -half_width), depth, 2 * half_width, **look))
     axes.plot([0.0, 0.0], [-half_width, half_width], color=BLACK, linewidth=1.0, zorder=3)
-
-
-def place_label(axes: Axes, text: str, point: np.ndarray, obstacles: np.ndarray) -> np.ndarray:
-    """Write beside a point, where least is covered; call it when the limits of the axes are final.
-
-    Args:
-        axes: where to write.
-        text: what to write.
-        point: beside which, in data.
-        obstacles: points on what is to stay uncovered, on the display, (points, 2).
-
-    Returns:
-        The obstacles with those of the label added.
-    """
-    label = axes.annotate(text, tuple(point), (0, 0), textcoords="offset points", ha="center", va="center", zorder=7)
-    size = np.array([label.get_window_extent().width, label.get_window_extent().height])
-    pixels = figure_of(axes).dpi / 72
-    centre, frame = axes.transData.transform(point), axes.get_window_extent().get_points()
-    best, least = np.zeros(2), np.inf
-    for gap in (3.0, 5.0, 8.0, 12.0, 17.0):
-        for angle in np.arange(16) * np.pi / 8:
-            offset = (size / 2 + gap * pixels) * np.array([np.cos(angle), np.sin(angle)])
-            low, high = centre + offset - size / 2 - 3, centre + offset + size / 2 + 3
-            covered = np.sum(np.all((obstacles > low) & (obstacles < high), axis=-1))
-            outside = np.any(low < frame[0] + 4) or np.any(high > frame[1] - 4)
-            cost = covered + 1000 * outside + gap / 100
-            if cost < least:
-                best, least = offset, cost
-    label.xyann = tuple(best / pixels)
-    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 5)), axis=-1).reshape(-1, 2)
-    return np.concatenate([obstacles, centre + best + grid * size])
