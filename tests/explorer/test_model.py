@@ -13,6 +13,7 @@ import cddf_jax as cddf
 from cddf_jax.explorer.model import NUM_PULLS, Exploration, Rows, from_si, in_si, rounded
 from cddf_jax.explorer.plots import TensionPlots
 from cddf_jax.explorer.words import numbers_html
+from cddf_jax.quantities import QUANTITIES
 from cddf_jax.reports.export import fields_csv
 from cddf_jax.robot.profiles import Constant, Linear, Piecewise, Spline
 from cddf_jax.robot.reshape import tapered
@@ -81,9 +82,10 @@ def test_what_another_taper_does(explored, settings, other_body):
 
 def test_what_is_shown_and_set_is_the_same_number():
     """12.7 mm and 1.395 MPa are the float64 nearest to 0.0127 m and 1395000 Pa."""
-    assert in_si(12.7, 3) == 0.0127
-    assert in_si(1.395, -6) == 1395000.0
-    assert from_si(0.0127, 3) == 12.7
+    radius, modulus = QUANTITIES["outer_radius"], QUANTITIES["youngs_modulus"]
+    assert in_si(12.7, radius) == 0.0127
+    assert in_si(1.395, modulus) == 1395000.0
+    assert from_si(0.0127, radius) == 12.7
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def test_the_page_shows_what_solve_finds(page):
 
 def test_every_field_has_a_name_for_screen_readers(page):
     for control in Exploration(paper_body("exact")).controls:
-        label = f"{control.label} ({control.unit})" if control.unit else control.label
+        label = f"{control.label} ({control.quantity.shown[1]})".removesuffix(" ()")
         field = page.get_by_role("textbox", name=label, exact=True)
         assert float(field.input_value()) == pytest.approx(control.value)
 

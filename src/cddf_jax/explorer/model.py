@@ -1,8 +1,8 @@
 """What the explorer shows: one body under the numbers of its sliders, solved by a program that is compiled once."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from decimal import Decimal
 from functools import cached_property
 from typing import NamedTuple, SupportsFloat
 
@@ -13,12 +13,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
-from ..figures.geometry import drawn_radii, stations
+from ..figures.geometry import stations
 from ..files.manipulator_file import manipulator_text
 from ..identification.bench import Bench, experiment_of, reading, starting_value, stiffness_parameter
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
+from ..quantities import QUANTITIES, Quantity
 from ..robot.loads import Loads
 from ..robot.manipulator import Kinematics, Manipulator
 from ..robot.named_numbers import Case, of_tendon
@@ -38,16 +39,23 @@ RADII = ("outer_radius.base", "outer_radius.tip")
 
 
 class Control(NamedTuple):
-    """One number that can be changed, in the unit that is shown: SI times ten to the power of `exponent`."""
+    """One number that can be changed, in the unit that is shown."""
 
     name: str
-    label: str
-    unit: str
-    exponent: int
     value: float
     low: float
     high: float
     least: float | None = None  # that may be typed
+    which: str = ""  # of several of one kind
+
+    @property
+    def quantity(self) -> Quantity:
+        """What is changed: "base_tension" of "base_tension_2", "outer_radius" of "outer_radius.tip"."""
+        return QUANTITIES[re.split(r"_\d|\.", self.name)[0]]
+
+    @property
+    def label(self) -> str:
+        return self.quantity.label + self.which
 
     @property
     def step(self) -> float:
@@ -62,21 +70,12 @@ class Settings(NamedTuple):
     kinematics: Kinematics
 
 
-class Sections(NamedTuple):
-    """The body along a grid of arc lengths, m; tendons first."""
-
-    outer_radius: Float[ArrayLike, "*points"]
-    inner_radius: Float[ArrayLike, "*points"]
-    offset: Float[ArrayLike, "tendons *points"]
-
-
 class Picture(NamedTuple):
-    """An equilibrium, its fields and the body along a grid of arc lengths; NumPy, SI."""
+    """An equilibrium and its fields along a grid of arc lengths; NumPy, SI."""
 
     case: Case
     equilibrium: Equilibrium
     along: Fields
-    sections: Sections
     peak_strain: np.ndarray  # of the wall, a fraction
 
     @property
@@ -140,19 +139,12 @@ class Exploration:
     @cached_property
     def controls(self) -> tuple[Control, ...]:
         """Everything that can be changed, with ranges about the numbers of the manipulator."""
-        body = self.manipulator
-        own = [tendon.friction_coefficient is not None for tendon in body.tendons]
-        mu = float(body.friction_coefficient)
-        friction = [Control(FITTED[0], "Friction coefficient", "", 0, mu, 0.0, max(1.0, _above(2 * mu)), 0.0)]
-        return (*self._tensions, *([] if all(own) else friction), self._stiffness, *self._radii, *self._loads)
-
-    @cached_property
-    def _stiffness(self) -> Control:
-        name = stiffness_parameter(self.manipulator)
-        own = starting_value(self.manipulator, name)
-        label, unit, exponent = ("Stiffness factor", "", 0) if name == FITTED[2] else ("Young's modulus", "MPa", -6)
-        value = from_si(own, exponent)
-        return Control(name, label, unit, exponent, value, round_number(0.2 * value), _above(2.5 * value), 1e-6)
+        body, name = self.manipulator, stiffness_parameter(self.manipulator)
+        mu, value = float(body.friction_coefficient), from_si(starting_value(body, name), QUANTITIES[name])
+        friction = Control(FITTED[0], mu, 0.0, max(1.0, _above(2 * mu)), 0.0)
+        own = all(tendon.friction_coefficient is not None for tendon in body.tendons)
+        stiffness = Control(name, value, round_number(0.2 * value), _above(2.5 * value), 1e-6)
+        return (*self._tensions, *([] if own else [friction]), stiffness, *self._radii, *self._loads)
 
     @cached_property
     def _tensions(self) -> list[Control]:
@@ -163,10 +155,10 @@ class Exploration:
         most = min(2.0 / turn, 0.3 * float(np.min(stiffness / offset**2)))
         measured = [float(table["base_tension"].max()) for table in self.tables if "base_tension" in table]
         high = _above(max([most, *measured]))
-        label = "Base tension" if body.num_tendons == 1 else "Base tension {}"
-        names = [(of_tendon("base_tension", i), label.format(i + 1)) for i in range(body.num_tendons)]
+        which = [f" {i + 1}" if body.num_tendons > 1 else "" for i in range(body.num_tendons)]
         return [
-            Control(n, text, "N", 0, 0.0 if i else 0.75 * high, 0.0, high, 0.0) for i, (n, text) in enumerate(names)
+            Control(of_tendon("base_tension", i), 0.0 if i else 0.75 * high, 0.0, high, 0.0, text)
+            for i, text in enumerate(which)
         ]
 
     @cached_property
@@ -174,22 +166,19 @@ class Exploration:
         radius = self.manipulator.outer_radius
         if radius is None or not self.manipulator.stiffened_by_radii:
             return []
-        ends = [from_si(radius(s), 3) for s in (0.0, self.manipulator.length)]
-        labels = ("Outer radius at the base", "Outer radius at the tip")
-        return [
-            Control(name, label, "mm", 3, r, 0.5 * r, 1.5 * r, 0.0)
-            for name, label, r in zip(RADII, labels, ends, strict=True)
-        ]
+        ends = [from_si(radius(s), QUANTITIES["outer_radius"]) for s in (0.0, self.manipulator.length)]
+        which = (" at the base", " at the tip")
+        return [Control(n, r, 0.5 * r, 1.5 * r, 0.0, text) for n, r, text in zip(RADII, ends, which, strict=True)]
 
     @cached_property
     def _loads(self) -> list[Control]:
         body, length = self.manipulator, float(self.manipulator.length)
         stiffness = float(np.median(np.asarray(body.stiffness(self.arc_length))))
         force, moment = _above(0.6 * stiffness / length**2), _above(0.3 * stiffness / length)
-        found = [Control(f"tip_force.{i}", f"Tip force {a}", "N", 0, 0.0, -force, force) for i, a in enumerate("XY")]
-        found.append(Control("tip_moment", "Tip moment", "N m", 0, 0.0, -moment, moment))
+        found = [Control(f"tip_force.{i}", 0.0, -force, force, which=f" {axis}") for i, axis in enumerate("XY")]
+        found.append(Control("tip_moment", 0.0, -moment, moment))
         if body.has_mass:
-            found += [Control(f"gravity.{i}", f"Gravity {a}", "m/s²", 0, 0.0, -10.0, 10.0) for i, a in enumerate("XY")]
+            found += [Control(f"gravity.{i}", 0.0, -10.0, 10.0, which=f" {axis}") for i, axis in enumerate("XY")]
         return found
 
     @property
@@ -215,7 +204,7 @@ class Exploration:
         Raises:
             InputError: for a body that cannot be, such as one with a tendon outside its wall.
         """
-        number = {c.name: in_si(settings.numbers[c.name], c.exponent) for c in self.controls}
+        number = {c.name: in_si(settings.numbers[c.name], c.quantity) for c in self.controls}
         body = replace(self.manipulator, kinematics=settings.kinematics)
         body = replace(body, **{name: number[name] for name in FITTED if name in number})
         if self._radii:
@@ -293,19 +282,13 @@ class Exploration:
 
 
 @eqx.filter_jit
-def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Sections, Array]:
+def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Array]:
     equilibrium = _solve(case)
-    sections = sections_at(case.manipulator, arc_length)
-    return equilibrium, equilibrium.at(arc_length), sections, _peak_strain(equilibrium)
+    return equilibrium, equilibrium.at(arc_length), _peak_strain(equilibrium)
 
 
 def _peak_strain(equilibrium: Equilibrium) -> Array:
     return equilibrium.peak_strain if equilibrium.has_wall else jnp.full((), jnp.nan)
-
-
-def sections_at(body: Manipulator, arc_length: Float[ArrayLike, "*points"]) -> Sections:
-    """The body at some places."""
-    return Sections(*drawn_radii(body, arc_length), body.offset(arc_length))
 
 
 def _solve(case: Case) -> Equilibrium:
@@ -348,14 +331,14 @@ def _where_good(equilibrium: Equilibrium, numbers: tuple) -> tuple:
 # --- numbers -------------------------------------------------------------------------------------
 
 
-def in_si(value: float, exponent: int) -> float:
-    """The SI number of a shown one, to the last bit: 12.7 mm is 0.0127."""
-    return float(Decimal(repr(float(value))).scaleb(-exponent))
+def in_si(value: float, quantity: Quantity) -> float:
+    """The SI number of a shown one, with its digits: 12.7 mm is 0.0127."""
+    return float(f"{value / quantity.shown[0]:.15g}")
 
 
-def from_si(value: SupportsFloat, exponent: int) -> float:
+def from_si(value: SupportsFloat, quantity: Quantity) -> float:
     """The other way round."""
-    return in_si(float(value), -exponent)
+    return float(f"{float(value) * quantity.shown[0]:.15g}")
 
 
 def rounded(value: float, low: float, high: float) -> float:

@@ -3,19 +3,20 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
-import jax.numpy as jnp
 import numpy as np
 from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalHead, VeeHead
 from bokeh.plotting import figure
 from jaxtyping import ArrayLike
 
-from ..figures.geometry import Body, drawn_radii
+from ..figures.along import lines_along
+from ..figures.geometry import Body, bent_body, straight_body, tendon_paths, tip_force_line, tip_moment_line
 from ..figures.style import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
 from ..measurements.readings import kind_of, tendon_number
 from ..measurements.table import Measurements
+from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from .model import Curve, Picture, Rows, Sections, sections_at
+from .model import Curve, Picture, Rows
 
 Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
@@ -26,6 +27,7 @@ NUM_ARROWS = 11  # along each tendon
 LONGEST_ARROW = 0.2  # of the length of the body
 DASHES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
 NORMAL, FRICTION = GREEN, VERMILION
+ALONG = ("tension", "curvature", "normal_force", "friction_force")  # drawn over the arc length
 NONE = np.zeros((0, 2))  # points
 NO_POINTS: Columns = {"base": [], "value": [], "color": []}
 
@@ -66,19 +68,15 @@ class BodyPlot:
         self.figure = _figure("X (mm)", "Y (mm)", match_aspect=True, height=450, name="body")
         self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
         self.sources = {name: ColumnDataSource() for name in ("walls", "midline", "tendons", "ends", "moment")}
-        sections = Sections(*map(np.asarray, sections_at(manipulator, arc_length)))
-        straight = _body(sections, np.stack([arc_length, 0 * arc_length], axis=-1), 0 * arc_length)
-        ends = [np.inf if tendon.end is None else float(tendon.end) for tendon in manipulator.tendons]
-        self.reach = [arc_length <= end for end in ends]
-        self.sides = [tendon.side for tendon in manipulator.tendons]
-        self._show_body(straight, self._tendons(straight, sections))
+        straight = straight_body(manipulator, arc_length)
+        self._show_body(straight, _tendons(manipulator, straight, arc_length))
         self._draw_surroundings(manipulator, straight)
         self._draw_body()
         self._draw_forces()
         _look_of_legend(self.figure)
 
     def _draw_surroundings(self, manipulator: Manipulator, straight: Body) -> None:
-        fig, clamp = self.figure, ColumnDataSource(_clamp(manipulator))
+        fig, clamp = self.figure, ColumnDataSource(_clamp(straight))
         fig.scatter("x", "y", source=ColumnDataSource(_frame(manipulator)), size=0, alpha=0)
         bare = {"fill_alpha": 0, "line_alpha": 0, "hatch_pattern": "/", "hatch_color": GREY}
         fig.quad("left", "right", "bottom", "top", source=clamp, **bare)
@@ -100,7 +98,7 @@ class BodyPlot:
             self.figure.line([np.nan], [np.nan], color=color, line_width=2, legend_label=f"{name} force per length")
         for name in ("force", "turn"):
             self._arrows(name, VeeHead(size=12, fill_color=PURPLE, line_color=PURPLE), 3)
-        self.sources["moment"].data = _xy(np.zeros((0, 2)))
+        self.sources["moment"].data = _xy(NONE)
         self.figure.line("x", "y", source=self.sources["moment"], color=PURPLE, line_width=3)
 
     def _arrows(self, name: str, head: NormalHead | VeeHead, width: float) -> None:
@@ -117,9 +115,9 @@ class BodyPlot:
 
     def show(self, picture: Picture) -> None:
         """Draw an equilibrium."""
-        along = picture.along
-        body = _body(picture.sections, along.position, along.heading)
-        tendons = self._tendons(body, picture.sections)
+        along, manipulator = picture.along, picture.case.manipulator
+        body = bent_body(manipulator, along)
+        tendons = _tendons(manipulator, body, along.arc_length)
         self._show_body(body, tendons)
         greatest, length = greatest_force(picture), 1e3 * float(along.arc_length[-1])
         for name, force in (("normal", along.normal_force), ("friction", along.friction_force)):
@@ -127,15 +125,10 @@ class BodyPlot:
             self.sources[name].data = _arrow_data(*arrows)
         self.figure.title.text = f"longest arrow {greatest:.4g} N/m"
         loads = Loads() if picture.case.loads is None else picture.case.loads
-        self.sources["force"].data = _arrow_data(*_tip_force(loads, body.midline[-1], length))
-        arc = _tip_moment(loads, body, length)
-        self.sources["moment"].data = _xy(arc)
-        self.sources["turn"].data = _arrow_data(arc[-2:-1], arc[-1:])
-
-    def _tendons(self, body: Body, sections: Sections) -> list[np.ndarray]:
-        """The line of each tendon up to its anchor."""
-        lines = zip(self.sides, np.asarray(sections.offset), self.reach, strict=True)
-        return [body.at_distance(side * 1e3 * offset)[there] for side, offset, there in lines]
+        force, turn = tip_force_line(body, loads, length), tip_moment_line(body, loads, length)
+        self.sources["force"].data = _arrow_data(force[:1], force[-1:])
+        self.sources["moment"].data = _xy(turn)
+        self.sources["turn"].data = _arrow_data(turn[-2:-1], turn[-1:])
 
     def _show_body(self, body: Body, tendons: list[np.ndarray]) -> None:
         looks = [tendon_look(i) for i in range(len(tendons))]
@@ -143,7 +136,7 @@ class BodyPlot:
             "color": [look["line_color"] for look in looks],
             "dash": [look["line_dash"] for look in looks],
         }
-        self.sources["walls"].data = _lines(_walls(body))
+        self.sources["walls"].data = _lines(body.walls)
         self.sources["midline"].data = _xy(body.midline)
         self.sources["tendons"].data = _lines(tendons) | style
         self.sources["ends"].data = _xy(np.stack([line[-1] for line in tendons]))
@@ -174,25 +167,15 @@ def _frame(manipulator: Manipulator) -> Columns:
     return _xy(length * np.array([[-0.06, low], [1.1, high]]))
 
 
-def _clamp(manipulator: Manipulator) -> Columns:
-    length, radius = 1e3 * float(manipulator.length), 1e3 * float(drawn_radii(manipulator, jnp.zeros(()))[0])
-    half = radius + 0.06 * length
+def _clamp(straight: Body) -> Columns:
+    length = straight.midline[-1, 0]
+    half = straight.outer_radius[0] + 0.06 * length
     return {"left": [-0.05 * length], "right": [0.0], "bottom": [-half], "top": [half]}
 
 
-def _walls(body: Body) -> list[np.ndarray]:
-    """Two where there is a bore, one where there is none."""
-    if not np.any(body.inner_radius):
-        return [body.outline]
-    outside = [body.at_distance(side * body.outer_radius) for side in (+1, -1)]
-    inside = [body.at_distance(side * body.inner_radius)[::-1] for side in (+1, -1)]
-    return [np.concatenate(pair) for pair in zip(outside, inside, strict=True)]
-
-
-def _body(sections: Sections, position: ArrayLike, heading: ArrayLike) -> Body:
-    """In mm."""
-    radii = (1e3 * np.asarray(radius) for radius in (sections.outer_radius, sections.inner_radius))
-    return Body(1e3 * np.asarray(position), np.asarray(heading), *radii)
+def _tendons(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> list[np.ndarray]:
+    """The line of each tendon up to its anchor."""
+    return [line[np.isfinite(line[:, 0])] for line in tendon_paths(manipulator, body, arc_length)]
 
 
 def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -202,55 +185,30 @@ def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) ->
     return starts, starts + scale * np.concatenate([force[i] for force, i in zip(np.asarray(forces), at, strict=True)])
 
 
-def _tip_force(loads: Loads, tip: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """An arrow of one length, whatever the force."""
-    force = np.asarray(loads.tip_force)
-    return (tip[None], tip[None] + 0.2 * length * force / np.linalg.norm(force)) if np.any(force) else (NONE, NONE)
-
-
-def _tip_moment(loads: Loads, body: Body, length: float) -> np.ndarray:
-    """An arc ahead of the tip, whatever the moment; no points where there is none."""
-    moment = float(loads.tip_moment)
-    ring = max(1.4 * body.outer_radius[-1], 0.06 * length)
-    angles = body.heading[-1] + np.sign(moment) * np.linspace(-1.6, 1.6, 31)
-    return body.midline[-1] + ring * np.stack([np.cos(angles), np.sin(angles)], axis=-1) if moment else NONE
-
-
 class AlongPlots:
     """Tension, curvature and the forces per length over the arc length."""
 
     def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
-        labels = {
-            "tension": "Tension T (N)",
-            "curvature": "Curvature κ (1/m)",
-            "normal": "Normal force (N/m)",
-            "friction": "Friction force (N/m)",
-        }
-        self.ends = [np.inf if tendon.end is None else float(tendon.end) for tendon in manipulator.tendons]
-        columns = [f"{name}_{i}" for name in labels for i in range(manipulator.num_tendons)]
+        columns = [f"{name}_{i}" for name in ALONG for i in range(manipulator.num_tendons)]
         at_rest: Columns = {"s": 1e3 * arc_length} | dict.fromkeys(columns, 0 * arc_length)
         self.figures, self.source = {}, ColumnDataSource(at_rest)
-        for name, label in labels.items():
-            fig = self.figures[name] = _figure(
-                "Arc length s (mm)", label, height=210, name=name, x_range=(0, 1e3 * arc_length[-1])
-            )
+        for name in ALONG:
+            label = f"{QUANTITIES[name].label} ({QUANTITIES[name].shown[1]})"
+            ends = {"x_range": (0, 1e3 * arc_length[-1])}
+            fig = self.figures[name] = _figure("Arc length (mm)", label, height=210, name=name, **ends)
             fig.xaxis.ticker.desired_num_ticks = 4
             if name != "curvature":
                 fig.y_range.start = 0
-            count = 1 if name == "curvature" else manipulator.num_tendons
-            for i in range(count):
+            for i in range(1 if name == "curvature" else manipulator.num_tendons):
                 look = {"line_color": BLACK} if name == "curvature" else tendon_look(i)
                 fig.line("s", f"{name}_{i}", source=self.source, line_width=2, **look)
             fig.add_tools(HoverTool(mode="vline", tooltips=[("s", "@s{0.0} mm"), (label, "$y{0.000}")]))
 
     def show(self, picture: Picture) -> None:
-        along = picture.along
-        data: Columns = {"s": 1e3 * along.arc_length, "curvature_0": along.curvature}
-        for i, end in enumerate(self.ends):
-            there = along.arc_length <= end
-            data[f"tension_{i}"] = np.where(there, along.tension[i], np.nan)
-            data[f"normal_{i}"] = np.where(there, np.linalg.norm(along.normal_force[i], axis=-1), np.nan)
-            data[f"friction_{i}"] = np.where(there, np.linalg.norm(along.friction_force[i], axis=-1), np.nan)
+        data: Columns = {"s": 1e3 * picture.along.arc_length}
+        for name in ALONG:
+            lines = lines_along(picture.case.manipulator, picture.along, name)
+            data |= {f"{name}_{i}": line for i, line in enumerate(lines)}
         self.source.data = data
 
 

@@ -17,6 +17,7 @@ from ..estimation.determination import IDENTIFIED
 from ..figures.body import equilibrium_figure
 from ..figures.style import render
 from ..identification.fit import Fit
+from ..quantities import QUANTITIES
 from ..reports.export import fields_csv
 from ..reports.fit_report import fit_in_words
 from ..reports.fit_results import make_report
@@ -326,11 +327,9 @@ class ExplorerView:
 
     def _take_over(self) -> None:
         """Set the sliders, to as many digits as the intervals tell."""
-        exponent = {control.name: control.exponent for control in self.exploration.controls}
         found = {}
-        for name, (value, (low, high)) in self._identified().items():
-            number, *interval = (from_si(x, exponent[name]) for x in (value, low, high))
-            found[name] = rounded(number, *interval)
+        for name, (value, interval) in self._identified().items():
+            found[name] = rounded(*(from_si(x, QUANTITIES[name]) for x in (value, *interval)))
         self.move_to(self.settings._replace(numbers={**self.settings.numbers, **found}))
 
     # --- files -----------------------------------------------------------------------------------
@@ -339,7 +338,7 @@ class ExplorerView:
     def notes(self) -> list[str]:
         """Where the sliders stand, for the head of a file."""
         controls = self.exploration.controls
-        numbers = [f"{c.label} = {self.settings.numbers[c.name]:.10g} {c.unit}".strip() for c in controls]
+        numbers = [f"{c.label} = {self.settings.numbers[c.name]:.10g} {c.quantity.shown[1]}".strip() for c in controls]
         return ["cddf explore", *numbers, f"kinematics {self.settings.kinematics}"]
 
 
@@ -350,9 +349,8 @@ def _held(function: Callable[..., None], *arguments: object) -> None:
 
 
 def _slider(control: Control) -> pn.widgets.EditableFloatSlider:
-    unit = f" ({control.unit})" if control.unit else ""
     slider = pn.widgets.EditableFloatSlider(
-        name=f"{control.label}{unit}",
+        name=f"{control.label} ({control.quantity.shown[1]})".removesuffix(" ()"),
         value=control.value,
         start=control.low,
         end=control.high,

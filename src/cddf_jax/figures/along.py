@@ -42,6 +42,12 @@ ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
 }
 
 
+def lines_along(manipulator: Manipulator, along: Fields, quantity: str) -> np.ndarray:
+    """A quantity in the unit of its label, (lines, points): one line, or one for each tendon up to its anchor."""
+    values = np.asarray(ALONG[quantity](manipulator, along))
+    return values[None] if values.ndim == 1 else np.where(reached(manipulator, along.arc_length), values, np.nan)
+
+
 def draw_along(
     manipulator: Manipulator, equilibrium: Equilibrium, quantity: str, axes: Axes | None = None, **style: draw.LookValue
 ) -> Axes:
@@ -64,23 +70,18 @@ def draw_along(
     """
     if quantity not in ALONG:
         raise InputError(f"draw_along: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
-    values_of = ALONG[quantity]
     s = stations(manipulator)
-    values = np.asarray(values_of(manipulator, fields_along(equilibrium, s)))
+    lines = lines_along(manipulator, fields_along(equilibrium, s), quantity)
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        if values.ndim == 1:
-            look: draw.Look = {"color": draw.BLACK} | style
-            axes.plot(1e3 * s, values, **look)
-        else:
-            _draw_tendons(axes, 1e3 * s, np.where(reached(manipulator, s), values, np.nan), style)
+        _draw_lines(axes, 1e3 * s, lines, style)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
-        axes.set_xlim(0.0, 1e3 * s[-1] * (1.06 if values.ndim > 1 and len(values) > 1 else 1.0))
+        axes.set_xlim(0.0, 1e3 * s[-1] * (1.06 if len(lines) > 1 else 1.0))
         draw.include_zero(axes)
     return axes
 
 
-def _draw_tendons(axes: Axes, s: np.ndarray, values: np.ndarray, style: draw.Look) -> None:
-    """One line per tendon with dashes of its own, then markers of its own, and its number at the end."""
+def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, style: draw.Look) -> None:
+    """Lines with dashes of their own, then markers of their own; of several tendons with its number at the end."""
     count, dashes = len(values), cycle([look["linestyle"] for look in draw.CURVES])
     for i, (line, dash) in enumerate(zip(values, dashes, strict=False)):
         marker = MARKERS[i // len(draw.CURVES) % len(MARKERS)]

@@ -62,10 +62,10 @@ def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
     return fields
 
 
-def reached(manipulator: Manipulator, arc_length: np.ndarray) -> np.ndarray:
+def reached(manipulator: Manipulator, arc_length: ArrayLike) -> np.ndarray:
     """Which arc lengths each tendon reaches, (tendons, points)."""
     ends = [np.inf if tendon.end is None else float(tendon.end) for tendon in manipulator.tendons]
-    return arc_length <= np.asarray(ends)[:, None]
+    return np.asarray(arc_length) <= np.asarray(ends)[:, None]
 
 
 def bent_body(manipulator: Manipulator, fields: Fields) -> Body:
@@ -79,7 +79,7 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
     return _body(manipulator, arc_length, midline, 0.0 * arc_length)
 
 
-def tendon_paths(manipulator: Manipulator, body: Body, arc_length: np.ndarray) -> np.ndarray:
+def tendon_paths(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> np.ndarray:
     """The line of each tendon in the plane of a drawn body, mm, (tendons, points, 2); NaN beyond its anchor."""
     side = np.asarray([tendon.side for tendon in manipulator.tendons])[:, None]
     distance = side * 1e3 * np.asarray(manipulator.offset(arc_length))
