@@ -28,6 +28,7 @@ LONGEST_ARROW = 0.2  # of the length of the body
 DASHES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
 NORMAL, FRICTION = GREEN, VERMILION
 ALONG = ("tension", "curvature", "normal_force", "friction_force")  # drawn over the arc length
+ARROW = ("x_start", "y_start", "x_end", "y_end")  # columns of arrows, as Bokeh calls them
 NONE = np.zeros((0, 2))  # points
 NO_POINTS: Columns = {"base": [], "value": [], "color": []}
 
@@ -76,13 +77,15 @@ class BodyPlot:
         _look_of_legend(self.figure)
 
     def _draw_surroundings(self, manipulator: Manipulator, straight: Body) -> None:
-        fig, clamp = self.figure, ColumnDataSource(_clamp(straight))
-        fig.scatter("x", "y", source=ColumnDataSource(_frame(manipulator)), size=0, alpha=0)
+        """The rest shape, the clamp, and room for the bend."""
+        fig, length, sides = self.figure, straight.midline[-1, 0], {tendon.side for tendon in manipulator.tendons}
+        low, high = (-0.6 if -1 in sides else -0.2), (0.75 if 1 in sides else 0.2)
+        fig.scatter([-0.06 * length, 1.1 * length], [low * length, high * length], size=0, alpha=0)
+        half = straight.outer_radius[0] + 0.06 * length
         bare = {"fill_alpha": 0, "line_alpha": 0, "hatch_pattern": "/", "hatch_color": GREY}
-        fig.quad("left", "right", "bottom", "top", source=clamp, **bare)
-        fig.segment("right", "bottom", "right", "top", source=clamp, color=BLACK, line_width=1.5)
-        rest = ColumnDataSource(_xy(straight.outline))
-        fig.line("x", "y", source=rest, color=GREY, line_dash="dotted", legend_label="at rest")
+        fig.quad(left=[-0.05 * length], right=[0.0], bottom=[-half], top=[half], **bare)
+        fig.line([0.0, 0.0], [-half, half], color=BLACK, line_width=1.5)
+        fig.line(*straight.outline.T, color=GREY, line_dash="dotted", legend_label="at rest")
 
     def _draw_body(self) -> None:
         fig, source = self.figure, self.sources
@@ -103,15 +106,7 @@ class BodyPlot:
 
     def _arrows(self, name: str, head: NormalHead | VeeHead, width: float) -> None:
         source = self.sources[name] = ColumnDataSource(_arrow_data(NONE, NONE))
-        look: Look = {
-            "x_start": "x0",
-            "y_start": "y0",
-            "x_end": "x1",
-            "y_end": "y1",
-            "line_width": width,
-            "line_color": head.line_color,
-        }
-        self.figure.add_layout(Arrow(end=head, source=source, **look))
+        self.figure.add_layout(Arrow(end=head, source=source, line_width=width, line_color=head.line_color))
 
     def show(self, picture: Picture) -> None:
         """Draw an equilibrium."""
@@ -119,7 +114,8 @@ class BodyPlot:
         body = bent_body(manipulator, along)
         tendons = _tendons(manipulator, body, along.arc_length)
         self._show_body(body, tendons)
-        greatest, length = greatest_force(picture), 1e3 * float(along.arc_length[-1])
+        forces, length = np.concatenate([along.normal_force, along.friction_force]), 1e3 * float(along.arc_length[-1])
+        greatest = float(np.max(np.linalg.norm(forces, axis=-1)))  # N/m
         for name, force in (("normal", along.normal_force), ("friction", along.friction_force)):
             arrows = _force_arrows(tendons, force, LONGEST_ARROW * length / max(greatest, 1e-12))
             self.sources[name].data = _arrow_data(*arrows)
@@ -142,12 +138,6 @@ class BodyPlot:
         self.sources["ends"].data = _xy(np.stack([line[-1] for line in tendons]))
 
 
-def greatest_force(picture: Picture) -> float:
-    """The largest force per length of any tendon, N/m."""
-    forces = np.concatenate([picture.along.normal_force, picture.along.friction_force])
-    return float(np.max(np.linalg.norm(forces, axis=-1)))
-
-
 def _xy(points: np.ndarray) -> Columns:
     return {"x": points[:, 0], "y": points[:, 1]}
 
@@ -157,20 +147,7 @@ def _lines(lines: Sequence[np.ndarray]) -> Columns:
 
 
 def _arrow_data(starts: np.ndarray, ends: np.ndarray) -> Columns:
-    return {"x0": starts[:, 0], "y0": starts[:, 1], "x1": ends[:, 0], "y1": ends[:, 1]}
-
-
-def _frame(manipulator: Manipulator) -> Columns:
-    """What is always in view: the rest shape, and room for the bend."""
-    length, sides = 1e3 * float(manipulator.length), {tendon.side for tendon in manipulator.tendons}
-    low, high = (-0.6 if -1 in sides else -0.2), (0.75 if 1 in sides else 0.2)
-    return _xy(length * np.array([[-0.06, low], [1.1, high]]))
-
-
-def _clamp(straight: Body) -> Columns:
-    length = straight.midline[-1, 0]
-    half = straight.outer_radius[0] + 0.06 * length
-    return {"left": [-0.05 * length], "right": [0.0], "bottom": [-half], "top": [half]}
+    return dict(zip(ARROW, (*starts.T, *ends.T), strict=True))
 
 
 def _tendons(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> list[np.ndarray]:
