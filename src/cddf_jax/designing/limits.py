@@ -29,7 +29,7 @@ def _optional(value: object) -> Array | np.ndarray | None:
     try:
         return None if value is None else as_number(value)
     except (TypeError, ValueError):
-        raise InputError(f"a limit must be a number, got {value!r}", where="design") from None
+        raise InputError(f"a limit must be a number, got {value!r}") from None
 
 
 class Limit(eqx.Module):
@@ -53,26 +53,20 @@ class Limit(eqx.Module):
         name = name_of(self.quantity)
         quantity_named(self.quantity)
         if (self.equal is None) == (self.least is None and self.most is None):
-            raise InputError(f"a limit of {name} needs least, most or both, or else equal", where="design")
+            raise InputError(f"a limit of {name} needs least, most or both, or else equal")
         if self.equal is not None and quantity_named(self.quantity).along:
-            raise InputError(
-                f"{name} varies along the body and cannot equal one value; take Near or Even of it", where="design"
-            )
+            raise InputError(f"{name} varies along the body and cannot equal one value; take Near or Even of it")
         for side in ("least", "most", "equal", "scale"):
             number = getattr(self, side)
             if isinstance(number, np.ndarray) and (
                 not np.all(np.isfinite(number)) or (number.ndim and side != "equal")
             ):
-                raise InputError(
-                    f"a limit of {name} must be a finite number, got {side}={number.tolist()}", where="design"
-                )
+                raise InputError(f"a limit of {name} must be a finite number, got {side}={number.tolist()}")
         if isinstance(self.scale, np.ndarray) and not self.scale > 0:
-            raise InputError(f"the scale of a limit of {name} must be above 0, got {self.scale:g}", where="design")
+            raise InputError(f"the scale of a limit of {name} must be above 0, got {self.scale:g}")
         low, high = self.least, self.most
         if isinstance(low, np.ndarray) and isinstance(high, np.ndarray) and low > high:
-            raise InputError(
-                f"{name} cannot be at least {self.least:g} and at most {self.most:g}; exchange them", where="design"
-            )
+            raise InputError(f"{name} cannot be at least {self.least:g} and at most {self.most:g}; exchange them")
 
     @property
     def bent(self) -> bool:

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TypedDict
+from typing import TypedDict, TypeVar
 
+import equinox as eqx
 import numpy as np
 
 from ..errors import InputError, within
@@ -28,6 +29,7 @@ from .pareto import ParetoFront, pareto_front
 from .results import Design
 
 Table = Mapping[str, object]
+Item = TypeVar("Item")
 
 
 TEMPLATE = """\
@@ -105,12 +107,6 @@ def template() -> str:
     return f"{TEMPLATE}\n{textwrap.fill(names, 110, initial_indent='# ', subsequent_indent='# ')}\n"
 
 
-def _check(name: str, where: str, table: Table) -> None:
-    """Refuse unknown keys, and demand those that are required."""
-    keys = KEYS[name]
-    check_keys(f"{where}: ", table, [key for key in keys if keys[key]], [key for key in keys if not keys[key]])
-
-
 class SharedArguments(TypedDict):
     """The arguments that `design` and `pareto_front` share, behind manipulator and objectives."""
 
@@ -159,8 +155,10 @@ def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
     body, columns, outside = read_robot_file(path.parent / _text(table, "robot"))
     if "kinematics" in table:
         body = replace(body, kinematics=table["kinematics"])
-    cases = tuple(_case(where, each, body) for where, each in _list(table, "case"))
-    body, bounds, choices = _free(body, cases[0], _entries(table, "free"))
+    read = _each(table, "case", lambda case: _case(case, body))
+    cases = tuple(replace(case, name=case.name or f"case {i}") for i, case in enumerate(read, 1))
+    free = _entries(table, "free")
+    body, bounds, choices = _free(body, cases[0], free)
     read_as: tuple[str, ...] = (in_one_line(columns),) if columns else ()
     if "uncertain" in table:
         cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent)
@@ -170,11 +168,11 @@ def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
     return DesignTask(
         path=path,
         manipulator=body,
-        objective=[_objective(where, each) for where, each in _list(table, "objective")],
+        objective=_each(table, "objective", _objective),
         shared=SharedArguments(
-            free=tuple(name for name in _entries(table, "free") if name not in choices),
+            free=tuple(name for name in free if name not in choices),
             bounds=bounds,
-            constraints=[_limit(where, each) for where, each in _list(table, "limit")] if "limit" in table else [],
+            constraints=_each(table, "limit", _limit) if "limit" in table else [],
             cases=cases,
             options=DesignOptions(**given),  # type: ignore[arg-type]
         ),
@@ -192,82 +190,63 @@ def _free(
     """The body with its free profiles in the form that is wanted, bounds and choices."""
     bounds, choices = {}, {}
     for name, entry in table.items():
-        where = f"free {name}"
-        if not isinstance(entry, dict):
-            raise InputError(f'{where}: write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
-        _check("free", where, entry)
-        numbers_under(used.of(body), name)
-        dimension = DIMENSION_OF[unit_of_name(name)]
-        if "knots" in entry or "taper" in entry:
-            body = _formed(body, name, entry, where)
-        if "bounds" in entry:
-            bounds[name] = _pair(where, entry["bounds"], dimension)
-        if "choices" in entry:
-            given = entry["choices"]
-            if not isinstance(given, list) or not given or len(entry) > 1:
-                raise InputError(f"{where}: choices must be a list of one value or more, and nothing beside it")
-            choices[name] = [quantity(value, dimension, where) for value in given]
+        with within(f"free {name}"):
+            if not isinstance(entry, dict):
+                raise InputError(f'write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
+            _check("free", entry)
+            numbers_under(used.of(body), name)
+            dimension = DIMENSION_OF[unit_of_name(name)]
+            if "knots" in entry or "taper" in entry:
+                body = _formed(body, name, entry)
+            if "bounds" in entry:
+                bounds[name] = _pair(entry["bounds"], dimension)
+            if "choices" in entry:
+                given = entry["choices"]
+                if not isinstance(given, list) or not given or len(entry) > 1:
+                    raise InputError("choices must be a list of one value or more, and nothing beside it")
+                choices[name] = [quantity(value, dimension, "choices") for value in given]
     return body, bounds, choices
 
 
-def _formed(body: Manipulator, name: str, entry: Table, where: str) -> Manipulator:
+def _formed(body: Manipulator, name: str, entry: Table) -> Manipulator:
     """The body with a profile as a spline through some points, or as a straight taper."""
-    form = _form(entry, float(body.length), where)
-    if name in ("outer_radius", "inner_radius"):
-        return replace(body, **{name: form(getattr(body, name))})
-    which = name.removeprefix("tendons.").removesuffix(".offset")
-    if name != f"tendons.{which}.offset" or which not in ("*", *map(str, range(body.num_tendons))):
-        raise InputError(f"{where}: only outer_radius, inner_radius and tendons.0.offset have a form")
-    tendons = [
-        replace(tendon, offset=form(tendon.offset)) if which in ("*", str(i)) else tendon
-        for i, tendon in enumerate(body.tendons)
-    ]
-    return replace(body, tendons=tuple(tendons))
+    form = _form(entry, float(body.length))
+    names = [name.replace("*", str(i)) for i in range(body.num_tendons if "*" in name else 1)]
+    if not all(own.endswith(("radius", "offset")) and own in body.profiles for own in names):
+        raise InputError("only outer_radius, inner_radius and tendons.0.offset have a form")
+    return eqx.tree_at(lambda body: [body.profiles[own] for own in names], body, replace_fn=form)
 
 
-def _form(entry: Table, length: float, where: str) -> Callable[[Profile], Profile]:
+def _form(entry: Table, length: float) -> Callable[[Profile], Profile]:
     """What makes a profile a spline through some points, or a straight taper."""
     if ("knots" in entry) == ("taper" in entry) or entry.get("taper", True) is not True:
-        raise InputError(f"{where}: write knots = 9 for a spline or taper = true for a straight taper")
+        raise InputError("write knots = 9 for a spline or taper = true for a straight taper")
     if "taper" in entry:
-        return lambda profile: _straight(profile, length)
-    knots = _whole(f"{where}: knots", entry["knots"])
+        return lambda profile: Linear(np.asarray(profile(0.0)), np.asarray(profile(length)), length)
+    knots = _whole(entry, "knots", 0)
     if knots < 4:
-        raise InputError(f"{where}: knots must be 4 or more, got {knots}; or write taper = true")
+        raise InputError(f"knots must be 4 or more, got {knots}; or write taper = true")
     return lambda profile: Spline.through(profile, np.linspace(0.0, length, knots))
-
-
-def _straight(profile: Profile, length: float) -> Linear:
-    base, tip = np.asarray(profile(np.array([0.0, length])))
-    return Linear(base, tip, length)
 
 
 # --- cases, objectives, limits -------------------------------------------------------------------
 
 
-def _case(where: str, table: Table, body: Manipulator) -> LoadCase:
-    _check("case", where, table)
+def _case(table: Table, body: Manipulator) -> LoadCase:
     texts = table["base_tension"] if isinstance(table["base_tension"], list) else [table["base_tension"]]
-    loads = {key: table.get(key) for key in ("tip_force", "tip_moment", "gravity")}
-    for key, value in loads.items():
-        if value is not None and not isinstance(value, str):
-            raise InputError(f'{where}: {key} must be text such as "0 N, -5 N", got {value!r}')
     direction = table.get("direction")
-    directions = direction if isinstance(direction, list | None) else [direction]
-    with within(where):
-        return LoadCase(
-            read_actuation([str(text) for text in texts], body, called=str),
-            read_loads(**loads, has_weight=body.has_mass, called=str),  # type: ignore[arg-type]
-            read_directions(directions, body, called=str),
-            _case_numbers(table.get("numbers", {}), body),
-            quantity(table.get("weight", 1.0), "dimensionless", "weight"),
-            str(table.get("name", where)),
-        )
+    loads = {key: _text(table, key) if key in table else None for key in ("tip_force", "tip_moment", "gravity")}
+    return LoadCase(
+        read_actuation([str(text) for text in texts], body, called=str),
+        read_loads(**loads, has_weight=body.has_mass, called=str),
+        read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
+        _case_numbers(_entries(table, "numbers"), body) if "numbers" in table else {},
+        quantity(table.get("weight", 1.0), "dimensionless", "weight"),
+        str(table.get("name", "")),
+    )
 
 
-def _case_numbers(table: object, body: Manipulator) -> dict[str, float]:
-    if not isinstance(table, dict):
-        raise InputError('numbers must be a table, as in numbers = { youngs_modulus = "1.5 MPa" }')
+def _case_numbers(table: Table, body: Manipulator) -> dict[str, float]:
     for name in table:
         case_numbers(body).number(name)
     return {name: quantity(value, DIMENSION_OF[unit_of_name(name)], name) for name, value in table.items()}
@@ -280,77 +259,69 @@ def _uncertain(
     from ..identification.fit import fit
     from ..measurements.trials import read_tables
 
-    _check("uncertain", "uncertain", table)
+    with within("uncertain"):
+        _check("uncertain", table)
+        num, seed = _whole(table, "num", 16), _whole(table, "seed", 0)
+        columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
     files = table["data"] if isinstance(table["data"], list) else [table["data"]]
-    columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
     tables = read_tables([folder / str(file) for file in files], columns)
     found = fit(body, tables)
-    num, seed = (_whole(f"uncertain: {key}", table.get(key, default)) for key, default in (("num", 16), ("seed", 0)))
     every = tuple(each for case in cases for each in uncertain_cases(case, found, num, seed))
     return every, tuple(line for table in tables for line in table.read_as)
 
 
-def _objective(where: str, table: Table) -> tuple[float, Objective]:
-    _check("objective", where, table)
+def _objective(table: Table) -> tuple[float, Objective]:
     kinds = [kind for kind in _AIMS if kind in table]
     if len(kinds) != 1:
-        raise InputError(f'{where}: write one of {", ".join(_AIMS)}, as in least = "base_tension"')
+        raise InputError(f'write one of {", ".join(_AIMS)}, as in least = "base_tension"')
     kind = kinds[0]
-    name, dimension = _quantity(where, table[kind])
-    weight = quantity(table.get("weight", 1.0), "dimensionless", f"{where}: weight")
+    name, dimension = _quantity(table[kind])
+    weight = quantity(table.get("weight", 1.0), "dimensionless", "weight")
     if kind != "near":
         if "value" in table or "at" in table:
-            raise InputError(f"{where}: value and at belong to near; take them out")
+            raise InputError("value and at belong to near; take them out")
         return weight, _AIMS[kind](name)
     if "value" not in table:
-        raise InputError(f'{where}: near needs a value, as in value = ["110 mm", "50 mm"]')
+        raise InputError('near needs a value, as in value = ["110 mm", "50 mm"]')
     at = table.get("at")
     if at is not None and not isinstance(at, list):
-        raise InputError(f'{where}: at must be a list of arc lengths, as in at = ["70 mm"], got {at!r}')
-    places = None if at is None else _nested(at, "length", f"{where}: at")
-    return weight, Near(name, _nested(table["value"], dimension, f"{where}: value"), places)
+        raise InputError(f'at must be a list of arc lengths, as in at = ["70 mm"], got {at!r}')
+    places = None if at is None else _nested(at, "length", "at")
+    return weight, Near(name, _nested(table["value"], dimension, "value"), places)
 
 
-def _limit(where: str, table: Table) -> Limit:
-    _check("limit", where, table)
-    name, dimension = _quantity(where, table["quantity"])
-    sides = {
-        side: _nested(table[side], dimension, f"{where}: {side}")
-        for side in ("least", "most", "equal")
-        if side in table
-    }
-    try:
-        return Limit(name, **sides)
-    except InputError as error:
-        raise error.at(where) from None
+def _limit(table: Table) -> Limit:
+    name, dimension = _quantity(table["quantity"])
+    sides = [side for side in ("least", "most", "equal") if side in table]
+    return Limit(name, **{side: _nested(table[side], dimension, side) for side in sides})
 
 
-def _quantity(where: str, name: object) -> tuple[str, Dimension]:
+def _quantity(name: object) -> tuple[str, Dimension]:
     """The name of a quantity, checked, and its dimension."""
     if isinstance(name, str) and name in BODY_QUANTITIES:
         return name, BODY_QUANTITIES[name].dimension
     close = get_close_matches(str(name), BODY_QUANTITIES, 1)
     remedy = f"did you mean {close[0]}?" if close else f"there are {', '.join(BODY_QUANTITIES)}"
-    raise InputError(f"{where}: {name!r} is no quantity of a body; {remedy}")
+    raise InputError(f"{name!r} is no quantity of a body; {remedy}")
 
 
 # --- small things --------------------------------------------------------------------------------
 
 
-def _nested(value: object, dimension: Dimension, where: str) -> float | np.ndarray:
+def _nested(value: object, dimension: Dimension, what: str) -> float | np.ndarray:
     """A quantity, or lists of them."""
     if not isinstance(value, list):
-        return quantity(value, dimension, where)
-    items = [_nested(item, dimension, where) for item in value]
+        return quantity(value, dimension, what)
+    items = [_nested(item, dimension, what) for item in value]
     if len({np.shape(item) for item in items}) > 1:
-        raise InputError(f"{where}: its rows are of different length, got {value!r}")
+        raise InputError(f"{what}: its rows are of different length, got {value!r}")
     return np.array(items)
 
 
-def _pair(where: str, value: object, dimension: Dimension) -> tuple[float, float]:
+def _pair(value: object, dimension: Dimension) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
-        raise InputError(f'{where}: bounds must be two values, as in bounds = ["8 mm", "25 mm"], got {value!r}')
-    low, high = (quantity(item, dimension, f"{where}: bounds") for item in value)
+        raise InputError(f'bounds must be two values, as in bounds = ["8 mm", "25 mm"], got {value!r}')
+    low, high = (quantity(item, dimension, "bounds") for item in value)
     return low, high
 
 
@@ -361,22 +332,34 @@ def _text(table: Table, key: str) -> str:
     return value
 
 
-def _whole(where: str, value: object) -> int:
+def _whole(table: Table, key: str, default: int) -> int:
+    value = table.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise InputError(f"{where} must be a whole number, got {value!r}")
+        raise InputError(f"{key} must be a whole number, got {value!r}")
     return value
 
 
 def _entries(table: Table, key: str) -> Table:
     value = table[key]
     if not isinstance(value, dict) or not value:
-        raise InputError(f"[{key}] must be a table of one entry or more; see cddf design --template")
+        raise InputError(f"{key} must be a table of one entry or more; see cddf design --template")
     return value
 
 
-def _list(table: Table, key: str) -> list[tuple[str, Table]]:
-    """The tables of a kind, each with its place: "case 1"."""
+def _each(table: Table, key: str, read: Callable[[Table], Item]) -> list[Item]:
+    """What is read from each table of a kind; errors name its place: "case 1"."""
     value = table[key]
     if not isinstance(value, list) or not value or not all(isinstance(each, dict) for each in value):
         raise InputError(f"{key} must be one table or more; write each below a line [[{key}]]")
-    return [(f"{key} {i}", each) for i, each in enumerate(value, 1)]
+    found = []
+    for i, each in enumerate(value, 1):
+        with within(f"{key} {i}"):
+            _check(key, each)
+            found.append(read(each))
+    return found
+
+
+def _check(name: str, table: Table) -> None:
+    """Refuse unknown keys of a table, and demand those that are required."""
+    keys = KEYS[name]
+    check_keys("", table, [key for key in keys if keys[key]], [key for key in keys if not keys[key]])
