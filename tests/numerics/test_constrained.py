@@ -16,10 +16,10 @@ from cddf_jax.numerics import constrained
 from cddf_jax.numerics.constrained import (
     TOLERANCE,
     Point,
-    RelaxedLimits,
     least_violation,
     minimise_constrained,
     optimality,
+    relaxed,
 )
 
 PRINTED = 1e-6  # the book prints seven to nine digits
@@ -252,18 +252,18 @@ def test_the_least_violation_of_an_equation_beyond_the_bounds():
 
 
 def test_relaxed_limits_have_the_derivatives_of_their_values():
-    """Slopes of `RelaxedLimits` against central differences, limits of both kinds at once."""
+    """Slopes of `relaxed` against central differences, limits of both kinds at once."""
     inner = Written(
         lambda x: x[0] * x[3],
         lambda x: [x[0] * x[1] * x[2] * x[3] - 25.0, jnp.sin(x[0]) * x[1]],
         lambda x: [x @ x - 40.0, x[2] ** 3],
     )
-    relaxed, rng = RelaxedLimits(inner, rigid=1), np.random.default_rng(0)
+    soft, rng = relaxed(inner, rigid=1), np.random.default_rng(0)
     x, along = rng.normal(size=5), rng.normal(size=5)
     h = 1e-5
-    ahead, behind = relaxed(x + h * along), relaxed(x - h * along)
+    ahead, behind = soft(x + h * along), soft(x - h * along)
     # h^2 of truncation, 1e-16 / h of rounding
-    assert relaxed(x).inequality_slopes @ along == pytest.approx(
+    assert soft(x).inequality_slopes @ along == pytest.approx(
         (ahead.inequality - behind.inequality) / (2 * h), rel=1e-7, abs=1e-7
     )
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -100,6 +101,24 @@ def quantity_named(name: QuantityName) -> BodyQuantity:
 def name_of(quantity: QuantityName) -> str:
     """The name of a quantity in tables."""
     return quantity if isinstance(quantity, str) else getattr(quantity, "__name__", type(quantity).__name__)
+
+
+class OfQuantity(eqx.Module):
+    """An objective or a limit."""
+
+    quantity: QuantityName = eqx.field(static=True)
+
+    def __check_init__(self):
+        quantity_named(self.quantity)
+
+    @property
+    def known(self) -> BodyQuantity:
+        return quantity_named(self.quantity)
+
+    @property
+    def name(self) -> str:
+        """That of its quantity in tables."""
+        return name_of(self.quantity)
 
 
 def check_fits(name: str, wanted: ArrayLike, value: Array) -> None:

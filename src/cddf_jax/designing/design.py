@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..robot.manipulator import Manipulator
 from ..robot.validation import check_weight
 from ..statics.equilibrium import RESULTS, Equilibrium, result_of
-from .body_quantities import OF_RADII, name_of
+from .body_quantities import OF_RADII
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
 from .limits import Limit, number_of
 from .load_cases import LoadCase, case_numbers
@@ -200,7 +200,7 @@ def problem_of(
     if not used or not all(isinstance(case, LoadCase) for case in used):
         raise InputError("design: cases must be one LoadCase or more, as in cases=LoadCase(50.0)")
     numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
-    _check_body(manipulator, [name_of(part.quantity) for part in (*constraints, *(aim for _, aim in objectives))])
+    _check_body(manipulator, [part.name for part in (*constraints, *(aim for _, aim in objectives))])
     _check_overlap(numbers, used)
     for case in used:
         check_weight(case.body(manipulator), case.loads)
@@ -239,13 +239,13 @@ def _sized(problem: DesignProblem, limits: Sequence[Limit]) -> DesignProblem:
 
 def _implied(body: Manipulator, limits: Sequence[Limit], *, offsets_outside_wall: bool) -> list[Limit]:
     """The limits that every body must keep, unless the user limits the same quantity."""
-    own = {name_of(limit.quantity) for limit in limits}
+    own = {limit.name for limit in limits}
     always = [Limit("crossing", most=CROSSING)]
     if body.outer_radius is not None:
         thinnest = THINNEST * float(np.max(np.asarray(body.outer_radius(jnp.asarray([0.0, float(body.length)])))))
         always.append(Limit("wall_thickness", least=thinnest))
         always += [] if offsets_outside_wall else [Limit("clearance", least=0.0)]
-    return [limit for limit in always if name_of(limit.quantity) not in own]
+    return [limit for limit in always if limit.name not in own]
 
 
 def _stations(body: Manipulator) -> np.ndarray:

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from ..errors import InputError
 from ..robot.profiles import Scalar, as_number
-from .body_quantities import BodyView, QuantityName, check_fits, name_of, quantity_named
+from .body_quantities import BodyView, OfQuantity, check_fits
 
 
 def number_of(value: object, what: str) -> float:
@@ -32,7 +32,7 @@ def _optional(value: object) -> Array | np.ndarray | None:
         raise InputError(f"a limit must be a number, got {value!r}") from None
 
 
-class Limit(eqx.Module):
+class Limit(OfQuantity):
     """A range for a quantity, everywhere along the body and for every tendon.
 
     Args:
@@ -43,18 +43,16 @@ class Limit(eqx.Module):
             size of the quantity at the start.
     """
 
-    quantity: QuantityName = eqx.field(static=True)
     least: Scalar | None = eqx.field(default=None, converter=_optional)
     most: Scalar | None = eqx.field(default=None, converter=_optional)
     equal: Float[Array | np.ndarray, "..."] | None = eqx.field(default=None, converter=_optional)
     scale: Scalar | None = eqx.field(default=None, converter=_optional)
 
     def __check_init__(self):
-        name = name_of(self.quantity)
-        quantity_named(self.quantity)
+        name, known = self.name, self.known
         if (self.equal is None) == (self.least is None and self.most is None):
             raise InputError(f"a limit of {name} needs least, most or both, or else equal")
-        if self.equal is not None and quantity_named(self.quantity).along:
+        if self.equal is not None and known.along:
             raise InputError(f"{name} varies along the body and cannot equal one value; take Near or Even of it")
         for side in ("least", "most", "equal", "scale"):
             number = getattr(self, side)
@@ -68,17 +66,9 @@ class Limit(eqx.Module):
         if isinstance(low, np.ndarray) and isinstance(high, np.ndarray) and low > high:
             raise InputError(f"{name} cannot be at least {self.least:g} and at most {self.most:g}; exchange them")
 
-    @property
-    def bent(self) -> bool:
-        return quantity_named(self.quantity).bent
-
-    @property
-    def along(self) -> bool:
-        return quantity_named(self.quantity).along
-
     def inequalities(self, view: BodyView) -> Array:
         """Scaled margins, (sides, ...), that may not be negative."""
-        value = quantity_named(self.quantity).of(view)
+        value = self.known.of(view)
         sides = [] if self.least is None else [value - self.least]
         sides += [] if self.most is None else [self.most - value]
         return jnp.stack(sides) / jnp.asarray(self.scale) if sides else jnp.zeros((0, *jnp.shape(value)))
@@ -87,8 +77,8 @@ class Limit(eqx.Module):
         """Scaled differences that must be zero."""
         if self.equal is None:
             return jnp.zeros(0)
-        value = quantity_named(self.quantity).of(view)
-        check_fits(name_of(self.quantity), self.equal, value)
+        value = self.known.of(view)
+        check_fits(self.name, self.equal, value)
         return jnp.ravel((value - self.equal) / jnp.asarray(self.scale))
 
     def size(self, at_start: float) -> float:
@@ -100,7 +90,7 @@ class Limit(eqx.Module):
 
     def __str__(self) -> str:
         """As in "0.002 <= wall_thickness", SI."""
-        name = name_of(self.quantity)
+        name = self.name
         if self.equal is not None:
             return f"{name} = {np.array2string(np.asarray(self.equal), precision=6)}"
         low = "" if self.least is None else f"{float(self.least):.6g} <= "

@@ -1,6 +1,7 @@
 """Objectives of a design."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,25 +11,16 @@ from jaxtyping import Array, Float
 from ..errors import InputError
 from ..robot.profiles import as_number
 from ..units import Dimension
-from .body_quantities import BodyView, QuantityName, check_fits, name_of, quantity_named
+from .body_quantities import BodyQuantity, BodyView, OfQuantity, check_fits
 
 
-class Objective(eqx.Module):
+class Objective(OfQuantity):
     """A number to be made small."""
-
-    quantity: QuantityName = eqx.field(static=True)
-
-    def __check_init__(self):
-        quantity_named(self.quantity)
 
     @property
     def peak(self) -> bool:
         """Whether the largest of the values counts: they vary along the body."""
         return False
-
-    @property
-    def bent(self) -> bool:
-        return quantity_named(self.quantity).bent
 
     @abstractmethod
     def values(self, view: BodyView) -> Array:
@@ -41,30 +33,33 @@ class Objective(eqx.Module):
     @property
     def dimension(self) -> Dimension:
         """Of displayed values."""
-        return quantity_named(self.quantity).dimension
+        return self.known.dimension
 
     def __str__(self) -> str:
-        return f"{type(self).__name__.lower()} {name_of(self.quantity)}"
+        return f"{type(self).__name__.lower()} {self.name}"
 
 
 class _Extreme(Objective):
     """The largest or the smallest of a quantity."""
 
+    sign: ClassVar[float]
+
     @property
     def peak(self) -> bool:
-        return quantity_named(self.quantity).along
+        return self.known.along
 
-    def _found(self, view: BodyView) -> Array:
-        """The quantity along the body, or its sum over the tendons."""
-        known = quantity_named(self.quantity)
-        values = known.of(view)
+    def values(self, view: BodyView) -> Array:
+        """The quantity along the body, or its sum over the tendons, with the sign by which it is made small."""
+        known = self.known
+        values = self.sign * known.of(view)
         if known.along:
             return values
         if jnp.ndim(values) != (1 if known.per_tendon else 0):
-            raise InputError(
-                f"design: {name_of(self.quantity)} has shape {jnp.shape(values)}; a number is wanted for Least or Most"
-            )
+            raise InputError(f"design: {self.name} has shape {jnp.shape(values)}; a number is wanted for Least or Most")
         return jnp.sum(values)
+
+    def displayed(self, value: float) -> float:
+        return self.sign * value
 
 
 class Least(_Extreme):
@@ -74,18 +69,13 @@ class Least(_Extreme):
         quantity: a name of `BODY_QUANTITIES`, or a function of manipulator and equilibrium that gives a number.
     """
 
-    def values(self, view: BodyView) -> Array:
-        return self._found(view)
+    sign = 1.0
 
 
 class Most(_Extreme):
     """The most of a quantity: of a quantity along the body its smallest value, of several tendons their sum."""
 
-    def values(self, view: BodyView) -> Array:
-        return -self._found(view)
-
-    def displayed(self, value: float) -> float:
-        return -value
+    sign = -1.0
 
 
 class Even(Objective):
@@ -95,11 +85,11 @@ class Even(Objective):
     """
 
     def __check_init__(self):
-        if not quantity_named(self.quantity).along:
-            raise InputError(f"design: {name_of(self.quantity)} does not vary along the body; take Least or Most of it")
+        if not self.known.along:
+            raise InputError(f"design: {self.name} does not vary along the body; take Least or Most of it")
 
     def values(self, view: BodyView) -> Array:
-        values, shares = _on_panels(self.quantity, view)
+        values, shares = _on_panels(self.known, view)
         mean = jnp.sum(values * shares, axis=-1, keepdims=True)
         return jnp.mean(jnp.sum((values - mean) ** 2 * shares, axis=-1, keepdims=True) / mean**2)
 
@@ -127,17 +117,17 @@ class Near(Objective):
     )
 
     def __check_init__(self):
-        if self.at is not None and (np.ndim(self.at) != 1 or not quantity_named(self.quantity).along):
+        if self.at is not None and (np.ndim(self.at) != 1 or not self.known.along):
             raise InputError(
                 "design: Near(at=...) takes a list of arc lengths, and a quantity that varies along the body"
             )
 
     def values(self, view: BodyView) -> Array:
-        name, known, value = name_of(self.quantity), quantity_named(self.quantity), jnp.asarray(self.value)
+        name, known, value = self.name, self.known, jnp.asarray(self.value)
         if known.along and self.at is None:
             if value.ndim:
                 raise InputError(f"design: {name} varies along the body; say where by Near(..., at=...)")
-            found, shares = _on_panels(self.quantity, view)
+            found, shares = _on_panels(known, view)
             return jnp.mean(jnp.sum((found - value) ** 2 * shares, axis=-1))
         found = known.of(view if self.at is None else view.moved(jnp.asarray(self.at)))
         if self.at is not None and value.ndim == 2 and value.shape[::-1] == found.shape:
@@ -149,10 +139,10 @@ class Near(Objective):
         return float(np.sqrt(max(value, 0.0)))
 
 
-def _on_panels(quantity: QuantityName, view: BodyView) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:
+def _on_panels(known: BodyQuantity, view: BodyView) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:
     """A quantity at Gauss nodes between the places where it is not smooth, and their shares in a mean."""
     nodes, shares = view.panels.nodes.ravel(), view.panels.shares.ravel()
-    there, known = view.moved(nodes), quantity_named(quantity)
+    there = view.moved(nodes)
     if known.to_anchor:
         shares = jnp.where(there.anchored, shares, 0.0)
         shares /= jnp.sum(shares, axis=-1, keepdims=True)

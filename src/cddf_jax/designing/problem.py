@@ -99,9 +99,9 @@ class DesignProblem(eqx.Module):
     def evaluate(self, z: Vector) -> DesignEvaluation:
         """Objectives, margins and zeros at scaled free numbers."""
         functions = (
-            [(term.objective.bent, term.objective.values) for term in self.terms],
-            [(limit.bent, limit.inequalities) for limit in self.limits],
-            [(limit.bent, limit.equalities) for limit in self.limits],
+            [(term.objective.known.bent, term.objective.values) for term in self.terms],
+            [(limit.known.bent, limit.inequalities) for limit in self.limits],
+            [(limit.known.bent, limit.equalities) for limit in self.limits],
         )
 
         def part(view: BodyView, *, bent: bool) -> tuple[tuple[Array | None, ...], ...]:

@@ -13,7 +13,6 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import unit_of_name
 from ..statics.equilibrium import RESULTS, Equilibrium, result_of
 from ..units import DIMENSION_OF, Dimension, shown
-from .body_quantities import name_of, quantity_named
 from .load_cases import LoadCase
 from .problem import DesignEvaluation, DesignProblem, NonlinearProgram, pieces_of
 from .search import NOT_ZERO, Restart, SearchResult
@@ -247,7 +246,7 @@ def _of_range(
     bound, room = float(getattr(limit, side)), float(margin[at])
     reached = bound + (room if side == "least" else -room) * float(limit.scale)  # type: ignore[arg-type]
     report = _report(problem, i, side, int(at[0]), (bound, reached), room, prices)
-    if not limit.along:
+    if not limit.known.along:
         return report
     along = np.min(margin.reshape(-1, margin.shape[-1]), axis=0)  # the tightest of cases and tendons at every place
     place = float(problem.stations[at[-1]]) * length
@@ -266,7 +265,7 @@ def _report(
     """Of a limit without a place: its value and the one that is reached, the scaled margin, and what it costs."""
     limit, several = problem.limits[i], len(problem.cases) > 1
     return LimitReport(
-        name=name_of(limit.quantity),
+        name=limit.name,
         side=side,
         limit=values[0],
         reached=values[1],
@@ -276,9 +275,9 @@ def _report(
         tightening=prices[1],
         arc_length=np.nan,
         all_along=False,
-        case=(problem.cases[case].name or (f"case {case + 1}" if several else "")) if limit.bent else "",
+        case=(problem.cases[case].name or (f"case {case + 1}" if several else "")) if limit.known.bent else "",
         implied=problem.implied[i],
-        dimension=quantity_named(limit.quantity).dimension,
+        dimension=limit.known.dimension,
     )
 
 

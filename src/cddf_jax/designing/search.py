@@ -15,7 +15,6 @@ from ..numerics.constrained import (
     TOLERANCE,
     LocalMinimum,
     Point,
-    RelaxedLimits,
     least_violation,
     minimise_constrained,
     optimality,
@@ -217,9 +216,10 @@ class DesignSearch:
     def _blocking(self, program: NonlinearProgram, least: LocalMinimum) -> tuple[str, ...]:
         """Limits and bounds whose multipliers are not zero where they are broken least."""
         found, multipliers = program.evaluation(least.point.x[:-1]), least.optimality
-        equalities = sum(zero.size for zero in found.zeros)
-        inequality, above, below = RelaxedLimits.by_kind(multipliers.inequality, equalities)
-        of_ranges, of_equations = pieces_of(inequality, found.margins), pieces_of(above + below, found.zeros)
+        of_ranges = pieces_of(multipliers.inequality, found.margins)
+        count = multipliers.inequality.size - 2 * sum(zero.size for zero in found.zeros)
+        above, below = np.split(multipliers.inequality[count:], 2)
+        of_equations = pieces_of(above + below, found.zeros)
         names = [
             str(limit)
             for limit, *prices in zip(self.problem.limits, of_ranges, of_equations, strict=True)
@@ -282,7 +282,7 @@ def _margins(program: NonlinearProgram, local: LocalMinimum, places: np.ndarray)
     blocks = [places[start : start + count] for start in range(0, len(places), count)]
     padded = [np.pad(block, (0, count - len(block)), mode="edge") for block in blocks]
     found = [program.at_stations(block).evaluation(point.x) for block in padded]
-    parts = [[each.margins[i] for each in found] for i, limit in enumerate(problem.limits) if limit.along]
+    parts = [[each.margins[i] for each in found] for i, limit in enumerate(problem.limits) if limit.known.along]
     for i, term in enumerate(problem.terms):
         if term.objective.peak:
             parts.append([heights[i] - each.aims[i] / float(term.reference) for each in found])

@@ -13,7 +13,6 @@ from jaxtyping import Array
 from ..numerics.constrained import LocalMinimum
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, of_tendon
-from .body_quantities import name_of
 from .load_cases import LoadCase, case_numbers
 from .problem import DesignProblem, ProgramValues
 
@@ -37,7 +36,7 @@ class FixedNumber(NamedTuple):
         if self.owner == "body":
             return self.name
         if self.owner == "limit":
-            return f"limit of {name_of(problem.limits[self.place].quantity)}, {self.name}"
+            return f"limit of {problem.limits[self.place].name}, {self.name}"
         target = "what base_tension is to reach" if self.name.endswith(".value") else self.name
         name = problem.cases[self.place].name or f"case {self.place + 1}"
         return target if len(problem.cases) == 1 else f"{name}: {target}"

@@ -195,7 +195,7 @@ def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
     return Optimality(residual, inequality, at_lower, at_upper, equality, active, slopes[active])
 
 
-class RelaxedLimits:
+def relaxed(function: VectorFunction, rigid: int = 0) -> VectorFunction:
     """The limits of a function alone, with one more unknown behind the others: by how much each may be broken.
 
     Its minimum is the least violation possible, and its multipliers tell which limits contradict each other. Its
@@ -206,28 +206,20 @@ class RelaxedLimits:
         rigid: how many inequalities at the end may not be broken.
     """
 
-    def __init__(self, function: VectorFunction, rigid: int = 0):
-        self.function, self.rigid = function, rigid
-
-    def __call__(self, x: Vector) -> Point:
-        inner, by = self.function(x[:-1]), float(x[-1])
-        soft = inner.inequality.size - self.rigid
-        give = np.concatenate([np.ones(soft), np.zeros(self.rigid), np.ones(2 * inner.equality.size)])
+    def values(x: Vector) -> Point:
+        inner, by = function(x[:-1]), float(x[-1])
+        soft = inner.inequality.size - rigid
+        give = np.concatenate([np.ones(soft), np.zeros(rigid), np.ones(2 * inner.equality.size)])
         margins = np.concatenate([inner.inequality, inner.equality, -inner.equality]) + by * give
         slopes = np.concatenate([inner.inequality_slopes, inner.equality_slopes, -inner.equality_slopes])
         gradient = np.append(np.zeros(x.size - 1), 1.0)
         none = np.zeros((0, x.size))
         return Point(x, by, gradient, margins, np.column_stack([slopes, give]), np.zeros(0), none, inner.usable)
 
-    @staticmethod
-    def by_kind(values: Vector, equalities: int) -> tuple[Vector, Vector, Vector]:
-        """Values by inequality of the relaxed problem: of inequalities, of equalities from above, and from below."""
-        inequality, above, below = np.split(values, [values.size - 2 * equalities, values.size - equalities])
-        return inequality, above, below
+    return values
 
 
 def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector, rigid: int) -> LocalMinimum:
-    """The point that breaks the limits least, of `RelaxedLimits`; its objective is the largest violation."""
-    relaxed = RelaxedLimits(function, rigid)
+    """The point that breaks the limits least, of `relaxed`; its objective is the largest violation."""
     first = np.append(start, function(start).violation)
-    return minimise_constrained(relaxed, first, np.append(lower, 0.0), np.append(upper, np.inf))
+    return minimise_constrained(relaxed(function, rigid), first, np.append(lower, 0.0), np.append(upper, np.inf))
