@@ -106,7 +106,8 @@ class BodyPlot:
 
     def _arrows(self, name: str, head: NormalHead | VeeHead, width: float) -> None:
         source = self.sources[name] = ColumnDataSource(_arrow_data(NONE, NONE))
-        self.figure.add_layout(Arrow(end=head, source=source, line_width=width, line_color=head.line_color))
+        look: Look = {"line_width": width, "line_color": head.line_color}
+        self.figure.add_layout(Arrow(end=head, source=source, **look))
 
     def show(self, picture: Picture) -> None:
         """Draw an equilibrium."""

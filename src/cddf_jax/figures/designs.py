@@ -1,8 +1,7 @@
 """Figures of a design: the body before and after, to scale; and the trade-off between two objectives."""
 
 import re
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,12 +13,12 @@ from ..robot.manipulator import Manipulator
 from ..units import preferred
 from . import style as draw
 from .along import draw_along
-from .geometry import Body, bent_body, fields_along, stations, straight_body, tendon_paths
+from .geometry import bent_body, fields_along, stations, straight_body, tendon_paths
 
 START: dict[str, Any] = {"color": draw.GREY, "linestyle": (0, (4, 2)), "label": "before"}
 END: dict[str, Any] = {"color": draw.BLUE, "linestyle": "-", "label": "after"}
 HEIGHT, FRONT_HEIGHT = 3.5, 2.6  # inches
-LINE = 10.0  # points, of a line of text
+LINE = 0.07  # of the length of the body: the height of a line of text
 
 
 def design_figure(design: Design) -> Figure:
@@ -65,105 +64,55 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
 
 def _draw_bodies(axes: Axes, design: Design) -> None:
     before, after = design.start, design.manipulator
-    s = stations(after)
+    s, line = stations(after), LINE * 1e3 * float(after.length)
     bent = bent_body(after, fields_along(design.equilibria[0], s))
     paths = tendon_paths(after, bent, s)
     old = bent_body(before, fields_along(design.equilibria_at_start[0], stations(before)))
-    drawn = np.concatenate([bent.outline, old.outline, paths.reshape(-1, 2)])
-    numbers = " (numbers: outer/inner diameter, mm)" if before.has_radii else ""
-    rows = [_Row.of(after, "after"), _Row.of(before, f"before{numbers}")]
-    point = _size_of_point(axes, drawn, rows)
-    level = top = float(np.nanmax(drawn[:, 1]))
-    for row in rows:
-        level += 1.5 * LINE * point + row.reach_below(point)
-        _draw_straight(axes, row, level, point)
-        level += row.reach_above(point) + 1.3 * LINE * point
-    draw.draw_clamp(axes, 1.2 * max(row.reach_at_base for row in rows), 0.6 * LINE * point)
     draw.draw_body(axes, bent)
     axes.plot(*old.outline.T, color=draw.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
     axes.plot(*bent.outline.T, color=draw.BLUE, linewidth=0.7)
     for path in paths:
         axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
+    top = float(axes.dataLim.y1)
+    level = _draw_straight(axes, after, "after", top, line)
+    numbers = " (numbers: outer/inner diameter, mm)" if before.has_radii else ""
+    _draw_straight(axes, before, f"before{numbers}", level, line)
+    draw.draw_clamp(axes, 1.2 * max(bent.outer_radius[0], np.max(np.abs(paths[:, 0, 1]))), 0.6 * line)
     axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
     draw.to_scale(axes)
-    left, right = (max(row.width_of_text(end) for row in rows) * point for end in (0, -1))
-    axes.update_datalim(np.array([(-left, level), (1e3 * s[-1] + right, level)]))  # room for what is written
     axes.autoscale_view()
     bottom = axes.get_ylim()[0]  # ticks beyond it would move it
     axes.set_yticks([tick for tick in axes.get_yticks() if bottom <= tick <= top + 1e-9])
 
 
-class _Row(NamedTuple):
-    """A straight body above the bent one, its axis at the height 0, mm."""
+def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: float, line: float) -> float:
+    """A body at rest above a height, with its diameters and what it is; the height above which all is free again.
 
-    label: str
-    body: Body
-    tendons: np.ndarray  # (tendons, points, 2)
-    has_radii: bool
-
-    @classmethod
-    def of(cls, manipulator: Manipulator, label: str) -> "_Row":
-        s = stations(manipulator)
-        body = straight_body(manipulator, s)
-        return cls(label, body, tendon_paths(manipulator, body, s), manipulator.has_radii)
-
-    @property
-    def heights(self) -> np.ndarray:
-        """Of all that is drawn."""
-        return np.concatenate([self.body.outline[:, 1], self.tendons[..., 1].ravel()])
-
-    @property
-    def reach_at_base(self) -> float:
-        return float(max(self.body.outer_radius[0], np.max(np.abs(self.tendons[:, 0, 1]))))
-
-    def reach_above(self, point: float) -> float:
-        """From the axis up, mm: body and tendons, or half a line of text."""
-        return max(float(np.nanmax(self.heights)), LINE * point / 2)
-
-    def reach_below(self, point: float) -> float:
-        return max(-float(np.nanmin(self.heights)), LINE * point / 2)
-
-    def text(self, end: int) -> str:
-        """Both diameters; none where the body has no radii."""
-        if not self.has_radii:
-            return ""
-        return f"{2 * self.body.outer_radius[end]:.3g}/{2 * self.body.inner_radius[end]:.3g}"
-
-    def width_of_text(self, end: int) -> float:
-        """Beside the body, points."""
-        return 4.0 * len(self.text(end)) + 6.0
-
-
-def _size_of_point(axes: Axes, drawn: np.ndarray, rows: Sequence[_Row]) -> float:
-    """How many mm a point of the figure is when all fits: what is drawn has a size in mm, what is written in points."""
-    width, height = np.array(axes.get_window_extent().size) * 72 / draw.figure_of(axes).dpi
-    length = max(row.body.midline[-1, 0] for row in rows)
-    beside = sum(max(row.width_of_text(end) for row in rows) for end in (0, -1))
-    across = max(length, np.nanmax(drawn[:, 0])) - min(0.0, np.nanmin(drawn[:, 0]))
-    high = np.ptp(drawn[np.isfinite(drawn[:, 1]), 1]) + sum(np.ptp(row.heights) for row in rows)
-    wide, tall = max(0.3 * width, 0.9 * width - beside), max(0.3 * height, 0.9 * height - 3.8 * LINE * len(rows))
-    return float(max(across / wide, high / tall))
-
-
-def _draw_straight(axes: Axes, row: _Row, level: float, point: float) -> None:
-    """A body at rest with its axis at a height, its diameters at both ends, what it is above it."""
-    body = row.body._replace(midline=row.body.midline + np.array([0.0, level]))
+    `line` is the height of a line of text, mm.
+    """
+    s = stations(manipulator)
+    rest = straight_body(manipulator, s)
+    heights = np.concatenate([rest.outline[:, 1], tendon_paths(manipulator, rest, s)[..., 1].ravel()])
+    reach = max(float(np.nanmax(np.abs(heights))), line / 2)
+    level = below + 1.5 * line + reach
+    body = straight_body(manipulator, s, level)
     draw.draw_body(axes, body)
-    for path in row.tendons:
-        axes.plot(path[:, 0], path[:, 1] + level, color=draw.BLACK, linewidth=0.6)
-    for end, align, gap in ((0, "right", -3.0), (-1, "left", 3.0)):
+    for path in tendon_paths(manipulator, body, s):
+        axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
+    for end, align, gap in ((0, "right", -3.0), (-1, "left", 3.0)) if manipulator.has_radii else ():
+        text = f"{2 * body.outer_radius[end]:.3g}/{2 * body.inner_radius[end]:.3g}"
         look: dict[str, Any] = {"textcoords": "offset points", "ha": align, "va": "center", "fontsize": 7}
-        axes.annotate(row.text(end), tuple(body.midline[end]), (gap, 0.0), **look)
-    middle = (float(np.mean(body.midline[[0, -1], 0])), level + row.reach_above(point))
-    axes.annotate(row.label, middle, (0.0, 1.5), textcoords="offset points", ha="center", va="bottom", fontsize=7.5)
+        axes.annotate(text, tuple(body.midline[end]), (gap, 0.0), **look)
+        axes.update_datalim([body.midline[end] + np.array([np.sign(gap) * 3.5 * line, 0.0])])
+    middle = (float(np.mean(body.midline[[0, -1], 0])), level + reach)
+    axes.annotate(label, middle, (0.0, 1.5), textcoords="offset points", ha="center", va="bottom", fontsize=7.5)
+    axes.update_datalim([(0.0, level + reach + 1.3 * line)])
+    return level + reach + 1.3 * line
 
 
 def pareto_figure(front: ParetoFront) -> Figure:
     """The trade-off as a figure of one column."""
-    with draw.house_style():
-        figure = draw.new_figure(draw.SINGLE_COLUMN, FRONT_HEIGHT)
-        draw_trade_off(front, figure.subplots())
-    return figure
+    return draw.figure_of(draw_trade_off(front))
 
 
 def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
@@ -186,7 +135,6 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
         _draw_start(axes, [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)], (x, y))
         for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
             set_label(f"{_words(name)}{f' ({_raised(unit)})' if unit else ''}")
-        axes.ticklabel_format(useOffset=False)
         _widen(axes, x, y)
         axes.legend(loc="lower left", frameon=False)
     return axes

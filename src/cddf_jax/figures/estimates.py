@@ -20,6 +20,7 @@ from ..identification.fit_diagnostics import moving_names, own_names
 from . import style as draw
 from .fit import PANEL_HEIGHT, shown_scale
 
+MOST_SHOWN = 1.9**2  # of a profile, times the rise at the ends of the interval
 CORRELATION_COLOURS = LinearSegmentedColormap.from_list("correlation", [draw.BLUE, "#FFFFFF", draw.VERMILION])
 
 
@@ -146,7 +147,6 @@ def _label_corner(axes: Axes, i: int, k: int, labels: list[str]) -> None:
         return
     axes.xaxis.set_major_locator(MaxNLocator(3))
     axes.yaxis.set_major_locator(MaxNLocator(4, integer=i == k))
-    axes.ticklabel_format(useOffset=False)
     axes.tick_params(labelbottom=i == len(labels) - 1)
     if i == len(labels) - 1:
         axes.set_xlabel(labels[k])
@@ -196,17 +196,14 @@ def profiles_figure(fit: Fit, profiles: Mapping[str, Profile]) -> Figure:
 
 
 def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, status: str) -> None:
-    interval, valley = profile.confidence_interval, _is_valley(profile, status)
-    low, high = _valley_reach(profile, estimate) if valley else _reach(profile, estimate)
-    axes.set_xscale("log" if valley else "linear")
-    axes.set_xlim(scale * low, scale * high)
+    interval, limit = profile.confidence_interval, np.sqrt(profile.threshold)
+    # what is positive and open on a side is best seen on a logarithmic axis
+    valley = status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
+    low, high = _reach(profile, estimate, valley)
+    axes.set(xscale="log" if valley else "linear", xlim=(scale * low, scale * high), ylim=(-0.1 * limit, 1.9 * limit))
     if not valley:
         axes.xaxis.set_major_locator(MaxNLocator(5))
-    limit = np.sqrt(profile.threshold)
-    axes.set_ylim(-0.1 * limit, 1.9 * limit)
-    known = [closed or ends for closed, ends in zip(profile.closed, profile.model_ends, strict=True)]
-    ends = [end if there else edge for end, there, edge in zip(interval, known, (low, high), strict=True)]
-    ends = np.clip(ends, max(low, interval[0]), min(high, interval[1]))
+    ends = np.clip(interval, low, high)
     axes.axvspan(scale * ends[0], scale * ends[1], color=draw.SKY, alpha=0.35, linewidth=0, label="95 % interval")
     root = np.sqrt(np.maximum(profile.rise, 0.0))
     axes.plot(scale * profile.value, root, "o-", color=draw.BLUE, markersize=2.2, label="profile")
@@ -222,23 +219,11 @@ def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, s
         axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
 
 
-def _is_valley(profile: Profile, status: str) -> bool:
-    """Whether what is positive is open on a side, best seen on a logarithmic axis."""
-    return status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
-
-
-def _valley_reach(profile: Profile, estimate: float) -> tuple[float, float]:
-    """Lowest and highest value to show: two decades each way, or where the valley ends."""
-    (low, high), known = profile.confidence_interval, np.logical_or(profile.closed, profile.model_ends)
-    low, high = low / 1.5 if known[0] else estimate / 100, 1.5 * high if known[1] else 100 * estimate
-    return max(low, float(profile.value[0])), min(high, float(profile.value[-1]))
-
-
-def _reach(profile: Profile, estimate: float) -> tuple[float, float]:
-    """Lowest and highest value to show: somewhat more than the interval, or an open side some sizes far."""
-    reach = []
-    for sign, end, closed in zip((-1, +1), profile.confidence_interval, profile.closed, strict=True):
-        outward = np.sort(sign * (profile.value - estimate))
-        reach.append(1.6 * abs(end - estimate) if closed else outward[max(-4, -outward.size)])
-    least = 0.05 * max(reach) or 1e-12
-    return estimate - max(reach[0], least), estimate + max(reach[1], least)
+def _reach(profile: Profile, estimate: float, valley: bool) -> tuple[float, float]:
+    """Lowest and highest value to show: somewhat more than the interval; of a valley two decades each way at most."""
+    ends = [end for end, closed in zip(profile.confidence_interval, profile.closed, strict=True) if closed]
+    shown = np.array([*profile.value[profile.rise < MOST_SHOWN * profile.threshold], *ends, estimate])
+    if valley:
+        return max(estimate / 100, shown.min() / 1.1), min(100 * estimate, 1.1 * shown.max())
+    margin = 0.05 * np.ptp(shown) or 1e-12
+    return shown.min() - margin, shown.max() + margin

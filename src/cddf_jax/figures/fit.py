@@ -20,7 +20,6 @@ from ..identification.fit_diagnostics import (
     has_numbers,
     model_curve,
     normality_of,
-    on_one_curve,
     standardised_residuals,
     table_named,
     tables_without_numbers,
@@ -68,17 +67,16 @@ def draw_fit(
     Raises:
         InputError: for another table or column, or where the model gave no numbers.
     """
-    name, column = _chosen("draw_fit", fit, table, column)
-    readings, curve = _drawable("draw_fit", fit, name, column)
+    panel = _panel_of("draw_fit", fit, table, column)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
-        if curve is None:
-            _draw_over_prediction(axes, readings)
+        if (curve := panel.curve) is None:
+            _draw_over_prediction(axes, panel)
         else:
             low, high = curve.value - curve.half_width, curve.value + curve.half_width
             draw_band(axes, curve.grid, low, high, label="95 % band of the model")
             axes.plot(curve.grid, curve.value, color=draw.BLUE, label="model")
-            draw_levels(axes, readings.x, readings.observed, label=readings.data_label)
-        axes.set(xlabel=readings.x_label, ylabel=f"{readings.words} ({readings.unit})")
+            draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
+        axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
         axes.legend(loc="best", frameon=False)
     return axes
 
@@ -97,15 +95,14 @@ def draw_residuals(
     Raises:
         InputError: for another table or column, or where the model gave no numbers.
     """
-    name, column = _chosen("draw_residuals", fit, table, column)
-    readings, curve = _drawable("draw_residuals", fit, name, column)
+    panel = _panel_of("draw_residuals", fit, table, column)
     with draw.axes_or_new(axes, RESIDUAL_HEIGHT) as axes:
-        if curve is not None:
+        if (curve := panel.curve) is not None:
             draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
-        elif np.all(np.isfinite(readings.half_width)):
-            axes.errorbar(readings.x, 0 * readings.x, yerr=readings.half_width, **INTERVAL)
-        draw_about_zero(axes, readings.x, readings.residual, levels=curve is not None)
-        axes.set(xlabel=readings.x_label, ylabel=f"Residual ({readings.unit})")
+        elif np.all(np.isfinite(panel.half_width)):
+            axes.errorbar(panel.x, 0 * panel.x, yerr=panel.half_width, **INTERVAL)
+        draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None)
+        axes.set(xlabel=panel.x_label, ylabel=f"Residual ({panel.unit})")
     return axes
 
 
@@ -143,29 +140,47 @@ def _table_figure(fit: Fit, name: str) -> Figure:
     return figure
 
 
-class _Readings(NamedTuple):
-    """One column over what was set, or over its prediction, in the units of the labels.
-
-    residual = observed - predicted; `half_width` is that of the 95 % interval of the predictions.
-    """
+class _Panel(NamedTuple):
+    """One column over what was set, or over its prediction, in the units of the labels."""
 
     x: np.ndarray
     observed: np.ndarray
-    residual: np.ndarray
+    residual: np.ndarray  # observed - predicted
+    curve: ModelCurve | None  # None where no single one holds the rows
+    half_width: np.ndarray | float  # of the 95 % interval of the predictions, where there is no curve
     x_label: str
-    words: str
+    y_label: str
     unit: str
     data_label: str
-    half_width: np.ndarray | float = np.nan  # where x is what was set, the curve has it
 
 
-def _chosen(who: str, fit: Fit, table: str | Measurements | None, column: str | None) -> tuple[str, str]:
-    """The names of a table and of one of its columns."""
+def _panel_of(who: str, fit: Fit, table: str | Measurements | None, column: str | None) -> _Panel:
+    """The readings of a column and the model."""
     names = list(fit.alone)
     if isinstance(table, Measurements):
         table = next((name for name, own in zip(names, fit.tables, strict=True) if own is table), table.name)
     name = _the_one(who, "table", table, names)
-    return name, _the_one(who, "column", column, list(experiment_named(fit, name).columns))
+    column = _the_one(who, "column", column, list(experiment_named(fit, name).columns))
+    if not has_numbers(fit, name, column):
+        raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
+    rows, curve = table_named(fit, name), model_curve(fit, name, column)
+    there, observed, residual = rows.has(column), rows.read(column), fit.residuals[f"{name}: {column}"]
+    label = ("simulated data" if rows.simulated else "data") + (", mean ± sd" if curve is not None else "")
+    if column == "pulling_tension" and curve is not None:
+        weight, curve = rows["weight"][there], curve._replace(grid=DEGREE * curve.grid)
+        numbers = DEGREE * rows["wrap_angle"][there], observed / weight, residual / weight
+        return _Panel(*numbers, curve, np.nan, "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N", label)
+    kind = kind_of(column)
+    scale, unit = preferred(dimension_of(kind))
+    number = column.removeprefix(kind).replace("_", " ")  # " 2" of tendon 2
+    words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
+    if curve is not None:
+        curve = ModelCurve(curve.grid, scale * curve.value, scale * curve.half_width)
+        base = rows["base_tension"][there]
+        return _Panel(base, observed, residual, curve, np.nan, "Base tension (N)", words, unit, label)
+    half, words = scale * half_width(fit, name, column), words[0].lower() + words[1:]
+    labels = f"Predicted {words}", f"Measured {words}"
+    return _Panel(observed - residual, observed, residual, None, half, *labels, unit, label)
 
 
 def _the_one(who: str, what: str, given: str | None, there: list[str]) -> str:
@@ -176,52 +191,15 @@ def _the_one(who: str, what: str, given: str | None, there: list[str]) -> str:
     return given
 
 
-def _drawable(who: str, fit: Fit, name: str, column: str) -> tuple[_Readings, ModelCurve | None]:
-    """The readings of a column and the curve of the model, None without a single one, in the units of the labels."""
-    if not has_numbers(fit, name, column):
-        raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
-    curve = model_curve(fit, name, column)
-    if curve is not None:
-        grid, value, half = curve
-        scale = 1.0 if column == "pulling_tension" else preferred(dimension_of(kind_of(column)))[0]
-        curve = ModelCurve(DEGREE * grid if column == "pulling_tension" else grid, scale * value, scale * half)
-    return _readings(fit, name, column), curve
-
-
-def _draw_over_prediction(axes: Axes, readings: _Readings) -> None:
+def _draw_over_prediction(axes: Axes, panel: _Panel) -> None:
     """Readings over predictions, with the intervals of these, and the line on which they would be equal."""
-    ends = [np.min(readings.x), np.max(readings.x)]
+    ends = [np.min(panel.x), np.max(panel.x)]
     axes.plot(ends, ends, color=draw.BLUE, label="measured = predicted")
-    if np.all(np.isfinite(readings.half_width)):
+    if np.all(np.isfinite(panel.half_width)):
         label = "95 % interval of the model"
-        axes.errorbar(readings.x, readings.observed, xerr=readings.half_width, label=label, **INTERVAL)
+        axes.errorbar(panel.x, panel.observed, xerr=panel.half_width, label=label, **INTERVAL)
     look = {"color": draw.BLACK, "markerfacecolor": "none", "zorder": 3}
-    axes.plot(readings.x, readings.observed, "o", label=readings.data_label, **look)
-
-
-def _readings(fit: Fit, name: str, column: str) -> _Readings:
-    table, residual = table_named(fit, name), fit.residuals[f"{name}: {column}"]
-    there, observed = table.has(column), table.read(column)
-    label = ("simulated data" if table.simulated else "data") + (", mean ± sd" if on_one_curve(fit, name) else "")
-    if column == "pulling_tension":
-        x, weight = DEGREE * table["wrap_angle"][there], table["weight"][there]
-        words = "Pulling tension / weight"
-        return _Readings(x, observed / weight, residual / weight, "Wrap angle (deg)", words, "N/N", label)
-    kind = kind_of(column)
-    scale, unit = preferred(dimension_of(kind))
-    number = column.removeprefix(kind)  # "_2" of tendon 2
-    words = f"{QUANTITIES[kind].label}{number.replace('_', ' ')}"
-    numbers = scale * observed, scale * residual
-    if on_one_curve(fit, name):
-        return _Readings(table["base_tension"][there], *numbers, "Base tension (N)", words, unit, label)
-    predicted, x_label = numbers[0] - numbers[1], f"Predicted {_lower(words)} ({unit})"
-    words, interval = f"Measured {_lower(words)}", scale * half_width(fit, name, column)
-    return _Readings(predicted, *numbers, x_label, words, unit, label, interval)
-
-
-def _lower(words: str) -> str:
-    """With a small first letter."""
-    return words[0].lower() + words[1:]
+    axes.plot(panel.x, panel.observed, "o", label=panel.data_label, **look)
 
 
 # --- residuals -----------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from textwrap import fill
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from ..estimation.determination import Determination
 from ..identification.bench import parameter_named
@@ -62,17 +63,12 @@ def _height(plan: Plan) -> float:
 
 def _scale_errors(axes: Axes, low: float, edge: float) -> None:
     """A logarithmic axis with round numbers, and "open" at the edge."""
-    axes.set_xscale("log")
-    axes.set_xlim(low, 1.5 * edge)
-    digits = (1, 2, 5) if edge / low < MANY else (1,)
-    ticks = np.outer(10.0 ** np.arange(-6, 7), digits).ravel()
-    ticks = ticks[(ticks >= low) & (ticks < 0.4 * edge)]
-    axes.set_xticks([*ticks, edge], [*(f"{tick:g}" for tick in ticks), "open"])
-    between = np.outer(10.0 ** np.arange(-6, 7), np.arange(2, 10)).ravel()
-    between = between[(between >= low) & (between < edge)]
-    axes.set_xticks(between, [""] * between.size, minor=True)
+    axes.set(xscale="log", xlim=(low, 1.5 * edge), xlabel="Expected standard error (%)")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if edge / low < MANY else (1,), numticks=50))
+    axes.xaxis.set_major_formatter(lambda tick, _: f"{tick:g}" if tick < 0.4 * edge else "")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(axis="x", color=draw.PALE)
-    axes.set_xlabel("Expected standard error (%)")
+    axes.annotate("open", (edge, 0.0), (0, -4), axes.get_xaxis_transform(), "offset points", ha="center", va="top")
 
 
 def _relative(told: Determination, name: str) -> float:
