@@ -44,10 +44,8 @@ class Memory:
         return self._arrays
 
     def dataset(self) -> "xarray.Dataset":
-        xarray = needed("xarray")
-        layout = self.layout
-        data = {name: (v.dims, self._arrays[name], v.attrs) for name, v in layout.variables.items()}
-        return xarray.Dataset(data, layout.coords, layout.attrs)
+        data = {name: (v.dims, self._arrays[name], v.attrs) for name, v in self.layout.variables.items()}
+        return needed("xarray").Dataset(data, self.layout.coords, self.layout.attrs)
 
 
 class ZarrStore:
@@ -69,7 +67,7 @@ class ZarrStore:
         zarr = needed("zarr")
         self.path = Path(path)
         if create and not self.path.exists():
-            _create(zarr, self.path, layout, identity)
+            _create(self.path, layout, identity)
         self._group = _same_work(zarr, self.path, identity, layout.variables)
         chunks = self._group[layout.last].chunks[: len(layout.shape)]
         self.layout = replace(layout, chunks=tuple(chunks))
@@ -108,20 +106,16 @@ class ZarrStore:
         return found[[*self.layout.variables]]  # in the order in which they were asked for
 
 
-def _create(zarr: ModuleType, path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
+def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
     """An empty store, which takes its place in one step."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        others = " ".join(name for name in layout.coords if name not in layout.shape)  # xarray's name for coordinates
-        attrs = {**layout.attrs, "coordinates": others, IDENTITY: json.dumps(identity)}
-        group = zarr.create_group(draft, zarr_format=3, attributes=attrs)
-        for name, (dims, values, attrs) in layout.coords.items():
-            text = values.dtype.kind in "OU"
-            array = group.create_array(
-                name, shape=values.shape, dtype=str if text else values.dtype, dimension_names=dims, attributes=attrs
-            )
-            array[...] = values.astype(object) if text else values
+        attrs = {**layout.attrs, IDENTITY: json.dumps(identity)}
+        labels = needed("xarray").Dataset(coords=layout.coords, attrs=attrs)
+        texts = {name: labels[name].astype(object) for name in labels.coords if labels[name].dtype.kind == "U"}
+        labels.assign_coords(texts).to_zarr(draft, zarr_format=3, consolidated=False)
+        group = needed("zarr").open_group(draft)
         for name, variable in layout.variables.items():
             own = variable.shape[len(layout.shape) :]
             group.create_array(
