@@ -184,7 +184,7 @@ def sweep(
         base_tension=sweep_texts.read_base_tension(base_tension or [], manipulator),
         loads=read_loads(tip_force, tip_moment, gravity, manipulator.has_mass or "density" in varied),
         direction=read_directions(direction, manipulator),
-        outputs=sweep_texts.read_outputs(output),
+        outputs=tuple(dict.fromkeys(name.strip() for name in output.split(","))),
         sensitivities=tuple(sensitivity or ()),
         nodes=nodes,
         precision=precision,

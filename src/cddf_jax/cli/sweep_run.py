@@ -202,7 +202,7 @@ def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
         for name, variable in layout.variables.items()
         if name not in VERDICTS
     }
-    for _, block in blocks_of(layout, answer):
+    for block in blocks_of(layout, answer):
         successful = block["successful"].values
         counts += np.bincount(block[RESULT].values.ravel(), minlength=len(RESULT_NAMES))
         for name, output in outputs.items() if np.any(successful) else ():

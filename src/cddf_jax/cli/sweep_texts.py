@@ -167,11 +167,6 @@ def read_base_tension(
     return np.array(entries) if all(isinstance(entry, float) for entry in entries) else tuple(entries)
 
 
-def read_outputs(text: str) -> tuple[str, ...]:
-    """The names in "tip_tension, tip_angle", each once."""
-    return tuple(dict.fromkeys(part.strip() for part in text.split(",")))
-
-
 def read_memory(text: str) -> float:
     """Bytes out of a text such as "2 GB".
 

@@ -98,11 +98,6 @@ def quantity_named(name: QuantityName) -> BodyQuantity:
     return BODY_QUANTITIES[name]
 
 
-def name_of(quantity: QuantityName) -> str:
-    """The name of a quantity in tables."""
-    return quantity if isinstance(quantity, str) else getattr(quantity, "__name__", type(quantity).__name__)
-
-
 class OfQuantity(eqx.Module):
     """An objective or a limit."""
 
@@ -118,7 +113,8 @@ class OfQuantity(eqx.Module):
     @property
     def name(self) -> str:
         """That of its quantity in tables."""
-        return name_of(self.quantity)
+        own = self.quantity
+        return own if isinstance(own, str) else getattr(own, "__name__", type(own).__name__)
 
 
 def check_fits(name: str, wanted: ArrayLike, value: Array) -> None:

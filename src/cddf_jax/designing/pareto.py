@@ -157,6 +157,10 @@ def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator
     designs = tuple(design_of(result, start) for result in found)
     values = [[each.end if design.feasible else np.nan for each in design.objectives] for design in designs]
     began = designs[0].objectives
+    missing = sum(not design.feasible for design in designs)
+    remarks = [f"{missing} of {len(found)} points were not found"] if missing else []
+    if len(found) < num and not missing:
+        remarks = ["one body is best in both objectives: they are not in each other's way"]
     return ParetoFront(
         names=(str(first), str(second)),
         dimensions=(first.dimension, second.dimension),
@@ -164,12 +168,5 @@ def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator
         start=(began[0].start, began[1].start),
         exchange_rate=np.asarray([_rate(result) if result.feasible else np.nan for result in found]),
         designs=designs,
-        remarks=_remarks(found, num),
+        remarks=tuple(remarks),
     )
-
-
-def _remarks(found: list[SearchResult], num: int) -> tuple[str, ...]:
-    missing = sum(not result.feasible for result in found)
-    if len(found) < num and not missing:
-        return ("one body is best in both objectives: they are not in each other's way",)
-    return (f"{missing} of {len(found)} points were not found",) if missing else ()

@@ -136,7 +136,9 @@ def design_of(
     problem, local = outcome.program.problem, outcome.local
     no_heights = np.zeros(len(problem.peaks))
     at_start = NonlinearProgram(problem).evaluation(np.append(problem.free.scaled_start, no_heights))
-    objectives, unit = achieved(problem, at_start, outcome.evaluation), abs(unit_of_objective(problem))
+    at_end, unit = outcome.evaluation, abs(unit_of_objective(problem))
+    objectives = achieved(problem, at_start, at_end)
+    codes = zip(problem.cases, map(result_of, np.asarray(at_end.codes)), strict=False)  # none without a solve
     result = design_result(local, outcome.violation)
     return Design(
         manipulator=jax.tree.map(np.asarray, problem.body(outcome.z)),
@@ -158,7 +160,7 @@ def design_of(
         chosen=chosen or {},
         cases=problem.cases,
         remarks=(
-            *design_remarks(outcome.evaluation, problem),
+            *(f"{case.name or 'the load case'}: {RESULTS[code]}" for case, code in codes if code != RESULTS.successful),
             *(restart_in_words(problem, restart) for restart in outcome.restarts),
         ),
         outcome=outcome,
@@ -309,13 +311,6 @@ def design_result(local: LocalMinimum, violation: float) -> str:
     if not local.optimality.residual <= TOLERANCE:
         return f"not stationary: the first-order optimality is {local.optimality.residual:.2g} and not {TOLERANCE:g}"
     return "successful"
-
-
-def design_remarks(found: DesignEvaluation, problem: DesignProblem) -> list[str]:
-    """What the solves say that a designer must know; no solves, no remarks."""
-    pairs = zip(problem.cases, np.asarray(found.codes), strict=False)
-    said = [(case.name or "the load case", result_of(code)) for case, code in pairs]
-    return [f"{name}: {RESULTS[result]}" for name, result in said if result != RESULTS.successful]
 
 
 def restart_in_words(problem: DesignProblem, restart: Restart) -> str:

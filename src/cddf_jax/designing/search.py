@@ -3,13 +3,9 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from scipy.stats import qmc
 
-from ..batch.lanes import Lanes
 from ..numerics.constrained import (
     ACTIVE,
     TOLERANCE,
@@ -19,7 +15,6 @@ from ..numerics.constrained import (
     minimise_constrained,
     optimality,
 )
-from .free_numbers import Vector
 from .problem import DesignEvaluation, DesignProblem, NonlinearProgram, pieces_of
 
 WANDERING = 16  # stations at the end, moved to where limits are broken between the others
@@ -106,15 +101,15 @@ class DesignSearch:
         return best._replace(starts=tuple(each.value for each in found), evaluations=evaluations)
 
     def _screened(self, starts: int, seed: int) -> list[np.ndarray]:
-        """The most promising of `starts` - 1 points, all tried at once on all devices."""
+        """The most promising of `starts` - 1 points: the objective, and a price for the largest violation."""
         if starts <= 1:
             return []
         self.show(f"trying {starts - 1} starts")
         sobol = qmc.Sobol(self.ranges.size, rng=np.random.default_rng(seed))
         points = sobol.random(2 ** int(np.ceil(np.log2(starts))))[: starts - 1] * self.ranges
-        merit = Lanes(_Merit(self.problem), len(points))(points, len(points))
-        good = [i for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i])]
-        return [points[i] for i in good]
+        there = [self.program(self.with_heights(z)) for z in points]
+        merit = [point.objective + BROKEN * point.violation if point.usable else np.inf for point in there]
+        return [points[i] for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i])]
 
     def with_heights(self, z: np.ndarray) -> np.ndarray:
         """Scaled free numbers, and behind them the heights of the peaks there."""
@@ -236,22 +231,6 @@ def _is_better(one: SearchResult, other: SearchResult) -> bool:
     if not (one.feasible and other.feasible):
         return one.feasible or (not other.feasible and one.violation < other.violation - TOLERANCE)
     return one.value < other.value - max(GAIN * abs(other.value), ROUNDING)
-
-
-class _Merit(eqx.Module):
-    """How promising a start is; infinite where there is no answer."""
-
-    problem: DesignProblem
-
-    def __call__(self, z: Vector) -> Float[Array, ""]:
-        found = self.problem.evaluate(z)
-        total = jnp.zeros(())
-        for i, (term, aim) in enumerate(zip(self.problem.terms, found.aims, strict=True)):
-            total += term.weight / term.reference * self.problem.over_the_cases(i, aim)
-        broken = [jnp.max(-margin, initial=0.0) for margin in found.margins]
-        broken += [jnp.max(jnp.abs(zero), initial=0.0) for zero in found.zeros]
-        merit = total + BROKEN * jnp.max(jnp.stack([jnp.zeros(()), *broken]))
-        return jnp.where(jnp.isfinite(merit), merit, jnp.inf)
 
 
 # --- between the stations ------------------------------------------------------------------------

@@ -64,7 +64,7 @@ from jaxtyping import ArrayLike
 from ..errors import InputError, within
 from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator, PointMass, Tendon
-from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Scalar, Spline, as_profile
+from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
 from ..units import Dimension, quantity, written
 from .artifacts import write_all
 from .cross_sections import TOLERANCE, CrossSections, SectionColumn, sections_and_columns
@@ -176,9 +176,15 @@ def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = F
 def _manipulator(table: _Table, sections: dict[str, Any]) -> Manipulator:
     numbers = _numbers(table, _NUMBERS)
     for key in table.keys() & set(_MORE_PROFILES):
-        numbers[key] = _number_or_profile(table[key], sections["length"], key)
-    masses = enumerate(_tables(table, "point_mass", "mass"), 1)
-    numbers["point_masses"] = [_point_mass(mass, f"point_mass {i}") for i, mass in masses]
+        profile = _profile(table[key], sections["length"], key, dimension_of(key))
+        # a plain modulus stays a number, which has the name of the whole
+        numbers[key] = profile.value if isinstance(profile, Constant) and key == "youngs_modulus" else profile
+    masses = []
+    for i, mass in enumerate(_tables(table, "point_mass", "mass"), 1):
+        where = f"point_mass {i}: "
+        check_keys(where, mass, ("at", "mass"), ())
+        masses.append(PointMass(quantity(mass["at"], "length", f"{where}at"), **_numbers(mass, ["mass"], where)))
+    numbers["point_masses"] = masses
     return Manipulator(**numbers | sections, kinematics=table.get("kinematics", "exact"))
 
 
@@ -196,17 +202,6 @@ def _keys(table: _Table, required: Sequence[str]) -> tuple[list[str], list[str]]
     radii = [key for key in _RADII if key in required]
     must = [key for key in required if key not in ("youngs_modulus", *radii)]
     return must, [*_OPTIONAL, *radii, "bending_stiffness", _SECTIONS]
-
-
-def _number_or_profile(value: object, length: float, key: str) -> Scalar | Profile:
-    """A plain modulus stays a number, which has the name of the whole."""
-    profile = _profile(value, length, key, dimension_of(key))
-    return profile.value if key == "youngs_modulus" and isinstance(profile, Constant) else profile
-
-
-def _point_mass(table: _Table, where: str) -> PointMass:
-    check_keys(f"{where}: ", table, ("at", "mass"), ())
-    return PointMass(quantity(table["at"], "length", f"{where}: at"), **_numbers(table, ["mass"], f"{where}: "))
 
 
 def _sections(table: _Table) -> dict[str, Any]:

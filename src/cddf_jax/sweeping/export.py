@@ -52,28 +52,27 @@ def write_csv(layout: Layout, answer: "xarray.Dataset", path: Path) -> None:
     """
     pandas = needed("pandas")
     with _in_one_step(path) as draft, open(draft, "w", encoding="utf-8", newline="") as file:
-        for i, (region, block) in enumerate(blocks_of(layout, answer)):
-            columns = _axis_columns(layout, region) | _output_columns(layout, block)
+        places = {name: np.arange(size) for name, size in layout.shape.items() if name not in answer.coords}
+        for i, block in enumerate(blocks_of(layout, answer.assign_coords(places))):
+            columns = _axis_columns(layout, block) | _output_columns(layout, block)
             pandas.DataFrame(columns).to_csv(file, index=False, header=i == 0)
 
 
-def blocks_of(layout: Layout, answer: "xarray.Dataset") -> Iterator[tuple[tuple[slice, ...], "xarray.Dataset"]]:
+def blocks_of(layout: Layout, answer: "xarray.Dataset") -> Iterator["xarray.Dataset"]:
     """The answer in the order of its rows, as much at once as memory allows."""
     sizes = list(layout.shape.values())
     rows = replace(layout, chunks=even_chunks(sizes, layout.chunk_size, [False] * len(sizes)))
     for index in rows.indices():
-        region = rows.region(index)
-        yield region, answer.isel(dict(zip(layout.shape, region, strict=True))).load()
+        yield answer.isel(dict(zip(layout.shape, rows.region(index), strict=True))).load()
 
 
-def _axis_columns(layout: Layout, region: tuple[slice, ...]) -> dict[str, np.ndarray]:
-    places = np.meshgrid(*(np.arange(r.start, r.stop) for r in region), indexing="ij")
-    at = {dimension: place.ravel() for dimension, place in zip(layout.shape, places, strict=True)}
+def _axis_columns(layout: Layout, block: "xarray.Dataset") -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
-    for dimension, place in at.items():
-        of_it = {name: c for name, c in layout.coords.items() if c[0] == (dimension,)}
-        found |= {} if dimension in of_it else {dimension: place}
-        found |= {_head(name, attrs): values[place] for name, (_, values, attrs) in of_it.items()}
+    for dimension in layout.shape:
+        of_it = [name for name, labels in block.coords.items() if labels.dims == (dimension,)]
+        for name in sorted(of_it, key=lambda name: name != dimension):
+            every = block[name].broadcast_like(block[RESULT]).transpose(*layout.shape)
+            found[_head(str(name), block[name].attrs)] = every.values.ravel()
     return found
 
 

@@ -280,7 +280,7 @@ class Sweep:
         profiles = body.profiles.values()
         axes = {f"axis {d.name}": {k: recorded(v) for k, v in (d.numbers | d.options).items()} for d in self.dimensions}
         return {
-            **{name.removeprefix("manipulator."): value for name, value in numbers_of(self.case).items()},
+            **numbers_of(self.case),
             **axes,
             "order of axes": [dimension.name for dimension in self.dimensions],
             "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
