@@ -129,12 +129,7 @@ def sections_figure(columns: Sequence[SectionColumn]) -> Figure:
     Args:
         columns: of `section_columns`.
     """
-    with draw.house_style():
-        figure, panels = draw.panel_axes(len(columns), 2, SECTION_HEIGHT)
-        for panel, column in zip(panels, columns, strict=True):
-            draw_section_column(column, panel)
-        draw.common_legend(figure, panels)
-    return figure
+    return draw.panels_figure(lambda panel, column: draw_section_column(column, panel), columns, SECTION_HEIGHT)
 
 
 def _section_stations(column: SectionColumn) -> np.ndarray:

@@ -106,7 +106,7 @@ def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: floa
         axes.update_datalim([body.midline[end] + np.array([np.sign(gap) * 3.5 * line, 0.0])])
     middle = (float(np.mean(body.midline[[0, -1], 0])), level + reach)
     axes.annotate(label, middle, (0.0, 1.5), textcoords="offset points", ha="center", va="bottom", fontsize=7.5)
-    axes.update_datalim([(0.0, level + reach + 1.3 * line)])
+    axes.update_datalim(np.array([(0.0, level + reach + 1.3 * line)]))
     return level + reach + 1.3 * line
 
 

@@ -187,12 +187,8 @@ def draw_profile(fit: Fit, profile: Profile | str, axes: Axes | None = None) -> 
 
 def profiles_figure(fit: Fit, profiles: Mapping[str, Profile]) -> Figure:
     """A panel for each profile, with one legend."""
-    with draw.house_style():
-        figure, axes = draw.panel_axes(len(profiles), 2, PANEL_HEIGHT)
-        for panel, profile in zip(axes, profiles.values(), strict=True):
-            draw_profile(fit, profile, panel)
-        draw.common_legend(figure, axes)
-    return figure
+    drawn = list(profiles.values())
+    return draw.panels_figure(lambda panel, profile: draw_profile(fit, profile, panel), drawn, PANEL_HEIGHT)
 
 
 def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, status: str) -> None:

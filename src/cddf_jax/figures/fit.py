@@ -207,19 +207,12 @@ def _draw_over_prediction(axes: Axes, panel: _Panel) -> None:
 
 def residuals_figure(fit: Fit) -> Figure:
     """Residuals over their noise against normal quantiles, one panel for each group of data."""
-    groups = standardised_residuals(fit)
-    with draw.house_style():
-        figure, axes = draw.panel_axes(len(groups), 2, PANEL_HEIGHT)
-        for panel, (name, residual) in zip(axes, groups.items(), strict=True):
-            _draw_quantiles(panel, residual)
-            panel.set_title(fill(name, 44))
-            panel.set(xlabel="Normal quantile", ylabel="Residual / noise")
-        draw.common_legend(figure, axes)
-    return figure
+    return draw.panels_figure(_draw_quantiles, list(standardised_residuals(fit).items()), PANEL_HEIGHT)
 
 
-def _draw_quantiles(axes: Axes, residual: np.ndarray) -> None:
+def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
     """Sorted residuals, the line on which they would lie, and where 95 % of normal draws do, place by place."""
+    name, residual = group
     count, rank = residual.size, np.arange(1, residual.size + 1)
     quantile = stats.norm.ppf((rank - 0.375) / (count + 0.25))
     lower, upper = (stats.norm.ppf(stats.beta.ppf(level, rank, count + 1 - rank)) for level in (0.025, 0.975))
@@ -229,6 +222,7 @@ def _draw_quantiles(axes: Axes, residual: np.ndarray) -> None:
     p_value = normality_of(residual).p_value
     text = f"{count} residuals" + (f"\nShapiro-Wilk p = {p_value:.2g}" if np.isfinite(p_value) else "")
     axes.text(0.04, 0.96, text, transform=axes.transAxes, va="top")
+    axes.set(xlabel="Normal quantile", ylabel="Residual / noise", title=fill(name, 44))
 
 
 # --- readings by level ---------------------------------------------------------------------------

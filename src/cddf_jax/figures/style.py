@@ -5,11 +5,11 @@ is touched. Colours (Okabe and Ito's, safe for colour-blind readers) always come
 marker of their own, so that a grey print can be read.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import matplotlib as mpl
 import numpy as np
@@ -24,6 +24,7 @@ from ..errors import InputError
 from ..files.artifacts import write_all
 from .geometry import Body
 
+Item = TypeVar("Item")
 LookValue: TypeAlias = Any  # what Matplotlib takes for one property of what it draws: a colour, a width, a marker
 Look: TypeAlias = dict[str, LookValue]
 Settings: TypeAlias = dict[Any, LookValue]  # by the names of Matplotlib's rcParams
@@ -115,6 +116,19 @@ def panel_axes(count: int, columns: int, height: float) -> tuple[Figure, list[Ax
     for unused in axes[count:]:
         unused.remove()
     return figure, axes[:count]
+
+
+def panels_figure(
+    draw: Callable[[Axes, Item], object], items: Sequence[Item], height: float, columns: int = 2
+) -> Figure:
+    """A panel for each item, drawn by a function, with one legend above them all."""
+    with house_style():
+        figure, panels = panel_axes(len(items), columns, height)
+        for panel, item in zip(panels, items, strict=True):
+            draw(panel, item)
+        common_legend(figure, panels)
+        figure.align_labels()
+    return figure
 
 
 @contextmanager

@@ -231,15 +231,13 @@ def _curves_figure(
     arrays: Sequence["xarray.DataArray"], numbers: Sequence[str], columns: int, dots: Sequence[object] = ()
 ) -> Figure:
     """A panel for each array over each number, with a line or the dots of each combination of options."""
-    with draw.house_style():
-        figure, panels = draw.panel_axes(len(arrays) * len(numbers), columns, 2.1 if columns < 3 else 1.6)
-        for panel, (array, number) in zip(panels, product(arrays, numbers), strict=True):
-            _draw_curves(panel, array, number, dots)
-            if len(numbers) > 1:
-                panel.label_outer()
-        draw.common_legend(figure, panels)
-        figure.align_labels()
-    return figure
+
+    def draw_one(panel: Axes, what: "tuple[xarray.DataArray, str]") -> None:
+        _draw_curves(panel, *what, dots)
+        if len(numbers) > 1:
+            panel.label_outer()
+
+    return draw.panels_figure(draw_one, list(product(arrays, numbers)), 2.1 if columns < 3 else 1.6, columns)
 
 
 def _maps_figure(arrays: Sequence["xarray.DataArray"], kinds: _Kinds) -> Figure:
