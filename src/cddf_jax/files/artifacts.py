@@ -66,6 +66,11 @@ def plain(value: object) -> JsonValue:
     return plain(np.asarray(value).tolist())
 
 
+def picked(what: object, names: Iterable[str]) -> dict[str, object]:
+    """Some attributes by name."""
+    return {name: getattr(what, name) for name in names}
+
+
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]], right: Collection[str] = ()) -> list[str]:
     """The lines of a table in Markdown; the columns named in `right` are aligned to the right."""
     rules = ["---:" if name in right else "---" for name in head]

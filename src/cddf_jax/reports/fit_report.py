@@ -1,6 +1,7 @@
 """A fit as people read it: report.md with its figures, and results.json beside it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -54,18 +55,13 @@ def write_report(report: Report, folder: str | Path) -> None:
 def report_figures(report: Report) -> dict[str, Figure]:
     """The figures by file name; `left_out` says why others are missing."""
     fit, missing = report.fit, left_out(report)
-    figures = table_figures(fit)
-    if "residuals" not in missing:
-        figures["residuals"] = residuals_figure(fit)
-    if "profiles" not in missing:
-        figures["profiles"] = profiles_figure(fit, report.profiles)
-    if "correlation" not in missing:
-        figures["correlation"] = correlation_figure(fit)
-    for bootstrap in report.bootstraps:
-        name = f"bootstrap_{bootstrap.kind}"
-        if name not in missing:
-            figures[name] = bootstrap_figure(fit, bootstrap)
-    return figures
+    makers: dict[str, Callable[[], Figure]] = {
+        "residuals": partial(residuals_figure, fit),
+        "profiles": partial(profiles_figure, fit, report.profiles),
+        "correlation": partial(correlation_figure, fit),
+    }
+    makers |= {f"bootstrap_{found.kind}": partial(bootstrap_figure, fit, found) for found in report.bootstraps}
+    return table_figures(fit) | {name: make() for name, make in makers.items() if name not in missing}
 
 
 def left_out(report: Report) -> dict[str, str]:
@@ -98,18 +94,22 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
         report: what to say.
         figures: names of the figures beside it; None where no figures are made.
     """
+    fit = report.fit
+    several = len(fit.tables) > 1 or len(fit.noise) > 1
+    alone = [f"{name}: {determination_in_words(told)}" for name, told in fit.alone.items()] if several else []
+    later = [warning for warning in fit.warnings if warning not in fit.remarks]  # the first lines say the others
     sections = [
         _in_short(report),
-        _goodness(report.fit),
+        _goodness(fit),
         _profile_section(report),
         _bootstrap_section(report),
-        _alone_section(report.fit),
-        _trial_section(report.fit),
+        _bullets("What each table alone determines", alone),
+        _trial_section(fit),
         _noise_section(report),
-        _model_free_section(report),
-        _warning_section(report.fit),
+        _bullets("Model-free friction", _model_free_in_words(report)),
+        _bullets("Warnings", later),
         _figure_section(report, figures),
-        _reading_section(report.fit),
+        _bullets("How the files were read", [line for table in fit.tables for line in table.read_as]),
         _repeat_section(report),
     ]
     return "\n\n".join("\n".join(section) for section in sections if section) + "\n"
@@ -118,6 +118,10 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
 def _section(title: str, lines: Sequence[str]) -> list[str]:
     """A section with its title; none where there is nothing to say."""
     return [f"## {title}", "", *lines] if lines else []
+
+
+def _bullets(title: str, lines: Sequence[str]) -> list[str]:
+    return _section(title, [f"- {line}" for line in lines])
 
 
 def _in_short(report: Report) -> list[str]:
@@ -204,13 +208,6 @@ def _shown_bootstrap(bootstrap: Bootstrap, name: str) -> tuple[float, float, flo
     return scale * bootstrap.standard_error[name], scale * low, scale * high, scale * bootstrap.bias[name], unit
 
 
-def _alone_section(fit: Fit) -> list[str]:
-    if len(fit.tables) < 2 and len(fit.noise) < 2:
-        return []
-    lines = [f"- {name}: {determination_in_words(determination)}" for name, determination in fit.alone.items()]
-    return _section("What each table alone determines", lines)
-
-
 def determination_in_words(determination: Determination) -> str:
     """One line."""
     parts = [f"{name} {status}" for name, status in determination.status.items() if not name.startswith(TRIALS)]
@@ -234,20 +231,17 @@ def _noise_section(report: Report) -> list[str]:
     rows = []
     for label, deviation in fit.noise.items():
         scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
-        p_value, alike = report.normality[label].p_value, fit.serial_correlation[label]
-        rows.append(
-            [
-                label,
-                f"{scale * deviation:.3g} {unit}",
-                _noise_in_words(fit.noise_model.get(label), scale, unit),
-                f"{p_value:.2g}" if np.isfinite(p_value) else "-",
-                f"{alike.lag_one:.2f}" if np.isfinite(alike.lag_one) else "-",
-                f"{alike.num_effective:.0f} of {alike.num_readings}",
-            ]
-        )
+        alike, made_of = fit.serial_correlation[label], _noise_in_words(fit.noise_model.get(label), scale, unit)
+        tests = _or_dash(report.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
+        independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
+        rows.append([label, f"{scale * deviation:.3g} {unit}", made_of, *tests, independent])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
     return _section("Noise", [*markdown_table(head, rows), "", text])
+
+
+def _or_dash(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "-"
 
 
 def _noise_in_words(model: Noise | None, scale: float, unit: str) -> str:
@@ -257,20 +251,14 @@ def _noise_in_words(model: Noise | None, scale: float, unit: str) -> str:
     return f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
 
 
-def _model_free_section(report: Report) -> list[str]:
+def _model_free_in_words(report: Report) -> list[str]:
     lines = []
     for name, (friction, compared) in report.model_free.items():
-        lines += [f"- {name}: {line}" for line in friction.verdict]
+        lines += [f"{name}: {line}" for line in friction.verdict]
         if compared is not None:
             agrees = f"the fit lies {abs(compared.z):.1f} standard errors from it"
-            lines.append(f"- {name}: {compared.sentence or agrees}")
-    return _section("Model-free friction", lines)
-
-
-def _warning_section(fit: Fit) -> list[str]:
-    """What the first lines have not said already."""
-    remarks = fit.remarks
-    return _section("Warnings", [f"- {warning}" for warning in fit.warnings if warning not in remarks])
+            lines.append(f"{name}: {compared.sentence or agrees}")
+    return lines
 
 
 def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
@@ -281,10 +269,6 @@ def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
     missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(report).items()]
     between = [""] if pictures and missing else []
     return ["## Figures", "", *pictures, *between, *missing]
-
-
-def _reading_section(fit: Fit) -> list[str]:
-    return _section("How the files were read", [f"- {line}" for table in fit.tables for line in table.read_as])
 
 
 def _repeat_section(report: Report) -> list[str]:

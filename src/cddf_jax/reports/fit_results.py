@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import Determination
 from ..estimation.profile_likelihood import Profile
+from ..files.artifacts import picked
 from ..files.manipulator_file import write_manipulator
 from ..identification.bench import unit_of
 from ..identification.fit import Fit
@@ -25,6 +26,20 @@ if TYPE_CHECKING:
 
 PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
 LEAST_ROWS = 3  # for friction without a model
+# of results.json
+OF_FIT = (
+    *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "serial_correlation"),
+    *("trial_effects", "trial_spread", "mean_relative_error", "reduced_chi_square", "degrees_of_freedom"),
+    *("log_likelihood", "information_criteria", "restarted", "num_steps"),
+)
+OF_DETERMINATION = (
+    *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "correlation", "rank"),
+    *("condition_number", "sloppy_direction"),
+)
+OF_BOOTSTRAP = (
+    *("kind", "seed", "num_failed", "num_cases", "coverage", "remark", "names", "standard_error"),
+    *("confidence_interval", "bias", "correlation", "estimates"),
+)
 
 
 class ModelFree(NamedTuple):
@@ -89,26 +104,10 @@ def fit_as_dict(report: Report) -> dict[str, object]:
     fit = report.fit
     return {
         **_determination_as_dict(fit),
-        "result": fit.result,
-        "success": fit.success,
-        "verdict": fit.verdict,
-        "warnings": fit.warnings,
+        **picked(fit, OF_FIT),
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
-        "noise": fit.noise,
-        "noise_model": fit.noise_model,
-        "noise_estimated": fit.noise_estimated,
-        "serial_correlation": fit.serial_correlation,
         "normality": report.normality,
-        "trial_effects": fit.trial_effects,
-        "trial_spread": fit.trial_spread,
-        "mean_relative_error": fit.mean_relative_error,
-        "reduced_chi_square": fit.reduced_chi_square,
-        "degrees_of_freedom": fit.degrees_of_freedom,
-        "log_likelihood": fit.log_likelihood,
-        "information_criteria": fit.information_criteria,
         "cost_from_each_start": fit.starts,
-        "restarted": fit.restarted,
-        "num_steps": fit.num_steps,
         "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
         "bootstraps": [_bootstrap_as_dict(bootstrap) for bootstrap in report.bootstraps],
         "model_free_friction": {name: _model_free_as_dict(found) for name, found in report.model_free.items()},
@@ -121,31 +120,13 @@ def fit_as_dict(report: Report) -> dict[str, object]:
 
 
 def _table_as_dict(table: Measurements) -> dict[str, object]:
-    return {
-        "name": table.name,
-        "files": table.files or (table.name,),
-        "rows": len(table),
-        "sha256": table.checksum,
-        "simulated": table.simulated,
-        "holds_averaged": table.spread is not None,
-        "read_as": table.read_as,
-    }
+    named = {"files": table.files or (table.name,), "rows": len(table), "sha256": table.checksum}
+    return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.spread is not None}
 
 
-def _determination_as_dict(determination: Determination) -> dict[str, object]:
-    return {
-        "names": determination.names,
-        "unit": {name: unit_of(name) for name in (*determination.names, *determination.combinations)},
-        "value": determination.value,
-        "standard_error": determination.standard_error,
-        "confidence_interval": determination.confidence_interval,
-        "status": determination.status,
-        "combinations": determination.combinations,
-        "correlation": determination.correlation,
-        "rank": determination.rank,
-        "condition_number": determination.condition_number,
-        "sloppy_direction": determination.sloppy_direction,
-    }
+def _determination_as_dict(told: Determination) -> dict[str, object]:
+    units = {name: unit_of(name) for name in (*told.names, *told.combinations)}
+    return {"unit": units} | picked(told, OF_DETERMINATION)
 
 
 def _profile_as_dict(profile: Profile) -> dict[str, object]:
@@ -156,34 +137,15 @@ def _profile_as_dict(profile: Profile) -> dict[str, object]:
 
 
 def _bootstrap_as_dict(bootstrap: Bootstrap) -> dict[str, object]:
-    return {
-        "kind": bootstrap.kind,
-        "seed": bootstrap.seed,
-        "replicates": len(bootstrap.estimates) + bootstrap.num_failed,
-        "num_failed": bootstrap.num_failed,
-        "num_cases": bootstrap.num_cases,
-        "coverage": bootstrap.coverage,
-        "remark": bootstrap.remark,
-        "names": bootstrap.names,
-        "unit": {name: unit_of(name) for name in bootstrap.names},
-        "standard_error": bootstrap.standard_error,
-        "confidence_interval": bootstrap.confidence_interval,
-        "bias": bootstrap.bias,
-        "correlation": bootstrap.correlation,
-        "estimates": bootstrap.estimates,
-    }
+    replicates = len(bootstrap.estimates) + bootstrap.num_failed
+    units = {name: unit_of(name) for name in bootstrap.names}
+    return picked(bootstrap, OF_BOOTSTRAP) | {"replicates": replicates, "unit": units}
 
 
 def _model_free_as_dict(found: ModelFree) -> dict[str, object]:
     friction, compared = found
-    return {
-        "unit": "1",
-        "value": friction.value,
-        "standard_error": friction.standard_error,
-        "confidence_interval": friction.confidence_interval,
-        "verdict": friction.verdict,
-        "disagreement": compared,
-    }
+    names = ("value", "standard_error", "confidence_interval", "verdict")
+    return {"unit": "1"} | picked(friction, names) | {"disagreement": compared}
 
 
 def _options(fit: Fit) -> dict[str, object]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..estimation.determination import NOT_IDENTIFIED, Determination
-from ..files.artifacts import markdown_table
+from ..files.artifacts import markdown_table, picked
 from ..identification.bench import parameter_named, unit_of
 from ..identification.experiment_design import Plan, Ranked
 from ..units import shown
@@ -61,24 +61,16 @@ def _error(known: Determination, name: str) -> str:
 
 def plan_as_dict(plan: Plan) -> dict[str, object]:
     """For JSON, SI units; what is infinite becomes null there."""
-    now = {"value": plan.now.value, "standard_error": plan.now.standard_error, "status": plan.now.status}
-    return {
-        "criterion": plan.criterion,
-        "now": now,
-        "ranking": [_ranked_as_dict(ranked) for ranked in plan.ranking],
-        "chosen": [_ranked_as_dict(ranked) for ranked in plan.chosen],
-    }
+    now = picked(plan.now, ("value", "standard_error", "status"))
+    ranking, chosen = ([_ranked_as_dict(ranked) for ranked in some] for some in (plan.ranking, plan.chosen))
+    return {"criterion": plan.criterion, "now": now, "ranking": ranking, "chosen": chosen}
 
 
 def _ranked_as_dict(ranked: Ranked) -> dict[str, object]:
     expected = ranked.expected
     return {
-        "name": ranked.candidate.name,
-        "cost": ranked.candidate.cost,
-        "gain": ranked.gain,
+        **picked(ranked.candidate, ("name", "cost")),
+        **picked(ranked, ("gain", "warnings")),
         "unit": {name: unit_of(name) for name in (*expected.names, *expected.combinations)},
-        "standard_error": expected.standard_error,
-        "status": expected.status,
-        "combinations": expected.combinations,
-        "warnings": ranked.warnings,
+        **picked(expected, ("standard_error", "status", "combinations")),
     }

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..files.artifacts import picked
 from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..statics.contact import self_contact
@@ -34,11 +35,11 @@ def solve_as_dict(
     if any(isinstance(entry, Target) for entry in actuation):
         answer["targets"] = [_target_as_dict(entry) if isinstance(entry, Target) else None for entry in actuation]
     if loads is not None:
-        answer["loads"] = {name: getattr(loads, name) for name in ("tip_force", "tip_moment", "gravity")}
+        answer["loads"] = picked(loads, ("tip_force", "tip_moment", "gravity"))
     answer["self_contact"] = self_contact(equilibrium)
-    for name in ("peak_strain", "peak_strain_at"):
-        answer[name] = getattr(equilibrium, name) if equilibrium.has_wall else None
-    return answer | {name: getattr(equilibrium, name) for name in FIELDS}
+    peak = ("peak_strain", "peak_strain_at")
+    answer |= picked(equilibrium, peak) if equilibrium.has_wall else dict.fromkeys(peak)
+    return answer | picked(equilibrium, FIELDS)
 
 
 def _target_as_dict(target: Target) -> dict[str, object]:
