@@ -334,7 +334,7 @@ def test_a_manipulator_file_takes_its_sections_from_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ('length = "140 mm"\n', "length is in the table of cross_sections too"),
+        ('length = "140 mm"\n', "length and cross_sections are both given; leave one"),
         ("cross_sections = 3\n", "must name a CSV file"),
         ("[[tendons]]\n[[tendons]]\n", "2 tables for 1 columns of offsets"),
         ('[[tendons]]\noffset = "1 mm"\n', "tendon 1: unknown key 'offset'"),

@@ -9,7 +9,8 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -106,11 +107,27 @@ class ZarrStore:
         return found[[*self.layout.variables]]  # in the order in which they were asked for
 
 
-def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
-    """An empty store, which takes its place in one step."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+@contextmanager
+def in_one_step(path: Path) -> Iterator[Path]:
+    """A name beside the path, of a file or a folder, which takes its place when all is written.
+
+    Raises:
+        InputError: where it cannot be written.
+    """
     draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
+        yield draft
+        os.replace(draft, path)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}; choose another place") from None
+    finally:
+        shutil.rmtree(draft) if draft.is_dir() else draft.unlink(missing_ok=True)
+
+
+def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
+    """An empty store."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with in_one_step(path) as draft:
         attrs = {**layout.attrs, IDENTITY: json.dumps(identity)}
         labels = needed("xarray").Dataset(coords=layout.coords, attrs=attrs)
         texts = {name: labels[name].astype(object) for name in labels.coords if labels[name].dtype.kind == "U"}
@@ -128,9 +145,6 @@ def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
                 attributes=variable.attrs,
                 config={"write_empty_chunks": True},
             )
-        os.rename(draft, path)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def _same_work(zarr: ModuleType, path: Path, identity: Mapping[str, object], names: Collection[str]) -> Any:

@@ -92,7 +92,7 @@ def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
     from ..figures.style import render
     from ..files.artifacts import as_json, write_all
 
-    if task.choices or task.shared["options"].starts > 1 or any(weight != 1 for weight, _ in task.objective):
+    if task.choices or task.options.starts > 1 or any(weight != 1 for weight, _ in task.objective):
         raise InputError(
             "--pareto: choices, starts and weights have no place in a trade-off; take them out of the task"
         )
@@ -109,4 +109,4 @@ def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
 def _manipulator_file(found: "Design", task: "DesignTask") -> str:
     from ..files.manipulator_file import manipulator_text
 
-    return manipulator_text(found.manipulator, offsets_outside_wall=task.shared["options"].offsets_outside_wall)
+    return manipulator_text(found.manipulator, offsets_outside_wall=task.options.offsets_outside_wall)

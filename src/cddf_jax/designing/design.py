@@ -286,9 +286,7 @@ def _demand_start(problem: DesignProblem, found: DesignEvaluation, limits: Seque
         if code not in USABLE:
             said = RESULTS[result_of(code)]
             raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")
-    named = [(str(term.objective), aim) for term, aim in zip(problem.terms, found.aims, strict=True)]
-    named += [(str(limit), margin) for limit, margin in zip(limits, found.margins, strict=True)]
-    named += [(str(limit), zero) for limit, zero in zip(limits, found.zeros, strict=True)]
-    for name, values in named:
+    names = [*(str(term.objective) for term in problem.terms), *map(str, limits), *map(str, limits)]
+    for name, values in zip(names, (*found.aims, *found.margins, *found.zeros), strict=True):
         if not np.all(np.isfinite(values)):
             raise InputError(f"design: {name!r} has no finite value for the start; look at its places and its formula")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TypedDict, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -107,16 +107,6 @@ def template() -> str:
     return f"{TEMPLATE}\n{textwrap.fill(names, 110, initial_indent='# ', subsequent_indent='# ')}\n"
 
 
-class SharedArguments(TypedDict):
-    """The arguments that `design` and `pareto_front` share, behind manipulator and objectives."""
-
-    free: tuple[str, ...]
-    bounds: dict[str, tuple[float, float]]
-    constraints: list[Limit]
-    cases: tuple[LoadCase, ...]
-    options: DesignOptions
-
-
 @dataclass(frozen=True)
 class DesignTask:
     """The arguments of `design`, as a file gives them."""
@@ -124,19 +114,26 @@ class DesignTask:
     path: Path
     manipulator: Manipulator
     objective: list[tuple[float, Objective]]
-    shared: SharedArguments
+    free: tuple[str, ...]
+    bounds: dict[str, tuple[float, float]]
+    constraints: list[Limit]
+    cases: tuple[LoadCase, ...]
     choices: dict[str, list[float]]
+    options: DesignOptions
     read_as: tuple[str, ...]  # how the data was read
 
     def design(self) -> Design:
         """As `design`; errors name the file."""
         with within(self.path):
-            return design(self.manipulator, self.objective, choices=self.choices, **self.shared)
+            task = self.manipulator, self.objective, self.free, self.bounds, self.constraints
+            return design(*task, cases=self.cases, choices=self.choices, options=self.options)
 
     def pareto_front(self, num: int) -> ParetoFront:
         """As `pareto_front`, of the two objectives of the task; errors name the file."""
         with within(self.path):
-            return pareto_front(self.manipulator, [aim for _, aim in self.objective], num=num, **self.shared)
+            aims = [aim for _, aim in self.objective]
+            task = self.manipulator, aims, self.free, self.bounds, self.constraints
+            return pareto_front(*task, cases=self.cases, num=num, options=self.options)
 
 
 def read_task(path: Path, *, progress: bool = False) -> DesignTask:
@@ -169,14 +166,12 @@ def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
         path=path,
         manipulator=body,
         objective=_each(table, "objective", _objective),
-        shared=SharedArguments(
-            free=tuple(name for name in free if name not in choices),
-            bounds=bounds,
-            constraints=_each(table, "limit", _limit) if "limit" in table else [],
-            cases=cases,
-            options=DesignOptions(**given),  # type: ignore[arg-type]
-        ),
+        free=tuple(name for name in free if name not in choices),
+        bounds=bounds,
+        constraints=_each(table, "limit", _limit) if "limit" in table else [],
+        cases=cases,
         choices=choices,
+        options=DesignOptions(**given),  # type: ignore[arg-type]
         read_as=read_as,
     )
 

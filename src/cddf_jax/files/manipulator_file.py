@@ -77,7 +77,7 @@ _MORE_PROFILES = ("youngs_modulus", "bending_stiffness", "mass_per_length")
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
 _OPTIONAL = (
     *("density", "drag", "kinematics", "offsets_outside_wall", "name", "description"),
-    *("mass_per_length", "point_mass", "stiffness_factor", "yield_strain"),
+    *("mass_per_length", "point_mass", "stiffness_factor", "yield_strain", "bending_stiffness", "cross_sections"),
 )
 _SECTIONS = "cross_sections"
 _FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
@@ -107,6 +107,7 @@ def read_robot_file(path: str | os.PathLike[str]) -> RobotFile:
         outside = table.get("offsets_outside_wall", False)
         if not isinstance(outside, bool):
             raise InputError(f"offsets_outside_wall must be true or false, got {outside!r}")
+        _check_top(table)
         sections, columns = _read_sections(table, Path(path).parent) if _SECTIONS in table else (_sections(table), ())
         return RobotFile(_manipulator(table, sections).validate(offsets_outside_wall=outside), columns, outside)
 
@@ -193,20 +194,19 @@ def _numbers(table: _Table, keys: Iterable[str], where: str = "") -> dict[str, A
     return {key: quantity(table[key], dimension_of(key), f"{where}{key}") for key in keys if key in table}
 
 
-def _keys(table: _Table, required: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The keys that a file must have, and those that it may have."""
-    if "bending_stiffness" not in table:
-        return list(required), [*_OPTIONAL, "bending_stiffness", _SECTIONS]
-    if "youngs_modulus" in table:
-        raise InputError("youngs_modulus and bending_stiffness are both given; leave one of them out")
-    radii = [key for key in _RADII if key in required]
-    must = [key for key in required if key not in ("youngs_modulus", *radii)]
-    return must, [*_OPTIONAL, *radii, "bending_stiffness", _SECTIONS]
+def _check_top(table: _Table) -> None:
+    """Refuse keys that are unknown or contradict each other, and demand those that are required."""
+    given_elsewhere = {*CrossSections._fields} if _SECTIONS in table else set()
+    given_elsewhere |= {"youngs_modulus", *_RADII} if "bending_stiffness" in table else set()
+    for one, other in (("youngs_modulus", "bending_stiffness"), *((key, _SECTIONS) for key in ("length", *_RADII))):
+        if one in table and other in table:
+            raise InputError(f"{one} and {other} are both given; leave one of them out")
+    required = [key for key in _REQUIRED if key not in given_elsewhere]
+    check_keys("", table, required, [key for key in (*_REQUIRED, *_OPTIONAL) if key not in required])
 
 
 def _sections(table: _Table) -> dict[str, Any]:
     """The body as its keys say."""
-    check_keys("", table, *_keys(table, _REQUIRED))
     length = _numbers(table, ["length"])["length"]
     tables = enumerate(_tables(table, "tendons", "tendon"), 1)
     tendons = [_tendon(tendon, length, f"tendon {number}") for number, tendon in tables]
@@ -225,11 +225,6 @@ def _tables(table: _Table, key: str, one: str) -> list[_Table]:
 
 def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[SectionColumn, ...]]:
     """The body in the CSV file that is named, with what the tables of the tendons add, and its columns."""
-    for key in ("length", *_RADII):
-        if key in table:
-            raise InputError(f"{key} is in the table of {_SECTIONS} too; leave one of them out")
-    must, may = _keys(table, [key for key in _REQUIRED if key not in CrossSections._fields])
-    check_keys("", table, must, [*may, "tendons"])
     file, tolerance = _named(table[_SECTIONS], folder)
     sections, columns = sections_and_columns(file, tolerance)
     tendons = list(sections.tendons)

@@ -1,9 +1,6 @@
 """Sweeps as NetCDF and CSV files, each written complete or not at all."""
 
-import os
-import secrets
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,25 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..batch.chunks import Layout, even_chunks
-from ..errors import InputError, needed
+from ..batch.store import in_one_step
+from ..errors import needed
 from ..robot.named_numbers import of_tendon
 from .one_solve import COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
 
 if TYPE_CHECKING:
     import xarray
-
-
-@contextmanager
-def _in_one_step(path: Path) -> Iterator[Path]:
-    """A name beside the path, which takes its place when all is written."""
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        yield draft
-        os.replace(draft, path)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; choose another place") from None
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
@@ -40,7 +25,7 @@ def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
     """
     whole = answer.load().drop_encoding()
     texts = {name: (c.dims, list(map(str, c.values))) for name, c in whole.coords.items() if c.dtype.kind == "T"}
-    with _in_one_step(path) as draft:  # SciPy's writer knows no text of any length
+    with in_one_step(path) as draft:  # SciPy's writer knows no text of any length
         whole.assign_coords(texts).to_netcdf(draft, engine="scipy", format="NETCDF3_64BIT")
 
 
@@ -51,7 +36,7 @@ def write_csv(layout: Layout, answer: "xarray.Dataset", path: Path) -> None:
         InputError: where it cannot be written.
     """
     pandas = needed("pandas")
-    with _in_one_step(path) as draft, open(draft, "w", encoding="utf-8", newline="") as file:
+    with in_one_step(path) as draft, open(draft, "w", encoding="utf-8", newline="") as file:
         places = {name: np.arange(size) for name, size in layout.shape.items() if name not in answer.coords}
         for i, block in enumerate(blocks_of(layout, answer.assign_coords(places))):
             columns = _axis_columns(layout, block) | _output_columns(layout, block)

@@ -56,22 +56,18 @@ def variable(
     name: str, array: jax.ShapeDtypeStruct, shape: Mapping[str, int], unit_by: str = "", by: str = ""
 ) -> Variable:
     """An output of `array`'s shape and type for every solve, or its derivative by what has the unit `unit_by`."""
-    if name == RESULT:
-        attrs = {
-            "long_name": RESULT,
-            "flag_values": [*range(len(RESULT_NAMES))],
-            "flag_meanings": " ".join(RESULT_NAMES),
-        }
-        return Variable(tuple(shape), tuple(shape.values()), np.dtype(np.int8), attrs)
-    if name == SUCCESSFUL:
-        attrs = {"long_name": "solved without any doubt"}
-        return Variable(tuple(shape), tuple(shape.values()), np.dtype(bool), attrs)
     dims, unit, meaning = tuple(f"{name}_{i}" for i in range(array.ndim)), "", name
     if name in OUTPUTS:
         dims, unit, meaning = OUTPUTS[name], QUANTITIES[name].unit, QUANTITIES[name].words
     if by:
         unit, meaning = unit and quotient(unit, unit_by), f"{meaning}, by {by}"
-    attrs = {"long_name": meaning} | ({"units": unit} if unit else {})
+    if name == SUCCESSFUL:
+        meaning = "solved without any doubt"
+    attrs: dict[str, object] = {"long_name": meaning}
+    if unit:
+        attrs["units"] = unit
+    if name == RESULT:
+        attrs |= {"flag_values": [*range(len(RESULT_NAMES))], "flag_meanings": " ".join(RESULT_NAMES)}
     return Variable((*shape, *dims), (*shape.values(), *array.shape), np.dtype(array.dtype), attrs)
 
 
