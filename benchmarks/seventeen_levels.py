@@ -174,7 +174,7 @@ def main() -> None:
     error = np.array([fit.standard_error[name] for name in fit.names])
 
     calls: dict[str, Callable[[], np.ndarray]] = {
-        "cddf_jax, the search": lambda: minimise(search.problem, search.noise, first).parameters,
+        "cddf_jax, the search": lambda: minimise(search.problem, first).parameters,
         "cddf_jax, fit": lambda: np.array(list(cddf.fit(started, table, noise=NOISE).value.values())),
         "SciPy over our model": lambda: scipy_fit(by_solve, readings),
         "SciPy over numba": lambda: scipy_fit(by_numba, readings),

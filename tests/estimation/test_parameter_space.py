@@ -121,7 +121,7 @@ def test_a_uniform_prior_is_a_pair_of_bounds(bound):
     np.testing.assert_allclose([fit.value["a"], fit.value["b"]], [A_HAT, B_HAT], rtol=SETTLED)
     lower, upper = (0.3 if bound is None else max(0.3, bound[0] or 0.3)), min(0.8, (bound or (0, 0.8))[1] or 0.8)
     i = fit.names.index("b")
-    assert (fit.evidence.lower[i], fit.evidence.upper[i]) == (lower, upper)
+    assert (fit.evidence.space.lower[i], fit.evidence.space.upper[i]) == (lower, upper)
 
 
 def test_a_uniform_prior_off_the_data_ends_at_its_edge():
@@ -182,8 +182,8 @@ def test_what_data_leave_open_is_not_searched_for_long():
 
 
 def test_other_starts_lie_within_the_bounds():
-    space = ParameterSpace(np.array([-3.0, 0.0, 2.0, 2.0, 2.0]), *np.array([[-np.inf, -np.inf, 1.0, -np.inf, 1.0],
-                                                                   [np.inf, np.inf, np.inf, 4.0, 5.0]]))  # fmt: skip
+    lower, upper = np.array([[-np.inf, -np.inf, 1.0, -np.inf, 1.0], [np.inf, np.inf, np.inf, 4.0, 5.0]])
+    space = ParameterSpace(tuple("abcde"), np.array([-3.0, 0.0, 2.0, 2.0, 2.0]), lower, upper)
     draws = np.random.default_rng(9).random((200, 5))
     moved = [space.elsewhere(draw, 2.0) for draw in draws]
     starts = np.array([there.parameters(z) for there, z in moved])

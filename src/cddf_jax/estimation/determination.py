@@ -11,6 +11,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
+from .parameter_space import TINY, ParameterSpace
+
 IDENTIFIED = "identified"
 NOT_IDENTIFIED = "not identified"
 PRIOR_ONLY = "prior only"
@@ -22,7 +24,6 @@ ALL_OF_PRIOR = 0.98  # standard error over that of its prior, from which on the 
 NEGLIGIBLE_POWER = 0.02  # of a parameter in a direction, where the largest is 1; closer ones count as equal
 NEARLY_NORMAL = 1e9  # degrees of freedom from which on the quantile is that of the normal distribution
 INSIDE = 1e-12  # difference from 1 below which the determined directions hold all of a parameter
-TINY = 1e-300  # keeps a divisor from being 0
 
 T = TypeVar("T")
 
@@ -70,11 +71,7 @@ class Determination:
 class Evidence:
     """The rows of the scaled Jacobian at an estimate, by group of data."""
 
-    names: tuple[str, ...]
-    start: np.ndarray
-    scale: np.ndarray  # what to judge a parameter by that may be zero
-    lower: np.ndarray
-    upper: np.ndarray
+    space: ParameterSpace
     value: np.ndarray
     size: np.ndarray  # of each parameter, the unit of the Jacobian's columns
     at_bound: np.ndarray
@@ -93,18 +90,20 @@ class Evidence:
 
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
         """Some groups of the data alone, without priors but those of the named parameters."""
-        rows = {name: self.rows[name] for name in groups}
-        estimated = {name: self.noise_estimated[name] for name in groups}
-        closed = np.zeros_like(self.open_profile)
-        priors = {i: row for i, row in self.prior_rows.items() if self.names[i] in with_priors_of}
-        told = {"rows": rows, "prior_rows": priors, "noise_estimated": estimated}
-        return replace(self, **told, open_profile=closed, bounded_above=())
+        return replace(
+            self,
+            rows={name: self.rows[name] for name in groups},
+            prior_rows={i: row for i, row in self.prior_rows.items() if self.space.names[i] in with_priors_of},
+            noise_estimated={name: self.noise_estimated[name] for name in groups},
+            open_profile=np.zeros_like(self.open_profile),
+            bounded_above=(),
+        )
 
     @property
     def nearest_bound(self) -> np.ndarray:
         """By parameter, the bound that the value is closer to."""
-        below, above = self.value - self.lower, self.upper - self.value
-        return np.where(below < above, self.lower, self.upper)
+        lower, upper = self.space.lower, self.space.upper
+        return np.where(self.value - lower < upper - self.value, lower, upper)
 
     @property
     def jacobian(self) -> np.ndarray:
@@ -126,6 +125,10 @@ class Spectrum(NamedTuple):
     covariance: np.ndarray  # relative, of the determined directions
     relative_error: np.ndarray  # of each parameter, inf where a direction that is not determined holds it
 
+    def leverage(self, rows: np.ndarray) -> np.ndarray:
+        """The variance of what is predicted for some rows of a Jacobian."""
+        return np.einsum("ki,ij,kj->k", rows, self.covariance, rows)
+
 
 def spectrum_of(jacobian: np.ndarray) -> Spectrum:
     """The thin SVD, and which of its directions the data determine."""
@@ -140,8 +143,8 @@ def spectrum_of(jacobian: np.ndarray) -> Spectrum:
 
 def determine(evidence: Evidence) -> Determination:
     """Standard errors, intervals and statuses from the rows of the Jacobian."""
-    names, value, size = evidence.names, evidence.value, evidence.size
-    jacobian = evidence.jacobian
+    names, lower, upper = evidence.space.names, evidence.space.lower, evidence.space.upper
+    value, size, jacobian = evidence.value, evidence.size, evidence.jacobian
     spectrum = spectrum_of(jacobian)
     rank = int(spectrum.determined.sum())
     freedom = jacobian.shape[0] - rank
@@ -154,8 +157,8 @@ def determine(evidence: Evidence) -> Determination:
     lost = np.array([word == NOT_IDENTIFIED for word in status])
     open_ended = lost | np.array([word == AT_BOUND for word in status])
     low, high = value - quantile * error, value + quantile * error
-    limit = np.minimum(high, evidence.upper)
-    low, high = np.where(open_ended, evidence.lower, low), np.where(open_ended, evidence.upper, high)
+    limit = np.minimum(high, upper)
+    low, high = np.where(open_ended, lower, low), np.where(open_ended, upper, high)
     high[list(evidence.bounded_above)] = limit[list(evidence.bounded_above)]
     spread = np.sqrt(np.diag(spectrum.covariance))
     sloppy = spectrum.directions[-1] / max(np.abs(spectrum.directions[-1]).max(), TINY)
@@ -202,11 +205,11 @@ def quantiles(evidence: Evidence, spectrum: Spectrum, directions: np.ndarray) ->
 
 def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> list[str]:
     """Identified: a 95 % interval that closes inside the bounds, a relative standard error below 0.5, no failed fit."""
-    value = evidence.value
+    space, value = evidence.space, evidence.value
     # a parameter without a lower bound may be 0: its scale counts as its size where that is larger
-    scale = np.where(np.isfinite(evidence.lower), 0.0, evidence.scale)
+    scale = np.where(np.isfinite(space.lower), 0.0, space.scale)
     known = error < LARGEST_RELATIVE_ERROR * np.maximum(evidence.size, scale)
-    closed = (value - quantile * error > evidence.lower) & (value + quantile * error < evidence.upper)
+    closed = (value - quantile * error > space.lower) & (value + quantile * error < space.upper)
     data_error = spectrum_of(without_nan(np.concatenate([*evidence.rows.values()]))).relative_error * evidence.size
     of_prior = np.full(len(value), np.nan)  # the size of a parameter over the standard deviation of its prior
     for i, row in evidence.prior_rows.items():

@@ -5,7 +5,6 @@ The optimiser sees dimensionless unknowns of order one. Noise that is not given 
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Unpack
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +12,9 @@ import numpy as np
 from jaxtyping import ArrayLike, PyTree
 
 from ..errors import InputError
-from .bootstrap import Bootstrap, BootstrapOptions, Path, Refits, bootstrap, refits
+from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
 from .determination import Determination, Evidence, determine, quantiles, spectrum_of
-from .levenberg_marquardt import MAX_STEPS, Minimum
+from .levenberg_marquardt import MAX_STEPS, Data, LeastSquaresProblem, Minimum
 from .observations import Noise, group_observations
 from .parameter_space import (
     Bounds,
@@ -25,11 +24,9 @@ from .parameter_space import (
     bounds_of,
     lay_out_parameters,
     priors_of,
-    with_uniform_priors,
 )
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
-from .residuals import LeastSquaresProblem
 from .restarts import Searched, search_as_needed, search_many
 from .robust_loss import loss_of
 from .whole_search import FitTask
@@ -104,15 +101,44 @@ class LeastSquaresFit(Determination):
             raise InputError("profile: no data are left to tell the noise; give it, or measure more")
         i = self.names.index(name)
         quantile = quantiles(self.evidence, spectrum_of(self.evidence.jacobian), np.eye(len(self.names))[i : i + 1])
-        return profile_likelihood(self.minimum, self.names, name, self.standard_error[name], float(quantile[0]))
+        return profile_likelihood(self.minimum, name, self.standard_error[name], float(quantile[0]))
+
+    @property
+    def clusters(self) -> Clusters:
+        """By group of data, what a bootstrap of cases draws from, and the label of each datum; {}: every datum."""
+        return {}
 
     def bootstrap(
-        self, kind: str = "parametric", replicates: int = 1000, **options: Unpack[BootstrapOptions]
+        self,
+        kind: str = "parametric",
+        replicates: int = 1000,
+        *,
+        clusters: Clusters | None = None,
+        seed: int = 0,
+        progress: bool = False,
+        out: Path | None = None,
     ) -> Bootstrap:
-        """Refits to data drawn anew; see `bootstrap.bootstrap`."""
-        groups = tuple(self.evidence.rows)
+        """Draw data anew and fit them from the estimate on, the weights of the data held.
+
+        A prior counts as one more reading and is drawn anew too; under a robust loss it is held.
+
+        Args:
+            kind: "parametric" or "cases".
+            replicates: how many.
+            clusters: for "cases", by group, the name of what is drawn from and one label per datum: data of one label
+                are drawn together, also across groups that draw from the same. None for those of the fit.
+            seed: of NumPy's generator.
+            progress: show a bar.
+            out: path of a Zarr store for the estimates; a bootstrap that was stopped goes on where it was, and several
+                processes share the work.
+
+        Raises:
+            InputError: for an unknown kind, too few replicates, clusters that fit no group, a store of other work.
+        """
+        if clusters is None:
+            clusters = self.clusters if kind == "cases" else {}
         freedom = float(self.degrees_of_freedom) if self.noise_estimated else np.inf
-        return bootstrap(self.minimum, self.names, groups, kind, replicates, noise_freedom=freedom, **options)
+        return bootstrap(self.minimum, kind, replicates, clusters, freedom, seed, progress=progress, out=out)
 
     def refits(self, observed: Mapping[str, ArrayLike], *, progress: bool = False, out: Path | None = None) -> Refits:
         """The same fit to the data of many benches, from this estimate on, with its weights.
@@ -125,7 +151,7 @@ class LeastSquaresFit(Determination):
         Raises:
             InputError: for an unknown group, data of another shape, a store of other work.
         """
-        return refits(self.minimum, self.names, tuple(self.evidence.rows), observed, progress=progress, out=out)
+        return refits(self.minimum, observed, progress=progress, out=out)
 
     def doubted(self, reason: str) -> "LeastSquaresFit":
         """The same as a failed fit, for a reason that is not in its sum of squares."""
@@ -215,12 +241,13 @@ def least_squares_fit(
         raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
     names, first, unravel = lay_out_parameters(start, fixed, shared or {})
     data = group_observations(observed, sigma)
-    limits = bounds_of(names, first, with_uniform_priors(bounds or {}, priors or {}))
+    limits = bounds_of(names, first, bounds or {}, priors or {})
     prior = priors_of(names, priors or {})
-    space = ParameterSpace(first, *limits, _scales(names, first, scales or {}, prior))
-    problem = LeastSquaresProblem(predict, unravel, data.values, space, prior, loss_of(loss).name)
+    space = ParameterSpace(names, first, *limits, _scales(names, first, scales or {}, prior))
+    given = Data(data.values, data.first_guess(), tuple(np.ones(v.shape) for v in data.values), prior)
+    problem = LeastSquaresProblem(predict, unravel, data.names, given, space, loss_of(loss).name, max_steps)
 
-    task = FitTask(problem, data, names, prefer_start, max_steps)
+    task = FitTask(problem, data, prefer_start)
     searched = search_as_needed(task, seed) if starts is None else search_many(task, starts, seed)
     return _conclude(task, searched, seed)
 
@@ -240,19 +267,19 @@ def _scales(
 
 def _conclude(task: FitTask, searched: Searched, seed: int) -> LeastSquaresFit:
     ending, data = searched.ending, task.data
-    problem, noise, outcome = ending.minimum
-    freedom, residuals = outcome.residual.size - ending.determination.rank, problem.by_group(outcome.residual)
-    observed_less_predicted = [-r.reshape(v.shape) * s for r, s, v in zip(residuals, noise, data.values, strict=True)]
+    problem, outcome = ending.minimum
+    noise, freedom = problem.data.noise, outcome.residual.size - ending.determination.rank
+    residuals = [r.reshape(s.shape) for r, s in zip(problem.by_group(outcome.residual), noise, strict=True)]
     log_likelihood = -0.5 * sum(
         np.sum(r**2) + np.sum(np.log(2 * np.pi * s**2)) for r, s in zip(residuals, noise, strict=True)
     )
     return LeastSquaresFit(
         **vars(ending.determination),
         noise={name: float(np.sqrt(np.mean(s**2))) for name, s in zip(data.names, noise, strict=True)},
-        noise_model=data.noise_models(noise, outcome),
+        noise_model=data.noise_models(ending.minimum),
         noise_parts=data.estimated_parts,
         noise_estimated=any(ending.evidence.noise_estimated.values()),
-        residuals=jax.tree_util.tree_unflatten(data.structure, observed_less_predicted),
+        residuals=jax.tree.unflatten(data.structure, [-r * s for r, s in zip(residuals, noise, strict=True)]),
         reduced_chi_square=float(np.sum(outcome.residual**2)) / max(freedom, 1),
         degrees_of_freedom=freedom,
         log_likelihood=float(log_likelihood),

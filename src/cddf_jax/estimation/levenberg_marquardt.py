@@ -1,6 +1,6 @@
-"""The minimum of a sum of squares, by optimistix's Levenberg-Marquardt over dimensionless unknowns."""
+"""The sum of squares of a fit, and its minimum by optimistix's Levenberg-Marquardt over dimensionless unknowns."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,22 +9,73 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
-from .parameter_space import Numbers, Prior
-from .residuals import Deviations, LeastSquaresProblem
+from ..errors import InputError
+from .parameter_space import Numbers, ParameterSpace, Prior
+from .robust_loss import LOSSES
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; tighter, and rounding errors of the cost would decide on steps
 BATCH_TOLERANCE = 1e-6  # of a lane of many: far below any standard error
 MAX_STEPS = 500
 
 
-class Redrawn(NamedTuple):
-    """Data instead of a problem's, with a leading axis of searches or one for all; None for those of the problem."""
+class Data(NamedTuple):
+    """What a model is fitted to; of many fits at once, arrays may have a leading axis of fits."""
 
-    values: Sequence[Numbers] | None = None
-    means: Sequence[Numbers] | None = None  # of the priors
-    times: Sequence[Numbers] | None = None  # how often each datum counts, under a robust loss
+    values: tuple[Numbers, ...]  # by group
+    noise: tuple[Numbers, ...]  # standard deviations, of the shapes of the values
+    times: tuple[Numbers, ...]  # how often each datum counts
+    prior: dict[int, Prior]  # by parameter
+
+
+class LeastSquaresProblem(eqx.Module):
+    """A model, its data, and what is known of its parameters."""
+
+    predict: Callable[[PyTree], PyTree]
+    unravel: Callable[[Array], PyTree] = eqx.field(static=True)
+    groups: tuple[str, ...] = eqx.field(static=True)  # of the data
+    data: Data
+    space: ParameterSpace
+    loss: str = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)  # of a search
+
+    def residual(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " m"]:
+        """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors."""
+        parameters = self.parameters(z, held)
+        predicted = jax.tree.leaves(self.predict(self.unravel(parameters)))
+        values, noise, _, prior = self.data
+        sizes, wanted = [jnp.size(p) for p in predicted], [np.size(v) for v in values]
+        if sizes != wanted:
+            raise InputError(f"predict gives arrays of {sizes} numbers where the data have {wanted}")
+        groups = zip(predicted, values, noise, strict=True)
+        rows = [jnp.ravel((jnp.reshape(p, jnp.shape(v)) - v) / s) for p, v, s in groups]
+        pulls = [(parameters[i] - one.mean) / one.standard_deviation for i, one in prior.items()]
+        return jnp.concatenate([*rows, jnp.stack(pulls)] if pulls else rows)
+
+    def parameters(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " n"]:
+        """The parameters at z; `held` is NaN where they are free."""
+        return jnp.where(jnp.isnan(held), self.space.parameters(z), held)
+
+    @property
+    def num_data(self) -> int:
+        """Without the rows of the priors, which no loss softens."""
+        return sum(np.size(v) for v in self.data.values)
+
+    def softened(self, residual: Float[Array, " m"]) -> Float[Array, " m"]:
+        """What to square and sum."""
+        data, prior = jnp.split(residual, [self.num_data])
+        times = jnp.concatenate([jnp.ravel(t) for t in self.data.times])
+        return jnp.concatenate([LOSSES[self.loss].transformed(data) * jnp.sqrt(times), prior])
+
+    def influence(self, residual: np.ndarray) -> np.ndarray:
+        """Half the derivative of the cost by each residual."""
+        data, prior = np.split(residual, [self.num_data])
+        return np.append(LOSSES[self.loss].influence(data), prior)
+
+    def by_group(self, rows: np.ndarray) -> list[np.ndarray]:
+        """The rows of each group of data, of residuals say; those of the priors are left out."""
+        return np.split(rows, np.cumsum([np.size(v) for v in self.data.values]))[:-1]
 
 
 class Outcome(NamedTuple):
@@ -46,23 +97,21 @@ def hold_one(count: int, i: int, value: ArrayLike) -> np.ndarray:
 
 
 class Minimum(NamedTuple):
-    """A problem, the noise that its data were weighted with, and where the search for its minimum ended."""
+    """A problem, and where the search for its minimum ended."""
 
     problem: LeastSquaresProblem
-    noise: tuple[np.ndarray, ...]  # standard deviations, one array for each group of data
     outcome: Outcome
 
-    def refit(self, held: np.ndarray, max_steps: int = MAX_STEPS) -> tuple[Outcome, float]:
+    def refit(self, held: np.ndarray) -> tuple[Outcome, float]:
         """Hold some parameters, fit the others from here on.
 
         Args:
             held: values at which parameters are held, NaN for those that are free.
-            max_steps: of the optimiser.
 
         Returns:
             Where the search ended, and the rise of the cost; NaN where the model gives no number.
         """
-        moved = minimise(self.problem, self.noise, self.outcome.z, held, max_steps)
+        moved = minimise(self.problem, self.outcome.z, held)
         return moved, float(moved.cost - self.outcome.cost)
 
 
@@ -83,128 +132,83 @@ class _Acceptance(optx.ClassicalTrustRegion):
         return size, accept | noise, result, eqx.tree_at(lambda state: state.step_size, new, size)
 
 
-def minimise(
-    problem: LeastSquaresProblem,
-    noise: Deviations,
-    z: np.ndarray | None = None,
-    held: np.ndarray | None = None,
-    max_steps: int = MAX_STEPS,
-) -> Outcome:
-    """Search for the minimum from z, or from the start of the problem.
+def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | None = None) -> Outcome:
+    """Search for the minimum from z.
 
     Args:
-        noise: standard deviations, one array for each group of data.
+        problem: whose sum of squares it is.
         z: dimensionless unknowns.
         held: values at which parameters are held, NaN for those that are free; None for all free.
-        max_steps: of the optimiser.
     """
-    first = problem.space.first() if z is None else z
-    held = np.full(len(first), np.nan) if held is None else held
-    return _outcome(problem, _descend(problem, tuple(noise), first, held, max_steps, TOLERANCE))
+    held = np.full(len(z), np.nan) if held is None else held
+    return _outcome(_descend(problem, z, held, TOLERANCE))
 
 
 def minimise_all(
-    problem: LeastSquaresProblem,
-    noise: Deviations,
-    z: np.ndarray,
-    held: np.ndarray | None = None,
-    drawn: Redrawn | None = None,
-    max_steps: int = MAX_STEPS,
+    problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | None = None, data: Data | None = None
 ) -> Outcome:
     """Many searches at once.
 
     Args:
-        noise: as for `minimise`, or one each: with a leading axis.
+        problem: of all of them.
         z: (searches, n), where they start.
         held: (searches, n), NaN for parameters that are free; None for all free.
-        drawn: data instead of the problem's, each search its own.
-        max_steps: of each.
+        data: in place of the problem's; arrays that have a leading axis hold those of each search.
     """
 
-    def one_each(x: float | Numbers, like: float | Numbers) -> Numbers:
-        return np.asarray(x) if np.ndim(x) > np.ndim(like) else np.broadcast_to(x, (len(z), *np.shape(x)))
+    def one_each(x: Numbers, own: Numbers) -> np.ndarray:
+        return np.broadcast_to(x, (len(z), *np.shape(own)))
 
-    values, means, times = drawn or Redrawn()
-    own = [prior.mean for prior in problem.prior.values()]
-    data = Redrawn(
-        tuple(map(one_each, values or problem.values, problem.values)),
-        tuple(map(one_each, means or own, own)),
-        times and tuple(map(one_each, times, problem.values)),
-    )
-    noise = tuple(map(one_each, noise, problem.values))
-    held = np.full(z.shape, np.nan) if held is None else held
-    return _outcome(problem, _descend_all(problem, data, noise, z, held, max_steps))
+    each = jax.tree.map(one_each, problem.data if data is None else data, problem.data)
+    return _outcome(_descend_all(problem, each, z, np.full(z.shape, np.nan) if held is None else held))
 
 
-class _Reached(NamedTuple):
-    """What a search found, on the device."""
-
-    z: Float[Array, "*lanes n"]
-    parameters: Float[Array, "*lanes n"]
-    residual: Float[Array, "*lanes m"]
-    slope: Float[Array, "*lanes m n"]  # of the residual by the parameters
-    cost: Float[Array, "*lanes"]
-    num_steps: ArrayLike
-    solved: Bool[Array, "*lanes"] | bool
-
-
-def _outcome(problem: LeastSquaresProblem, reached: _Reached) -> Outcome:
-    """The same in this process, with the derivatives by the parameters over their size."""
-    z, parameters, residual, slope, cost, num_steps, solved = map(np.asarray, jax.device_get(reached))
-    size = problem.space.size(parameters)
-    return Outcome(z, parameters, size, residual, slope * size[..., None, :], cost, num_steps, solved)
-
-
-def evaluate(problem: LeastSquaresProblem, noise: Deviations, z: np.ndarray) -> Outcome:
+def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     """Cost, residuals and derivatives at z, as of a search that ended there."""
-    free = np.full(len(z), np.nan)
-    residual, by_z = _residual_and_slope(problem, tuple(noise), free, z)
-    parameters, stretch = jax.jvp(problem.space.parameters, (jnp.asarray(z),), (jnp.ones(len(z)),))
-    cost = jnp.sum(problem.softened(residual) ** 2)
-    return _outcome(problem, _Reached(jnp.asarray(z), parameters, residual, by_z / stretch, cost, 0, True))
+    return _outcome((*_at(problem, jnp.asarray(z), np.full(len(z), np.nan)), 0, True))
 
 
-def residuals_at(problem: LeastSquaresProblem, noise: Deviations, z: np.ndarray) -> np.ndarray:
-    """The residuals at many places, (places, rows)."""
-    return np.asarray(_residuals_at(problem, tuple(noise), z))
+def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
+    """In this process."""
+    return Outcome(*map(np.asarray, jax.device_get(found)))
 
 
-@eqx.filter_jit
-def _residuals_at(problem: LeastSquaresProblem, noise: Deviations, z: Float[Numbers, "places n"]) -> Array:
-    free = jnp.full(z.shape[1], jnp.nan)
-    return jax.vmap(lambda z: problem.residual(z, noise, free))(z)
+def _at(
+    problem: LeastSquaresProblem, z: Float[Array, " n"], held: Float[Numbers, " n"]
+) -> tuple[Float[Array, "..."], ...]:
+    """What an outcome says of a place, from z to the cost."""
+    residual, by_z = _residual_and_slope(problem, held, z)
+    parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))
+    size = problem.space.size(parameters)
+    slope = by_z / jnp.where(stretch == 0, 1.0, stretch)
+    return z, parameters, size, residual, slope * size, jnp.sum(problem.softened(residual) ** 2)
 
 
 @eqx.filter_jit
 def _residual_and_slope(
-    problem: LeastSquaresProblem, noise: Deviations, held: Float[Numbers, " n"], z: Float[Numbers, " n"]
+    problem: LeastSquaresProblem, held: Float[Numbers, " n"], z: Float[Numbers, " n"]
 ) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
     """The residual and its Jacobian by z, forward mode."""
 
     def push(tangent):
-        return jax.jvp(lambda z: problem.residual(z, noise, held), (z,), (tangent,))
+        return jax.jvp(lambda z: problem.residual(z, held), (z,), (tangent,))
 
     return jax.vmap(push, out_axes=(None, 1))(jnp.eye(z.shape[0]))
 
 
 @eqx.filter_jit
 def _descend(
-    problem: LeastSquaresProblem,
-    noise: Deviations,
-    z: Float[Numbers, " n"],
-    held: Float[Numbers, " n"],
-    max_steps: int,
-    tolerance: float,
-) -> _Reached:
+    problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"], tolerance: float
+) -> tuple[ArrayLike, ...]:
     # Handed an explicit Jacobian, the optimiser need not differentiate the model for every product with it;
     # asked for in one place, it is traced once.
     @jax.custom_jvp
     def residual(z):
-        return problem.softened(_residual_and_slope(problem, noise, held, z)[0])
+        return problem.softened(_residual_and_slope(problem, held, z)[0])
 
     @residual.defjvp
     def _(primals, tangents):
-        value, slope = _residual_and_slope(problem, noise, held, *primals)
+        value, slope = _residual_and_slope(problem, held, *primals)
         return jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
 
     optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), _Acceptance())
@@ -215,32 +219,18 @@ def _descend(
             optimiser,
             jnp.asarray(z),
             options={"jac": "fwd"},
-            max_steps=max_steps,
+            max_steps=problem.max_steps,
             throw=False,
         )
-        z = solution.value
-        value, slope = _residual_and_slope(problem, noise, held, z)
-    parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))
-    slope = slope / jnp.where(stretch == 0, 1.0, stretch)
-    solved = solution.result == optx.RESULTS.successful
-    cost = jnp.sum(problem.softened(value) ** 2)
-    return _Reached(z, parameters, value, slope, cost, solution.stats["num_steps"], solved)
+        found = _at(problem, solution.value, held)
+    return *found, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
 
 
 @eqx.filter_jit
 def _descend_all(
-    problem: LeastSquaresProblem,
-    data: Redrawn,
-    noise: Deviations,
-    z: Float[Numbers, "searches n"],
-    held: Float[Numbers, "searches n"],
-    max_steps: int,
-) -> _Reached:
-    def one(data, noise, z, held):
-        values, means, times = data
-        pairs = zip(problem.prior.items(), means, strict=True)
-        prior = {i: Prior(mean, known.standard_deviation) for (i, known), mean in pairs}
-        there = replace(problem, values=values, prior=prior, times=times)
-        return _descend(there, noise, z, held, max_steps, BATCH_TOLERANCE)
+    problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"], held: Float[Numbers, "searches n"]
+) -> tuple[ArrayLike, ...]:
+    def one(data, z, held):
+        return _descend(replace(problem, data=data), z, held, BATCH_TOLERANCE)
 
-    return jax.vmap(one)(data, noise, z, held)
+    return jax.vmap(one)(data, z, held)

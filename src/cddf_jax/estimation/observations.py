@@ -10,9 +10,9 @@ from jaxtyping import PyTree
 from scipy.optimize import nnls
 
 from ..errors import InputError
-from .determination import TINY, spectrum_of, without_nan
-from .levenberg_marquardt import Outcome
-from .residuals import LeastSquaresProblem
+from .determination import spectrum_of, without_nan
+from .levenberg_marquardt import Minimum
+from .parameter_space import TINY
 
 MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
 MEDIAN_TO_DEVIATION = 1.4826  # of a Gaussian, from the median of |residual|
@@ -75,45 +75,44 @@ class Observations:
 
         return tuple(guess(*group) for group in zip(self.sigma, self.scale, self.values, strict=True))
 
-    def estimate_noise(
-        self, noise: tuple[np.ndarray, ...], problem: LeastSquaresProblem, outcome: Outcome
-    ) -> tuple[np.ndarray, ...]:
+    def estimate_noise(self, minimum: Minimum) -> tuple[np.ndarray, ...]:
         """From the residuals of each group, less the degrees of freedom that the fit took from it."""
-        count = sum(v.size for v in self.values)
+        problem, outcome = minimum
         jacobian = without_nan(outcome.jacobian)
-        leverage = np.einsum("ki,ij,kj->k", jacobian, spectrum_of(jacobian).covariance, jacobian)[:count]
-        improved, at = [], 0
-        for values, sigma, old, scale in zip(self.values, self.sigma, noise, self.scale, strict=True):
-            rows = slice(at, at := at + values.size)
-            error = outcome.residual[rows] * old.ravel()
-            least = MODEL_PRECISION * scale
+        leverages = problem.by_group(spectrum_of(jacobian).leverage(jacobian))
+        groups = zip(self.values, self.sigma, problem.data.noise, problem.by_group(outcome.residual), strict=True)
+        improved = []
+        for (values, sigma, old, residual), leverage, scale in zip(groups, leverages, self.scale, strict=True):
+            noise, least = np.ravel(old), MODEL_PRECISION * scale
+            error, squares = residual * noise, residual**2
             if sigma is None:
-                freedom = max(values.size - leverage[rows].sum(), 1e-3)
+                freedom = max(values.size - leverage.sum(), 1e-3)
                 spread = np.sqrt(np.sum(error**2) / freedom)
                 if problem.loss != "linear":
                     spread = MEDIAN_TO_DEVIATION * np.median(np.abs(error)) * np.sqrt(values.size / freedom)
-                improved.append(np.full(values.shape, max(spread, least)))
+                noise = np.full(values.size, max(spread, least))
             elif isinstance(sigma, Noise):
-                squares = outcome.residual[rows] ** 2
                 if problem.loss != "linear":  # an outlier counts no more than a residual of ordinary size
                     squares = np.minimum(squares, WINSOR**2) / WINSORED_SQUARE
-                squares = squares * old.ravel() ** 2
-                floor, fraction = _parts(sigma, values.ravel() + error, squares, leverage[rows], old.ravel())
-                improved.append(np.hypot(max(floor, least), fraction * (values + error.reshape(values.shape))))
-            else:
-                improved.append(old)
+                predicted = values.ravel() + error
+                floor, fraction = _parts(sigma, predicted, squares * noise**2, leverage, noise)
+                noise = np.hypot(max(floor, least), fraction * predicted)
+            improved.append(noise.reshape(values.shape))
         return tuple(improved)
 
-    def noise_models(self, noise: tuple[np.ndarray, ...], outcome: Outcome) -> dict[str, Noise]:
+    def noise_models(self, minimum: Minimum) -> dict[str, Noise]:
         """Floor and fraction of the groups that have them."""
-        found, at = {}, 0
-        for name, values, sigma, old in zip(self.names, self.values, self.sigma, noise, strict=True):
-            error = outcome.residual[at : (at := at + values.size)] * old.ravel()
+        problem, outcome = minimum
+        residuals, found = problem.by_group(outcome.residual), {}
+        for name, values, sigma, old, residual in zip(
+            self.names, self.values, self.sigma, problem.data.noise, residuals, strict=True
+        ):
             if isinstance(sigma, Noise):
-                old, predicted = old.ravel(), values.ravel() + error
-                parts = np.array(_parts(sigma, predicted, old**2, np.zeros(old.size), old))
+                noise = np.ravel(old)
+                predicted = values.ravel() + residual * noise
+                parts = np.array(_parts(sigma, predicted, noise**2, np.zeros(noise.size), noise))
                 size = parts * [1.0, np.max(np.abs(predicted))]
-                found[name] = Noise(*np.where(size < NEGLIGIBLE * np.min(old), 0.0, parts).tolist())
+                found[name] = Noise(*np.where(size < NEGLIGIBLE * np.min(noise), 0.0, parts).tolist())
         return found
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from ..errors import InputError
-from .determination import TINY
 
 Numbers = np.ndarray | Array
 Bounds = Mapping[str, tuple[float | None, float | None]]  # by parameter, (lower, upper), None for no bound
+TINY = 1e-300  # keeps a divisor from being 0
 FLIPPED = 0.25  # of further starts: share in which a parameter without bounds has the other sign
 
 
@@ -36,21 +36,18 @@ class Uniform(NamedTuple):
 Priors = Mapping[str, Prior | tuple[float, float] | Uniform]  # by parameter
 
 
-class ParameterLayout(NamedTuple):
-    """Which numbers of the parameters are fitted, and how all of them follow from these."""
-
-    names: tuple[str, ...]  # of those that are fitted
-    start: np.ndarray
-    unravel: Callable[[Array], PyTree]  # from the fitted numbers to the structure of the parameters
-
-
-def lay_out_parameters(start: PyTree, fixed: Collection[str], shared: Mapping[str, str]) -> ParameterLayout:
+def lay_out_parameters(
+    start: PyTree, fixed: Collection[str], shared: Mapping[str, str]
+) -> tuple[tuple[str, ...], np.ndarray, Callable[[Array], PyTree]]:
     """Leave out what is fixed at its start, and what is to equal another parameter.
 
     Args:
         start: a pytree of numbers or arrays.
         fixed: names that keep their start; the name of an array stands for all of its numbers.
         shared: by name, the name of the parameter that it shares the value of.
+
+    Returns:
+        Names and starts of the numbers that are fitted, and what makes of these the structure of the parameters.
 
     Raises:
         InputError: for unknown names, nothing left to fit, or a chain of shared parameters.
@@ -74,12 +71,11 @@ def lay_out_parameters(start: PyTree, fixed: Collection[str], shared: Mapping[st
     fitted = [i for i in range(len(every)) if i not in held and i not in source]
     if not fitted:
         raise InputError("there is no parameter to fit")
-    if len(fitted) == len(every):
-        return ParameterLayout(every, np.asarray(flat), unravel)
-    numbers = tuple(flat.tolist())
-    source_of = tuple(source.get(i, i) for i in range(len(every)))
-    put = _Put(unravel, numbers, tuple(fitted.index(j) if j in fitted else None for j in source_of), source_of)
-    return ParameterLayout(tuple(every[i] for i in fitted), np.asarray(flat)[fitted], put)
+    others = [i for i in range(len(every)) if i not in fitted]
+    order = [*fitted, *others]
+    place = tuple(order.index(source.get(i, i)) for i in range(len(every)))
+    put = _Put(unravel, tuple(float(flat[i]) for i in others), place)
+    return tuple(every[i] for i in fitted), np.asarray(flat)[fitted], put
 
 
 @dataclass(frozen=True)
@@ -87,13 +83,11 @@ class _Put:
     """All parameters from those that are fitted; equal to another that does the same, so that jit knows it again."""
 
     unravel: Callable[[Array], PyTree]
-    start: tuple[float, ...]
-    fitted: tuple[int | None, ...]  # by parameter, which of those that are fitted it takes the value of
-    source: tuple[int, ...]  # by parameter, which parameter's start it keeps otherwise
+    others: tuple[float, ...]  # that are not fitted
+    place: tuple[int, ...]  # of each parameter among the fitted numbers, followed by these
 
     def __call__(self, values: Array) -> PyTree:
-        numbers = [self.start[j] if k is None else values[k] for k, j in zip(self.fitted, self.source, strict=True)]
-        return self.unravel(jnp.stack([jnp.asarray(x, values.dtype) for x in numbers]))
+        return self.unravel(jnp.append(values, jnp.asarray(self.others, values.dtype))[np.array(self.place)])
 
 
 def names_of(start: PyTree) -> tuple[str, ...]:
@@ -112,17 +106,25 @@ def _known(kind: str, names: tuple[str, ...], given: Collection[str]) -> None:
             raise InputError(f"{kind} for {name!r}, which is not fitted; fitted are {', '.join(names)}")
 
 
-def bounds_of(names: tuple[str, ...], start: np.ndarray, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds by the order of the names, infinite where there are none.
+def bounds_of(
+    names: tuple[str, ...], start: np.ndarray, bounds: Bounds, priors: Priors
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds by the order of the names, infinite where there are none, narrowed by uniform priors.
 
     Raises:
-        InputError: for a name that is not fitted, or a start outside its bounds.
+        InputError: for a name that is not fitted, a prior that is no range, or a start outside its bounds.
     """
     _known("bounds", names, bounds)
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for i, name in enumerate(names):
         low, high = bounds.get(name, (None, None))
         lower[i], upper[i] = -np.inf if low is None else low, np.inf if high is None else high
+        if isinstance(prior := priors.get(name), Uniform):
+            if not prior.low < prior.high:
+                raise InputError(
+                    f"prior for {name}: {prior.low:g} to {prior.high:g} is no range; write the lower first"
+                )
+            lower[i], upper[i] = max(lower[i], prior.low), min(upper[i], prior.high)
         if not lower[i] < start[i] < upper[i]:
             raise InputError(
                 f"{name} starts at {start[i]:g}, which is not inside its bounds {lower[i]:g} to {upper[i]:g}; "
@@ -132,7 +134,7 @@ def bounds_of(names: tuple[str, ...], start: np.ndarray, bounds: Bounds) -> tupl
 
 
 def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
-    """The Gaussian priors, by the number of their parameter; uniform ones are bounds (`with_uniform_priors`).
+    """The Gaussian priors, by the number of their parameter; uniform ones are bounds (`bounds_of`).
 
     Raises:
         InputError: for a name that is not fitted, or a prior that is not (mean, standard deviation > 0).
@@ -151,79 +153,71 @@ def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
     return dict(sorted(found.items()))  # as JAX orders them
 
 
-def with_uniform_priors(bounds: Bounds, priors: Priors) -> Bounds:
-    """The bounds, narrowed by the uniform priors."""
-    narrowed = dict(bounds)
-    uniform = {name: prior for name, prior in priors.items() if isinstance(prior, Uniform)}
-    for name, (least, most) in uniform.items():
-        if not least < most:
-            raise InputError(f"prior for {name}: {least:g} to {most:g} is no range; write the lower first")
-        low, high = narrowed.get(name, (None, None))
-        narrowed[name] = least if low is None else max(least, low), most if high is None else min(most, high)
-    return narrowed
-
-
-Kind = Literal["free", "bounded below", "bounded above", "between"]
-
-
-def _kind(lower: bool, upper: bool) -> Kind:
-    if lower and upper:
-        return "between"
-    return "bounded below" if lower else "bounded above" if upper else "free"
+# by whether there is a lower and an upper bound
+_KINDS = {
+    (False, False): "free",
+    (True, False): "bounded below",
+    (False, True): "bounded above",
+    (True, True): "between",
+}
 
 
 class ParameterSpace(eqx.Module):
-    """The change of variable from dimensionless, unbounded z to the parameters."""
+    """The change of variable from dimensionless, unbounded z to the parameters.
 
+    A bounded parameter is seen as the logarithm of its distance from the bound, one between two as a logit.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
     start: Float[Numbers, " n"]
     lower: Float[Numbers, " n"]
     upper: Float[Numbers, " n"]
     scale: Float[Numbers, " n"]
     least_size: Float[Numbers, " n"]
-    kinds: tuple[Kind, ...] = eqx.field(static=True)
+    kinds: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray | None = None):
-        """A bounded parameter is seen as the logarithm of its distance from the bound, one between two as a logit.
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        start: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        scale: np.ndarray | None = None,
+    ):
+        """Set up the space.
 
         Args:
+            names: of the parameters.
             start, lower, upper: (n,), infinite where there is no bound.
             scale: (n,), sizes that matter for parameters that may be 0; NaN for that of the start (1 where it is 0).
         """
-        self.start, self.lower, self.upper = start, lower, upper
+        self.names, self.start, self.lower, self.upper = names, start, lower, upper
         own = np.where(start == 0, 1.0, np.abs(start))
         given = np.full(np.shape(start), np.nan) if scale is None else scale
         self.scale = np.where(np.isfinite(given), given, own)
         self.least_size = np.where(np.isfinite(given), given, 0.0)
-        ends = zip(np.isfinite(lower).tolist(), np.isfinite(upper).tolist(), strict=True)
-        self.kinds = tuple(_kind(*pair) for pair in ends)
+        self.kinds = tuple(_KINDS[pair] for pair in zip(lower > -np.inf, upper < np.inf, strict=True))
 
-    @property
-    def num_parameters(self) -> int:
-        """Of the fit."""
-        return len(self.kinds)
-
-    def size(self, value: np.ndarray) -> np.ndarray:
+    def size(self, value: Float[Numbers, "*lanes n"]) -> Float[Array, "*lanes n"]:
         """What to measure each parameter by: its value, or where that is smaller the scale that was given."""
-        return np.maximum(np.where(value == 0, np.asarray(self.scale), np.abs(value)), np.asarray(self.least_size))
+        return jnp.maximum(jnp.where(value == 0, self.scale, jnp.abs(value)), self.least_size)
 
     def first(self) -> Float[np.ndarray, " n"]:
         """The z of the start."""
-        return np.array([self.inverse(i, self.start[i]) for i in range(self.num_parameters)])
+        return np.array([self.inverse(i, self.start[i]) for i in range(len(self.names))])
+
+    def _bound(self, i: int) -> Numbers:
+        """Of a parameter with one bound."""
+        return self.lower[i] if self.kinds[i] == "bounded below" else self.upper[i]
 
     def inverse(self, i: int, value: ArrayLike) -> np.ndarray:
         """The z_i of values of parameter i inside its bounds."""
-        start, lower, upper = (np.asarray(x)[i] for x in (self.start, self.lower, self.upper))
-        value = np.asarray(value)
-        match self.kinds[i]:
-            case "free":
-                z = (value - start) / np.asarray(self.scale)[i]
-            case "bounded below":
-                z = np.log((value - lower) / (start - lower))
-            case "bounded above":
-                z = np.log((upper - value) / (upper - start))
-            case _:
-                z = np.log((value - lower) / (upper - value))
-        return np.asarray(z)
+        value, start = np.asarray(value), self.start[i]
+        if self.kinds[i] == "free":
+            return np.asarray((value - start) / self.scale[i])
+        if self.kinds[i] == "between":
+            return np.log((value - self.lower[i]) / (self.upper[i] - value))
+        return np.log((value - self._bound(i)) / (start - self._bound(i)))
 
     def parameters(self, z: Float[Numbers, " n"]) -> Float[Array, " n"]:
         """The parameters at z, inside their bounds."""
@@ -231,11 +225,9 @@ class ParameterSpace(eqx.Module):
         def one(i, kind):
             if kind == "free":
                 return self.start[i] + self.scale[i] * z[i]
-            if kind == "bounded below":
-                return self.lower[i] + (self.start[i] - self.lower[i]) * jnp.exp(z[i])
-            if kind == "bounded above":
-                return self.upper[i] - (self.upper[i] - self.start[i]) * jnp.exp(z[i])
-            return self.lower[i] + (self.upper[i] - self.lower[i]) * jax.nn.sigmoid(z[i])
+            if kind == "between":
+                return self.lower[i] + (self.upper[i] - self.lower[i]) * jax.nn.sigmoid(z[i])
+            return self._bound(i) + (self.start[i] - self._bound(i)) * jnp.exp(z[i])
 
         return jnp.stack([one(i, kind) for i, kind in enumerate(self.kinds)])
 
@@ -257,12 +249,11 @@ class ParameterSpace(eqx.Module):
         same = draw >= FLIPPED
         size = np.where(same, (draw - FLIPPED) / (1 - FLIPPED), draw / FLIPPED)
         sign = np.where(same, 1.0, -1.0) * np.where(self.start < 0, -1.0, 1.0)
-        start = np.where(
-            self.free, sign * self.size(np.asarray(self.start)) * 10 ** (decades * (2 * size - 1)), self.start
-        )
+        moved = sign * np.asarray(self.size(self.start)) * 10 ** (decades * (2 * size - 1))
         given = np.where(self.least_size > 0, self.least_size, np.nan)
         z = self.first() + np.where(self.free, 0.0, np.log(10) * decades * (2 * draw - 1))
-        return ParameterSpace(start, np.asarray(self.lower), np.asarray(self.upper), given), z
+        start = np.where(self.free, moved, self.start)
+        return ParameterSpace(self.names, start, np.asarray(self.lower), np.asarray(self.upper), given), z
 
     def seen_from(self, other: "ParameterSpace", z: np.ndarray) -> np.ndarray:
         """The z here of what is z in a space that differs by the start of what has no bounds."""
@@ -270,24 +261,18 @@ class ParameterSpace(eqx.Module):
 
     def times_the_start(self, value: np.ndarray) -> np.ndarray:
         """How many times its start a parameter has grown to, from its bound on; without bounds, shrunk to as well."""
-        size = self.size(np.asarray(self.start))
+        size = np.asarray(self.size(self.start))
 
         def one(i, kind):
-            start, lower, upper = self.start[i], self.lower[i], self.upper[i]
             if kind == "free":
                 times = np.abs(value[i]) / size[i]
-                return times if start == 0 else max(times, 1 / max(times, TINY))
-            if kind == "between":
-                return 1.0
-            if kind == "bounded below":
-                return (value[i] - lower) / (start - lower)
-            return (upper - value[i]) / (upper - start)
+                return times if self.start[i] == 0 else max(times, 1 / max(times, TINY))
+            return 1.0 if kind == "between" else (value[i] - self._bound(i)) / (self.start[i] - self._bound(i))
 
         return np.array([one(i, kind) for i, kind in enumerate(self.kinds)])
 
     def at_bound(self, value: np.ndarray) -> np.ndarray:
         """Whether the optimiser pushed a parameter against a bound."""
-        start = np.asarray(self.start)
-        below = value - self.lower < 1e-5 * (start - self.lower)
-        above = self.upper - value < 1e-5 * (self.upper - start)
+        below = value - self.lower < 1e-5 * (self.start - self.lower)
+        above = self.upper - value < 1e-5 * (self.upper - self.start)
         return (np.isfinite(self.lower) & below) | (np.isfinite(self.upper) & above)

@@ -4,15 +4,14 @@ Where the curvature at the minimum suggests an interval that the data do not clo
 Many values are searched at once, as lanes of one batch.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from .determination import TINY
 from .levenberg_marquardt import Minimum, minimise_all
-from .parameter_space import ParameterSpace
-from .robust_loss import loss_of
+from .parameter_space import TINY, ParameterSpace
+from .robust_loss import LOSSES
 
 LANES = 16  # on each side
 NEAR = np.array([0.15, 0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.35, 1.7, 2.5])  # half-widths of the 95 % interval off
@@ -38,21 +37,19 @@ class Profile(NamedTuple):
     model_ends: tuple[bool, bool]  # below, above: the model has no solution beyond, and the data did not close before
 
 
-def profile_likelihood(
-    minimum: Minimum, names: tuple[str, ...], name: str, standard_error: float, quantile: float
-) -> Profile:
+def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quantile: float) -> Profile:
     """Profile one parameter, out to where its 95 % interval closes, or to its bounds.
 
     The noise is held at its estimate: for a linear model the interval is the t interval.
 
     Args:
         minimum: where the fit ended.
-        names: of the parameters.
-        name: which one.
+        name: of the parameter.
         standard_error: a first guess of its precision, may be infinite.
         quantile: half-width of a 95 % interval over its standard error.
     """
-    i, best, space = names.index(name), minimum.outcome, minimum.problem.space
+    best, space = minimum.outcome, minimum.problem.space
+    i = space.names.index(name)
     walk = _Walk(minimum, i, quantile**2 * _stretch(minimum))
     size = float(max(best.size[i], space.scale[i]) if space.at_bound(best.parameters)[i] else best.size[i])
     half_width = min(quantile * standard_error, size)
@@ -70,7 +67,7 @@ def profile_likelihood(
     low, low_closed, low_ends = walk.end(found, -1, float(space.lower[i]))
     high, high_closed, high_ends = walk.end(found, +1, float(space.upper[i]))
     return Profile(
-        name, found.value, found.rise, found.parameters, names, walk.threshold,
+        name, found.value, found.rise, found.parameters, space.names, walk.threshold,
         confidence_interval=(low, high),
         closed=(low_closed, high_closed),
         model_ends=(low_ends, high_ends),
@@ -79,10 +76,10 @@ def profile_likelihood(
 
 def _stretch(minimum: Minimum) -> float:
     """The mean rise, over that of least squares, at one standard error: mean psi^2 over mean psi' (Huber 1981)."""
-    problem, _, best = minimum
+    problem, best = minimum
     if problem.loss == "linear":
         return 1.0
-    kind, residual = loss_of(problem.loss), best.residual[: problem.num_data]
+    kind, residual = LOSSES[problem.loss], best.residual[: problem.num_data]
     spread = np.sum(kind.influence(residual) ** 2) / max(residual.size - best.z.size, 1)
     return float(spread / max(np.mean(kind.slope(residual)), TINY))
 
@@ -163,16 +160,17 @@ class _Walk:
 
         A search that ran out of steps bounds the rise from above only: it goes on while the rise is over the threshold.
         """
-        problem, noise, best = self.minimum
+        problem, best = self.minimum
         if not wanted:
             return _Points(np.empty(0), np.empty(0), best.z[None][:0], best.parameters[None][:0])
         places = np.resize(wanted, 2 * LANES)  # always as many, so that nothing is compiled anew
         z = np.resize(np.stack(starts), (places.size, best.z.size))
         held = np.full(z.shape, np.nan)
         held[:, self.i] = places
-        there, rounds_left = minimise_all(problem, noise, z, held, max_steps=MAX_STEPS), CONTINUATIONS
+        problem = replace(problem, max_steps=MAX_STEPS)
+        there, rounds_left = minimise_all(problem, z, held), CONTINUATIONS
         while np.any(creeping := ~there.solved & (there.cost - best.cost > self.threshold)) and rounds_left:
-            there, rounds_left = minimise_all(problem, noise, there.z, held, max_steps=MAX_STEPS), rounds_left - 1
+            there, rounds_left = minimise_all(problem, there.z, held), rounds_left - 1
         rise = np.where(np.isfinite(there.cost), there.cost - best.cost, np.inf)
         kept = ~creeping | np.isinf(rise)
         return _Points(*(x[kept] for x in (places, rise, there.z, there.parameters)))

@@ -1,16 +1,17 @@
 """Remarks of a fit on its parameters and residuals."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtr, stdtr
 from scipy.stats import spearmanr
 
-from .determination import TINY, Evidence, spectrum_of, without_nan
+from .determination import Evidence, spectrum_of, without_nan
 from .levenberg_marquardt import Minimum, minimise
+from .parameter_space import TINY
 
 OUTLIER_CHANCE = 0.01
-LEFT_OUT = 1e6  # factor on the noise of a datum that is to have no weight
 NOISE_ROUNDS = 20
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals
 WITHIN = 3.0  # standard deviations: data farther off do not decide whether a model explains the others
@@ -30,14 +31,14 @@ def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
     covariance = spectrum_of(jacobian).covariance
     share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
     data = [(name, k) for name, rows in evidence.rows.items() for k in range(len(rows))]
-    for i, name in enumerate(evidence.names):
+    for i, name in enumerate(evidence.space.names):
         if evidence.at_bound[i]:
             nearer = evidence.nearest_bound[i]
             otherwise = "" if i in evidence.bounded_above else ", or it has no effect"
             found.append(f"{name} ended on its bound {nearer:g}: the data put it there or beyond{otherwise}")
         elif not np.any(jacobian[:, i]):
             found.append(f"{name} did not move: no datum depends on it")
-        elif len(data) > 2 * len(evidence.names) and np.max(share[i, : len(data)]) > ONE_DATUM:
+        elif len(data) > 2 * len(evidence.space.names) and np.max(share[i, : len(data)]) > ONE_DATUM:
             k = int(np.argmax(share[i, : len(data)]))
             found.append(
                 f"{name} depends on one datum, {place(*data[k])}, for {100 * share[i, k]:.0f} % of its variance"
@@ -47,13 +48,12 @@ def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
 
 def remarks_on_residuals(evidence: Evidence, minimum: Minimum, degrees_of_freedom: int, place: Place) -> list[str]:
     """Groups that are met exactly or not at all, data far from all others, noise with few degrees of freedom."""
-    problem, deviations, outcome = minimum
-    found, residuals = [], problem.by_group(outcome.residual)
-    covariance = spectrum_of(evidence.jacobian).covariance
+    problem, outcome = minimum
+    found, residuals, spectrum = [], problem.by_group(outcome.residual), spectrum_of(evidence.jacobian)
     if any(evidence.noise_estimated.values()) and degrees_of_freedom in (1, 2):
         found.append(f"the noise estimate has only {degrees_of_freedom} degree(s) of freedom; measure more")
     for i, (name, rows) in enumerate(evidence.rows.items()):
-        residual, values, noise = residuals[i], np.ravel(problem.values[i]), np.ravel(deviations[i])
+        residual, values, noise = residuals[i], np.ravel(problem.data.values[i]), np.ravel(problem.data.noise[i])
         estimated = evidence.noise_estimated[name]
         error, far = residual * noise, None
         if estimated and np.max(noise) <= EXACT * np.max(np.abs(values), initial=0.0):
@@ -62,7 +62,7 @@ def remarks_on_residuals(evidence: Evidence, minimum: Minimum, degrees_of_freedo
             )
             continue
         if problem.loss == "linear":
-            far = _far_off(residual, np.einsum("ki,ij,kj->k", rows, covariance, rows), estimated)
+            far = _far_off(residual, spectrum.leverage(rows), estimated)
         of_one = far is not None and np.max(error**2) > 0.5 * np.sum(error**2)  # which alone makes it look so
         if values.size > 2 and np.std(error) > UNEXPLAINED * np.std(values) > 0 and not of_one:
             found.append(
@@ -84,10 +84,12 @@ def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
     Data beyond 3 standard deviations are left aside, as one gross outlier would hide how well all others are met.
     Where noise was given, it explains what it is.
     """
-    problem, noise, outcome = minimum
-    found, at = {}, 0
-    for name, values, sigma in zip(evidence.rows, problem.values, noise, strict=True):
-        values, residual = np.ravel(values), outcome.residual[at : (at := at + np.size(values))]
+    problem, outcome = minimum
+    found, residuals = {}, problem.by_group(outcome.residual)
+    for name, values, sigma, residual in zip(
+        problem.groups, problem.data.values, problem.data.noise, residuals, strict=True
+    ):
+        values = np.ravel(values)
         estimated = evidence.noise_estimated[name]
         near = np.abs(residual) <= WITHIN if estimated else np.full(values.size, True)
         error, values = (residual * np.ravel(sigma))[near], values[near]
@@ -137,27 +139,24 @@ def _distance(minimum: Minimum, group: int, k: int, estimated: bool) -> float:
     The externally studentised residual (Cook and Weisberg 1982), by a refit: the outlier may have bent the model far
     from where its linearisation holds.
     """
-    problem, noise, outcome = minimum
-    sigma, starts = np.array(noise[group], float), [outcome.z, problem.space.first()]  # it may have led far off
-    first = sum(np.size(values) for values in problem.values[:group])
-    own, others = first + k, np.delete(np.arange(first, first + sigma.size), k)
-    lift = np.ones(sigma.size)
-    lift[k] = LEFT_OUT
-    distance = np.inf
+    problem, outcome = minimum
+    rows = problem.by_group(np.arange(problem.num_data))[group]
+    own, others = rows[k], np.delete(rows, k)
+    noise, times = list(problem.data.noise), list(problem.data.times)
+    times[group] = np.where(rows == own, 0.0, 1.0).reshape(np.shape(times[group]))
+    starts, distance = [outcome.z, problem.space.first()], np.inf  # the outlier may have led far off
     for _ in range(NOISE_ROUNDS):
-        without = (*noise[:group], sigma * lift.reshape(sigma.shape), *noise[group + 1 :])
-        ends = [minimise(problem, without, z) for z in starts]
-        there = ends[int(np.argmin([np.nan_to_num(end.cost, nan=np.inf) for end in ends]))]
+        without = replace(problem, data=problem.data._replace(noise=tuple(noise), times=tuple(times)))
+        there = min((minimise(without, z) for z in starts), key=lambda end: np.nan_to_num(end.cost, nan=np.inf))
         jacobian = without_nan(there.jacobian)
-        covariance = spectrum_of(jacobian).covariance
-        leverage = np.einsum("ki,ij,kj->k", jacobian[others], covariance, jacobian[others])
-        ahead = LEFT_OUT**2 * float(jacobian[own] @ covariance @ jacobian[own])  # variance of what the others predict
-        freedom = max(others.size - np.sum(leverage), 1e-3)
+        spectrum = spectrum_of(np.delete(jacobian, own, axis=0))
+        freedom = max(others.size - np.sum(spectrum.leverage(jacobian[others])), 1e-3)
         scatter = float(np.sqrt(np.sum(there.residual[others] ** 2) / freedom)) if estimated else 1.0
         if not scatter > 0:
             return np.inf
-        distance = float(LEFT_OUT * np.abs(there.residual[own]) / (scatter * np.sqrt(1 + ahead)))
+        ahead = float(spectrum.leverage(jacobian[[own]])[0])  # variance of what the others predict
+        distance = float(np.abs(there.residual[own]) / (scatter * np.sqrt(1 + ahead)))
         if abs(scatter - 1) < 1e-3:
             break
-        sigma, starts = sigma * scatter, [there.z]
+        noise[group], starts = noise[group] * scatter, [there.z]
     return distance

@@ -1,14 +1,14 @@
 """Fits from several starts: where further ones lie, when one is not enough, and which search is taken."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
 from .determination import NOT_IDENTIFIED
-from .levenberg_marquardt import minimise
+from .levenberg_marquardt import LeastSquaresProblem, minimise
 from .remarks import UNEXPLAINED
 from .whole_search import BETTER_ELSEWHERE, NO_NUMBER, NOT_SETTLED, STOPPED_SHORT, Ending, FitTask, search_from
 
@@ -48,7 +48,7 @@ def search_many(task: FitTask, starts: int, seed: int) -> Searched:
     if starts == 1:
         ending = search_from(task, first)
         return Searched(ending, np.array([_cost(task, ending)]))
-    found = [_descend(task, first), *_elsewhere(task, slice(0, starts - 1), seed)]
+    found = [_descend(task.problem, first), *_elsewhere(task, slice(0, starts - 1), seed)]
     return Searched(search_from(task, min(found, key=lambda search: search.cost).z), np.sort(_costs(found)))
 
 
@@ -59,7 +59,7 @@ def search_as_needed(task: FitTask, seed: int) -> Searched:
     if not reason:
         return Searched(first, np.empty(0))
     cost = [np.array([_cost(task, first)])]
-    known = [] if first.lower is None else [_descend(task, first.lower)]
+    known = [] if first.lower is None else [_descend(task.problem, first.lower)]
     for last, count in zip(np.cumsum(ROUNDS), ROUNDS, strict=True):
         found = [*known, *_elsewhere(task, slice(last - count, last), seed)]
         ending, known = _better(task, ending, found), []
@@ -87,7 +87,7 @@ def _is_enough(task: FitTask, ending: Ending, found: list[_Found]) -> bool:
         return True
     cost = _cost(task, ending)
     alike = np.isfinite(cost) and np.allclose(_costs(found), cost, rtol=SAME, atol=EXACT)
-    plateau = ending.determination.rank < len(task.names) and _is_flat(task, ending)
+    plateau = ending.determination.rank < len(task.problem.space.names) and _is_flat(task, ending)
     return bool(alike and not plateau)
 
 
@@ -122,9 +122,9 @@ def trouble(task: FitTask, ending: Ending) -> str:
 
 def _is_flat(task: FitTask, ending: Ending) -> bool:
     """Whether what is left of some group scatters like the group itself."""
-    groups = task.problem.by_group(ending.minimum.outcome.residual)
-    left = [np.std(r * np.ravel(s)) for r, s in zip(groups, ending.minimum.noise, strict=True)]
-    return any(a > UNEXPLAINED * np.std(v) > 0 for a, v in zip(left, task.data.values, strict=True))
+    problem, outcome = ending.minimum
+    groups = zip(problem.data.values, problem.data.noise, problem.by_group(outcome.residual), strict=True)
+    return any(np.std(r * np.ravel(s)) > UNEXPLAINED * np.std(v) > 0 for v, s, r in groups)
 
 
 # --- searches -------------------------------------------------------------------------------------
@@ -134,28 +134,28 @@ def _elsewhere(task: FitTask, which: slice, seed: int) -> list[_Found]:
     """Searches from some of the further starts, which a scrambled Sobol sequence spreads; nothing is compiled anew."""
     space = task.problem.space
     count = max(which.stop, sum(ROUNDS))
-    draws = qmc.Sobol(space.num_parameters, rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(count))))
+    draws = qmc.Sobol(len(space.names), rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(count))))
     decades = np.repeat(DECADES, [*ROUNDS[:-1], count])
     found = []
     for draw, reach in zip(draws[which], decades[which], strict=True):
         moved, z = space.elsewhere(np.clip(draw, 1e-6, 1 - 1e-6), reach)
-        problem = eqx.tree_at(lambda p: p.space, task.problem, moved)
-        end = minimise(problem, task.data.first_guess(), z, max_steps=task.max_steps)
-        found.append(_Found(space.seen_from(moved, end.z), _finite(end.cost)))
+        end = _descend(replace(task.problem, space=moved), z)
+        found.append(end._replace(z=space.seen_from(moved, end.z)))
     return found
 
 
-def _descend(task: FitTask, z: np.ndarray) -> _Found:
-    end = minimise(task.problem, task.data.first_guess(), z, max_steps=task.max_steps)
+def _descend(problem: LeastSquaresProblem, z: np.ndarray) -> _Found:
+    end = minimise(problem, z)
     return _Found(end.z, _finite(end.cost))
 
 
 def _cost(task: FitTask, ending: Ending) -> float:
     """With the noise that was first guessed."""
-    ratio = [np.ravel(now / then) for now, then in zip(ending.minimum.noise, task.data.first_guess(), strict=True)]
-    residual = ending.minimum.outcome.residual.copy()
-    residual[: task.problem.num_data] *= np.concatenate(ratio)
-    return _finite(np.sum(np.asarray(task.problem.softened(jnp.asarray(residual))) ** 2))
+    problem, outcome = ending.minimum
+    pairs = zip(problem.data.noise, task.problem.data.noise, strict=True)
+    residual = outcome.residual.copy()
+    residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
+    return _finite(np.sum(np.asarray(problem.softened(jnp.asarray(residual))) ** 2))
 
 
 def _costs(found: list[_Found]) -> np.ndarray:

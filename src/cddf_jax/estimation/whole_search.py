@@ -14,19 +14,17 @@ from .determination import (
     IDENTIFIED,
     LARGEST_RELATIVE_ERROR,
     NOT_IDENTIFIED,
-    TINY,
     Determination,
     Evidence,
     determine,
     spectrum_of,
     without_nan,
 )
-from .levenberg_marquardt import Minimum, Outcome, evaluate, hold_one, minimise
+from .levenberg_marquardt import LeastSquaresProblem, Minimum, Outcome, evaluate, hold_one, minimise
 from .observations import Observations
-from .parameter_space import ParameterSpace
+from .parameter_space import TINY, ParameterSpace
 from .remarks import unexplained_groups
-from .residuals import LeastSquaresProblem
-from .robust_loss import loss_of
+from .robust_loss import LOSSES
 
 SUCCESSFUL = "successful"
 NO_NUMBER = "the model gave no number at the estimate; start closer, or leave out data beyond its reach"
@@ -55,11 +53,9 @@ class Valleys(NamedTuple):
 class FitTask(NamedTuple):
     """What stays the same however often a fit is searched."""
 
-    problem: LeastSquaresProblem
+    problem: LeastSquaresProblem  # with the noise that is first guessed
     data: Observations
-    names: tuple[str, ...]  # of the parameters
     prefer_start: bool  # to end near the start in a valley that the data leave open
-    max_steps: int
 
 
 class Ending(NamedTuple):
@@ -80,77 +76,71 @@ class Ending(NamedTuple):
 def search_from(task: FitTask, z: np.ndarray) -> Ending:
     """Weights from residuals, residuals from weights, until they agree; then a look around."""
     minimum, settled = _settle_noise(task, z)
-    evidence = _evidence(task, minimum.outcome)
+    evidence = _evidence(task, minimum)
     determination = determine(evidence)
-    valleys = look_along_valleys(minimum, evidence, determination, task.max_steps)
+    valleys = look_along_valleys(minimum, evidence, determination)
     result = _result(minimum, evidence, valleys, settled=settled)
     if task.prefer_start and np.any(valleys.open):
-        minimum = minimum._replace(
-            outcome=nearest_to_start(minimum, valleys.open, determination.quantile, task.max_steps)
-        )
-        evidence = _evidence(task, minimum.outcome)
+        minimum = minimum._replace(outcome=nearest_to_start(minimum, valleys.open, determination.quantile))
+        evidence = _evidence(task, minimum)
     evidence = replace(evidence, open_profile=valleys.open, bounded_above=valleys.bounded_above)
     if result != SUCCESSFUL:
         evidence = evidence.after_failure()
     else:
-        evidence = replace(evidence, products=are_products(minimum, determine(evidence), task.max_steps))
+        evidence = replace(evidence, products=are_products(minimum, determine(evidence)))
     return Ending(minimum, evidence, determine(evidence), result, valleys.lower)
 
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
     """The minimum with the noise that its residuals tell, and whether the two agreed in the end."""
-    problem, data, _, _, max_steps = task
-    noise, settled = data.first_guess(), False
-    outcome = minimise(problem, noise, z, max_steps=max_steps)
+    problem, settled = task.problem, False
+    outcome = minimise(problem, z)
     for _ in range(NOISE_ROUNDS):
-        improved = data.estimate_noise(noise, problem, outcome)
+        noise, improved = problem.data.noise, task.data.estimate_noise(Minimum(problem, outcome))
         settled = all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
         if settled and all(map(np.array_equal, noise, improved)):  # it was known
             break
-        noise, outcome = improved, minimise(problem, improved, outcome.z, max_steps=max_steps)
+        problem = replace(problem, data=problem.data._replace(noise=improved))
+        outcome = minimise(problem, outcome.z)
         if settled or not np.all(np.isfinite(outcome.residual)):
             break
-    return Minimum(problem, noise, outcome), settled
+    return Minimum(problem, outcome), settled
 
 
-def _evidence(task: FitTask, outcome: Outcome) -> Evidence:
+def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
     """The scaled Jacobian by groups; all 0 where the model gave no number."""
-    problem, data, names, *_ = task
+    (problem, outcome), data = minimum, task.data
     space = problem.space
     finite = np.all(np.isfinite(outcome.residual))
     at_bound = space.at_bound(outcome.parameters)  # where the value is no measure of its own precision
     size = np.where(at_bound, np.maximum(outcome.size, space.scale), outcome.size)
     jacobian = without_nan(outcome.jacobian * (size / outcome.size)) if finite else np.zeros_like(outcome.jacobian)
-    *rows, prior_rows = np.split(jacobian, np.cumsum([v.size for v in data.values]))
+    rows, prior_rows = problem.by_group(jacobian), jacobian[problem.num_data :]
     if problem.loss != "linear":
         residuals = problem.by_group(outcome.residual)
-        rows = [row * _efficiency(problem.loss, r, len(names)) for row, r in zip(rows, residuals, strict=True)]
+        rows = [row * _efficiency(problem.loss, r, len(size)) for row, r in zip(rows, residuals, strict=True)]
     return Evidence(
-        names=names,
-        start=np.asarray(space.start),
-        scale=np.asarray(space.scale),
-        lower=np.asarray(space.lower),
-        upper=np.asarray(space.upper),
+        space=space,
         value=outcome.parameters,
         size=size,
         at_bound=at_bound,
-        open_profile=np.zeros(len(names), bool),
+        open_profile=np.zeros(len(size), bool),
         rows=dict(zip(data.names, rows, strict=True)),
-        prior_rows={i: row[None] for i, row in zip(problem.prior, prior_rows, strict=True)},
+        prior_rows={i: row[None] for i, row in zip(problem.data.prior, prior_rows, strict=True)},
         noise_estimated={name: not known for name, known in zip(data.names, data.known, strict=True)},
     )
 
 
 def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
     """What a robust loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)."""
-    kind = loss_of(loss)
+    kind = LOSSES[loss]
     spread = np.sum(kind.influence(residual) ** 2) / max(residual.size - num_parameters, 1)
     return float(np.mean(kind.slope(residual)) / np.sqrt(max(spread, TINY)))
 
 
 def _result(minimum: Minimum, evidence: Evidence, valleys: Valleys, *, settled: bool) -> str:
     """ "successful", or what went wrong."""
-    problem, _, outcome = minimum
+    problem, outcome = minimum
     if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
         return NO_NUMBER
     if not settled:
@@ -177,17 +167,17 @@ def _result(minimum: Minimum, evidence: Evidence, valleys: Valleys, *, settled: 
 class _Walk:
     """Refits with one parameter held, and the lowest place among them."""
 
-    def __init__(self, minimum: Minimum, quantile: float, max_steps: int):
-        self.minimum, self.quantile, self.max_steps = minimum, quantile, max_steps
+    def __init__(self, minimum: Minimum, quantile: float):
+        self.minimum, self.quantile = minimum, quantile
         self.least_rise: float = 0.0
         self.lower: np.ndarray | None = None
 
     def closes(self, i: int, error: float, places: list[float]) -> bool:
         """Whether the sum of squares rises enough at one of the places, the nearest first."""
-        problem, _, best = self.minimum
+        problem, best = self.minimum
         for place in places:
             held = hold_one(best.z.size, i, place)
-            moved, rise = self.minimum.refit(held, self.max_steps)
+            moved, rise = self.minimum.refit(held)
             if rise < self.least_rise:
                 self.least_rise = rise
                 self.lower = np.where(np.isnan(held), moved.z, problem.space.inverse(i, place))
@@ -197,13 +187,13 @@ class _Walk:
         return False
 
 
-def look_along_valleys(minimum: Minimum, evidence: Evidence, determination: Determination, max_steps: int) -> Valleys:
+def look_along_valleys(minimum: Minimum, evidence: Evidence, determination: Determination) -> Valleys:
     """Hold each parameter that looks identified at values ever farther off and fit the others again.
 
     The curvature at a minimum can suggest an interval although the valley is flat farther off. A side is closed where
     the sum of squares has risen by twice what ends a 95 % interval.
     """
-    space, best, walk = minimum.problem.space, minimum.outcome, _Walk(minimum, determination.quantile, max_steps)
+    space, best, walk = minimum.problem.space, minimum.outcome, _Walk(minimum, determination.quantile)
     opened = np.zeros(len(determination.names), bool)
     for i, name in enumerate(determination.names):
         if determination.status[name] == IDENTIFIED:
@@ -223,7 +213,7 @@ def look_along_valleys(minimum: Minimum, evidence: Evidence, determination: Dete
     return Valleys(opened, walk.least_rise, walk.lower, tuple(limited))
 
 
-def are_products(minimum: Minimum, determination: Determination, max_steps: int) -> bool:
+def are_products(minimum: Minimum, determination: Determination) -> bool:
     """Whether products of powers of the unidentified parameters are what the data determine.
 
     They are not where the sum of squares rises as these parameters are doubled or halved along their valley.
@@ -241,19 +231,19 @@ def are_products(minimum: Minimum, determination: Determination, max_steps: int)
             place = best.parameters * factor ** (along / np.abs(along).max())
             if np.any(place <= space.lower) or np.any(place >= space.upper):
                 continue
-            _, rise = minimum.refit(np.where(lost, place, np.nan), max_steps)
+            _, rise = minimum.refit(np.where(lost, place, np.nan))
             if not rise <= CLOSING_RISE * determination.quantile**2:
                 return False
     return True
 
 
-def nearest_to_start(minimum: Minimum, opened: np.ndarray, quantile: float, max_steps: int) -> Outcome:
+def nearest_to_start(minimum: Minimum, opened: np.ndarray, quantile: float) -> Outcome:
     """Any place along an open valley fits alike: take the start of the first open parameter, if it fits."""
-    problem, noise, best = minimum
+    problem, best = minimum
     i, first = int(np.argmax(opened)), problem.space.first()
     held = hold_one(len(first), i, problem.space.start[i])
-    moved, _ = minimum.refit(held, max_steps)
-    there = evaluate(problem, noise, np.where(np.isnan(held), moved.z, first))
+    moved, _ = minimum.refit(held)
+    there = evaluate(problem, np.where(np.isnan(held), moved.z, first))
     return there if there.cost - best.cost <= CLOSING_RISE * quantile**2 else best
 
 

@@ -3,13 +3,14 @@
 Several fits of the same tables, with and without a drag, say, or with and without errors of the cells.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import InputError
-from ..estimation.levenberg_marquardt import minimise_all, residuals_at
+from ..estimation.levenberg_marquardt import minimise_all
+from ..estimation.parameter_space import Numbers
 from .fit import Fit
 
 ROW_FOLDS = 6  # where there are no trials
@@ -44,7 +45,7 @@ def compare(fits: Mapping[str, Fit]) -> list[Comparison]:
     for name, found in others:
         if found != first[1]:
             raise InputError(f"compare: {name!r} was fitted to other data than {first[0]!r}; fit the same tables")
-    noise = next(iter(fits.values())).minimum.noise
+    noise = next(iter(fits.values())).minimum.problem.data.noise
     found = [
         Comparison(
             name,
@@ -59,7 +60,7 @@ def compare(fits: Mapping[str, Fit]) -> list[Comparison]:
     return sorted(found, key=lambda comparison: comparison.AIC)
 
 
-def cross_validation(fit: Fit, noise: tuple[np.ndarray, ...] | None = None) -> float:
+def cross_validation(fit: Fit, noise: Sequence[Numbers] | None = None) -> float:
     """Each trial (or sixth of the rows of a table without trials) predicted by a fit to all the others.
 
     Args:
@@ -69,14 +70,14 @@ def cross_validation(fit: Fit, noise: tuple[np.ndarray, ...] | None = None) -> f
     Returns:
         Root mean square of the errors of prediction over the noise; NaN where a fit to the others failed.
     """
-    problem, own, best = fit.minimum
+    problem, best = fit.minimum
     folds = _folds(fit)
-    with np.errstate(divide="ignore"):  # what is left out has infinite noise
-        reduced = tuple(s / np.where(out, 0.0, 1.0) for s, out in zip(own, folds, strict=True))
+    kept = problem.data._replace(times=tuple(np.where(out, 0.0, 1.0) for out in folds))
     count = folds[0].shape[0]
-    found = minimise_all(problem, reduced, np.broadcast_to(best.z, (count, best.z.size)))
-    errors = residuals_at(problem, own if noise is None else noise, found.z)[:, : problem.num_data]
-    left_out = np.concatenate([out.reshape(count, -1) for out in folds], axis=1)
+    found = minimise_all(problem, np.broadcast_to(best.z, (count, best.z.size)), data=kept)
+    over = zip(problem.data.noise, problem.data.noise if noise is None else noise, strict=True)
+    errors = found.residual[:, : problem.num_data] * np.concatenate([own / other for own, other in over])
+    left_out = np.concatenate(folds, axis=1)
     return float(np.sqrt(np.mean(errors[left_out] ** 2)))
 
 

@@ -17,7 +17,7 @@ from jaxtyping import ArrayLike
 from ..errors import InputError
 from ..estimation.determination import Determination, Evidence, determine
 from ..estimation.observations import Noise
-from ..estimation.parameter_space import Priors, priors_of
+from ..estimation.parameter_space import ParameterSpace, Priors, priors_of
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
@@ -124,8 +124,8 @@ def plan(
     else:
         body, parameters = known, {name: starting_value(known, name) for name in free_parameters(known, free)}
         evidence = _nothing_measured(parameters, priors or {})
-    if criterion != "D" and criterion not in evidence.names:
-        raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.names)}")
+    if criterion != "D" and criterion not in evidence.space.names:
+        raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.space.names)}")
     evidence = replace(evidence, noise_estimated=dict.fromkeys(evidence.rows, False))
     rows = [_rows(body, parameters, candidate, evidence.size, nodes) for candidate in candidates]
     ranking = _rank(evidence, candidates, rows, criterion)
@@ -142,6 +142,7 @@ def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Eviden
     names = tuple(sorted(parameters))
     kinds = [parameter_named(name) for name in names]
     value = np.array([parameters[name] for name in names])
+    lower = np.where([kind.positive for kind in kinds], 0.0, -np.inf)
     scale = np.array([kind.scale for kind in kinds])
     size = np.where(value == 0, scale, np.abs(value))
     prior_rows = {
@@ -149,11 +150,7 @@ def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Eviden
         for i, prior in priors_of(names, priors).items()
     }
     return Evidence(
-        names=names,
-        start=value,
-        scale=scale,
-        lower=np.where([kind.positive for kind in kinds], 0.0, -np.inf),
-        upper=np.full(len(names), np.inf),
+        space=ParameterSpace(names, value, lower, np.full(len(names), np.inf), scale),
         value=value,
         size=size,
         at_bound=np.zeros(len(names), bool),
@@ -188,10 +185,10 @@ def _rank(evidence: Evidence, candidates: Sequence[Candidate], rows: Sequence[Ro
 def _merit(evidence: Evidence, criterion: str) -> float:
     """What grows as the data tell more."""
     jacobian = evidence.jacobian
-    information = jacobian.T @ jacobian + np.eye(len(evidence.names)) / BEFOREHAND**2
+    information = jacobian.T @ jacobian + np.eye(len(evidence.space.names)) / BEFOREHAND**2
     if criterion == "D":
         return float(np.linalg.slogdet(information)[1])
-    i = evidence.names.index(criterion)
+    i = evidence.space.names.index(criterion)
     return -0.5 * float(np.log(np.linalg.inv(information)[i, i]))
 
 

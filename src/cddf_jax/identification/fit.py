@@ -3,13 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple, Unpack
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..estimation.bootstrap import Bootstrap, BootstrapOptions
 from ..estimation.determination import FIXED, Determination, Estimate, spectrum_of
 from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
@@ -140,14 +139,6 @@ class Fit(LeastSquaresFit):
         band = self.band(shown.derivatives[column])
         return Prediction(shown.readings[column], band, beyond_the_data(bench, self.model))
 
-    def bootstrap(
-        self, kind: str = "parametric", replicates: int = 1000, **options: Unpack[BootstrapOptions]
-    ) -> Bootstrap:
-        """Refits to data drawn anew; "cases" draws whole trials where there are trials, and whole rows elsewhere."""
-        if kind == "cases":
-            options.setdefault("clusters", self.clusters)
-        return super().bootstrap(kind, replicates, **options)
-
     def place(self, group: str, k: int) -> str:
         """In words, by the row of the file (1, 2, ... where there is none)."""
         name, _, column = group.rpartition(": ")
@@ -169,23 +160,19 @@ class Fit(LeastSquaresFit):
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:
         """By group of data, how alike the residuals within holds are: consecutive rows at one level."""
-        covariance, found = spectrum_of(self.evidence.jacobian).covariance, {}
-        noise = dict(zip(self.evidence.rows, self.minimum.noise, strict=True))
+        spectrum, found = spectrum_of(self.evidence.jacobian), {}
+        noise = dict(zip(self.evidence.rows, self.minimum.problem.data.noise, strict=True))
         for group in self.groups:
             rows, residual = self.evidence.rows[group.label], self.residuals[group.label] / noise[group.label]
-            taken = float(np.einsum("ki,ij,kj->", rows, covariance, rows))
+            taken = float(np.sum(spectrum.leverage(rows)))
             found[group.label] = serial_correlation(residual, holds_of(group.table)[group.there], taken)
         return found
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
-        """By group of data, the table whose trials (or rows) are drawn together, and their labels."""
-        return {group.label: (group.name, _labels(group.table)[group.there]) for group in self.groups}
-
-
-def _labels(table: Measurements) -> np.ndarray:
-    """What is drawn together: the trial of each row, or the row itself."""
-    return table["trial"] if "trial" in table else np.arange(len(table))
+        """By group of data, the table whose trials (or rows, without trials) are drawn together, and their labels."""
+        labels = {g.label: g.table.columns.get("trial", np.arange(len(g.table))) for g in self.groups}
+        return {group.label: (group.name, labels[group.label][group.there]) for group in self.groups}
 
 
 def fit(

@@ -39,7 +39,7 @@ def standardised_residuals(fit: Fit) -> dict[str, np.ndarray]:
     """Observed less predicted, over the noise, by group of data."""
     return {
         name: np.ravel(fit.residuals[name] / noise)
-        for name, noise in zip(fit.evidence.rows, fit.minimum.noise, strict=True)
+        for name, noise in zip(fit.evidence.rows, fit.minimum.problem.data.noise, strict=True)
     }
 
 

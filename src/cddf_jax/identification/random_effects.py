@@ -60,12 +60,12 @@ def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> f
 
     Patterson and Thompson (1971), Biometrika 58, 545; Harville (1977), JASA 72, 320, in its mixed-model equations.
     """
-    evidence, (problem, _, outcome) = statistics.evidence, statistics.minimum
+    evidence, (problem, outcome) = statistics.evidence, statistics.minimum
     priors = [i for i in evidence.prior_rows if i not in random]
     jacobian = np.concatenate([*evidence.rows.values(), *(evidence.prior_rows[i] for i in priors)])
     others = np.delete(jacobian, random, axis=1)
     effects = jacobian[:, random] / evidence.size[list(random)]
-    pulls = dict(zip(problem.prior, outcome.residual[problem.num_data :], strict=True))
+    pulls = dict(zip(problem.data.prior, outcome.residual[problem.num_data :], strict=True))
     residual = np.append(outcome.residual[: problem.num_data], [pulls[i] for i in priors])
     residual = residual - effects @ outcome.parameters[list(random)]  # as it would be without the effects
     columns = np.concatenate([others, effects], axis=1)

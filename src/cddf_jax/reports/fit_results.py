@@ -156,7 +156,7 @@ def _options(fit: Fit) -> dict[str, object]:
     bounds = [tuple(end if np.isfinite(end) else None for end in pair) for pair in limits]
     return {
         "free": list(own),
-        "priors": {name: problem.prior[i] for name, i in own.items() if i in problem.prior},
+        "priors": {name: problem.data.prior[i] for name, i in own.items() if i in problem.data.prior},
         "bounds": {name: bounds[i] for name, i in own.items() if bounds[i] != (None, None)},
         "noise": _given_noise(fit),
         "per_trial": not np.isnan(fit.trial_spread),
@@ -170,7 +170,7 @@ def _options(fit: Fit) -> dict[str, object]:
 def _given_noise(fit: Fit) -> dict[str, object]:
     """By column, the noise that was given in full."""
     noise = {}
-    for label, deviation in zip(fit.evidence.rows, fit.minimum.noise, strict=True):
+    for label, deviation in zip(fit.evidence.rows, fit.minimum.problem.data.noise, strict=True):
         if not fit.evidence.noise_estimated[label]:
             known = np.ravel(deviation)
             one_for_all = float(known[0]) if np.ptp(known) == 0 else known.tolist()
