@@ -102,16 +102,17 @@ class Minimum(NamedTuple):
     problem: LeastSquaresProblem
     outcome: Outcome
 
-    def refit(self, held: np.ndarray) -> tuple[Outcome, float]:
-        """Hold some parameters, fit the others from here on.
+    def refit(self, held: np.ndarray, z: np.ndarray | None = None) -> tuple[Outcome, float]:
+        """Hold some parameters, fit the others.
 
         Args:
             held: values at which parameters are held, NaN for those that are free.
+            z: where the search begins; None for here.
 
         Returns:
             Where the search ended, and the rise of the cost; NaN where the model gives no number.
         """
-        moved = minimise(self.problem, self.outcome.z, held)
+        moved = minimise(self.problem, self.outcome.z if z is None else z, held)
         return moved, float(moved.cost - self.outcome.cost)
 
 
