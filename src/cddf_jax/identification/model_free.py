@@ -37,6 +37,17 @@ class Constancy(NamedTuple):
     p_value: float  # two-sided
     degrees_of_freedom: float  # inf where the noise is known
 
+    def __str__(self) -> str:
+        if not np.isfinite(self.p_value):
+            return "These rows do not tell whether it depends on base tension: measure more rows, at several levels."
+        numbers = f"slope {self.slope:.2g} +- {self.standard_error:.2g} per N, p = {self.p_value:.2g}"
+        if self.p_value >= SIGNIFICANT:
+            return f"It does not drift with base tension by more than chance ({numbers})."
+        return (
+            f"It drifts with base tension by more than chance ({numbers}): check the zeros of load cells "
+            "and camera, and whether the tendon runs at a constant offset; one coefficient may not describe these rows."
+        )
+
 
 class Homogeneity(NamedTuple):
     """Whether rows scatter about one mu as the known noise says."""
@@ -44,6 +55,15 @@ class Homogeneity(NamedTuple):
     chi_square: float
     degrees_of_freedom: int
     p_value: float  # of a scatter as large or larger
+
+    def __str__(self) -> str:
+        freedom = self.degrees_of_freedom
+        numbers = f"chi-square {self.chi_square:.4g} on {freedom} degrees of freedom, p = {self.p_value:.2g}"
+        if self.p_value < SIGNIFICANT:
+            return f"Rows scatter more than the given noise ({numbers}): the standard error is too small."
+        if self.p_value > 1 - SIGNIFICANT:
+            return f"Rows scatter less than the given noise ({numbers}): is it stated too large?"
+        return f"Rows scatter as the given noise predicts ({numbers})."
 
 
 class Disagreement(NamedTuple):
@@ -77,10 +97,10 @@ class ModelFreeFriction:
         lines = [
             f"friction_coefficient = {self.value:.4g} +- {self.standard_error:.2g} (95 %: {low:.4g} to {high:.4g}) "
             f"from tensions and tip angles of {used} of {rows} rows, for any body",
-            _on_constancy(self.constancy),
+            str(self.constancy),
         ]
         if self.homogeneity is not None and self.homogeneity.degrees_of_freedom:
-            lines.append(_on_homogeneity(self.homogeneity))
+            lines.append(str(self.homogeneity))
         if np.any(angle > 0) and np.any(angle < 0):
             lines.append(
                 "Tip angles have both signs: check the zero of the angle; within a row the curvature must keep one."
@@ -135,13 +155,40 @@ def model_free_friction(table: Measurements, noise: Mapping[str, ArrayLike] | No
     direction = table["direction"][usable] if "direction" in table else 1.0
     base, tip, angle = base[usable], tip[usable], angle[usable]
     loss = direction * np.log(base / tip)
-    pooled = _pool(angle, loss, np.ones_like(loss), 0.0)
-    if noise is None:
-        return _conclude(table, usable, pooled, _independent(table, usable))
-    sigma = _noise(table, noise)[:, usable]
-    expected = base * np.exp(-direction * pooled.value * angle)  # a reading must not choose its own weight
-    relative = np.hypot(sigma[0] / base, sigma[1] / expected)
-    return _conclude(table, usable, _pool(angle, loss, relative**2, sigma[2] ** 2), None)
+    line = _pool(base, angle, loss, 1.0, 0.0)
+    labels = None if noise is not None else _independent(table, usable)
+    if noise is not None:
+        sigma = _noise(table, noise)[:, usable]
+        expected = base * np.exp(-direction * line.value * angle)  # a reading must not choose its own weight
+        line = _pool(base, angle, loss, (sigma[0] / base) ** 2 + (sigma[1] / expected) ** 2, sigma[2] ** 2)
+    freedom, chi_square = angle.size - 1, float(np.sum(line.weight * line.residual**2))
+    scatter, homogeneity, quantile = None, None, float(stats.norm.ppf(0.975))
+    if labels is None:
+        tail = float(stats.chi2.sf(chi_square, freedom)) if freedom else np.nan
+        homogeneity = Homogeneity(chi_square, freedom, tail)
+    else:
+        scatter = float(np.sqrt(chi_square / freedom)) if freedom else np.inf
+        quantile = float(stats.t.ppf(0.975, max(labels.max(), 1)))
+    error = line.standard_errors(line.adjusted[:, None], line.residual, labels)[0]
+    share = line.weight * line.adjusted * angle
+
+    def by_row(values: np.ndarray, other: float) -> np.ndarray:
+        rows = np.full(len(table), other)
+        rows[usable] = values
+        return rows
+
+    return ModelFreeFriction(
+        table=table,
+        estimate=by_row(loss / angle, np.nan),
+        row_standard_error=by_row((1.0 if scatter is None else scatter) / np.sqrt(line.weight) / angle, np.inf),
+        weight=by_row(share / np.sum(share), 0.0),
+        value=line.value,
+        standard_error=error,
+        confidence_interval=(line.value - quantile * error, line.value + quantile * error),
+        scatter=scatter,
+        constancy=_constancy(line, labels),
+        homogeneity=homogeneity,
+    )
 
 
 def disagreement(
@@ -197,80 +244,51 @@ def _noise(table: Measurements, noise: Mapping[str, ArrayLike]) -> np.ndarray:
 # --- statistics ----------------------------------------------------------------------------------
 
 
-class _Pooled(NamedTuple):
-    """The weighted mean of loss / angle over the rows. Arrays go by usable row."""
+class _Line(NamedTuple):
+    """Through the origin of loss against angle: their weighted mean quotient. Arrays go by usable row."""
 
+    base: np.ndarray
     value: float
-    angle: np.ndarray
-    loss: np.ndarray
-    weight: np.ndarray  # 1 / variance of loss - value * angle
+    residual: np.ndarray
+    weight: np.ndarray  # 1 / variance of the residual
     adjusted: np.ndarray  # the angle, moved onto the line as far as its error allows
 
-    @property
-    def residual(self) -> np.ndarray:
-        return self.loss - self.value * self.angle
+    def standard_errors(self, columns: np.ndarray, residual: np.ndarray, labels: np.ndarray | None) -> np.ndarray:
+        """Of the coefficients of orthogonal columns, by the known noise; with labels by the jackknife."""
+        if labels is not None:
+            return _jackknife(columns, residual, labels)
+        return 1 / np.sqrt(np.sum(self.weight[:, None] * columns**2, axis=0))
 
 
 def _pool(
-    angle: np.ndarray, loss: np.ndarray, variance_loss: np.ndarray, variance_angle: np.ndarray | float
-) -> _Pooled:
+    base: np.ndarray,
+    angle: np.ndarray,
+    loss: np.ndarray,
+    variance_loss: np.ndarray | float,
+    variance_angle: np.ndarray | float,
+) -> _Line:
     """Weights from the value and the value from weights, until they agree: York et al. (2004), eq. (13b)."""
     weight, adjusted = np.ones_like(angle), angle
     value, previous = float(np.average(loss / angle, weights=angle**2)), np.inf
     for _ in range(NUM_STEPS):
         if abs(value - previous) <= SETTLED * abs(value):
             break
-        weight = 1.0 / (variance_loss + value**2 * variance_angle)
+        weight = 1.0 / (variance_loss + value**2 * variance_angle) * np.ones_like(angle)
         adjusted = weight * (variance_loss * angle + value * variance_angle * loss)
         previous, value = value, float(np.average(loss / angle, weights=weight * adjusted * angle))
-    return _Pooled(value, angle, loss, weight, adjusted)
+    return _Line(base, value, loss - value * angle, weight, adjusted)
 
 
-def _conclude(table: Measurements, usable: np.ndarray, pooled: _Pooled, labels: np.ndarray | None) -> ModelFreeFriction:
-    """Labels of what errs independently, None where the noise is known."""
-    value, angle, loss, weight, adjusted = pooled
-    freedom, chi_square = angle.size - 1, float(np.sum(weight * pooled.residual**2))
-    if labels is None:
-        tail = float(stats.chi2.sf(chi_square, freedom)) if freedom else np.nan
-        scatter, homogeneity = None, Homogeneity(chi_square, freedom, tail)
-        error, quantile = 1 / float(np.sqrt(np.sum(weight * adjusted**2))), float(stats.norm.ppf(0.975))
-    else:
-        scatter, homogeneity = float(np.sqrt(chi_square / freedom)) if freedom else np.inf, None
-        error = _jackknife(adjusted[:, None], pooled.residual, labels)[0]
-        quantile = float(stats.t.ppf(0.975, max(labels.max(), 1)))
-    share = weight * adjusted * angle
-
-    def by_row(values: np.ndarray, other: float) -> np.ndarray:
-        rows = np.full(len(table), other)
-        rows[usable] = values
-        return rows
-
-    return ModelFreeFriction(
-        table=table,
-        estimate=by_row(loss / angle, np.nan),
-        row_standard_error=by_row((1.0 if scatter is None else scatter) / np.sqrt(weight) / angle, np.inf),
-        weight=by_row(share / np.sum(share), 0.0),
-        value=value,
-        standard_error=error,
-        confidence_interval=(value - quantile * error, value + quantile * error),
-        scatter=scatter,
-        constancy=_constancy(table["base_tension"][usable], pooled, labels),
-        homogeneity=homogeneity,
-    )
-
-
-def _constancy(base: np.ndarray, pooled: _Pooled, labels: np.ndarray | None) -> Constancy:
+def _constancy(line: _Line, labels: np.ndarray | None) -> Constancy:
     """The slope b of mu = a + b T_base, about the pooled line to first order."""
+    base, _, residual, weight, adjusted = line
     freedom = np.inf if labels is None else float(min(base.size - 2, labels.max()))
     if freedom <= 0 or np.ptp(base) <= ONE_LEVEL * base.max():
         return Constancy(np.nan, np.nan, np.nan, np.nan, freedom)
-    weight, adjusted, residual = pooled.weight, pooled.adjusted, pooled.residual
     regressor = adjusted * (base - np.average(base, weights=weight * adjusted**2))
-    information = np.sum(weight * regressor**2)
-    slope = float(np.sum(weight * regressor * residual) / information)
-    error = 1 / float(np.sqrt(information))
-    if labels is not None:
-        error = _jackknife(np.stack([adjusted, regressor], axis=1), residual - slope * regressor, labels)[1]
+    slope = float(np.sum(weight * regressor * residual) / np.sum(weight * regressor**2))
+    columns = np.stack([adjusted, regressor], axis=1)
+    error = float(line.standard_errors(columns, residual - slope * regressor, labels)[1])
     t = slope / error if 0 < error < np.inf else np.nan
     return Constancy(slope, error, t, float(2 * stats.t.sf(abs(t), freedom)), freedom)
 
@@ -294,26 +312,3 @@ def _jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) ->
     if np.any(np.linalg.det(left) < LEAST_LEFT * np.linalg.det(squares.sum(axis=0))):
         return np.full(count, np.inf)
     return np.sqrt(np.sum(np.linalg.solve(left, pull[..., None])[..., 0] ** 2, axis=0))
-
-
-def _on_constancy(test: Constancy) -> str:
-    if not np.isfinite(test.p_value):
-        return "These rows do not tell whether it depends on base tension: measure more rows, at several levels."
-    numbers = f"slope {test.slope:.2g} +- {test.standard_error:.2g} per N, p = {test.p_value:.2g}"
-    if test.p_value >= SIGNIFICANT:
-        return f"It does not drift with base tension by more than chance ({numbers})."
-    return (
-        f"It drifts with base tension by more than chance ({numbers}): check the zeros of load cells "
-        "and camera, and whether the tendon runs at a constant offset; one coefficient may not describe these rows."
-    )
-
-
-def _on_homogeneity(test: Homogeneity) -> str:
-    numbers = (
-        f"chi-square {test.chi_square:.4g} on {test.degrees_of_freedom} degrees of freedom, p = {test.p_value:.2g}"
-    )
-    if test.p_value < SIGNIFICANT:
-        return f"Rows scatter more than the given noise ({numbers}): the standard error is too small."
-    if test.p_value > 1 - SIGNIFICANT:
-        return f"Rows scatter less than the given noise ({numbers}): is it stated too large?"
-    return f"Rows scatter as the given noise predicts ({numbers})."
