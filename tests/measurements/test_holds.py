@@ -6,8 +6,8 @@ from bodies import paper_body
 from scipy import stats
 
 import cddf_jax as cddf
-from cddf_jax.identification.bench import BenchModel, experiment_of
-from cddf_jax.identification.fit import groups_of, noise_of
+from cddf_jax.identification.bench import BenchModel, experiment_of, groups_of
+from cddf_jax.identification.fit import noise_of
 from cddf_jax.measurements.holds import average_holds, hold_labels, serial_correlation
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports import fit_report as report, fit_results

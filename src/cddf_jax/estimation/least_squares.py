@@ -28,7 +28,7 @@ from .parameter_space import (
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
 from .restarts import Searched, search_as_needed, search_many
-from .robust_loss import loss_of
+from .robust_loss import LOSSES
 from .whole_search import FitTask
 
 UNDETERMINED = 1e-10  # part of a prediction's squared derivative along directions that the data leave open
@@ -61,6 +61,12 @@ class LeastSquaresFit(Determination):
     def bounded_above(self) -> tuple[str, ...]:
         """Parameters at the lower bound, with an upper 95 % limit: `confidence_interval`."""
         return tuple(self.names[i] for i in self.evidence.bounded_above)
+
+    @property
+    def standardised_residuals(self) -> dict[str, np.ndarray]:
+        """Observed less predicted, over the noise, by group of data."""
+        problem, outcome = self.minimum
+        return dict(zip(problem.groups, problem.by_group(-outcome.residual), strict=True))
 
     @property
     def num_estimated(self) -> int:
@@ -239,13 +245,15 @@ def least_squares_fit(
         raise InputError("there is no parameter to fit")
     if starts is not None and (isinstance(starts, bool) or not isinstance(starts, int) or starts < 1):
         raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
+    if loss not in LOSSES:
+        raise InputError(f"loss {loss!r} is not known; there are {', '.join(LOSSES)}")
     names, first, unravel = lay_out_parameters(start, fixed, shared or {})
     data = group_observations(observed, sigma)
     limits = bounds_of(names, first, bounds or {}, priors or {})
     prior = priors_of(names, priors or {})
     space = ParameterSpace(names, first, *limits, _scales(names, first, scales or {}, prior))
     given = Data(data.values, data.first_guess(), tuple(np.ones(v.shape) for v in data.values), prior)
-    problem = LeastSquaresProblem(predict, unravel, data.names, given, space, loss_of(loss).name, max_steps)
+    problem = LeastSquaresProblem(predict, unravel, data.names, given, space, loss, max_steps)
 
     task = FitTask(problem, data, prefer_start)
     searched = search_as_needed(task, seed) if starts is None else search_many(task, starts, seed)

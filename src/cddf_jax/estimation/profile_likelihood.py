@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from .levenberg_marquardt import Minimum, hold_one
 from .parameter_space import TINY
@@ -154,6 +154,6 @@ class _Side:
             rise = known[place] if place in known else self.look(place)
             return min(float(np.sqrt(max(rise, 0.0))), STEEP * limit) - limit
 
-        place = brentq(over, inner, outer, xtol=NARROW * self.distance(outer))
+        place = float(root_scalar(over, bracket=(inner, outer), xtol=NARROW * self.distance(outer)).root)
         ends = bool(np.isinf(self.points[self.crossed or 0].rise))
         return place, not ends, ends

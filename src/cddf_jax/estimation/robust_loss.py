@@ -11,13 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..errors import InputError
-
 
 class Loss(NamedTuple):
     """One loss, by what least squares can take: the residual whose square is rho."""
 
-    name: str
     transformed: Callable[[Array], Array]  # sign(r) sqrt(rho(r))
     influence: Callable[[np.ndarray], np.ndarray]  # psi = rho' / 2
     slope: Callable[[np.ndarray], np.ndarray]  # psi'
@@ -43,32 +40,16 @@ def _cauchy(r: Array) -> Array:
 
 
 LOSSES = {
-    loss.name: loss
-    for loss in (
-        Loss("linear", lambda r: r, lambda r: r, np.ones_like),
-        Loss(
-            "soft_l1",
-            _soft_l1,
-            lambda r: r / np.sqrt(1 + (r / SOFT_L1) ** 2),
-            lambda r: (1 + (r / SOFT_L1) ** 2) ** -1.5,
-        ),
-        Loss("huber", _huber, lambda r: np.clip(r, -HUBER, HUBER), lambda r: (np.abs(r) <= HUBER).astype(float)),
-        Loss(
-            "cauchy",
-            _cauchy,
-            lambda r: r / (1 + (r / CAUCHY) ** 2),
-            lambda r: (1 - (r / CAUCHY) ** 2) / (1 + (r / CAUCHY) ** 2) ** 2,
-        ),
-    )
+    "linear": Loss(lambda r: r, lambda r: r, np.ones_like),
+    "soft_l1": Loss(
+        _soft_l1,
+        lambda r: r / np.sqrt(1 + (r / SOFT_L1) ** 2),
+        lambda r: (1 + (r / SOFT_L1) ** 2) ** -1.5,
+    ),
+    "huber": Loss(_huber, lambda r: np.clip(r, -HUBER, HUBER), lambda r: (np.abs(r) <= HUBER).astype(float)),
+    "cauchy": Loss(
+        _cauchy,
+        lambda r: r / (1 + (r / CAUCHY) ** 2),
+        lambda r: (1 - (r / CAUCHY) ** 2) / (1 + (r / CAUCHY) ** 2) ** 2,
+    ),
 }
-
-
-def loss_of(name: str) -> Loss:
-    """The loss of this name.
-
-    Raises:
-        InputError: for an unknown name.
-    """
-    if name not in LOSSES:
-        raise InputError(f"loss {name!r} is not known; there are {', '.join(LOSSES)}")
-    return LOSSES[name]

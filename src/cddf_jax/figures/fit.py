@@ -20,7 +20,6 @@ from ..identification.fit_diagnostics import (
     has_numbers,
     model_curve,
     normality_of,
-    standardised_residuals,
     table_named,
     tables_without_numbers,
 )
@@ -207,7 +206,7 @@ def _draw_over_prediction(axes: Axes, panel: _Panel) -> None:
 
 def residuals_figure(fit: Fit) -> Figure:
     """Residuals over their noise against normal quantiles, one panel for each group of data."""
-    return draw.panels_figure(_draw_quantiles, list(standardised_residuals(fit).items()), PANEL_HEIGHT)
+    return draw.panels_figure(_draw_quantiles, list(fit.standardised_residuals.items()), PANEL_HEIGHT)
 
 
 def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:

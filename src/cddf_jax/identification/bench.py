@@ -278,6 +278,38 @@ class BenchModel(eqx.Module):
         return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
+class Group(NamedTuple):
+    """One column that was read in one table: a group of data with its own noise."""
+
+    name: str  # of the table, as in `BenchModel.names`
+    column: str
+    table: Measurements
+    experiment: Pulley | Bench
+
+    @property
+    def label(self) -> str:
+        return f"{self.name}: {self.column}"
+
+    @property
+    def there(self) -> np.ndarray:
+        """(rows,), in which rows of the table the column was read."""
+        return self.table.has(self.column)
+
+    @property
+    def observed(self) -> np.ndarray:
+        """The readings, SI."""
+        return self.table.read(self.column)
+
+
+def groups_of(tables: Sequence[Measurements], model: BenchModel) -> list[Group]:
+    """One for each observed column of each table."""
+    return [
+        Group(name, column, table, experiment)
+        for name, table, experiment in zip(model.names, tables, model.experiments, strict=True)
+        for column in experiment.columns
+    ]
+
+
 def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: int = 0) -> Pulley | Bench:
     """A table as the model takes it.
 

@@ -1,9 +1,8 @@
 """`fit`: friction, modulus and the errors of the bench from measurements, and what these do not determine."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -19,8 +18,10 @@ from ..robot.manipulator import Manipulator
 from .bench import (
     TRIALS,
     BenchModel,
+    Group,
     experiment_of,
     free_parameters,
+    groups_of,
     parameter_named,
     starting_value,
     stiffness_parameter,
@@ -28,37 +29,9 @@ from .bench import (
 )
 from .predictions import Numbers, Prediction, beyond_the_data, predicted_rows
 from .random_effects import fit_trials
-from .verdict import doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
+from .verdict import Look, doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
 
 POSITIVE = (0.0, None)
-
-
-class Group(NamedTuple):
-    """One column that was read in one table: a group of data with its own noise."""
-
-    label: str  # "table: column"
-    name: str  # of the table
-    column: str
-    table: Measurements
-
-    @property
-    def there(self) -> np.ndarray:
-        """(rows,), in which rows of the table the column was read."""
-        return self.table.has(self.column)
-
-    @property
-    def observed(self) -> np.ndarray:
-        """The readings, SI."""
-        return self.table.read(self.column)
-
-
-def groups_of(tables: Sequence[Measurements], model: BenchModel) -> list[Group]:
-    """One for each observed column of each table."""
-    return [
-        Group(f"{name}: {column}", name, column, table)
-        for table, name, experiment in zip(tables, model.names, model.experiments, strict=True)
-        for column in experiment.columns
-    ]
 
 
 class Alone(Determination):
@@ -78,12 +51,17 @@ class Fit(LeastSquaresFit):
     alone: dict[str, Determination]  # what each table by itself, without priors, would have determined
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty unless asked for
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 where there is none, NaN where not asked for
-    warnings: tuple[str, ...]  # of tables, statistics and solver, in words
+    looks: tuple[Look, ...]  # at the solves of each table of the manipulator
 
     @property
     def verdict(self) -> tuple[str, ...]:
         """In words: what was determined, what was not, and what measurement would help."""
-        return tuple(verdict_of(self, self.tables, self.trial_spread))
+        return tuple(verdict_of(self))
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """Of tables, statistics and solver, in words."""
+        return tuple(fit_warnings(self))
 
     @property
     def groups(self) -> list[Group]:
@@ -141,10 +119,9 @@ class Fit(LeastSquaresFit):
 
     def place(self, group: str, k: int) -> str:
         """In words, by the row of the file (1, 2, ... where there is none)."""
-        name, _, column = group.rpartition(": ")
-        table = self.tables[list(self.alone).index(name)]
-        row = table.place(int(np.flatnonzero(table.has(column))[k]))
-        return f"{row}, {column}" if table.files else f"{row} of {group}"
+        one = next(one for one in self.groups if one.label == group)
+        row = one.table.place(int(np.flatnonzero(one.there)[k]))
+        return f"{row}, {one.column}" if one.table.files else f"{row} of {group}"
 
     @property
     def rows(self) -> dict[str, np.ndarray]:
@@ -160,13 +137,12 @@ class Fit(LeastSquaresFit):
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:
         """By group of data, how alike the residuals within holds are: consecutive rows at one level."""
-        spectrum, found = spectrum_of(self.evidence.jacobian), {}
-        noise = dict(zip(self.evidence.rows, self.minimum.problem.data.noise, strict=True))
-        for group in self.groups:
-            rows, residual = self.evidence.rows[group.label], self.residuals[group.label] / noise[group.label]
-            taken = float(np.sum(spectrum.leverage(rows)))
-            found[group.label] = serial_correlation(residual, holds_of(group.table)[group.there], taken)
-        return found
+        spectrum, residual, rows = spectrum_of(self.evidence.jacobian), self.standardised_residuals, self.evidence.rows
+        taken = {label: float(np.sum(spectrum.leverage(own))) for label, own in rows.items()}
+        return {
+            g.label: serial_correlation(residual[g.label], holds_of(g.table)[g.there], taken[g.label])
+            for g in self.groups
+        }
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
@@ -275,32 +251,31 @@ def _conclude(
 ) -> Fit:
     """The fit of a manipulator from the statistics: the estimates in its place, and a look at each table's solves."""
     body = model.manipulator
-    looks = list(looks_at(statistics.parameters, tables, model))
+    looks = tuple(looks_at(statistics.parameters, tables, model))
     if statistics.success and (reason := next(filter(None, map(doubt, looks)), "")):
         statistics = statistics.doubted(reason)
     both = "friction_coefficient", stiffness_parameter(body)
     fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
     own = [name for name in statistics.names if not name.startswith(TRIALS)]
-    fields = vars(statistics) | {
-        "value": {n: statistics.value[n] for n in own} | fixed,
-        "standard_error": {n: statistics.standard_error[n] for n in own} | dict.fromkeys(fixed, 0.0),
-        "confidence_interval": {n: statistics.confidence_interval[n] for n in own}
-        | {n: (v, v) for n, v in fixed.items()},
-        "status": {n: statistics.status[n] for n in own} | dict.fromkeys(fixed, FIXED),
+    of_fixed = {
+        "value": fixed,
+        "standard_error": dict.fromkeys(fixed, 0.0),
+        "confidence_interval": {n: (v, v) for n, v in fixed.items()},
+        "status": dict.fromkeys(fixed, FIXED),
     }
+    found = vars(statistics)
     labels = {name: [g.label for g in groups_of(tables, model) if g.name == name] for name in model.names}
     trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in _trials(table)]
     spread = np.sqrt(np.diag(statistics.covariance))
     effects = [Estimate(statistics.value[n], float(spread[i])) for i, n in enumerate(statistics.names) if n not in own]
     kept = [name for name in statistics.names if name not in own]
-    fit = Fit(
-        **fields,
+    return Fit(
+        **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
         manipulator=with_parameters(body, statistics.parameters),
         tables=tables,
         model=model,
         alone={n: Alone(**vars(statistics.told_by(*labels[n], with_priors_of=kept))) for n in model.names},
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
-        warnings=(),
+        looks=looks,
     )
-    return replace(fit, warnings=tuple(fit_warnings(fit, tables, model, looks)))

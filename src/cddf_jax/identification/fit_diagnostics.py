@@ -35,17 +35,9 @@ class Normality(NamedTuple):
     p_value: float  # Shapiro and Wilk (1965); NaN where the test does not apply
 
 
-def standardised_residuals(fit: Fit) -> dict[str, np.ndarray]:
-    """Observed less predicted, over the noise, by group of data."""
-    return {
-        name: np.ravel(fit.residuals[name] / noise)
-        for name, noise in zip(fit.evidence.rows, fit.minimum.problem.data.noise, strict=True)
-    }
-
-
 def normality(fit: Fit) -> dict[str, Normality]:
     """The test of Shapiro and Wilk for each group of data."""
-    return {name: normality_of(residual) for name, residual in standardised_residuals(fit).items()}
+    return {name: normality_of(residual) for name, residual in fit.standardised_residuals.items()}
 
 
 def normality_of(residual: np.ndarray) -> Normality:

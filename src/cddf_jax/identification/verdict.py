@@ -1,13 +1,12 @@
 """What a fit says in words: what was determined and what was not, why it is to be doubted, and what deserves a look."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.stats import f_oneway
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
-from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.remarks import EXACT
 from ..measurements.readings import OF_SHAPE
 from ..measurements.table import Measurements
@@ -15,6 +14,9 @@ from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
 from ..units import preferred
 from .bench import TRIALS, Bench, BenchModel, Parameters, parameter_named, starting_value, unit_of
+
+if TYPE_CHECKING:
+    from .fit import Fit
 
 LARGEST_FRICTION = 2.0  # beyond it a warning
 CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
@@ -71,26 +73,24 @@ def doubt(look: Look) -> str:
     return ""
 
 
-def fit_warnings(
-    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, looks: Sequence[Look]
-) -> list[str]:
+def fit_warnings(fit: "Fit") -> list[str]:
     """What the tables, the statistics and the solver have to say at the estimate."""
-    found = [f"{table.name}: {warning}" for table in tables for warning in table.warnings]
-    found += repeated_tables(tables)
-    if model.manipulator.kinematics == "published" and any(c in table for table in tables for c in OF_SHAPE):
+    found = [f"{table.name}: {warning}" for table in fit.tables for warning in table.warnings]
+    found += repeated_tables(fit.tables)
+    if fit.manipulator.kinematics == "published" and _tell_of_shape(fit.tables):
         found.append(
             "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
             "use the exact one for a real body"
         )
     found += [remark for remark in fit.remarks if not remark.startswith(TRIALS)]
-    found += [f"{label} {remark}" for label, remark in _of_readings(fit, tables, model)]
+    found += [f"{label} {remark}" for label, remark in _of_readings(fit)]
     mu = fit.value.get("friction_coefficient", 0.0)
     if mu > LARGEST_FRICTION and fit.status["friction_coefficient"] == IDENTIFIED:
         found.append(
             f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
             "for instance radians in a column of degrees"
         )
-    for look in looks:
+    for look in fit.looks:
         for code in NOTEWORTHY:
             contradicted = code is RESULTS.direction_contradicted
             rows = np.flatnonzero(look.contradicted) if contradicted else look.rows(code)
@@ -100,25 +100,27 @@ def fit_warnings(
     return found
 
 
-def _of_readings(fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel) -> Iterator[tuple[str, str]]:
+def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
     """Columns of the wrong sign, and columns that differ from trial to trial."""
-    body = model.manipulator
-    for table, name, experiment in zip(tables, model.names, model.experiments, strict=True):
-        for column in experiment.columns:
-            label, there = f"{name}: {column}", table.has(column)
-            observed = table[column][there]
-            residual = fit.residuals[label]
-            by_trial = "trial" in table and TRIALS not in fit.parameters
-            lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
-            if lost and column in OF_SHAPE and isinstance(experiment, Bench):
-                # what the body would show with the parameters that it was given with
-                start = {n: v if n.startswith(TRIALS) else starting_value(body, n) for n, v in fit.parameters.items()}
-                shown_at_start = experiment.evaluate(body, start, model.nodes).readings[column]
-                if np.sum(observed * shown_at_start[there]) >= 0:
-                    continue
-                yield label, "has the sign opposite to the model's; check the side of the tendon and the column's sign"
-            elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"][there]):
-                yield label, "differs from trial to trial by more than its scatter; try per_trial"
+    body, nodes = fit.model.manipulator, fit.model.nodes
+    for group in fit.groups:
+        table, experiment, observed, residual = (
+            group.table,
+            group.experiment,
+            group.observed,
+            fit.residuals[group.label],
+        )
+        by_trial = "trial" in table and TRIALS not in fit.parameters
+        lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
+        if lost and group.column in OF_SHAPE and isinstance(experiment, Bench):
+            # what the body would show with the parameters that it was given with
+            start = {n: v if n.startswith(TRIALS) else starting_value(body, n) for n, v in fit.parameters.items()}
+            shown_at_start = experiment.evaluate(body, start, nodes).readings[group.column][group.there]
+            if np.sum(observed * shown_at_start) < 0:
+                remedy = "check the side of the tendon and the column's sign"
+                yield group.label, f"has the sign opposite to the model's; {remedy}"
+        elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"][group.there]):
+            yield group.label, "differs from trial to trial by more than its scatter; try per_trial"
 
 
 def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
@@ -144,14 +146,14 @@ def parameter_shown(told: Determination, name: str) -> tuple[float, float, float
     return value, error, low, high, unit
 
 
-def verdict_of(fit: LeastSquaresFit, tables: Sequence[Measurements], trial_spread: float) -> list[str]:
+def verdict_of(fit: "Fit") -> list[str]:
     """What was determined, what was not, and what measurement would help."""
     lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
     lines += estimates_in_words(fit, fit.bounded_above)
     if TRIALS in fit.parameters:
-        lines.append(f"friction differs from trial to trial by {100 * trial_spread:.2g} % (standard deviation)")
+        lines.append(f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)")
     lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
-    return lines + [_advice(fit, tables, lost)] * bool(lost and fit.success)
+    return lines + [_advice(fit, lost)] * bool(lost and fit.success)
 
 
 def estimates_in_words(told: Determination, bounded_above: Sequence[str] = ()) -> list[str]:
@@ -175,9 +177,14 @@ def estimates_in_words(told: Determination, bounded_above: Sequence[str] = ()) -
     return lines
 
 
-def _advice(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
+def _tell_of_shape(tables: Sequence[Measurements]) -> bool:
+    """Whether the tables hold tip angles or positions."""
+    return any(column in table for table in tables for column in OF_SHAPE)
+
+
+def _advice(fit: "Fit", lost: set[str]) -> str:
     """What would separate the parameters that these data leave together."""
-    if any(column in table for table in tables for column in OF_SHAPE):
+    if _tell_of_shape(fit.tables):
         return (
             f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "
             "the warnings. A pulley test or a prior would help."
@@ -189,7 +196,7 @@ def _advice(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]
             "pulley test (friction alone), tip angles or tip positions measured with the tensions, or a prior on "
             "either."
         )
-    if lost == {stiffness} and all("pulling_tension" in table for table in tables):
+    if lost == {stiffness} and all("pulling_tension" in table for table in fit.tables):
         return (
             "A pulley test determines the friction alone. Add tip tensions, tip angles or tip positions of the "
             "manipulator."

@@ -1,9 +1,12 @@
 """What deserves a look in a table of measurements, though it can be used."""
 
-from collections.abc import Callable, Mapping
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from .table import Measurements
 
 _TIP_ABOVE_BASE = 1.05  # a tip cell may read this much of the base cell before the report mentions it,
 _ZERO_ERROR = 0.005  # and this much of the largest base tension more
@@ -11,20 +14,7 @@ ONE_LEVEL = 0.01  # base tensions that vary by less, relative to the largest, ar
 _LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are rather degrees than radians
 
 
-@runtime_checkable
-class MeasuredTable(Protocol):
-    """What of a table of measurements is looked at."""
-
-    @property
-    def columns(self) -> Mapping[str, np.ndarray]: ...
-    @property
-    def trial_labels(self) -> tuple[str, ...]: ...
-    def __len__(self) -> int: ...
-    def __getitem__(self, column: str, /) -> np.ndarray: ...
-    def place(self, row: int, /) -> str: ...
-
-
-def warnings_of(table: MeasuredTable) -> tuple[str, ...]:
+def warnings_of(table: "Measurements") -> tuple[str, ...]:
     """One line each, for the report; what is said of columns names the first of them."""
     of_rows = [look(table) for look in (_too_few_rows, _repeated_rows, _one_level)]
     looks = (_below_zero, _tip_above_base, _coming_down, _large_angle)
@@ -32,7 +22,7 @@ def warnings_of(table: MeasuredTable) -> tuple[str, ...]:
     return tuple(filter(None, of_rows + of_columns))
 
 
-def _too_few_rows(table: MeasuredTable) -> str:
+def _too_few_rows(table: "Measurements") -> str:
     if len(table) == 1:
         return "there is one row only, from which no scatter can be estimated"
     trials = table.columns.get("trial", np.zeros(0)).astype(int)
@@ -47,7 +37,7 @@ def _too_few_rows(table: MeasuredTable) -> str:
     )
 
 
-def _repeated_rows(table: MeasuredTable) -> str:
+def _repeated_rows(table: "Measurements") -> str:
     if len(table) == 1:
         return ""
     columns = [np.nan_to_num(values, nan=np.inf) for values in table.columns.values()]  # gaps are equal to each other
@@ -66,7 +56,7 @@ def _repeated_rows(table: MeasuredTable) -> str:
     )
 
 
-def _one_level(table: MeasuredTable) -> str:
+def _one_level(table: "Measurements") -> str:
     pulls = [values for column, values in table.columns.items() if column.startswith("base_tension")]
     if len(table) == 1 or not pulls or any(np.ptp(values) > ONE_LEVEL * values.max() for values in pulls):
         return ""
@@ -74,7 +64,7 @@ def _one_level(table: MeasuredTable) -> str:
     return f"base_tension hardly varies from {level}, so that no slope can be determined; measure at other levels"
 
 
-def _below_zero(table: MeasuredTable, column: str) -> str:
+def _below_zero(table: "Measurements", column: str) -> str:
     if not column.startswith(("base_tension", "tip_tension", "pulling_tension")):
         return ""
     free = f"; if so let {column.replace('tension', 'zero')} be free too"
@@ -83,7 +73,7 @@ def _below_zero(table: MeasuredTable, column: str) -> str:
     return _rows_with(table, values < 0, f"{column} below 0", lambda i: f"{values[i]:.4g} N", remedy)
 
 
-def _tip_above_base(table: MeasuredTable, column: str) -> str:
+def _tip_above_base(table: "Measurements", column: str) -> str:
     pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
     found_later = "base_tension_2" in table.columns and way not in table.columns  # with the equilibrium
     if not column.startswith("tip_tension") or found_later:
@@ -96,7 +86,7 @@ def _tip_above_base(table: MeasuredTable, column: str) -> str:
     return _rows_with(table, above, what, lambda i: f"{tip[i]:.6g} N over {base[i]:.6g} N", remedy)
 
 
-def _coming_down(table: MeasuredTable, column: str) -> str:
+def _coming_down(table: "Measurements", column: str) -> str:
     """Rows below the row before them that do not start anew at the lowest level of their trial."""
     stated = column.replace("base_tension", "direction")
     if not column.startswith("base_tension") or stated in table.columns:
@@ -115,13 +105,13 @@ def _coming_down(table: MeasuredTable, column: str) -> str:
     return _rows_with(table, down, what, lambda i: f"{base[i]:.6g} N after {base[i - 1]:.6g} N", remedy)
 
 
-def _large_angle(table: MeasuredTable, column: str) -> str:
+def _large_angle(table: "Measurements", column: str) -> str:
     values, largest = table[column], _LARGEST_ANGLE.get(column, np.inf)
     what, remedy = f"{column} beyond {largest / (2 * np.pi):.0f} turn(s)", "are these degrees under a unit of rad?"
     return _rows_with(table, np.abs(values) > largest, what, lambda i: f"{values[i]:.6g} rad", remedy)
 
 
-def _rows_with(table: MeasuredTable, which: np.ndarray, what: str, value: Callable[[int], str], remedy: str) -> str:
+def _rows_with(table: "Measurements", which: np.ndarray, what: str, value: Callable[[int], str], remedy: str) -> str:
     """How many rows are concerned, and the first of them; "" for none."""
     if not np.any(which):
         return ""
