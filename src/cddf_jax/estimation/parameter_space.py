@@ -206,7 +206,7 @@ class ParameterSpace(eqx.Module):
         """The z of the start."""
         return np.array([self.inverse(i, self.start[i]) for i in range(len(self.names))])
 
-    def _bound(self, i: int) -> Numbers:
+    def _bound(self, i: int) -> float | Numbers:
         """Of a parameter with one bound."""
         return self.lower[i] if self.kinds[i] == "bounded below" else self.upper[i]
 
@@ -216,8 +216,8 @@ class ParameterSpace(eqx.Module):
         if self.kinds[i] == "free":
             return np.asarray((value - start) / self.scale[i])
         if self.kinds[i] == "between":
-            return np.log((value - self.lower[i]) / (self.upper[i] - value))
-        return np.log((value - self._bound(i)) / (start - self._bound(i)))
+            return np.asarray(np.log((value - self.lower[i]) / (self.upper[i] - value)))
+        return np.asarray(np.log((value - self._bound(i)) / (start - self._bound(i))))
 
     def parameters(self, z: Float[Numbers, " n"]) -> Float[Array, " n"]:
         """The parameters at z, inside their bounds."""

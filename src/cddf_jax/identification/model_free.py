@@ -6,12 +6,10 @@ mu = ln(T_base / T_tip) / theta_tip from every row alone: no modulus, taper or l
 full model, and the law itself: mu must not depend on the tension.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike
 from scipy import stats
 
 from ..errors import InputError
@@ -24,8 +22,6 @@ LARGEST_Z = 3.0  # of a disagreement that is not mentioned
 SMALLEST_ANGLE = 1e-9  # rad; below it is 0
 LEAST_LEFT = 1e-6  # of the determinant of all rows, without a label; with less its noise cannot be estimated
 FEWEST_TRIALS = 3  # whose scatter can be estimated
-NUM_STEPS = 100  # of the pooled estimate, which needs 3 or 4
-SETTLED = 1e-14  # relative change at which it ends
 
 
 class Constancy(NamedTuple):
@@ -35,7 +31,7 @@ class Constancy(NamedTuple):
     standard_error: float
     t: float
     p_value: float  # two-sided
-    degrees_of_freedom: float  # inf where the noise is known
+    degrees_of_freedom: int
 
     def __str__(self) -> str:
         if not np.isfinite(self.p_value):
@@ -47,23 +43,6 @@ class Constancy(NamedTuple):
             f"It drifts with base tension by more than chance ({numbers}): check the zeros of load cells "
             "and camera, and whether the tendon runs at a constant offset; one coefficient may not describe these rows."
         )
-
-
-class Homogeneity(NamedTuple):
-    """Whether rows scatter about one mu as the known noise says."""
-
-    chi_square: float
-    degrees_of_freedom: int
-    p_value: float  # of a scatter as large or larger
-
-    def __str__(self) -> str:
-        freedom = self.degrees_of_freedom
-        numbers = f"chi-square {self.chi_square:.4g} on {freedom} degrees of freedom, p = {self.p_value:.2g}"
-        if self.p_value < SIGNIFICANT:
-            return f"Rows scatter more than the given noise ({numbers}): the standard error is too small."
-        if self.p_value > 1 - SIGNIFICANT:
-            return f"Rows scatter less than the given noise ({numbers}): is it stated too large?"
-        return f"Rows scatter as the given noise predicts ({numbers})."
 
 
 class Disagreement(NamedTuple):
@@ -83,10 +62,9 @@ class ModelFreeFriction:
     weight: np.ndarray  # the share of each row in the pooled value; sums to 1
     value: float  # pooled
     standard_error: float  # inf where a single row determines the value, so that its noise cannot be estimated
-    confidence_interval: tuple[float, float]  # 95 %, t-statistics where noise was estimated
-    scatter: float | None  # standard deviation of ln(T_base / T_tip) over all rows where it was estimated
+    confidence_interval: tuple[float, float]  # 95 %, t-statistics
+    scatter: float  # standard deviation of ln(T_base / T_tip) over all rows; inf of a single row
     constancy: Constancy
-    homogeneity: Homogeneity | None  # None where noise was estimated
 
     @property
     def verdict(self) -> tuple[str, ...]:
@@ -99,8 +77,6 @@ class ModelFreeFriction:
             f"from tensions and tip angles of {used} of {rows} rows, for any body",
             str(self.constancy),
         ]
-        if self.homogeneity is not None and self.homogeneity.degrees_of_freedom:
-            lines.append(str(self.homogeneity))
         if np.any(angle > 0) and np.any(angle < 0):
             lines.append(
                 "Tip angles have both signs: check the zero of the angle; within a row the curvature must keep one."
@@ -108,37 +84,30 @@ class ModelFreeFriction:
         if any(column.startswith("tip_force") and np.any(values) for column, values in columns):
             lines.append("A force acts on the tip: the value holds only where the curvature keeps one sign.")
         if not np.isfinite(self.standard_error):
-            lines.append(
-                "A single row determines it, without its noise: measure more, or give the noise of the instruments."
-            )
+            lines.append("A single row determines it, without its noise: measure more.")
         return tuple(lines)
 
     def __str__(self) -> str:
         return "\n".join(self.verdict)
 
 
-def model_free_friction(table: Measurements, noise: Mapping[str, ArrayLike] | None = None) -> ModelFreeFriction:
+def model_free_friction(table: Measurements) -> ModelFreeFriction:
     """The friction coefficient of every row and of all, mu = ln(T_base / T_tip) / theta_tip.
 
-    It reads the tensions of the first tendon. The pooled value is the weighted mean of the rows. A row weighs about as
-    its angle squared, so that a small angle hardly counts; with `noise` the weights are those of the most likely line
-    through the origin of ln(T_base / T_tip) against theta_tip, errors in both: York et al. (2004), American Journal of
-    Physics 72, 367, eq. (13b), without an intercept. Where `direction` is -1 the tendon slides out and the logarithm
-    changes its sign; beside other tendons it must be stated.
+    It reads the tensions of the first tendon. The pooled value is the mean of the rows, weighted by the square of their
+    angle, so that a small angle hardly counts. Where `direction` is -1 the tendon slides out and the logarithm changes
+    its sign; beside other tendons it must be stated. The noise is estimated from the scatter of the rows (of the
+    trials, where there are three or more).
 
     Not checked: exact kinematics, a tendon parallel to the axis, a curvature of one sign, independent errors of the
     rows. An error that all rows share - the gain of a cell, the zero of the camera - is not in the standard error. An
-    error that the rows of a trial share is, where noise is not given and `trial` names three trials or more.
+    error that the rows of a trial share is, where `trial` names three trials or more.
 
     Args:
         table: with `base_tension`, `tip_tension` and `tip_angle`.
-        noise: standard deviation of each of the three in SI units, a number or one per row, 0 for what is exact.
-            Without it the noise is estimated from the scatter of the rows (of the trials, where there are three or
-            more), and rows weigh as the square of their angle.
 
     Raises:
-        InputError: for columns that are missing, several tendons without `direction`, a table without any bent row,
-            noise that is incomplete or negative.
+        InputError: for columns that are missing, several tendons without `direction`, a table without any bent row.
     """
     for column in COLUMNS:
         if column not in table:
@@ -154,23 +123,12 @@ def model_free_friction(table: Measurements, noise: Mapping[str, ArrayLike] | No
         raise InputError(f"{table.name}: no row has tensions and a tip angle other than 0; {remedy}")
     direction = table["direction"][usable] if "direction" in table else 1.0
     base, tip, angle = base[usable], tip[usable], angle[usable]
-    loss = direction * np.log(base / tip)
-    line = _pool(base, angle, loss, 1.0, 0.0)
-    labels = None if noise is not None else _independent(table, usable)
-    if noise is not None:
-        sigma = _noise(table, noise)[:, usable]
-        expected = base * np.exp(-direction * line.value * angle)  # a reading must not choose its own weight
-        line = _pool(base, angle, loss, (sigma[0] / base) ** 2 + (sigma[1] / expected) ** 2, sigma[2] ** 2)
-    freedom, chi_square = angle.size - 1, float(np.sum(line.weight * line.residual**2))
-    scatter, homogeneity, quantile = None, None, float(stats.norm.ppf(0.975))
-    if labels is None:
-        tail = float(stats.chi2.sf(chi_square, freedom)) if freedom else np.nan
-        homogeneity = Homogeneity(chi_square, freedom, tail)
-    else:
-        scatter = float(np.sqrt(chi_square / freedom)) if freedom else np.inf
-        quantile = float(stats.t.ppf(0.975, max(labels.max(), 1)))
-    error = line.standard_errors(line.adjusted[:, None], line.residual, labels)[0]
-    share = line.weight * line.adjusted * angle
+    loss, labels = direction * np.log(base / tip), _independent(table, usable)
+    value = float(np.sum(angle * loss) / np.sum(angle**2))
+    residual = loss - value * angle
+    scatter = float(np.sqrt(np.sum(residual**2) / (angle.size - 1))) if angle.size > 1 else np.inf
+    error = float(_jackknife(angle[:, None], residual, labels)[0])
+    half_width = float(stats.t.ppf(0.975, max(labels.max(), 1))) * error
 
     def by_row(values: np.ndarray, other: float) -> np.ndarray:
         rows = np.full(len(table), other)
@@ -180,14 +138,13 @@ def model_free_friction(table: Measurements, noise: Mapping[str, ArrayLike] | No
     return ModelFreeFriction(
         table=table,
         estimate=by_row(loss / angle, np.nan),
-        row_standard_error=by_row((1.0 if scatter is None else scatter) / np.sqrt(line.weight) / angle, np.inf),
-        weight=by_row(share / np.sum(share), 0.0),
-        value=line.value,
+        row_standard_error=by_row(scatter / angle, np.inf),
+        weight=by_row(angle**2 / np.sum(angle**2), 0.0),
+        value=value,
         standard_error=error,
-        confidence_interval=(line.value - quantile * error, line.value + quantile * error),
+        confidence_interval=(value - half_width, value + half_width),
         scatter=scatter,
-        constancy=_constancy(line, labels),
-        homogeneity=homogeneity,
+        constancy=_constancy(base, angle, residual, labels),
     )
 
 
@@ -226,69 +183,15 @@ def _independent(table: Measurements, usable: np.ndarray) -> np.ndarray:
     return np.arange(np.count_nonzero(usable))
 
 
-def _noise(table: Measurements, noise: Mapping[str, ArrayLike]) -> np.ndarray:
-    """The standard deviation of each column (first axis) in each row."""
-    if set(noise) != set(COLUMNS):
-        raise InputError(f"noise: needs {', '.join(COLUMNS)}, got {', '.join(noise)}; give 0 for what is exact")
-    rows = []
-    for column in COLUMNS:
-        sigma = np.asarray(noise[column], dtype=np.float64)
-        if sigma.shape not in ((), (len(table),)) or not np.all(np.isfinite(sigma) & (sigma >= 0)):
-            raise InputError(f"noise: {column} needs a number of 0 or more, or one for each of {len(table)} rows")
-        rows.append(np.broadcast_to(sigma, len(table)))
-    if np.any(rows[0] + rows[1] == 0):
-        raise InputError("noise: not both tensions can be exact; give the standard deviation of one of them")
-    return np.stack(rows)
-
-
-# --- statistics ----------------------------------------------------------------------------------
-
-
-class _Line(NamedTuple):
-    """Through the origin of loss against angle: their weighted mean quotient. Arrays go by usable row."""
-
-    base: np.ndarray
-    value: float
-    residual: np.ndarray
-    weight: np.ndarray  # 1 / variance of the residual
-    adjusted: np.ndarray  # the angle, moved onto the line as far as its error allows
-
-    def standard_errors(self, columns: np.ndarray, residual: np.ndarray, labels: np.ndarray | None) -> np.ndarray:
-        """Of the coefficients of orthogonal columns, by the known noise; with labels by the jackknife."""
-        if labels is not None:
-            return _jackknife(columns, residual, labels)
-        return 1 / np.sqrt(np.sum(self.weight[:, None] * columns**2, axis=0))
-
-
-def _pool(
-    base: np.ndarray,
-    angle: np.ndarray,
-    loss: np.ndarray,
-    variance_loss: np.ndarray | float,
-    variance_angle: np.ndarray | float,
-) -> _Line:
-    """Weights from the value and the value from weights, until they agree: York et al. (2004), eq. (13b)."""
-    weight, adjusted = np.ones_like(angle), angle
-    value, previous = float(np.average(loss / angle, weights=angle**2)), np.inf
-    for _ in range(NUM_STEPS):
-        if abs(value - previous) <= SETTLED * abs(value):
-            break
-        weight = 1.0 / (variance_loss + value**2 * variance_angle) * np.ones_like(angle)
-        adjusted = weight * (variance_loss * angle + value * variance_angle * loss)
-        previous, value = value, float(np.average(loss / angle, weights=weight * adjusted * angle))
-    return _Line(base, value, loss - value * angle, weight, adjusted)
-
-
-def _constancy(line: _Line, labels: np.ndarray | None) -> Constancy:
-    """The slope b of mu = a + b T_base, about the pooled line to first order."""
-    base, _, residual, weight, adjusted = line
-    freedom = np.inf if labels is None else float(min(base.size - 2, labels.max()))
+def _constancy(base: np.ndarray, angle: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> Constancy:
+    """The slope b of mu = a + b T_base, from the residuals of the pooled value."""
+    freedom = int(min(base.size - 2, labels.max()))
     if freedom <= 0 or np.ptp(base) <= ONE_LEVEL * base.max():
         return Constancy(np.nan, np.nan, np.nan, np.nan, freedom)
-    regressor = adjusted * (base - np.average(base, weights=weight * adjusted**2))
-    slope = float(np.sum(weight * regressor * residual) / np.sum(weight * regressor**2))
-    columns = np.stack([adjusted, regressor], axis=1)
-    error = float(line.standard_errors(columns, residual - slope * regressor, labels)[1])
+    regressor = angle * (base - np.average(base, weights=angle**2))
+    slope = float(np.sum(regressor * residual) / np.sum(regressor**2))
+    columns = np.stack([angle, regressor], axis=1)
+    error = float(_jackknife(columns, residual - slope * regressor, labels)[1])
     t = slope / error if 0 < error < np.inf else np.nan
     return Constancy(slope, error, t, float(2 * stats.t.sf(abs(t), freedom)), freedom)
 
