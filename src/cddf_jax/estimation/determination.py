@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from .parameter_space import TINY, ParameterSpace
 
@@ -22,7 +22,6 @@ RELATIVE_RANK = 1e-9  # singular values below this times the largest are zero
 LARGEST_RELATIVE_ERROR = 0.5  # of a parameter that is called identified
 ALL_OF_PRIOR = 0.98  # standard error over that of its prior, from which on the prior alone determines a parameter
 NEGLIGIBLE_POWER = 0.02  # of a parameter in a direction, where the largest is 1; closer ones count as equal
-NEARLY_NORMAL = 1e9  # degrees of freedom from which on the quantile is that of the normal distribution
 INSIDE = 1e-12  # difference from 1 below which the determined directions hold all of a parameter
 
 T = TypeVar("T")
@@ -200,7 +199,7 @@ def quantiles(evidence: Evidence, spectrum: Spectrum, directions: np.ndarray) ->
         part = sum((along[:, k] * evidence.prior_rows[k][0, k]) ** 2 for k in evidence.random)
         of_spread = (len(evidence.random) - 1) * (variance / np.maximum(part, 1e-6 * variance + TINY)) ** 2
         freedom = np.minimum(freedom, np.maximum(of_spread, 1.0))
-    return np.where(freedom < NEARLY_NORMAL, stdtrit(np.minimum(freedom, NEARLY_NORMAL), 0.975), ndtri(0.975))
+    return stdtrit(freedom, 0.975)
 
 
 def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> list[str]:

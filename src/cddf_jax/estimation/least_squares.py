@@ -3,7 +3,7 @@
 The optimiser sees dimensionless unknowns of order one. Noise that is not given is estimated, group by group.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -15,7 +15,7 @@ from ..errors import InputError
 from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
 from .determination import Determination, Evidence, determine, quantiles, spectrum_of
 from .levenberg_marquardt import MAX_STEPS, Data, LeastSquaresProblem, Minimum
-from .observations import Noise, group_observations
+from .observations import Noise, Observed, group_observations
 from .parameter_space import (
     Bounds,
     ParameterSpace,
@@ -27,7 +27,7 @@ from .parameter_space import (
 )
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
-from .restarts import Searched, search_as_needed, search_many
+from .restarts import Searched, search
 from .robust_loss import LOSSES
 from .whole_search import FitTask
 
@@ -248,16 +248,19 @@ def least_squares_fit(
     if loss not in LOSSES:
         raise InputError(f"loss {loss!r} is not known; there are {', '.join(LOSSES)}")
     names, first, unravel = lay_out_parameters(start, fixed, shared or {})
-    data = group_observations(observed, sigma)
+    groups = group_observations(observed, sigma)
     limits = bounds_of(names, first, bounds or {}, priors or {})
     prior = priors_of(names, priors or {})
     space = ParameterSpace(names, first, *limits, _scales(names, first, scales or {}, prior))
-    given = Data(data.values, data.first_guess(), tuple(np.ones(v.shape) for v in data.values), prior)
-    problem = LeastSquaresProblem(predict, unravel, data.names, given, space, loss, max_steps)
-
-    task = FitTask(problem, data, prefer_start)
-    searched = search_as_needed(task, seed) if starts is None else search_many(task, starts, seed)
-    return _conclude(task, searched, seed)
+    data = Data(
+        values=tuple(group.values for group in groups),
+        noise=tuple(group.first_guess() for group in groups),
+        times=tuple(np.ones(group.values.shape) for group in groups),
+        prior=prior,
+    )
+    labels = tuple(group.name for group in groups)
+    task = FitTask(LeastSquaresProblem(predict, unravel, labels, data, space, loss, max_steps), groups, prefer_start)
+    return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed), seed)
 
 
 def _scales(
@@ -273,21 +276,22 @@ def _scales(
     return np.array([known.get(name, np.nan) for name in names])
 
 
-def _conclude(task: FitTask, searched: Searched, seed: int) -> LeastSquaresFit:
-    ending, data = searched.ending, task.data
+def _conclude(groups: Sequence[Observed], structure: PyTree, searched: Searched, seed: int) -> LeastSquaresFit:
+    ending = searched.ending
     problem, outcome = ending.minimum
-    noise, freedom = problem.data.noise, outcome.residual.size - ending.determination.rank
+    freedom = outcome.residual.size - ending.determination.rank
+    noise = [np.asarray(s) for s in problem.data.noise]
     residuals = [r.reshape(s.shape) for r, s in zip(problem.by_group(outcome.residual), noise, strict=True)]
-    log_likelihood = -0.5 * sum(
-        np.sum(r**2) + np.sum(np.log(2 * np.pi * s**2)) for r, s in zip(residuals, noise, strict=True)
-    )
+    found = list(zip(groups, noise, residuals, strict=True))
+    models = {g.name: g.model(s, r.ravel()) for g, s, r in found}
+    log_likelihood = -0.5 * sum(np.sum(r**2) + np.sum(np.log(2 * np.pi * s**2)) for _, s, r in found)
     return LeastSquaresFit(
         **vars(ending.determination),
-        noise={name: float(np.sqrt(np.mean(s**2))) for name, s in zip(data.names, noise, strict=True)},
-        noise_model=data.noise_models(ending.minimum),
-        noise_parts=data.estimated_parts,
+        noise={g.name: float(np.sqrt(np.mean(s**2))) for g, s, _ in found},
+        noise_model={name: model for name, model in models.items() if model is not None},
+        noise_parts={g.name: g.estimated_parts for g in groups},
         noise_estimated=any(ending.evidence.noise_estimated.values()),
-        residuals=jax.tree.unflatten(data.structure, [-r * s for r, s in zip(residuals, noise, strict=True)]),
+        residuals=jax.tree.unflatten(structure, [-r * s for _, s, r in found]),
         reduced_chi_square=float(np.sum(outcome.residual**2)) / max(freedom, 1),
         degrees_of_freedom=freedom,
         log_likelihood=float(log_likelihood),

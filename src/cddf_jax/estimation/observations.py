@@ -1,6 +1,6 @@
 """The data of a fit: groups of observations, each with noise that is known, modelled or estimated."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,86 +34,69 @@ class Noise(NamedTuple):
     fraction: float | None = None
 
 
-Sigma = np.ndarray | Noise | None
-
-
 @dataclass(frozen=True)
-class Observations:
-    """Groups of observations, each with known or unknown noise."""
+class Observed:
+    """A group of observations."""
 
-    names: tuple[str, ...]
-    values: tuple[np.ndarray, ...]
-    sigma: tuple[Sigma, ...]
-    structure: PyTree  # of the data as they were given
-
-    @property
-    def scale(self) -> list[float]:
-        return [float(np.sqrt(np.mean(values**2))) or 1.0 for values in self.values]
+    name: str
+    values: np.ndarray
+    sigma: np.ndarray | Noise | None  # standard deviations where they are known; None where they are estimated
 
     @property
-    def known(self) -> list[bool]:
-        """Whether a group's noise is given."""
-        return [count == 0 for count in self.estimated_parts.values()]
+    def scale(self) -> float:
+        return float(np.sqrt(np.mean(self.values**2))) or 1.0
 
     @property
-    def estimated_parts(self) -> dict[str, int]:
-        """How many numbers of each group's noise are estimated."""
-        parts = [1 if s is None else list(s).count(None) if isinstance(s, Noise) else 0 for s in self.sigma]
-        return dict(zip(self.names, parts, strict=True))
+    def estimated_parts(self) -> int:
+        """How many numbers of the noise are estimated."""
+        return list(self.sigma).count(None) if isinstance(self.sigma, Noise) else int(self.sigma is None)
 
-    def first_guess(self) -> tuple[np.ndarray, ...]:
+    def first_guess(self) -> np.ndarray:
         """Standard deviations to start from."""
+        if self.sigma is None:
+            return np.full(self.values.shape, 0.05 * self.scale)
+        if isinstance(self.sigma, Noise):
+            floor = 0.03 * self.scale if self.sigma.floor is None else self.sigma.floor
+            fraction = 0.03 if self.sigma.fraction is None else self.sigma.fraction
+            return np.hypot(np.maximum(floor, MODEL_PRECISION * self.scale), fraction * self.values)
+        return np.broadcast_to(self.sigma, self.values.shape)
 
-        def guess(sigma: Sigma, scale: float, values: np.ndarray) -> np.ndarray:
-            if sigma is None:
-                return np.full(values.shape, 0.05 * scale)
-            if isinstance(sigma, Noise):
-                floor = 0.03 * scale if sigma.floor is None else sigma.floor
-                fraction = 0.03 if sigma.fraction is None else sigma.fraction
-                return np.hypot(np.maximum(floor, MODEL_PRECISION * scale), fraction * values)
-            return np.broadcast_to(sigma, values.shape)
+    def estimate(self, old: np.ndarray, residual: np.ndarray, leverage: np.ndarray, loss: str) -> np.ndarray:
+        """Standard deviations from the residuals over the old ones, less the degrees of freedom that the fit took."""
+        noise, least = old.ravel(), MODEL_PRECISION * self.scale
+        error, squares = residual * noise, residual**2
+        if self.sigma is None:
+            freedom = max(self.values.size - leverage.sum(), 1e-3)
+            spread = np.sqrt(np.sum(error**2) / freedom)
+            if loss != "linear":
+                spread = MEDIAN_TO_DEVIATION * np.median(np.abs(error)) * np.sqrt(self.values.size / freedom)
+            return np.full(self.values.shape, max(spread, least))
+        if not isinstance(self.sigma, Noise):
+            return old
+        if loss != "linear":  # an outlier counts no more than a residual of ordinary size
+            squares = np.minimum(squares, WINSOR**2) / WINSORED_SQUARE
+        predicted = self.values.ravel() + error
+        floor, fraction = _parts(self.sigma, predicted, squares * noise**2, leverage, noise)
+        return np.hypot(max(floor, least), fraction * predicted).reshape(self.values.shape)
 
-        return tuple(guess(*group) for group in zip(self.sigma, self.scale, self.values, strict=True))
+    def model(self, noise: np.ndarray, residual: np.ndarray) -> Noise | None:
+        """Floor and fraction of standard deviations that are modelled by them."""
+        if not isinstance(self.sigma, Noise):
+            return None
+        noise = noise.ravel()
+        predicted = self.values.ravel() + residual * noise
+        parts = np.array(_parts(self.sigma, predicted, noise**2, np.zeros(noise.size), noise))
+        size = parts * [1.0, np.max(np.abs(predicted))]
+        return Noise(*np.where(size < NEGLIGIBLE * np.min(noise), 0.0, parts).tolist())
 
-    def estimate_noise(self, minimum: Minimum) -> tuple[np.ndarray, ...]:
-        """From the residuals of each group, less the degrees of freedom that the fit took from it."""
-        problem, outcome = minimum
-        jacobian = without_nan(outcome.jacobian)
-        leverages = problem.by_group(spectrum_of(jacobian).leverage(jacobian))
-        groups = zip(self.values, self.sigma, problem.data.noise, problem.by_group(outcome.residual), strict=True)
-        improved = []
-        for (values, sigma, old, residual), leverage, scale in zip(groups, leverages, self.scale, strict=True):
-            noise, least = np.ravel(old), MODEL_PRECISION * scale
-            error, squares = residual * noise, residual**2
-            if sigma is None:
-                freedom = max(values.size - leverage.sum(), 1e-3)
-                spread = np.sqrt(np.sum(error**2) / freedom)
-                if problem.loss != "linear":
-                    spread = MEDIAN_TO_DEVIATION * np.median(np.abs(error)) * np.sqrt(values.size / freedom)
-                noise = np.full(values.size, max(spread, least))
-            elif isinstance(sigma, Noise):
-                if problem.loss != "linear":  # an outlier counts no more than a residual of ordinary size
-                    squares = np.minimum(squares, WINSOR**2) / WINSORED_SQUARE
-                predicted = values.ravel() + error
-                floor, fraction = _parts(sigma, predicted, squares * noise**2, leverage, noise)
-                noise = np.hypot(max(floor, least), fraction * predicted)
-            improved.append(noise.reshape(values.shape))
-        return tuple(improved)
 
-    def noise_models(self, minimum: Minimum) -> dict[str, Noise]:
-        """Floor and fraction of the groups that have them."""
-        problem, outcome = minimum
-        residuals, found = problem.by_group(outcome.residual), {}
-        for name, values, sigma, old, residual in zip(
-            self.names, self.values, self.sigma, problem.data.noise, residuals, strict=True
-        ):
-            if isinstance(sigma, Noise):
-                noise = np.ravel(old)
-                predicted = values.ravel() + residual * noise
-                parts = np.array(_parts(sigma, predicted, noise**2, np.zeros(noise.size), noise))
-                size = parts * [1.0, np.max(np.abs(predicted))]
-                found[name] = Noise(*np.where(size < NEGLIGIBLE * np.min(noise), 0.0, parts).tolist())
-        return found
+def estimate_noise(groups: Sequence[Observed], minimum: Minimum) -> tuple[np.ndarray, ...]:
+    """Standard deviations of each group, from the residuals at a minimum."""
+    problem, outcome = minimum
+    jacobian = without_nan(outcome.jacobian)
+    leverage = problem.by_group(spectrum_of(jacobian).leverage(jacobian))
+    found = zip(groups, problem.data.noise, problem.by_group(outcome.residual), leverage, strict=True)
+    return tuple(group.estimate(np.asarray(noise), r, h, problem.loss) for group, noise, r, h in found)
 
 
 def _parts(
@@ -163,13 +146,13 @@ def _most_likely(
     return u
 
 
-def group_observations(observed: PyTree, sigma: PyTree) -> Observations:
+def group_observations(observed: PyTree, sigma: PyTree) -> tuple[Observed, ...]:
     """Check the data and put noise beside each group.
 
     Raises:
         InputError: for data that are empty or not finite, noise that is not positive or fits no group.
     """
-    leaves, structure = jax.tree_util.tree_flatten_with_path(observed)
+    leaves = jax.tree_util.tree_flatten_with_path(observed)[0]
     names = tuple(jax.tree_util.keystr(path, simple=True, separator=".") or "data" for path, _ in leaves)
     values = tuple(np.asarray(leaf, dtype=np.float64) for _, leaf in leaves)
     if not values or not any(v.size for v in values):
@@ -177,27 +160,23 @@ def group_observations(observed: PyTree, sigma: PyTree) -> Observations:
     for name, v in zip(names, values, strict=True):
         if not np.all(np.isfinite(v)):
             raise InputError(f"{name}: entry {int(np.argmin(np.isfinite(v.ravel()))) + 1} is not finite; leave it out")
-    given = _per_group(sigma, names, observed)
-    return Observations(names, values, tuple(map(_checked, given, names, values)), structure)
+    return tuple(map(_checked, names, values, _per_group(sigma, names, observed)))
 
 
-def _checked(sigma: PyTree, name: str, values: np.ndarray) -> Sigma:
-    if sigma is None:
-        return None
+def _checked(name: str, values: np.ndarray, sigma: PyTree) -> Observed:
     if isinstance(sigma, Noise):
-        if any(part is not None and not part >= 0 for part in sigma) or not any(
-            part is None or part > 0 for part in sigma
-        ):
+        known = [part for part in sigma if part is not None]
+        if any(not part >= 0 for part in known) or not (len(known) < 2 or any(part > 0 for part in known)):
             raise InputError(f"sigma of {name}: floor and fraction must be 0 or more, one of them > 0, got {sigma}")
-        return sigma
-    known = np.asarray(sigma, dtype=np.float64)
-    if not np.all(known > 0):
-        raise InputError(f"sigma of {name} must be > 0")
-    if known.shape not in ((), values.shape):
-        raise InputError(
-            f"sigma of {name} must be one number or of shape {values.shape} like the data, got {known.shape}"
-        )
-    return known
+    elif sigma is not None:
+        sigma = np.asarray(sigma, dtype=np.float64)
+        if not np.all(sigma > 0):
+            raise InputError(f"sigma of {name} must be > 0")
+        if sigma.shape not in ((), values.shape):
+            raise InputError(
+                f"sigma of {name} must be one number or of shape {values.shape} like the data, got {sigma.shape}"
+            )
+    return Observed(name, values, sigma)
 
 
 def _per_group(sigma: PyTree, names: tuple[str, ...], observed: PyTree) -> list[PyTree]:

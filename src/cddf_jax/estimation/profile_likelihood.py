@@ -71,9 +71,8 @@ def _stretch(minimum: Minimum) -> float:
     problem, best = minimum
     if problem.loss == "linear":
         return 1.0
-    kind, residual = LOSSES[problem.loss], best.residual[: problem.num_data]
-    spread = np.sum(kind.influence(residual) ** 2) / max(residual.size - best.z.size, 1)
-    return float(spread / max(np.mean(kind.slope(residual)), TINY))
+    spread, slope = LOSSES[problem.loss].moments(best.residual[: problem.num_data], best.z.size)
+    return spread / max(slope, TINY)
 
 
 class _Point(NamedTuple):

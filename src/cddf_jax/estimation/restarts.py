@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from .determination import NOT_IDENTIFIED
-from .levenberg_marquardt import LeastSquaresProblem, minimise
+from .levenberg_marquardt import LeastSquaresProblem, Outcome, minimise
 from .remarks import UNEXPLAINED
 from .whole_search import BETTER_ELSEWHERE, NO_NUMBER, NOT_SETTLED, STOPPED_SHORT, Ending, FitTask, search_from
 
@@ -35,53 +35,45 @@ class Searched(NamedTuple):
     remark: str = ""  # why there were several starts though none were asked for, and what came of them
 
 
-class _Found(NamedTuple):
-    """Where a search ended with the noise that was first guessed."""
+def search(task: FitTask, starts: int | None, seed: int) -> Searched:
+    """The best of so many searches, the first from the given start.
 
-    z: np.ndarray
-    cost: float
-
-
-def search_many(task: FitTask, starts: int, seed: int) -> Searched:
-    """The best of so many searches, the first from the given start."""
-    first = task.problem.space.first()
+    None: from the given start alone; where that is in trouble, rounds of others until the best is in none.
+    """
+    problem = task.problem
+    if starts is not None and starts > 1:
+        found = [minimise(problem, problem.space.first()), *_elsewhere(problem, slice(0, starts - 1), seed)]
+        return Searched(search_from(task, min(found, key=_height).z), np.sort(_costs(found)))
+    ending = first = search_from(task, problem.space.first())
+    costs = np.array([_cost(task, first)])
     if starts == 1:
-        ending = search_from(task, first)
-        return Searched(ending, np.array([_cost(task, ending)]))
-    found = [_descend(task.problem, first), *_elsewhere(task, slice(0, starts - 1), seed)]
-    return Searched(search_from(task, min(found, key=lambda search: search.cost).z), np.sort(_costs(found)))
-
-
-def search_as_needed(task: FitTask, seed: int) -> Searched:
-    """One search from the given start; where that is in trouble, rounds of others until the best is in none."""
-    ending = first = search_from(task, task.problem.space.first())
+        return Searched(first, costs)
     reason = trouble(task, first)
     if not reason:
         return Searched(first, np.empty(0))
-    cost = [np.array([_cost(task, first)])]
-    known = [] if first.lower is None else [_descend(task.problem, first.lower)]
+    known = [] if first.lower is None else [minimise(problem, first.lower)]
     for last, count in zip(np.cumsum(ROUNDS), ROUNDS, strict=True):
-        found = [*known, *_elsewhere(task, slice(last - count, last), seed)]
+        found = [*known, *_elsewhere(problem, slice(last - count, last), seed)]
         ending, known = _better(task, ending, found), []
-        cost.append(_costs(found))
+        costs = np.append(costs, _costs(found))
         if _is_enough(task, ending, found):
             if ending is first and ending.success:  # all came to the same: the data hold no more anywhere
                 return Searched(first, np.empty(0))
             break
-    costs = np.sort(np.concatenate(cost))
+    costs.sort()
     return Searched(ending, costs, _in_words(reason, costs, ending is not first))
 
 
-def _better(task: FitTask, ending: Ending, found: list[_Found]) -> Ending:
+def _better(task: FitTask, ending: Ending, found: list[Outcome]) -> Ending:
     """The best of what was found if it is lower, or as low and without trouble; else the given ending."""
-    best, cost = min(found, key=lambda search: search.cost), _cost(task, ending)
-    if not best.cost < cost * (1 + SAME) + EXACT:
+    best, cost = min(found, key=_height), _cost(task, ending)
+    if not _height(best) < cost * (1 + SAME) + EXACT:
         return ending
     other = search_from(task, best.z)
-    return other if best.cost < (1 - LOWER) * cost - EXACT or not trouble(task, other) else ending
+    return other if _height(best) < (1 - LOWER) * cost - EXACT or not trouble(task, other) else ending
 
 
-def _is_enough(task: FitTask, ending: Ending, found: list[_Found]) -> bool:
+def _is_enough(task: FitTask, ending: Ending, found: list[Outcome]) -> bool:
     """Whether all parameters are identified, or all searches of a round ended alike and not on a plateau."""
     if NOT_IDENTIFIED not in ending.determination.status.values() and not trouble(task, ending):
         return True
@@ -130,37 +122,33 @@ def _is_flat(task: FitTask, ending: Ending) -> bool:
 # --- searches -------------------------------------------------------------------------------------
 
 
-def _elsewhere(task: FitTask, which: slice, seed: int) -> list[_Found]:
+def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int) -> list[Outcome]:
     """Searches from some of the further starts, which a scrambled Sobol sequence spreads; nothing is compiled anew."""
-    space = task.problem.space
+    space = problem.space
     count = max(which.stop, sum(ROUNDS))
     draws = qmc.Sobol(len(space.names), rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(count))))
     decades = np.repeat(DECADES, [*ROUNDS[:-1], count])
     found = []
     for draw, reach in zip(draws[which], decades[which], strict=True):
         moved, z = space.elsewhere(np.clip(draw, 1e-6, 1 - 1e-6), reach)
-        end = _descend(replace(task.problem, space=moved), z)
+        end = minimise(replace(problem, space=moved), z)
         found.append(end._replace(z=space.seen_from(moved, end.z)))
     return found
 
 
-def _descend(problem: LeastSquaresProblem, z: np.ndarray) -> _Found:
-    end = minimise(problem, z)
-    return _Found(end.z, _finite(end.cost))
+def _height(end: Outcome) -> float:
+    """The cost, with the noise that was first guessed; infinite where the model gives no number."""
+    return float(end.cost) if np.isfinite(end.cost) else np.inf
+
+
+def _costs(found: list[Outcome]) -> np.ndarray:
+    return np.array([_height(end) for end in found])
 
 
 def _cost(task: FitTask, ending: Ending) -> float:
-    """With the noise that was first guessed."""
+    """The same of an ending."""
     problem, outcome = ending.minimum
     pairs = zip(problem.data.noise, task.problem.data.noise, strict=True)
     residual = outcome.residual.copy()
     residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
-    return _finite(np.sum(np.asarray(problem.softened(jnp.asarray(residual))) ** 2))
-
-
-def _costs(found: list[_Found]) -> np.ndarray:
-    return np.array([search.cost for search in found])
-
-
-def _finite(cost: float | np.ndarray) -> float:
-    return float(cost) if np.isfinite(cost) else np.inf
+    return _height(outcome._replace(cost=np.sum(np.asarray(problem.softened(jnp.asarray(residual))) ** 2)))

@@ -19,6 +19,11 @@ class Loss(NamedTuple):
     influence: Callable[[np.ndarray], np.ndarray]  # psi = rho' / 2
     slope: Callable[[np.ndarray], np.ndarray]  # psi'
 
+    def moments(self, residual: np.ndarray, num_parameters: int) -> tuple[float, float]:
+        """The mean of psi^2, for the degrees of freedom that so many parameters leave, and the mean of psi'."""
+        freedom = max(residual.size - num_parameters, 1)
+        return float(np.sum(self.influence(residual) ** 2) / freedom), float(np.mean(self.slope(residual)))
+
 
 SOFT_L1, HUBER, CAUCHY = 1.2871, 1.3450, 2.3849
 

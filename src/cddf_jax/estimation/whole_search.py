@@ -4,6 +4,7 @@ It looks far along the valleys of the sum of squares, where the curvature at its
 """
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from .determination import (
     without_nan,
 )
 from .levenberg_marquardt import LeastSquaresProblem, Minimum, Outcome, evaluate, hold_one, minimise
-from .observations import Observations
+from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
 from .remarks import unexplained_groups
 from .robust_loss import LOSSES
@@ -54,7 +55,7 @@ class FitTask(NamedTuple):
     """What stays the same however often a fit is searched."""
 
     problem: LeastSquaresProblem  # with the noise that is first guessed
-    data: Observations
+    groups: tuple[Observed, ...]  # of the data
     prefer_start: bool  # to end near the start in a valley that the data leave open
 
 
@@ -96,7 +97,7 @@ def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
     problem, settled = task.problem, False
     outcome = minimise(problem, z)
     for _ in range(NOISE_ROUNDS):
-        noise, improved = problem.data.noise, task.data.estimate_noise(Minimum(problem, outcome))
+        noise, improved = problem.data.noise, estimate_noise(task.groups, Minimum(problem, outcome))
         settled = all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
         if settled and all(map(np.array_equal, noise, improved)):  # it was known
             break
@@ -109,7 +110,7 @@ def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
 
 def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
     """The scaled Jacobian by groups; all 0 where the model gave no number."""
-    (problem, outcome), data = minimum, task.data
+    problem, outcome = minimum
     space = problem.space
     finite = np.all(np.isfinite(outcome.residual))
     at_bound = space.at_bound(outcome.parameters)  # where the value is no measure of its own precision
@@ -125,17 +126,16 @@ def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
         size=size,
         at_bound=at_bound,
         open_profile=np.zeros(len(size), bool),
-        rows=dict(zip(data.names, rows, strict=True)),
+        rows=dict(zip(problem.groups, rows, strict=True)),
         prior_rows={i: row[None] for i, row in zip(problem.data.prior, prior_rows, strict=True)},
-        noise_estimated={name: not known for name, known in zip(data.names, data.known, strict=True)},
+        noise_estimated={group.name: group.estimated_parts > 0 for group in task.groups},
     )
 
 
 def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
     """What a robust loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)."""
-    kind = LOSSES[loss]
-    spread = np.sum(kind.influence(residual) ** 2) / max(residual.size - num_parameters, 1)
-    return float(np.mean(kind.slope(residual)) / np.sqrt(max(spread, TINY)))
+    spread, slope = LOSSES[loss].moments(residual, num_parameters)
+    return slope / np.sqrt(max(spread, TINY))
 
 
 def _result(minimum: Minimum, evidence: Evidence, valleys: Valleys, *, settled: bool) -> str:
@@ -172,7 +172,7 @@ class _Walk:
         self.least_rise: float = 0.0
         self.lower: np.ndarray | None = None
 
-    def closes(self, i: int, error: float, places: list[float]) -> bool:
+    def closes(self, i: int, error: float, places: Iterable[float]) -> bool:
         """Whether the sum of squares rises enough at one of the places, the nearest first."""
         problem, best = self.minimum
         for place in places:
@@ -193,22 +193,17 @@ def look_along_valleys(minimum: Minimum, evidence: Evidence, determination: Dete
     The curvature at a minimum can suggest an interval although the valley is flat farther off. A side is closed where
     the sum of squares has risen by twice what ends a 95 % interval.
     """
-    space, best, walk = minimum.problem.space, minimum.outcome, _Walk(minimum, determination.quantile)
-    opened = np.zeros(len(determination.names), bool)
-    for i, name in enumerate(determination.names):
-        if determination.status[name] == IDENTIFIED:
-            error = determination.standard_error[name]
-            sides = _sides(space, i, determination.value[name], determination.quantile * error)
-            opened[i] = not all(walk.closes(i, error, places) for places in sides)
+    space, value, walk = minimum.problem.space, evidence.value, _Walk(minimum, determination.quantile)
+    status = np.array([determination.status[name] for name in space.names])
     error = spectrum_of(evidence.jacobian).relative_error * evidence.size
-    near = np.isfinite(space.lower) & (best.parameters - determination.quantile * error <= space.lower)
-    near &= [determination.status[name] in (NOT_IDENTIFIED, AT_BOUND) for name in determination.names]
-    high = best.parameters + determination.quantile * error
-    farther = best.parameters + 2 * determination.quantile * error
+    half_width, opened = determination.quantile * error, np.zeros(len(value), bool)
+    for i in np.flatnonzero(status == IDENTIFIED).tolist():
+        sides = _sides(space, i, value[i], half_width[i])
+        opened[i] = not all(walk.closes(i, error[i], places) for places in sides)
+    near = np.isfinite(space.lower) & (value - half_width <= space.lower) & np.isin(status, (NOT_IDENTIFIED, AT_BOUND))
+    near &= np.isfinite(half_width) & (value + half_width < space.upper)
     limited = [
-        i
-        for i in np.flatnonzero(near & np.isfinite(high) & (high < space.upper)).tolist()
-        if walk.closes(i, error[i], [high[i], farther[i]])
+        i for i in np.flatnonzero(near).tolist() if walk.closes(i, error[i], value[i] + [1, 2] * half_width[i : i + 1])
     ]
     return Valleys(opened, walk.least_rise, walk.lower, tuple(limited))
 
@@ -247,15 +242,11 @@ def nearest_to_start(minimum: Minimum, opened: np.ndarray, quantile: float) -> O
     return there if there.cost - best.cost <= CLOSING_RISE * quantile**2 else best
 
 
-def _sides(space: ParameterSpace, i: int, value: float, half_width: float) -> tuple[list[float], list[float]]:
+def _sides(space: ParameterSpace, i: int, value: float, half_width: float) -> tuple[np.ndarray, np.ndarray]:
     """Places below and above an estimate: 2 and 10 half-widths of its interval off, and a fifth and five times it."""
-    lower, upper = float(space.lower[i]), float(space.upper[i])
-    below, above = ([value + sign * factor * half_width for factor in (2, 10)] for sign in (-1, 1))
-    if np.isfinite(lower):
-        below = [max(place, value - 0.9 * (value - lower)) for place in below]
-    if np.isfinite(upper):
-        above = [min(place, value + 0.9 * (upper - value)) for place in above]
+    lower, upper, reach = float(space.lower[i]), float(space.upper[i]), np.array([2.0, 10.0]) * half_width
+    below = np.maximum(value - reach, value - 0.9 * (value - lower))
+    above = np.minimum(value + reach, value + 0.9 * (upper - value))
     if np.isfinite(lower) and not np.isfinite(upper):
-        below.append(lower + (value - lower) / 5)
-        above.append(lower + (value - lower) * 5)
+        below, above = np.append(below, lower + (value - lower) / 5), np.append(above, lower + (value - lower) * 5)
     return below, above

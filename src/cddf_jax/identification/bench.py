@@ -199,15 +199,11 @@ def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Arra
     def observe(flat):
         parameters = unravel(flat)
         equilibrium = bench.solve(manipulator, parameters, nodes)
-        columns = columns_of(manipulator.num_tendons)
-        readings = {column: reading(equilibrium, column, parameters) for column in columns}
-        return readings, (equilibrium.result, equilibrium.direction_contradicted)
+        readings = {c: reading(equilibrium, c, parameters) for c in columns_of(manipulator.num_tendons)}
+        return readings, (readings, equilibrium.result, equilibrium.direction_contradicted)
 
-    def push(tangent):
-        return jax.jvp(observe, (flat,), (tangent,), has_aux=True)
-
-    values, slopes, (results, against) = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(flat.size))
-    return Evaluation(values, slopes, results, against)
+    derivatives, (readings, results, against) = jax.jacfwd(observe, has_aux=True)(flat)
+    return Evaluation(readings, derivatives, results, against)
 
 
 def reading(equilibrium: Equilibrium, column: str, parameters: Parameters) -> Array:

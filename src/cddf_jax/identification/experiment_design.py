@@ -128,14 +128,12 @@ def plan(
         raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.space.names)}")
     evidence = replace(evidence, noise_estimated=dict.fromkeys(evidence.rows, False))
     rows = [_rows(body, parameters, candidate, evidence.size, nodes) for candidate in candidates]
-    ranking = _rank(evidence, candidates, rows, criterion)
+    ranking = tuple(ranked for ranked, _ in _rank(evidence, candidates, rows, criterion))
     chosen, so_far = [], evidence
     for _ in range(num):
-        best = _rank(so_far, candidates, rows, criterion)[0]
-        k = next(i for i, candidate in enumerate(candidates) if candidate is best.candidate)
-        so_far = _with(so_far, rows[k][0])
+        best, so_far = _rank(so_far, candidates, rows, criterion)[0]
         chosen.append(best)
-    return Plan(criterion, determine(evidence), tuple(ranking), tuple(chosen))
+    return Plan(criterion, determine(evidence), ranking, tuple(chosen))
 
 
 def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Evidence:
@@ -173,13 +171,15 @@ def _with(evidence: Evidence, rows: np.ndarray) -> Evidence:
     )
 
 
-def _rank(evidence: Evidence, candidates: Sequence[Candidate], rows: Sequence[Rows], criterion: str) -> list[Ranked]:
-    before = _merit(evidence, criterion)
-    ranked = []
+def _rank(
+    evidence: Evidence, candidates: Sequence[Candidate], rows: Sequence[Rows], criterion: str
+) -> list[tuple[Ranked, Evidence]]:
+    """Each candidate with the evidence that it would lead to, the best first."""
+    before, ranked = _merit(evidence, criterion), []
     for candidate, (more, warnings) in zip(candidates, rows, strict=True):
         after = _with(evidence, more)
-        ranked.append(Ranked(candidate, determine(after), _merit(after, criterion) - before, warnings))
-    return sorted(ranked, key=lambda r: -r.gain / r.candidate.cost)
+        ranked.append((Ranked(candidate, determine(after), _merit(after, criterion) - before, warnings), after))
+    return sorted(ranked, key=lambda pair: -pair[0].gain / pair[0].candidate.cost)
 
 
 def _merit(evidence: Evidence, criterion: str) -> float:

@@ -152,8 +152,6 @@ def average_holds(table: Measurements) -> Measurements:
         name: values[first] if name == "trial" else _mean(values, labels) for name, values in table.columns.items()
     }
     spread = {column: _spread(table[column], labels) for column in columns if is_reading(column)}
-    for values in columns.values():
-        values.setflags(write=False)
     note = f"each hold averaged to one reading: {len(table)} rows became {first.size}"
     return replace(table, columns=columns, rows=table.rows[first], notes=(*table.notes, note), spread=spread)
 

@@ -94,6 +94,10 @@ class Measurements:
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
 
+    def __post_init__(self):
+        for values in self.columns.values():
+            values.setflags(write=False)
+
     @classmethod
     def from_columns(
         cls, name: str = "measurements", *, notes: Sequence[str] = (), **columns: ArrayLike
@@ -244,8 +248,6 @@ def _table(
     codes = {label: code for code, label in enumerate(dict.fromkeys(labels))}
     if labels:
         arrays["trial"] = np.array([codes[label] for label in labels], float)
-    for values in arrays.values():
-        values.setflags(write=False)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
     lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
     return Measurements(name, arrays, at[kept], tuple(codes), notes, simulated, read_as=lines, unread=unread)

@@ -58,8 +58,6 @@ def _joined(tables: Sequence[Measurements]) -> Measurements:
     for column in dict.fromkeys(column for table in tables for column in table.columns):
         own = [table.columns.get(column, gap) for table, gap in zip(tables, gaps, strict=True)]
         columns[column] = np.concatenate(own)
-    for values in columns.values():
-        values.setflags(write=False)
     said = [line for table in tables for line in table.read_as]
     every = ", ".join(names)
     said.append(f"{every}: the same columns and no column trial, so each file is a trial of one experiment")
