@@ -17,8 +17,7 @@ from ..batch.chunks import Coordinate, Index, Layout, Variable, even_chunks
 from ..batch.fingerprint import digest, numbers_of
 from ..batch.work import Work, carry_out
 from ..errors import InputError
-from .levenberg_marquardt import Data, LeastSquaresProblem, Minimum, minimise_all
-from .parameter_space import Prior
+from .levenberg_marquardt import Data, Minimum, minimise_all
 
 CHUNK = 250  # refits at once: bounds the memory, and shows progress
 KINDS = ("parametric", "cases")
@@ -121,8 +120,7 @@ def bootstrap(
     sources = [clusters.get(name, (name, np.arange(size))) for name, size in sizes.items()]
 
     def draw(layout: Layout, index: Index) -> Data:
-        size, rng = layout.count(index), np.random.default_rng([seed, *index])
-        return _draw_noise(rng, size, minimum) if kind == "parametric" else _draw_cases(rng, size, problem, sources)
+        return _draw(np.random.default_rng([seed, *index]), layout.count(index), minimum, kind, sources)
 
     of_draws = {"kind": kind, "seed": seed}
     found = _refit_all(minimum, draw, "replicate", replicates, of_draws, clusters, progress=progress, out=out)
@@ -203,32 +201,26 @@ def _refit_all(
     return Refits(names, found["estimate"], found["ended"])
 
 
-def _draw_noise(rng: np.random.Generator, size: int, minimum: Minimum) -> Data:
-    """New noise about the fitted model, and about the estimate in place of the priors' means."""
-    problem, best = minimum
-    groups = zip(problem.data.values, problem.data.noise, problem.by_group(best.residual), strict=True)
-    values = tuple(v + r.reshape(np.shape(v)) * s + s * rng.normal(size=(size, *np.shape(v))) for v, s, r in groups)
-    about = {i: best.parameters[i] for i in problem.data.prior}
-    return problem.data._replace(values=values, prior=_draw_priors(rng, size, problem, about))
+def _draw(rng: np.random.Generator, size: int, minimum: Minimum, kind: str, sources: Sources) -> Data:
+    """New noise about the fitted model, or cases with replacement; means of priors about the estimate or themselves.
 
-
-def _draw_cases(rng: np.random.Generator, size: int, problem: LeastSquaresProblem, sources: Sources) -> Data:
-    """Data with replacement; a prior's mean is drawn about itself."""
-    counts = zip(_count_cases(rng, size, sources), problem.data.values, strict=True)
-    times = tuple(count.reshape(size, *np.shape(group)) for count, group in counts)
-    about = {i: prior.mean for i, prior in problem.data.prior.items()}
-    return problem.data._replace(times=times, prior=_draw_priors(rng, size, problem, about))
-
-
-def _draw_priors(
-    rng: np.random.Generator, size: int, problem: LeastSquaresProblem, about: Mapping[int, ArrayLike]
-) -> dict[int, Prior]:
-    """Means of the priors, (size,) each; as they are under a robust loss, which softens no prior."""
-    priors = problem.data.prior
+    Under a robust loss, which softens no prior, priors stay as they are.
+    """
+    (problem, best), drawn = minimum, minimum.problem.data
+    values, noise, _, priors = drawn
+    if kind == "parametric":
+        about = {i: best.parameters[i] for i in priors}
+        groups = zip(values, noise, problem.by_group(best.residual), strict=True)
+        noisy = (v + r.reshape(np.shape(v)) * s + s * rng.normal(size=(size, *np.shape(v))) for v, s, r in groups)
+        drawn = drawn._replace(values=tuple(noisy))
+    else:
+        about = {i: prior.mean for i, prior in priors.items()}
+        counts = zip(_count_cases(rng, size, sources), values, strict=True)
+        drawn = drawn._replace(times=tuple(count.reshape(size, *np.shape(v)) for count, v in counts))
     if problem.loss != "linear":
-        return priors
+        return drawn
     errors = {i: np.asarray(prior.standard_deviation) * rng.normal(size=size) for i, prior in priors.items()}
-    return {i: prior._replace(mean=np.asarray(about[i]) + errors[i]) for i, prior in priors.items()}
+    return drawn._replace(prior={i: p._replace(mean=np.asarray(about[i]) + errors[i]) for i, p in priors.items()})
 
 
 def _count_cases(rng: np.random.Generator, size: int, sources: Sources) -> list[np.ndarray]:
