@@ -8,7 +8,7 @@ from scipy.special import ndtr, stdtr
 from scipy.stats import spearmanr
 
 from .determination import Evidence, spectrum_of, without_nan
-from .levenberg_marquardt import Minimum, minimise
+from .levenberg_marquardt import MAX_STEPS, Minimum, minimise
 from .parameter_space import TINY
 
 OUTLIER_CHANCE = 0.01
@@ -146,7 +146,8 @@ def _distance(minimum: Minimum, group: int, k: int, estimated: bool) -> float:
     times[group] = np.where(rows == own, 0.0, 1.0).reshape(np.shape(times[group]))
     starts, distance = [outcome.z, problem.space.first()], np.inf  # the outlier may have led far off
     for _ in range(NOISE_ROUNDS):
-        without = replace(problem, data=problem.data._replace(noise=tuple(noise), times=tuple(times)))
+        data = problem.data._replace(noise=tuple(noise), times=tuple(times))
+        without = replace(problem, data=data, max_steps=MAX_STEPS)
         there = min((minimise(without, z) for z in starts), key=lambda end: np.nan_to_num(end.cost, nan=np.inf))
         jacobian = without_nan(there.jacobian)
         spectrum = spectrum_of(np.delete(jacobian, own, axis=0))

@@ -4,6 +4,7 @@ The parameters of a bench are those of the manipulator and the errors of its ins
 reads gain * tension + zero; what it reads is counted from a tendon that is already under `pretension`.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..errors import InputError
-from ..measurements.readings import READINGS, columns_of, kind_of, tendon_number
+from ..measurements.readings import READINGS, columns_of, kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from ..quantities import dimension_of
@@ -223,19 +224,15 @@ def unit_of(name: str) -> str:
 
     "1" for a plain number, such as the friction of a trial over that of all; "" for an unknown name.
     """
-    above, below, place = [], [], 0
-    for word in name.split(" "):
-        if word in ("*", "/"):
-            place = int(word == "/")
-            continue
-        stem, _, power = word.partition("^")
+    above, below = [], []
+    for slash, stem, power in re.findall(r"(/ )?([^\s*/^]+)(?:\^(\S+))?", name):
         try:
             unit = "1" if stem == "1" or stem.startswith(TRIALS) else si_unit(parameter_named(stem).dimension)
         except InputError:
             return ""
         if unit != "1":
             whole = f"({unit})" if "/" in unit or " " in unit else unit
-            (below if place else above).append(f"{whole}^{power}" if power else whole if place else unit)
+            (below if slash else above).append(f"{whole}^{power}" if power else whole if slash else unit)
     return "".join([" ".join(above) or "1", *(f"/{unit}" for unit in below)])
 
 
@@ -320,7 +317,7 @@ def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: in
     if "pulling_tension" in table:
         return Pulley(table["weight"], table["wrap_angle"], table.name)
     count = manipulator.num_tendons
-    pulled = ["base_tension", *(f"base_tension_{i}" for i in range(2, count + 1))]
+    pulled = of_tendons("base_tension", count)
     for column in pulled:
         if column not in table:
             raise InputError(f"no column {column!r}; a manipulator of {count} tendons needs it", where=table.name)
@@ -333,9 +330,7 @@ def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: in
         if column not in READINGS and column != "trial" and tendon_number(column) > count:
             raise InputError(f"column {column!r}, but the manipulator has {count} tendon(s)", where=table.name)
     tension = np.stack([table[column] for column in pulled], axis=1)
-    direction = tuple(
-        table.columns.get(column) for column in ("direction", *(f"direction_{i}" for i in range(2, count + 1)))
-    )
+    direction = tuple(map(table.columns.get, of_tendons("direction", count)))
     none = np.zeros(len(table))
     force = np.stack([table.columns.get(column, none) for column in ("tip_force_x", "tip_force_y")], axis=1)
     return Bench(

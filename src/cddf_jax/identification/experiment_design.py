@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..estimation.determination import Determination, Evidence, determine
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import ParameterSpace, Priors, priors_of
+from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
@@ -220,8 +221,8 @@ def _experiment(body: Manipulator, candidate: Candidate) -> Pulley | Bench:
     """The candidate as a table whose readings are not known yet."""
     conditions = {name: np.atleast_1d(np.asarray(value, float)) for name, value in candidate.conditions.items()}
     count = max(values.size for values in conditions.values()) if conditions else 0
-    for tendon in range(2, body.num_tendons + 1):
-        conditions.setdefault(f"base_tension_{tendon}", np.zeros(1))
+    for column in of_tendons("base_tension", body.num_tendons)[1:]:
+        conditions.setdefault(column, np.zeros(1))
     if "weight" in conditions:
         conditions = {name: value for name, value in conditions.items() if not name.startswith("base_tension")}
     name = f"candidate {candidate.name!r}"

@@ -148,9 +148,7 @@ def model_free_friction(table: Measurements) -> ModelFreeFriction:
     )
 
 
-def disagreement(
-    model_free: ModelFreeFriction, fit_value: float, fit_standard_error: float, *, name: str = "the fit"
-) -> Disagreement:
+def disagreement(model_free: ModelFreeFriction, fit_value: float, fit_standard_error: float) -> Disagreement:
     """How far a fitted mu lies from the one without a model, in standard errors of their difference.
 
     The two count as independent, as they are for a pulley test. From the same rows they err alike, and z is then too
@@ -160,7 +158,6 @@ def disagreement(
         model_free: of `model_free_friction`.
         fit_value: the friction coefficient of a fit.
         fit_standard_error: of it; inf where it is not identified, which disagrees with nothing.
-        name: of the fit, for the sentence.
     """
     difference = fit_value - model_free.value
     error = float(np.hypot(model_free.standard_error, fit_standard_error))
@@ -169,7 +166,7 @@ def disagreement(
         return Disagreement(z, "")
     return Disagreement(
         z,
-        f"{name} says friction_coefficient = {fit_value:.4g} +- {fit_standard_error:.2g}, tensions and tip angles "
+        f"the fit says friction_coefficient = {fit_value:.4g} +- {fit_standard_error:.2g}, tensions and tip angles "
         f"alone {model_free.value:.4g} +- {model_free.standard_error:.2g}: {abs(z):.1f} standard errors apart; check "
         "kinematics (exact for a real body), the offset of the tendon, and the zeros of load cells and camera",
     )

@@ -41,11 +41,11 @@ def tendon_number(column: str) -> int:
     return int(digits) if digits.isdigit() else 1
 
 
+def of_tendons(name: str, num_tendons: int) -> list[str]:
+    """The column of each tendon: `base_tension`, `base_tension_2`, ..."""
+    return [name, *(f"{name}_{i}" for i in range(2, num_tendons + 1))]
+
+
 def columns_of(num_tendons: int) -> list[str]:
     """Every column that a manipulator can show."""
-    more = range(2, num_tendons + 1)
-    return [
-        column
-        for name, kind in READINGS.items()
-        for column in (name, *(f"{name}_{i}" for i in more if kind.per_tendon))
-    ]
+    return [c for name, kind in READINGS.items() for c in of_tendons(name, num_tendons if kind.per_tendon else 1)]
