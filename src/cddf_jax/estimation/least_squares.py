@@ -87,8 +87,8 @@ class LeastSquaresFit(Determination):
         """Parameters on a bound, without effect or hanging on one datum; outliers; residuals that tell too little."""
         return (
             *([self.restarted] if self.restarted else []),
-            *remarks_on_parameters(self.evidence, self.place),
-            *remarks_on_residuals(self.evidence, self.minimum, self.degrees_of_freedom, self.place),
+            *remarks_on_parameters(self),
+            *remarks_on_residuals(self),
         )
 
     def place(self, group: str, k: int) -> str:

@@ -1,7 +1,7 @@
 """Remarks of a fit on its parameters and residuals."""
 
-from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtr, stdtr
@@ -10,6 +10,9 @@ from scipy.stats import spearmanr
 from .determination import Evidence, spectrum_of, without_nan
 from .levenberg_marquardt import MAX_STEPS, Minimum, minimise
 from .parameter_space import TINY
+
+if TYPE_CHECKING:
+    from .least_squares import LeastSquaresFit
 
 OUTLIER_CHANCE = 0.01
 NOISE_ROUNDS = 20
@@ -22,12 +25,9 @@ GROWTH_CHANCE = 1e-3
 ONE_DATUM = 0.5  # of a parameter's variance; one datum should not determine more
 
 
-Place = Callable[[str, int], str]  # in words, where the k-th datum of a group is, k from 0
-
-
-def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
+def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
     """Parameters on a bound, without effect, or determined mostly by one datum."""
-    jacobian, found = evidence.jacobian, []
+    evidence, jacobian, found = fit.evidence, fit.evidence.jacobian, []
     covariance = spectrum_of(jacobian).covariance
     share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
     data = [(name, k) for name, rows in evidence.rows.items() for k in range(len(rows))]
@@ -41,17 +41,17 @@ def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
         elif len(data) > 2 * len(evidence.space.names) and np.max(share[i, : len(data)]) > ONE_DATUM:
             k = int(np.argmax(share[i, : len(data)]))
             found.append(
-                f"{name} depends on one datum, {place(*data[k])}, for {100 * share[i, k]:.0f} % of its variance"
+                f"{name} depends on one datum, {fit.place(*data[k])}, for {100 * share[i, k]:.0f} % of its variance"
             )
     return found
 
 
-def remarks_on_residuals(evidence: Evidence, minimum: Minimum, degrees_of_freedom: int, place: Place) -> list[str]:
+def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
     """Groups that are met exactly or not at all, data far from all others, noise with few degrees of freedom."""
-    problem, outcome = minimum
+    evidence, (problem, outcome) = fit.evidence, fit.minimum
     found, residuals, spectrum = [], problem.by_group(outcome.residual), spectrum_of(evidence.jacobian)
-    if any(evidence.noise_estimated.values()) and degrees_of_freedom in (1, 2):
-        found.append(f"the noise estimate has only {degrees_of_freedom} degree(s) of freedom; measure more")
+    if any(evidence.noise_estimated.values()) and fit.degrees_of_freedom in (1, 2):
+        found.append(f"the noise estimate has only {fit.degrees_of_freedom} degree(s) of freedom; measure more")
     for i, (name, rows) in enumerate(evidence.rows.items()):
         residual, values, noise = residuals[i], np.ravel(problem.data.values[i]), np.ravel(problem.data.noise[i])
         estimated = evidence.noise_estimated[name]
@@ -71,7 +71,9 @@ def remarks_on_residuals(evidence: Evidence, minimum: Minimum, degrees_of_freedo
             )
         elif problem.loss == "linear":
             found += _uneven(name, residual, values) if estimated and np.ptp(noise) == 0 else []
-            found += _outlier(place, name, far, _distance(minimum, i, far[0], estimated)) if far else []
+            found += (
+                _outlier(fit.place(name, far[0]), far[1], _distance(fit.minimum, i, far[0], estimated)) if far else []
+            )
     return found
 
 
@@ -125,12 +127,11 @@ def _far_off(residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> tup
     return (int(far[np.argmax(distance[far])]), far.size) if far.size else None
 
 
-def _outlier(place: Place, name: str, far: tuple[int, int], distance: float) -> list[str]:
-    worst, count = far
+def _outlier(place: str, count: int, distance: float) -> list[str]:
     others = f" (and {count - 1} more are far off)" if count > 1 else ""
     number = f"{distance:.0f}" if distance >= 100 else f"{distance:.2g}"
     how_far = f"{number} standard deviations" if np.isfinite(distance) else "far"
-    return [f"{place(name, worst)} lies {how_far} off the model{others}: check it, or use a robust loss"]
+    return [f"{place} lies {how_far} off the model{others}: check it, or use a robust loss"]
 
 
 def _distance(minimum: Minimum, group: int, k: int, estimated: bool) -> float:

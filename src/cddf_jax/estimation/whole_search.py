@@ -164,48 +164,36 @@ def _result(minimum: Minimum, evidence: Evidence, valleys: Valleys, *, settled: 
 # --- valleys --------------------------------------------------------------------------------------
 
 
-class _Walk:
-    """Refits with one parameter held, and the lowest place among them."""
-
-    def __init__(self, minimum: Minimum, quantile: float):
-        self.minimum, self.quantile = minimum, quantile
-        self.least_rise: float = 0.0
-        self.lower: np.ndarray | None = None
-
-    def closes(self, i: int, error: float, places: Iterable[float]) -> bool:
-        """Whether the sum of squares rises enough at one of the places, the nearest first."""
-        problem, best = self.minimum
-        for place in places:
-            held = hold_one(best.z.size, i, place)
-            moved, rise = self.minimum.refit(held)
-            if rise < self.least_rise:
-                self.least_rise = rise
-                self.lower = np.where(np.isnan(held), moved.z, problem.space.inverse(i, place))
-            expected = ((place - best.parameters[i]) / error) ** 2
-            if not rise <= min(CLOSING_RISE * self.quantile**2, EXPECTED_PART * expected):  # NaN: the model ends there
-                return True
-        return False
-
-
 def look_along_valleys(minimum: Minimum, evidence: Evidence, determination: Determination) -> Valleys:
     """Hold each parameter that looks identified at values ever farther off and fit the others again.
 
     The curvature at a minimum can suggest an interval although the valley is flat farther off. A side is closed where
     the sum of squares has risen by twice what ends a 95 % interval.
     """
-    space, value, walk = minimum.problem.space, evidence.value, _Walk(minimum, determination.quantile)
-    status = np.array([determination.status[name] for name in space.names])
+    space, value, quantile = minimum.problem.space, evidence.value, determination.quantile
     error = spectrum_of(evidence.jacobian).relative_error * evidence.size
-    half_width, opened = determination.quantile * error, np.zeros(len(value), bool)
+    tried: list[tuple[float, np.ndarray | None]] = [(0.0, None)]  # rise and z
+
+    def closes(i: int, places: Iterable[float]) -> bool:
+        """Whether the sum of squares rises enough at one of the places, the nearest first."""
+        for place in places:
+            held = hold_one(len(value), i, place)
+            moved, rise = minimum.refit(held)
+            if rise < 0:
+                tried.append((rise, np.where(np.isnan(held), moved.z, space.inverse(i, place))))
+            expected = ((place - value[i]) / error[i]) ** 2
+            if not rise <= min(CLOSING_RISE * quantile**2, EXPECTED_PART * expected):  # NaN: the model ends there
+                return True
+        return False
+
+    status = np.array([determination.status[name] for name in space.names])
+    half_width, opened = quantile * error, np.zeros(len(value), bool)
     for i in np.flatnonzero(status == IDENTIFIED).tolist():
-        sides = _sides(space, i, value[i], half_width[i])
-        opened[i] = not all(walk.closes(i, error[i], places) for places in sides)
+        opened[i] = not all(closes(i, places) for places in _sides(space, i, value[i], half_width[i]))
     near = np.isfinite(space.lower) & (value - half_width <= space.lower) & np.isin(status, (NOT_IDENTIFIED, AT_BOUND))
     near &= np.isfinite(half_width) & (value + half_width < space.upper)
-    limited = [
-        i for i in np.flatnonzero(near).tolist() if walk.closes(i, error[i], value[i] + [1, 2] * half_width[i : i + 1])
-    ]
-    return Valleys(opened, walk.least_rise, walk.lower, tuple(limited))
+    limited = [i for i in np.flatnonzero(near).tolist() if closes(i, value[i] + half_width[i] * np.array([1.0, 2.0]))]
+    return Valleys(opened, *min(tried, key=lambda place: place[0]), tuple(limited))
 
 
 def are_products(minimum: Minimum, determination: Determination) -> bool:
