@@ -105,9 +105,9 @@ def test_nothing_holds_a_perfect_design_back():
 def test_many_starts_of_which_some_are_no_bodies():
     """Between 4 and 30 mm at every knot many are thinner than their bore: these have no answer and do not spoil it."""
     found, alone = uniform("exact", 0.004, starts=16), uniform("exact")
-    program = found.outcome.program
-    thin = program.problem.free.scaled(np.array([0.02, 0.02, 0.0045, 0.02, 0.02]))
-    assert not program(thin).usable
+    problem = found.outcome.problem
+    thin = problem.free.scaled(np.array([0.02, 0.02, 0.0045, 0.02, 0.02]))
+    assert not problem(thin).usable
     assert found.success
     assert len(found.starts) == 5  # the body itself, and from the best four of the others
     assert min(found.starts) < 1e-7  # relative standard deviation of the curvature
@@ -143,11 +143,11 @@ def test_the_loss_at_a_given_angle_does_not_depend_on_the_taper():
 def test_the_objective_is_flat():
     """Slope zero at bodies drawn at random, though their tensions differ by much."""
     found = flat()
-    program, rng = found.outcome.program, np.random.default_rng(0)
+    problem, rng = found.outcome.problem, np.random.default_rng(0)
     flows = []
     for values in rng.uniform(0.012, 0.025, (4, 5)):
-        z = program.problem.free.scaled(values)
-        point = program(z)
+        z = problem.free.scaled(values)
+        point = problem(z)
         assert point.usable
         assert point.objective == pytest.approx(1.0, rel=1e-7)
         assert np.max(np.abs(point.gradient)) < 1e-5  # 16 nodes on a wavy spline; that of the tension is about 1
@@ -465,11 +465,11 @@ def test_limits_that_no_body_keeps_are_named():
 def test_derivatives_against_finite_differences(designed):
     """Slopes of objective, margins and equations at a point beside the optimum."""
     found, rng = designed(), np.random.default_rng(3)
-    program, x = found.outcome.program, found.outcome.local.point.x
+    problem, x = found.outcome.problem, found.outcome.local.point.x
     x = x * (1 + 0.02 * rng.random(x.size))
-    point, h = program(x), 1e-4
+    point, h = problem(x), 1e-4
     for along in np.eye(x.size):
-        ahead, behind, ahead2, behind2 = (program(x + k * h * along) for k in (1, -1, 2, -2))
+        ahead, behind, ahead2, behind2 = (problem(x + k * h * along) for k in (1, -1, 2, -2))
 
         def difference(of, near=(ahead, behind), far=(ahead2, behind2)):
             """Central, of fourth order: errors of h^4, and of rounding of the solver, 1e-12 / h."""

@@ -19,7 +19,7 @@ from .free_numbers import Bounds, FreeNumbers, free_numbers_of
 from .limits import Limit, number_of
 from .load_cases import LoadCase, case_numbers
 from .objectives import Least, Objective
-from .problem import USABLE, DesignEvaluation, DesignProblem, NonlinearProgram, Term
+from .problem import USABLE, DesignEvaluation, DesignProblem, Term
 from .results import Design, design_of, displayed
 from .search import WANDERING, DesignSearch, ShowProgress
 
@@ -224,7 +224,7 @@ def problem_of(
 def _sized(problem: DesignProblem, limits: Sequence[Limit]) -> DesignProblem:
     """The problem with objectives and limits over their sizes at the start, which must have an equilibrium."""
     start = np.append(problem.free.scaled_start, np.zeros(len(problem.peaks)))
-    found = NonlinearProgram(problem).evaluation(start)
+    found = problem.evaluation(start)
     _demand_start(problem, found, limits)
     sizes = [jnp.asarray(float(np.max(np.abs(aim))) or 1.0, float) for aim in found.aims]
     terms = [

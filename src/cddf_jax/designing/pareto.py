@@ -135,12 +135,12 @@ def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
 
 def _raw(result: SearchResult, i: int) -> float:
     """An objective as the optimiser has it."""
-    return float(result.program.problem.over_the_cases(i, result.evaluation.aims[i]))
+    return float(result.problem.over_the_cases(i, result.evaluation.aims[i]))
 
 
 def _rate(result: SearchResult) -> float:
     """The multiplier of the level, as units of the first objective per unit of the second."""
-    problem, found = result.program.problem, result.evaluation
+    problem, found = result.problem, result.evaluation
     begin = sum(np.size(margin) for margin in found.margins)
     for i, aim in enumerate(found.aims):
         size = problem.room(i, aim).size

@@ -22,6 +22,13 @@ from .objectives import Objective
 
 Answer = TypeVar("Answer", bound=PyTree)
 Part = Float[Array | np.ndarray, " _"]  # of a vector
+USABLE = tuple(  # results whose numbers lead somewhere
+    int(code_of(result))
+    for result in (
+        *(RESULTS.successful, RESULTS.direction_contradicted, RESULTS.crossing),
+        *(RESULTS.inaccurate, RESULTS.unstable),
+    )
+)
 
 
 class Term(eqx.Module):
@@ -96,7 +103,19 @@ class DesignProblem(eqx.Module):
     def _places(self, body: Manipulator) -> Float[Array, " points"]:
         return jnp.asarray(self.stations) * jnp.asarray(body.length)
 
-    def evaluate(self, z: Vector) -> DesignEvaluation:
+    def __call__(self, x: np.ndarray) -> Point:
+        """The nonlinear program at some unknowns; problems of one structure share one compiled program."""
+        values, slopes, found = jax.tree.map(np.asarray, _values_and_slopes(self, jnp.asarray(x)))
+        finite = all(np.all(np.isfinite(part)) for part in (*values, *slopes))
+        usable = finite and bool(np.all(np.isin(found.codes, USABLE)))
+        inequality, equality = (values.inequality, slopes.inequality), (values.equality, slopes.equality)
+        return Point(np.array(x), float(values.objective), slopes.objective, *inequality, *equality, usable)
+
+    def evaluation(self, x: np.ndarray) -> DesignEvaluation:
+        """What its values are made of."""
+        return jax.tree.map(np.asarray, _values_and_slopes(self, jnp.asarray(x))[2])
+
+    def _evaluate(self, z: Vector) -> DesignEvaluation:
         """Objectives, margins and zeros at scaled free numbers."""
         functions = (
             [(term.objective.known.bent, term.objective.values) for term in self.terms],
@@ -135,7 +154,7 @@ class DesignProblem(eqx.Module):
     def values(self, unknowns: Vector) -> tuple[ProgramValues, DesignEvaluation]:
         """The values of the nonlinear program, and what they are made of."""
         z, heights = self.split(unknowns)
-        found = self.evaluate(z)
+        found = self._evaluate(z)
         total, below = jnp.zeros_like(unknowns[0]), []
         for i, (term, aim) in enumerate(zip(self.terms, found.aims, strict=True)):
             if i in self.peaks:
@@ -174,37 +193,6 @@ def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.n
     """The pieces at the beginning of a vector that belong to each of some arrays, in their shapes."""
     pieces = np.split(flat, np.cumsum([np.size(array) for array in like]))
     return [piece.reshape(np.shape(array)) for piece, array in zip(pieces, like, strict=False)]
-
-
-USABLE = tuple(  # results whose numbers lead somewhere
-    int(code_of(result))
-    for result in (
-        *(RESULTS.successful, RESULTS.direction_contradicted, RESULTS.crossing),
-        *(RESULTS.inaccurate, RESULTS.unstable),
-    )
-)
-
-
-class NonlinearProgram:
-    """The problem as a function of its unknowns; problems of one structure share one compiled program."""
-
-    def __init__(self, problem: DesignProblem):
-        self.problem = problem
-
-    def __call__(self, x: np.ndarray) -> Point:
-        values, slopes, found = jax.tree.map(np.asarray, _values_and_slopes(self.problem, jnp.asarray(x)))
-        finite = all(np.all(np.isfinite(part)) for part in (*values, *slopes))
-        usable = finite and bool(np.all(np.isin(found.codes, USABLE)))
-        inequality, equality = (values.inequality, slopes.inequality), (values.equality, slopes.equality)
-        return Point(np.array(x), float(values.objective), slopes.objective, *inequality, *equality, usable)
-
-    def evaluation(self, x: np.ndarray) -> DesignEvaluation:
-        """What the values are made of."""
-        return jax.tree.map(np.asarray, _values_and_slopes(self.problem, jnp.asarray(x))[2])
-
-    def at_stations(self, stations: np.ndarray) -> "NonlinearProgram":
-        """The same with limits evaluated elsewhere."""
-        return NonlinearProgram(replace(self.problem, stations=jnp.asarray(stations)))
 
 
 @eqx.filter_jit

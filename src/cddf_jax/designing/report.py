@@ -114,7 +114,7 @@ def _sensitivity(found: Design) -> Iterator[str]:
     """The largest logarithmic derivatives of the objective, where both it and the number have a size."""
     if not _follows(found):
         return
-    problem = found.outcome.program.problem
+    problem = found.outcome.problem
     values, size, rows, kinks = fixed_numbers(problem), abs(found.objective), {}, []
     for number, slope in found.sensitivity_by_number.items():
         name, change = number.in_words(problem), slope * values[number]

@@ -14,7 +14,7 @@ from ..robot.named_numbers import unit_of_name
 from ..statics.equilibrium import RESULTS, Equilibrium, result_of
 from ..units import DIMENSION_OF, Dimension, shown
 from .load_cases import LoadCase
-from .problem import DesignEvaluation, DesignProblem, NonlinearProgram, pieces_of
+from .problem import DesignEvaluation, DesignProblem, pieces_of
 from .search import NOT_ZERO, Restart, SearchResult
 from .sensitivity import FixedNumber, sensitivities
 
@@ -105,7 +105,7 @@ class Design:
         """The same by the numbers themselves."""
         if not self.feasible:
             return {}
-        problem = self.outcome.program.problem
+        problem = self.outcome.problem
         unit = unit_of_objective(problem)
         return {number: unit * slope for number, slope in sensitivities(problem, self.outcome.local).items()}
 
@@ -117,10 +117,10 @@ class Design:
     @cached_property
     def equilibria_at_start(self) -> tuple[Equilibrium, ...]:
         """Of the start in each load case."""
-        return self._solved(self.outcome.program.problem.free.scaled_start)
+        return self._solved(self.outcome.problem.free.scaled_start)
 
     def _solved(self, z: np.ndarray | Array) -> tuple[Equilibrium, ...]:
-        problem = self.outcome.program.problem
+        problem = self.outcome.problem
         return tuple(problem.view(z, case).equilibrium for case in problem.cases)
 
     @property
@@ -133,9 +133,9 @@ def design_of(
     outcome: SearchResult, start: Manipulator, choices: Choices = (), chosen: dict[str, float] | None = None
 ) -> Design:
     """The result of a search, with all that is reported of it."""
-    problem, local = outcome.program.problem, outcome.local
+    problem, local = outcome.problem, outcome.local
     no_heights = np.zeros(len(problem.peaks))
-    at_start = NonlinearProgram(problem).evaluation(np.append(problem.free.scaled_start, no_heights))
+    at_start = problem.evaluation(np.append(problem.free.scaled_start, no_heights))
     at_end, unit = outcome.evaluation, abs(unit_of_objective(problem))
     objectives = achieved(problem, at_start, at_end)
     codes = zip(problem.cases, map(result_of, np.asarray(at_end.codes)), strict=False)  # none without a solve
@@ -221,7 +221,7 @@ def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignE
 
 def limit_reports(problem: DesignProblem, local: LocalMinimum, unit: float) -> tuple[LimitReport, ...]:
     """Every side of every limit, where it is tightest."""
-    found = NonlinearProgram(problem).evaluation(local.point.x)
+    found = problem.evaluation(local.point.x)
     rows = pieces_of(np.arange(local.point.inequality.size), found.margins)
     equations = pieces_of(np.arange(local.point.equality.size), found.zeros)
     length = float(np.asarray(problem.body(problem.split(local.point.x)[0]).length))

@@ -1,8 +1,10 @@
 """Searches for the best body: from one start or many, and again where limits are broken between the stations."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
@@ -15,7 +17,7 @@ from ..numerics.constrained import (
     minimise_constrained,
     optimality,
 )
-from .problem import DesignEvaluation, DesignProblem, NonlinearProgram, pieces_of
+from .problem import DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # stations at the end, moved to where limits are broken between the others
 LOOKS = 6  # how often a search begins again
@@ -46,7 +48,7 @@ class SearchResult(NamedTuple):
     """Where the search from one start ended, or the best of several."""
 
     local: LocalMinimum
-    program: NonlinearProgram
+    problem: DesignProblem  # with the stations of the last search
     violation: float  # also between the stations
     blocking: tuple[str, ...]  # limits that contradict each other, where it is not feasible
     history: History
@@ -68,12 +70,12 @@ class SearchResult(NamedTuple):
 
     @property
     def evaluation(self) -> DesignEvaluation:
-        return self.program.evaluation(self.local.point.x)
+        return self.problem.evaluation(self.local.point.x)
 
     @property
     def z(self) -> np.ndarray:
         """The scaled free numbers."""
-        return np.asarray(self.program.problem.split(self.local.point.x)[0])
+        return np.asarray(self.problem.split(self.local.point.x)[0])
 
 
 class DesignSearch:
@@ -87,7 +89,7 @@ class DesignSearch:
 
     def __init__(self, problem: DesignProblem, max_iterations: int, show: ShowProgress):
         self.problem, self.max_iterations, self.show = problem, max_iterations, show
-        self.program, free = NonlinearProgram(problem), problem.free
+        free = problem.free
         heights = np.full(len(problem.peaks), np.inf)
         self.ranges = np.asarray((free.upper - free.lower) / free.size)  # of the scaled free numbers, from 0
         self.bounds = np.append(0 * self.ranges, -heights), np.append(self.ranges, heights)
@@ -107,14 +109,14 @@ class DesignSearch:
         self.show(f"trying {starts - 1} starts")
         sobol = qmc.Sobol(self.ranges.size, rng=np.random.default_rng(seed))
         points = sobol.random(2 ** int(np.ceil(np.log2(starts))))[: starts - 1] * self.ranges
-        there = [self.program(self.with_heights(z)) for z in points]
+        there = [self.problem(self.with_heights(z)) for z in points]
         merit = [point.objective + BROKEN * point.violation if point.usable else np.inf for point in there]
         return [points[i] for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i])]
 
     def with_heights(self, z: np.ndarray) -> np.ndarray:
         """Scaled free numbers, and behind them the heights of the peaks there."""
         problem = self.problem
-        aims = self.program.evaluation(np.append(z, np.zeros(len(problem.peaks)))).aims
+        aims = problem.evaluation(np.append(z, np.zeros(len(problem.peaks)))).aims
         return np.append(z, [np.max(aims[i]) / float(problem.terms[i].reference) for i in problem.peaks])
 
     def from_start(self, z: np.ndarray) -> SearchResult:
@@ -160,7 +162,7 @@ class DesignSearch:
         for part in AWAY:
             z = x.copy()
             z[flat] += part * (self.ranges * np.where(x > self.ranges / 2, -1.0, 1.0))[flat]
-            there = self.program(self.with_heights(z))
+            there = self.problem(self.with_heights(z))
             if there.usable:
                 moved = z
                 if np.min(there.inequality, initial=0.0) >= -broken:
@@ -169,22 +171,16 @@ class DesignSearch:
 
     def _from(self, z: np.ndarray) -> SearchResult:
         """The search from one start, again where limits turn out to be broken between the stations."""
-        program, history = self.program, []
-        local, blocking = self._search(program, self.with_heights(z), history)
-        violation, places = broken_between(program, local)
-        evaluations = local.evaluations
-        for _ in range(LOOKS):
-            if violation <= TOLERANCE or not local.feasible:
-                break
-            program = _moved(program, places)
-            local, blocking = self._search(program, local.point.x, history)
-            violation, places = broken_between(program, local)
+        problem, x, history, evaluations, looks = self.problem, self.with_heights(z), [], 0, 0
+        while True:
+            local, blocking = self._search(problem, x, history)
+            violation, places = broken_between(problem, local)
             evaluations += local.evaluations
-        return SearchResult(local, program, violation, blocking, history, evaluations)
+            if violation <= TOLERANCE or not local.feasible or looks == LOOKS:
+                return SearchResult(local, problem, violation, blocking, history, evaluations)
+            problem, x, looks = _moved(problem, places), local.point.x, looks + 1
 
-    def _search(
-        self, program: NonlinearProgram, x: np.ndarray, history: History
-    ) -> tuple[LocalMinimum, tuple[str, ...]]:
+    def _search(self, problem: DesignProblem, x: np.ndarray, history: History) -> tuple[LocalMinimum, tuple[str, ...]]:
         """One search; if it ends where limits are broken, another one from the point that breaks them least."""
 
         def after(count: int, point: Point) -> None:
@@ -192,25 +188,25 @@ class DesignSearch:
             self.show(f"iteration {len(history)}: objective {point.objective:.6g}, violation {point.violation:.2g}")
 
         def minimum(x: np.ndarray) -> LocalMinimum:
-            return minimise_constrained(program, x, *self.bounds, max_iterations=self.max_iterations, after=after)
+            return minimise_constrained(problem, x, *self.bounds, max_iterations=self.max_iterations, after=after)
 
         local = minimum(x)
         if local.feasible:
             return local, ()
-        aims = program.evaluation(local.point.x).aims
+        aims = problem.evaluation(local.point.x).aims
         least = least_violation(
-            program, local.point.x, *self.bounds, rigid=sum(aims[i].size for i in self.problem.peaks)
+            problem, local.point.x, *self.bounds, rigid=sum(aims[i].size for i in self.problem.peaks)
         )
         inner = least.point.x[:-1]
         if least.point.objective > TOLERANCE:
-            point = program(inner)
+            point = problem(inner)
             broken = local._replace(point=point, optimality=optimality(point, *self.bounds))
-            return broken, self._blocking(program, least)
+            return broken, self._blocking(problem, least)
         return minimum(inner), ()
 
-    def _blocking(self, program: NonlinearProgram, least: LocalMinimum) -> tuple[str, ...]:
+    def _blocking(self, problem: DesignProblem, least: LocalMinimum) -> tuple[str, ...]:
         """Limits and bounds whose multipliers are not zero where they are broken least."""
-        found, multipliers = program.evaluation(least.point.x[:-1]), least.optimality
+        found, multipliers = problem.evaluation(least.point.x[:-1]), least.optimality
         of_ranges = pieces_of(multipliers.inequality, found.margins)
         count = multipliers.inequality.size - 2 * sum(zero.size for zero in found.zeros)
         above, below = np.split(multipliers.inequality[count:], 2)
@@ -236,31 +232,31 @@ def _is_better(one: SearchResult, other: SearchResult) -> bool:
 # --- between the stations ------------------------------------------------------------------------
 
 
-def broken_between(program: NonlinearProgram, local: LocalMinimum) -> tuple[float, np.ndarray]:
+def broken_between(problem: DesignProblem, local: LocalMinimum) -> tuple[float, np.ndarray]:
     """The largest violation anywhere along the body, and the places (over the length) where limits are broken.
 
     On a fine grid, and where the parabola through three neighbours on it says that a limit is lower still.
     """
     fine = np.linspace(0.0, 1.0, FINE)
-    on_grid = _margins(program, local, fine)
-    between = _lowest(fine, on_grid)[: len(program.problem.stations)]
+    on_grid = _margins(problem, local, fine)
+    between = _lowest(fine, on_grid)[: len(problem.stations)]
     looked, margins = fine, on_grid
     if between.size:
         looked = np.concatenate([fine, between])
-        margins = np.concatenate([on_grid, _margins(program, local, between)], axis=1)
+        margins = np.concatenate([on_grid, _margins(problem, local, between)], axis=1)
     worst = np.min(margins, axis=0, initial=np.inf)
     order = np.argsort(worst)[:WANDERING]
     violation = max(local.point.violation, -float(np.min(worst, initial=0.0)))
     return violation, looked[order[worst[order] < -TOLERANCE / 4]]
 
 
-def _margins(program: NonlinearProgram, local: LocalMinimum, places: np.ndarray) -> np.ndarray:
+def _margins(problem: DesignProblem, local: LocalMinimum, places: np.ndarray) -> np.ndarray:
     """(rows, places) of every limit along the body, and of every peak below its height."""
-    problem, point, count = program.problem, local.point, len(program.problem.stations)
+    point, count = local.point, len(problem.stations)
     heights = dict(zip(problem.peaks, problem.split(point.x)[1], strict=True))
     blocks = [places[start : start + count] for start in range(0, len(places), count)]
     padded = [np.pad(block, (0, count - len(block)), mode="edge") for block in blocks]
-    found = [program.at_stations(block).evaluation(point.x) for block in padded]
+    found = [replace(problem, stations=jnp.asarray(block)).evaluation(point.x) for block in padded]
     parts = [[each.margins[i] for each in found] for i, limit in enumerate(problem.limits) if limit.known.along]
     for i, term in enumerate(problem.terms):
         if term.objective.peak:
@@ -279,8 +275,8 @@ def _lowest(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.unique((x[i + 1] + shift * (x[1] - x[0]))[order][: len(x)])
 
 
-def _moved(program: NonlinearProgram, places: np.ndarray) -> NonlinearProgram:
-    """The program with stations where limits were broken, in the place of the oldest of those that wander."""
-    stations = np.asarray(program.problem.stations)
+def _moved(problem: DesignProblem, places: np.ndarray) -> DesignProblem:
+    """The problem with stations where limits were broken, in the place of the oldest of those that wander."""
+    stations = np.asarray(problem.stations)
     kept, wandering = stations[:-WANDERING], stations[-WANDERING:]
-    return program.at_stations(np.concatenate([kept, wandering[len(places) :], places]))
+    return replace(problem, stations=jnp.asarray(np.concatenate([kept, wandering[len(places) :], places])))
