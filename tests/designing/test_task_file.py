@@ -134,7 +134,7 @@ def test_everything_along_a_body_is_stretched_with_it():
         ([TENSION, MASS], "several objectives are a list of pairs (weight, objective)"),
         ([(1.0, TENSION, 2.0)], "several objectives are a list of pairs (weight, objective)"),
         ([(0.0, TENSION)], "the weight of least base_tension must be above 0, got 0"),
-        ([(np.nan, TENSION)], "a weight must be a number, got nan"),
+        ([(np.nan, TENSION)], "a weight must be finite, got nan"),
         (MASS, 'the body has no mass, since its density is 0; give it one, or take "volume"'),
         (lambda body, found: found.position, "has shape"),
     ],
@@ -228,7 +228,7 @@ def test_a_case_that_counts_nothing(weight):
         (cddf.Near("tip_position", (1.0, 2.0, 3.0)), "tip_position has shape"),
         (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "compared at 0.5 m, off a body of 0.14 m"),
         (cddf.Near("position", [[0.0, 0.0], [0.1, 0.0]]), "say where"),
-        ([("much", cddf.Least("volume"))], "a weight must be a number"),
+        ([("much", cddf.Least("volume"))], "a weight is not a number, got 'much'"),
     ],
 )
 def test_an_aim_in_another_shape_or_place(aim, message):
@@ -239,7 +239,7 @@ def test_an_aim_in_another_shape_or_place(aim, message):
     ("options", "message"),
     [
         ({"free": (3,)}, "free must list one name or more"),
-        ({"choices": {"youngs_modulus": ["soft"]}}, "a choice of 'youngs_modulus' must be a number"),
+        ({"choices": {"youngs_modulus": ["soft"]}}, "a choice of 'youngs_modulus' is not a number"),
         ({"constraints": [cddf.Limit("tip_position", equal=(1.0, 2.0, 3.0))]}, "tip_position has shape"),
     ],
 )

@@ -44,15 +44,12 @@ class Layout:
     @property
     def bytes_each(self) -> int:
         """Bytes of the answer for each item."""
-        return bytes_each(self.variables, len(self.shape))
+        own = (int(np.prod(v.shape[len(self.shape) :])) * v.dtype.itemsize for v in self.variables.values())
+        return sum(own)
 
     @property
     def chunk_size(self) -> int:
         return int(np.prod(self.chunks))
-
-    @property
-    def last(self) -> str:
-        return list(self.variables)[-1]
 
     def count(self, index: Index) -> int:
         """The number of items in a chunk."""
@@ -67,11 +64,6 @@ class Layout:
         """The places of a chunk along the common dimensions."""
         along = zip(index, self.chunks, self.shape.values(), strict=True)
         return tuple(slice(i * chunk, min((i + 1) * chunk, size)) for i, chunk, size in along)
-
-
-def bytes_each(variables: Mapping[str, Variable], rank: int) -> int:
-    """Bytes of the answer for each item; `rank` is the number of common dimensions."""
-    return sum(int(np.prod(v.shape[rank:])) * v.dtype.itemsize for v in variables.values())
 
 
 def even_chunks(sizes: Sequence[int], most: int, single: Sequence[bool]) -> Index:

@@ -70,7 +70,7 @@ class ZarrStore:
         if create and not self.path.exists():
             _create(self.path, layout, identity)
         self._group = _same_work(zarr, self.path, identity, layout.variables)
-        chunks = self._group[layout.last].chunks[: len(layout.shape)]
+        chunks = self._group[next(iter(layout.variables))].chunks[: len(layout.shape)]
         self.layout = replace(layout, chunks=tuple(chunks))
 
     def has(self, index: Index) -> bool:

@@ -1,6 +1,6 @@
 """`cddf solve`: the equilibrium under tensions, targets and dead loads."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -20,12 +20,6 @@ from .options import (
     read_robot,
     stop,
 )
-
-if TYPE_CHECKING:
-    from ..robot.loads import Loads
-    from ..robot.manipulator import Manipulator
-    from ..statics.equilibrium import Equilibrium
-    from ..statics.targets import Target
 
 EXAMPLE = 'Example: cddf solve data/smooth_sil_940.toml -t "75 N" --tip-force "0 N, -5 N"'
 BaseTension = Annotated[
@@ -59,13 +53,19 @@ def solve(
     manipulator, columns, _ = read_robot(robot, kinematics, note_columns=False)
     from ..files.actuation import read_actuation, read_directions, read_loads
     from ..files.cross_sections import in_one_line
-    from ..reports.solve_report import solve_as_dict, solve_in_words
+    from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
+    from ..statics.description import result_in_words
     from ..statics.equilibrium import RESULTS
+    from ..statics.solve import solve
 
     actuation = read_actuation(base_tension, manipulator)
     loads = read_loads(tip_force, tip_moment, gravity, manipulator.has_mass)
     directions = read_directions(direction, manipulator)
-    equilibrium = _solve(manipulator, actuation, loads, directions, nodes, base_tension)
+    equilibrium = solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False)
+    if equilibrium.result in (RESULTS.slack, RESULTS.unreachable):
+        raise SolveError(missed_targets_in_words(equilibrium, actuation, base_tension))
+    if equilibrium.result not in (RESULTS.successful, RESULTS.direction_contradicted, RESULTS.unstable):
+        raise SolveError(result_in_words(equilibrium))
     answer = solve_as_dict(equilibrium, actuation, loads)
     text = solve_in_words(equilibrium, actuation, base_tension, loads)
     if columns:
@@ -86,31 +86,3 @@ def solve(
     print_answer(text, answer, as_json=as_json)
     if equilibrium.result == RESULTS.unstable:
         stop(RESULTS[equilibrium.result], FAILED)
-
-
-def _solve(
-    manipulator: "Manipulator",
-    actuation: "list[float | Target]",
-    loads: "Loads | None",
-    direction: list[int] | None,
-    nodes: int,
-    texts: list[str],
-) -> "Equilibrium":
-    """The equilibrium, also where it is unstable.
-
-    Raises:
-        SolveError: where there is none; for a target that is missed it names the nearest value.
-    """
-    from ..reports.solve_report import missed_targets_in_words
-    from ..statics.equilibrium import RESULTS
-    from ..statics.solve import solve
-
-    try:
-        return solve(manipulator, actuation, loads, direction=direction, nodes=nodes)
-    except SolveError:
-        equilibrium = solve(manipulator, actuation, loads, direction=direction, nodes=nodes, throw=False)
-        if equilibrium.result in (RESULTS.slack, RESULTS.unreachable):
-            raise SolveError(missed_targets_in_words(equilibrium, actuation, texts)) from None
-        if equilibrium.result != RESULTS.unstable:
-            raise
-        return equilibrium

@@ -14,9 +14,10 @@ from ..errors import InputError
 from ..robot.manipulator import Manipulator
 from ..robot.validation import check_weight
 from ..statics.equilibrium import RESULTS, Equilibrium, result_of
+from ..units import quantity
 from .body_quantities import OF_RADII
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
-from .limits import Limit, number_of
+from .limits import Limit
 from .load_cases import LoadCase, case_numbers
 from .objectives import Least, Objective
 from .problem import USABLE, DesignEvaluation, DesignProblem, Term
@@ -127,7 +128,7 @@ def weighted(objective: Aim | Sequence[tuple[float, Aim]]) -> list[tuple[float, 
     for pair in objective if isinstance(objective, list | tuple) else [(1.0, objective)]:
         if not isinstance(pair, tuple | list) or len(pair) != 2:
             raise InputError(f"design: several objectives are a list of pairs (weight, objective), got {pair!r}")
-        weight, aim = number_of(pair[0], "design: a weight"), pair[1]
+        weight, aim = quantity(pair[0], "dimensionless", "design: a weight"), pair[1]
         if not isinstance(aim, Objective):
             if not callable(aim) or isinstance(aim, type):
                 raise InputError(f'design: the objective must be one such as Least("mass") or a function, got {aim!r}')
@@ -151,7 +152,7 @@ def _combinations(
             raise InputError(f"design: {name!r} is free and has choices; leave one out")
         if not isinstance(values, list | tuple | np.ndarray) or len(values) == 0:
             raise InputError(f"design: the choices of {name!r} must be a list of numbers, got {values!r}")
-        lists.append([number_of(value, f"design: a choice of {name!r}") for value in values])
+        lists.append([quantity(value, "dimensionless", f"design: a choice of {name!r}") for value in values])
     for numbers in product(*lists):
         yield dict(zip(choices, numbers, strict=True))
 

@@ -10,21 +10,6 @@ from ..robot.profiles import Scalar, as_number
 from .body_quantities import BodyView, OfQuantity, check_fits
 
 
-def number_of(value: object, what: str) -> float:
-    """A finite number.
-
-    Raises:
-        InputError: for anything else; begins with `what`.
-    """
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = float("nan")
-    if not np.isfinite(number):
-        raise InputError(f"{what} must be a number, got {value!r}")
-    return number
-
-
 def _optional(value: object) -> Array | np.ndarray | None:
     try:
         return None if value is None else as_number(value)

@@ -2,16 +2,16 @@
 
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..batch.chunks import Index, Layout, Variable, bytes_each, even_chunks
+from ..batch.chunks import Index, Layout, Variable, even_chunks
 from ..batch.fingerprint import code_digest, numbers_of, recorded
 from ..batch.lanes import Lanes
 from ..batch.work import COPIES, Work, carry_out
@@ -131,14 +131,6 @@ def _check_kinds(
         raise InputError("sweep: base_tension is given and an axis; leave one out")
 
 
-class _Options(NamedTuple):
-    """The options of one solve; each combination is a program of its own."""
-
-    nodes: int
-    method: Method
-    kinematics: str
-
-
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
     """A sweep that is to run; for its fields see `sweep`."""
@@ -191,11 +183,6 @@ class Sweep:
         """The memory that may be used, bytes."""
         return SHARE * needed("psutil").virtual_memory().available if self.memory is None else float(self.memory)
 
-    @property
-    def options(self) -> "_Options":
-        """The options where no axis names them."""
-        return _Options(self.nodes, self.method, self.manipulator.kinematics)
-
     def _check(self) -> None:
         for name in ("outputs", "sensitivities"):
             if len(set(getattr(self, name))) < len(getattr(self, name)):
@@ -234,18 +221,20 @@ class Sweep:
         """
         self._check()
         variables = self._variables()
-        each = COPIES * bytes_each(variables, len(self.dimensions))
-        if each > self.allowed:
-            raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
-        most = self.chunk_size or min(CHUNK, int(self.allowed // each))
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
-        return Layout(
+        layout = Layout(
             self._shape,
-            even_chunks([d.size for d in self.dimensions], most, [bool(d.options) for d in self.dimensions]),
+            tuple(1 for _ in self.dimensions),
             coordinates(self.dimensions, units, variables),
             variables,
             {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name},
         )
+        each = COPIES * layout.bytes_each
+        if each > self.allowed:
+            raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
+        most = self.chunk_size or min(CHUNK, int(self.allowed // each))
+        chunks = even_chunks([d.size for d in self.dimensions], most, [bool(d.options) for d in self.dimensions])
+        return replace(layout, chunks=chunks)
 
     @property
     def _shape(self) -> dict[str, int]:
@@ -284,7 +273,9 @@ class Sweep:
             **axes,
             "order of axes": [dimension.name for dimension in self.dimensions],
             "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
-            **{name: recorded(value) for name, value in self.options._asdict().items()},
+            "kinematics": self.manipulator.kinematics,
+            "nodes": self.nodes,
+            "method": recorded(self.method),
             "outputs": list(self.outputs),
             "observables": {name: code_digest(function) for name, function in self.observables.items()},
             "sensitivities": list(self.sensitivities),
@@ -294,18 +285,15 @@ class Sweep:
 
     def solver(self, index: Index) -> OneSolve:
         """One solve as a function of the numbers that vary; `index` is that of the options along the dimensions."""
-        options = self.options
-        for dimension, i in zip(self.dimensions, index, strict=True):
-            options = options._replace(**{name: values[i] for name, values in dimension.options.items()})
-        return OneSolve(
-            prepared(self.case, options.kinematics, self.dtype),
-            self.outputs,
-            tuple(self.observables.items()),
-            self.sensitivities,
-            options.nodes,
-            options.method,
-            self.dtype,
-        )
+        chosen = {
+            name: values[i]
+            for dimension, i in zip(self.dimensions, index, strict=True)
+            for name, values in dimension.options.items()
+        }
+        kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
+        case, observed = prepared(self.case, kinematics, self.dtype), tuple(self.observables.items())
+        one = OneSolve(case, self.outputs, observed, self.sensitivities, self.nodes, self.method, self.dtype)
+        return replace(one, **chosen)
 
     # --- running ------------------------------------------------------------------------------------
 
