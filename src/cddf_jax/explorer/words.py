@@ -1,6 +1,6 @@
 """What the explorer writes beside its figures, as HTML; every number has its name in `data-name`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
@@ -9,52 +9,43 @@ from ..statics.equilibrium import RESULTS
 from .model import Picture, Taper
 from .plots import tendon_look
 
-Row = tuple[str, str, str, str]  # name, words, number, unit
+
+def _number(name: str, number: str, unit: str) -> str:
+    return f'<b data-name="{name}">{number}</b> {unit}'
 
 
-def _cell(name: str, number: str, unit: str) -> str:
-    return f'<td><b data-name="{name}">{number}</b> {unit}</td>'
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    heads = "".join(f"<th>{words}</th>" for words in head)
+    lines = ("".join(f"<td>{cell}</td>" for cell in row) for row in rows)
+    return f"<table><tr>{heads}</tr>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
 
 def numbers_html(picture: Picture) -> str:
     """The answer in numbers: a strip of them, and one row for each tendon."""
     found = picture.equilibrium
     x, y = 1e3 * np.asarray(found.tip_position)
-    tiles: list[Row] = [
-        ("tip_angle", "tip angle", f"{np.degrees(float(found.tip_angle)):.3f}", "deg"),
-        ("tip_x", "tip X", f"{x:.3f}", "mm"),
-        ("tip_y", "tip Y", f"{y:.3f}", "mm"),
-        ("peak_curvature", "peak curvature", f"{picture.peak_curvature:.4g}", "1/m"),
-        *_strain_tile(picture),
-        ("error_estimate", "error estimate", f"{float(found.error_estimate):.1e}", ""),
+    tiles = [
+        ("tip angle", _number("tip_angle", f"{np.degrees(float(found.tip_angle)):.3f}", "deg")),
+        ("tip X", _number("tip_x", f"{x:.3f}", "mm")),
+        ("tip Y", _number("tip_y", f"{y:.3f}", "mm")),
+        ("peak curvature", _number("peak_curvature", f"{picture.peak_curvature:.4g}", "1/m")),
+        ("error estimate", _number("error_estimate", f"{float(found.error_estimate):.1e}", "")),
     ]
-    several = len(found.direction) > 1
-    titles = ("tendon", *["slides"] * several, "base tension", "tip tension", "loss", "pulled in")
-    head = "".join(f"<th>{words}</th>" for words in titles)
-    rows = []
-    for i, travel in enumerate(np.asarray(found.tendon_displacement), 1):
-        base, tip, loss = (
-            float(number[i - 1]) for number in (found.base_tension, found.tip_tension, found.tension_loss)
-        )
-        cells = [_cell(f"direction_{i}", "in" if found.direction[i - 1] > 0 else "out", "")] * several
-        cells += [
-            _cell(f"base_tension_{i}", f"{base:.4g}", "N"),
-            _cell(f"tip_tension_{i}", f"{tip:.4f}", "N"),
-            _cell(f"tension_loss_{i}", f"{100 * loss:.3f}", "%") if base > 0 else "<td>no tension</td>",
-            _cell(f"tendon_displacement_{i}", f"{1e3 * travel:.3f}", "mm"),
-        ]
-        rows.append(f"<tr><td>{_line(i - 1)} {i}</td>{''.join(cells)}</tr>")
-    result = RESULTS[found.result] or "successful"
-    return (
-        f'<div class="tiles" role="status" data-name="result" data-result="{escape(result, quote=True)}">'
-        f"{_tiles(tiles)}</div><table><tr>{head}</tr>{''.join(rows)}</table>"
-    )
-
-
-def _strain_tile(picture: Picture) -> list[Row]:
-    """Nothing for a body without radii."""
-    known = np.isfinite(picture.peak_strain)
-    return [("peak_strain", "peak strain", f"{100 * picture.peak_strain:.3f}", "%")] if known else []
+    if np.isfinite(picture.peak_strain):
+        tiles.insert(-1, ("peak strain", _number("peak_strain", f"{100 * picture.peak_strain:.3f}", "%")))
+    several, rows = len(found.direction) > 1, []
+    numbers = zip(found.base_tension, found.tip_tension, found.tension_loss, found.tendon_displacement, strict=True)
+    for i, (base, tip, loss, travel) in enumerate(numbers, 1):
+        way = _number(f"direction_{i}", "in" if found.direction[i - 1] > 0 else "out", "")
+        lost = _number(f"tension_loss_{i}", f"{100 * loss:.3f}", "%") if base > 0 else "no tension"
+        row = [f"{_line(i - 1)} {i}", *[way] * several, _number(f"base_tension_{i}", f"{base:.4g}", "N")]
+        row += [_number(f"tip_tension_{i}", f"{tip:.4f}", "N"), lost]
+        rows.append([*row, _number(f"tendon_displacement_{i}", f"{1e3 * travel:.3f}", "mm")])
+    head = ("tendon", *["slides"] * several, "base tension", "tip tension", "loss", "pulled in")
+    result = escape(RESULTS[found.result] or "successful", quote=True)
+    strip = "".join(f'<div class="tile"><span>{words}</span>{number}</div>' for words, number in tiles)
+    strip = f'<div class="tiles" role="status" data-name="result" data-result="{result}">{strip}</div>'
+    return strip + _table(head, rows)
 
 
 def _line(tendon: int) -> str:
@@ -67,38 +58,24 @@ def _line(tendon: int) -> str:
     return f'<svg width="26" height="8" aria-hidden="true">{line}</svg>'
 
 
-def _tiles(tiles: Sequence[Row]) -> str:
-    return "".join(
-        f'<div class="tile"><span>{words}</span><b data-name="{name}">{number}</b> {unit}</div>'
-        for name, words, number, unit in tiles
-    )
-
-
 def tapers_html(tapers: tuple[Taper, Taper], angle: float, several: bool) -> str:
     """The taper that is set against the manipulator's own."""
     which = " of tendon 1" if several else ""
-    rows = [
+    kinds = [
         ("tension_loss", f"tension loss{which}, at the tensions set", 100.0, "%"),
         ("tip_angle", "tip angle, at the tensions set", float(np.degrees(1.0)), "deg"),
         ("peak_strain", "peak strain, at the tensions set", 100.0, "%"),
         ("base_tension", f"base tension{which} for a tip angle of {angle:g} deg", 1.0, "N"),
         ("strain_there", f"peak strain at {angle:g} deg", 100.0, "%"),
     ]
-    lines = []
-    for name, words, scale, unit in rows:
-        own, new = (scale * getattr(taper, name) for taper in tapers)
+    rows = []
+    for name, words, scale, unit in kinds:
+        both = own, new = [scale * getattr(taper, name) for taper in tapers]
+        texts = [f"{value:.4g}" if np.isfinite(value) else "not reached" for value in both]
         change = 100 * (new / own - 1) if own else np.nan
-        change_text = f"{change:+.1f} %" if np.isfinite(change) else "-"
-        lines.append(
-            f"<tr><td>{words}</td>{_cell(f'own_{name}', _number(own), unit)}"
-            f"{_cell(f'new_{name}', _number(new), unit)}<td>{change_text}</td></tr>"
-        )
-    head = "".join(f"<th>{words}</th>" for words in ("what if", "file's taper", "this taper", "change"))
-    return f"<table><tr>{head}</tr>{''.join(lines)}</table>"
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}" if np.isfinite(value) else "not reached"
+        cells = [_number(f"{whose}_{name}", text, unit) for whose, text in zip(("own", "new"), texts, strict=True)]
+        rows.append([words, *cells, f"{change:+.1f} %" if np.isfinite(change) else "-"])
+    return _table(("what if", "file's taper", "this taper", "change"), rows)
 
 
 def lines_html(text: str) -> str:
