@@ -65,8 +65,7 @@ def papers_manipulator() -> Manipulator:
 class PageContent:
     """What a page shows when it is opened, and after a file was loaded."""
 
-    manipulator: Manipulator
-    tables: tuple[Measurements, ...]
+    exploration: Exploration
     source: str  # of the manipulator, in words
     columns: tuple[SectionColumn, ...]  # of its table of cross-sections; none where it has none
     threads: Threads
@@ -91,7 +90,7 @@ class Page:
         self.data_files.param.watch(lambda _: self._load(self._read_data), "value")
         self.view: ExplorerView | None = None
         self.place = pn.Column(stylesheets=[PAGE], sizing_mode="stretch_width", margin=0)
-        self._renew(Exploration(content.manipulator, content.tables))
+        self._renew()
 
     @property
     def layout(self) -> pn.Column:
@@ -103,43 +102,42 @@ class Page:
         """One line at the head of the page, or none."""
         self.notice.object = f'<p class="{kind}" role="alert">{_escaped(text)}</p>' if text else ""
 
-    def _renew(self, exploration: Exploration) -> None:
+    def _renew(self) -> None:
         if self.view is not None:
             self.view.close()
-        view = ExplorerView(exploration, self.say, self.content.threads)
-        parts = view.parts
+        self.view = ExplorerView(self.content.exploration, self.say, self.content.threads)
+        parts = self.view.parts
         if self.content.columns:
             parts["rest"].append(sections_as_read(self.content.columns))
         for name, part in parts.items():
             part.css_classes = [*part.css_classes, name]  # a mark may be there already
         self.place[:] = list(parts.values())
-        tables = self.content.tables
+        tables = self.content.exploration.tables
         data = ", ".join(table.name for table in tables) or "no data loaded"
         notes = [f"<p>{_escaped(line)}</p>" for table in tables for line in table.read_as]
         self.head.object = f"<h1>{TITLE}</h1><p>{_escaped(self.content.source)}; {_escaped(data)}</p>{''.join(notes)}"
-        self.view = view
 
     def _load(self, read: Callable[[], PageContent]) -> None:
         """Read a file that was chosen; a bad one leaves everything as it was."""
         try:
-            content = read()
-            exploration = Exploration(content.manipulator, content.tables)
+            self.content = read()
         except InputError as error:
             self.say(str(error), "error")
             return
-        self.content = content
         self.say("", "")
-        self._renew(exploration)
+        self._renew()
 
     def _read_robot(self) -> PageContent:
         """A file that a browser sends cannot name a table of cross-sections beside it."""
         name = str(self.robot_file.filename)
         manipulator = _read(lambda paths: read_manipulator(paths[0]), {name: self.robot_file.value})
-        return replace(self.content, manipulator=manipulator, source=name, columns=())
+        exploration = replace(self.content.exploration, manipulator=manipulator)
+        return replace(self.content, exploration=exploration, source=name, columns=())
 
     def _read_data(self) -> PageContent:
         files = zip(map(str, self.data_files.filename), self.data_files.value, strict=True)
-        return replace(self.content, tables=_read(read_tables, dict(files)))
+        exploration = replace(self.content.exploration, tables=_read(read_tables, dict(files)))
+        return replace(self.content, exploration=exploration)
 
 
 def sections_as_read(columns: Sequence[SectionColumn]) -> pn.Column:
@@ -197,10 +195,10 @@ def serve(
     Raises:
         InputError: for a table that does not fit the manipulator, or a port that cannot be had.
     """
-    Exploration(manipulator, tuple(tables))
+    exploration = Exploration(manipulator, tuple(tables))
     pn.extension(respect_explicit_sizing=True)
     with Threads() as threads:
-        content = PageContent(manipulator, tuple(tables), source, tuple(columns), threads)
+        content = PageContent(exploration, source, tuple(columns), threads)
         try:
             server = get_server(content.new_page, port=port, address=ADDRESS, title=TITLE)
         except OSError as error:

@@ -160,28 +160,27 @@ class ExplorerView:
         self.fit_button.disabled = not self.exploration.tables
 
     def _downloads(self) -> list[pn.widgets.FileDownload]:
-        kinds: list[tuple[str, str, Callable[[Picture], str | bytes]]] = [
-            ("Figure (PDF)", "explorer.pdf", lambda picture: _figure(picture, "explorer.pdf")),
-            ("Figure (PNG)", "explorer.png", lambda picture: _figure(picture, "explorer.png")),
-            ("Body as set (TOML)", "body.toml", lambda picture: self.exploration.toml(picture.case)),
-            ("Fields along the body (CSV)", "fields.csv", lambda picture: fields_csv(picture.along, self.notes)),
-        ]
+        labels = {
+            "explorer.pdf": "Figure (PDF)",
+            "explorer.png": "Figure (PNG)",
+            "body.toml": "Body as set (TOML)",
+            "fields.csv": "Fields along the body (CSV)",
+        }
         return [
-            pn.widgets.FileDownload(callback=partial(self._file, make), filename=name, label=label, width=210)
-            for label, name, make in kinds
+            pn.widgets.FileDownload(callback=partial(self._file, name), filename=name, label=label, width=210)
+            for name, label in labels.items()
         ]
 
-    def _file(self, make: Callable[[Picture], str | bytes]) -> io.BytesIO:
-        if self.picture is None:
+    def _file(self, name: str) -> io.BytesIO:
+        if (picture := self.picture) is None:
             raise InputError("there is nothing to save yet; wait for the first picture")
-        made = make(self.picture)
-        return io.BytesIO(made.encode() if isinstance(made, str) else made)
-
-    @property
-    def sidebar(self) -> pn.Column:
-        """The sliders, and what is chosen beside them."""
-        chosen = [*(self.directions if self.several else []), self.kinematics]
-        return column(*self.sliders.values(), pn.FlexBox(*chosen), self.reset)
+        case = picture.case
+        if name == "body.toml":
+            return io.BytesIO(self.exploration.toml(case).encode())
+        if name == "fields.csv":
+            return io.BytesIO(fields_csv(picture.along, self.notes).encode())
+        figure = equilibrium_figure(case.manipulator, picture.equilibrium, case.loads)
+        return io.BytesIO(render(figure, "explorer")[name])
 
     @property
     def parts(self) -> dict[str, pn.Column]:
@@ -190,10 +189,11 @@ class ExplorerView:
         buttons = pn.FlexBox(self.fit_button, self.take_over)
         fit = column(_title("What the data tell"), buttons, self.verdict)
         files = column(_title("Save"), pn.FlexBox(*self._downloads()))
+        chosen = pn.FlexBox(*(self.directions if self.several else []), self.kinematics)
         return {
             "body": self.drawn["body"],
             "numbers": self.drawn["numbers"],
-            "side": self.sidebar,
+            "side": column(*self.sliders.values(), chosen, self.reset),
             "tension": self.drawn["tension"],
             "along": self.drawn["along"],
             "rest": column(grid(compared, fit, least=400), files),
@@ -248,13 +248,11 @@ class ExplorerView:
         rows = self.exploration.in_rows(picture.case.manipulator)
         self._on_page(self.tension.show_rows, rows)
         self._on_page(self._done, settings, ["tension"])
-        if not self.exploration.manipulator.stiffened_by_radii:
-            told = "The bending stiffness of this body is given: another taper would not change how it bends."
-            self._on_page(setattr, self.what_if, "object", told)
-            self._on_page(self._done, settings, ["what_if"])
-            return
-        tapers = self.exploration.tapers(settings, np.radians(angle))
-        self._on_page(setattr, self.what_if, "object", tapers_html(tapers, angle, self.several))
+        told = "The bending stiffness of this body is given: another taper would not change how it bends."
+        if self.exploration.manipulator.stiffened_by_radii:
+            tapers = self.exploration.tapers(settings, np.radians(angle))
+            told = tapers_html(tapers, angle, self.several)
+        self._on_page(setattr, self.what_if, "object", told)
         self._on_page(self._done, settings, ["what_if"])
 
     def _on_page(self, function: Callable[..., None], *arguments: object) -> None:
@@ -317,20 +315,20 @@ class ExplorerView:
         self.verdict.object = lines_html(text)
         self.take_over.visible = bool(self._identified())
 
-    def _identified(self) -> dict[str, tuple[float, tuple[float, float]]]:
-        """What the data determine with its 95 % interval, SI; nothing else is ever taken over."""
-        fitted = self.fitted
-        if fitted is None or not fitted.success:
-            return {}
-        known = [name for name in fitted.names if fitted.status[name] == IDENTIFIED]
-        return {name: (fitted.value[name], fitted.confidence_interval[name]) for name in known}
+    def _identified(self) -> list[str]:
+        """What the data determine; nothing else is ever taken over."""
+        if self.fitted is None or not self.fitted.success:
+            return []
+        return [name for name in self.fitted.names if self.fitted.status[name] == IDENTIFIED]
 
     def _take_over(self) -> None:
-        """Set the sliders, to as many digits as the intervals tell."""
-        found = {}
-        for name, (value, interval) in self._identified().items():
-            found[name] = rounded(*(from_si(x, QUANTITIES[name]) for x in (value, *interval)))
-        self.move_to(self.settings._replace(numbers={**self.settings.numbers, **found}))
+        """Set the sliders, to as many digits as the 95 % intervals tell."""
+        fitted, found = self.fitted, dict(self.settings.numbers)
+        assert fitted is not None
+        for name in self._identified():
+            numbers = (fitted.value[name], *fitted.confidence_interval[name])
+            found[name] = rounded(*(from_si(number, QUANTITIES[name]) for number in numbers))
+        self.move_to(self.settings._replace(numbers=found))
 
     # --- files -----------------------------------------------------------------------------------
 
@@ -367,9 +365,3 @@ def _slider(control: Control) -> pn.widgets.EditableFloatSlider:
 
 def _title(text: str) -> pn.pane.HTML:
     return pn.pane.HTML(f"<h2>{text}</h2>", stylesheets=["h2 { font-size: 16px; margin: 8px 0 0; }"], margin=(0, 8))
-
-
-def _figure(picture: Picture, name: str) -> bytes:
-    case = picture.case
-    files = render(equilibrium_figure(case.manipulator, picture.equilibrium, case.loads), name.partition(".")[0])
-    return files[name]

@@ -2,7 +2,7 @@
 
 import itertools
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ from ..figures.along import draw_along
 from ..figures.body import draw_force_arrows
 from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
 from ..figures.geometry import fields_along, stations
-from ..files.artifacts import as_json, markdown_table, plain, write_all
+from ..files.artifacts import as_json, markdown_table, picked, plain, write_all
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Equilibrium
@@ -112,20 +112,14 @@ def _pull(
     manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]
 ) -> tuple[Equilibrium, Bool[Array, " pulls"]]:
     """The equilibrium at each base tension, and whether all is well."""
-
-    def one(pull):
-        equilibrium = solve(manipulator, pull, throw=False)
-        return equilibrium, equilibrium.result == RESULTS.successful
-
-    return jax.vmap(one)(base_tension)
+    equilibria = jax.vmap(lambda pull: solve(manipulator, pull, throw=False))(base_tension)
+    return equilibria, equilibria.result == RESULTS.successful
 
 
 @eqx.filter_jit
 def _histories(manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]) -> IterationHistory:
-    def one(pull):
-        return iteration_history(manipulator, pull, max_updates=HISTORY_UPDATES, nodes=64)
-
-    return jax.vmap(one)(base_tension)
+    options = {"max_updates": HISTORY_UPDATES, "nodes": 64}
+    return jax.vmap(lambda pull: iteration_history(manipulator, pull, **options))(base_tension)
 
 
 # --- figures -------------------------------------------------------------------------------------
@@ -142,9 +136,8 @@ def tip_error_figure(results: PaperResults) -> Figure:
             axes.semilogy(updates, 1e3 * error, label=f"{pull:g} N", **curve)
         threshold = 1e3 * history.tip_tolerance
         axes.axhline(threshold, color=draw.GREY, linewidth=0.8)
-        axes.text(
-            HISTORY_UPDATES, 1.1 * threshold, f"$e_\\mathrm{{tip,th}}$ = {threshold:g} mm", ha="right", va="bottom"
-        )
+        label = f"$e_\\mathrm{{tip,th}}$ = {threshold:g} mm"
+        axes.text(HISTORY_UPDATES, 1.1 * threshold, label, ha="right", va="bottom")
         axes.set(xlabel="Update", ylabel="Tip error $e_\\mathrm{tip}$ (mm)", ylim=(1e-5, 1e2), xticks=updates)
         axes.legend(title="$T_\\mathrm{base}$", ncols=2)
     return figure
@@ -224,17 +217,11 @@ def tip_tension_figure(results: PaperResults) -> Figure:
 # --- table ---------------------------------------------------------------------------------------
 
 
-class NumberForm(NamedTuple):
-    """How a quantity in SI units is written."""
-
-    unit: str  # the SI unit
-    factor: float
-    form: str
-
-
-FRACTION, COUNT = NumberForm("", 100.0, "{:.2f} %"), NumberForm("", 1.0, "{:.0f}")
-FORCE, FORCE_PER_LENGTH = NumberForm("N", 1.0, "{:.2f} N"), NumberForm("N/m", 1.0, "{:.1f} N/m")
-LENGTH, ANGLE = NumberForm("m", 1e3, "{:.2f} mm"), NumberForm("rad", 180 / np.pi, "{:.2f}°")
+# how a number is written: its SI unit, what to multiply it by, the digits with the unit that then holds
+Form: TypeAlias = tuple[str, float, str]
+FRACTION, COUNT = ("", 100.0, "{:.2f} %"), ("", 1.0, "{:.0f}")
+FORCE, FORCE_PER_LENGTH = ("N", 1.0, "{:.2f} N"), ("N/m", 1.0, "{:.1f} N/m")
+LENGTH, ANGLE = ("m", 1e3, "{:.2f} mm"), ("rad", 180 / np.pi, "{:.2f}°")
 NO_NUMBER = "not comparable: no number printed"
 
 
@@ -243,7 +230,7 @@ class ComparedNumber(NamedTuple):
 
     name: str
     quantity: str
-    form: NumberForm
+    form: Form
     ours: float
     paper: float | None = None
     comparable: bool = False
@@ -253,16 +240,15 @@ class ComparedNumber(NamedTuple):
     def difference(self) -> float | None:
         return self.ours - self.paper if self.comparable and self.paper is not None else None
 
-    def as_dict(self) -> dict[str, str | float | None]:
-        kept = ("name", "quantity", "paper", "ours", "difference", "comparable", "note")
-        return {"unit": self.form.unit} | {key: getattr(self, key) for key in kept}
+    def as_dict(self) -> dict[str, object]:
+        names = ("name", "quantity", "paper", "ours", "difference", "comparable", "note")
+        return {"unit": self.form[0]} | picked(self, names)
 
     def cells(self) -> list[str]:
         """Of its row in the table."""
-        return [self.quantity, *map(self._written, (self.paper, self.ours, self.difference)), self.note]
-
-    def _written(self, value: float | None) -> str:
-        return "-" if value is None else self.form.form.format(self.form.factor * value)
+        _, factor, form = self.form
+        numbers = (self.paper, self.ours, self.difference)
+        return [self.quantity, *("-" if n is None else form.format(factor * n) for n in numbers), self.note]
 
 
 def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
