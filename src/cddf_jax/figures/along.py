@@ -76,7 +76,9 @@ def draw_along(
         _draw_lines(axes, 1e3 * s, lines, style)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
         axes.set_xlim(0.0, 1e3 * s[-1] * (1.06 if len(lines) > 1 else 1.0))
-        draw.include_zero(axes)
+        axes.update_datalim([(0.0, 0.0)])
+        axes.lines[-1].sticky_edges.y.append(0.0)
+        axes.autoscale_view()
     return axes
 
 

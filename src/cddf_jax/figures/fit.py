@@ -124,18 +124,18 @@ def _table_figure(fit: Fit, name: str) -> Figure:
     across, down = min(len(columns), MOST_ACROSS), -(-len(columns) // MOST_ACROSS)
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN if across == 1 else draw.DOUBLE_COLUMN, 3.2 * down)
-        rows = figure.subfigures(down, 1, squeeze=False)[:, 0]
-        for first, row in enumerate(rows):
-            axes = row.subplots(2, across, squeeze=False, sharex="col", height_ratios=(3, 1)).T
-            own = columns[first * across : (first + 1) * across]
-            for (above, below), column in zip(axes, own, strict=False):
-                draw_fit(fit, name, column, above).set_xlabel("")
-                draw_residuals(fit, name, column, below)
-            for unused in axes[len(own) :].ravel():
-                unused.set_axis_off()
-            row.align_ylabels()
+        axes = figure.subplots(2 * down, across, squeeze=False, height_ratios=(3, 1) * down)
+        for i, column in enumerate(columns):
+            above, below = axes[2 * (i // across) :, i % across][:2]
+            below.sharex(above)
+            draw_fit(fit, name, column, above).set_xlabel("")
+            above.tick_params(labelbottom=False)
+            draw_residuals(fit, name, column, below)
+        for unused in axes[-2:, len(columns) - across * (down - 1) :].ravel():
+            unused.set_axis_off()
+        figure.align_ylabels()
         if across > 1:
-            draw.common_legend(figure, [axes for row in rows for axes in row.axes])
+            draw.common_legend(figure, figure.axes)
     return figure
 
 

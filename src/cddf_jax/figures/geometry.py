@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..robot.loads import Loads
@@ -109,17 +108,11 @@ def tip_moment_line(body: Body, loads: Loads, length: float) -> np.ndarray:
     return line if moment else line[:0]
 
 
-def drawn_radii(
-    manipulator: Manipulator, arc_length: Float[ArrayLike, "*points"]
-) -> tuple[Float[Array, "*points"], Float[Array, "*points"]]:
-    """Outer and inner radius to draw, m; for a body without radii the offset of its outermost tendon, and 0."""
-    if manipulator.has_radii:
-        return manipulator.radii(arc_length)
-    outer = jnp.max(manipulator.offset(arc_length), axis=0)
-    return outer, jnp.zeros_like(outer)
-
-
 def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:
-    """From m."""
-    outer, inner = map(np.asarray, drawn_radii(manipulator, arc_length))
+    """From m; a body without radii is drawn with the offset of its outermost tendon, solid."""
+    if manipulator.has_radii:
+        outer, inner = map(np.asarray, manipulator.radii(arc_length))
+    else:
+        outer = np.max(np.asarray(manipulator.offset(arc_length)), axis=0)
+        inner = 0.0 * outer
     return Body(1e3 * midline, heading, 1e3 * outer, 1e3 * inner)

@@ -172,14 +172,6 @@ def _labelled(panels: Sequence[Axes]) -> dict[str, Artist]:
     return found
 
 
-def include_zero(axes: Axes) -> None:
-    """The limits of y: all that is drawn so far, and zero."""
-    low, high = axes.dataLim.intervaly
-    low, high = min(low, 0.0), max(high, 0.0)
-    margin = 0.05 * (high - low) or 1.0
-    axes.set_ylim(low - margin * (low < 0), high + margin * (high > 0 or low == 0))
-
-
 def to_scale(axes: Axes) -> None:
     """One scale for x and y: the limits give way, or the axes where their limits are those of others too."""
     groups = axes.get_shared_x_axes(), axes.get_shared_y_axes()

@@ -27,13 +27,7 @@ if TYPE_CHECKING:
     import xarray
 
 POINTS = 201  # along the body, where none are given
-ALONG = {
-    "heading": "heading [rad]",
-    "curvature": "curvature [1/m]",
-    "tension": "tension_{tendon} [N]",
-    "normal_force": "normal_force_{tendon}_{component} [N/m]",
-    "friction_force": "friction_force_{tendon}_{component} [N/m]",
-}
+ALONG = ("heading", "curvature", "tension", "normal_force", "friction_force")  # columns of tables
 
 
 def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] | None = None) -> "xarray.Dataset":
@@ -114,12 +108,12 @@ def _columns(fields: Fields) -> dict[str, np.ndarray]:
     """One number for each arc length, by the head of its column."""
     x, y = np.asarray(fields.position).T
     columns = {"arc_length [m]": np.asarray(fields.arc_length), "x [m]": x, "y [m]": y}
-    for name, head in ALONG.items():
-        values = np.asarray(getattr(fields, name))
-        per_tendon = values if "{tendon}" in head else values[None]
-        for tendon, own in enumerate(per_tendon, 1):
-            for component, part in zip("xy", own.T if own.ndim == 2 else own[None], strict=False):
-                columns[head.format(tendon=tendon, component=component)] = part
+    for name in ALONG:
+        values, own = np.asarray(getattr(fields, name)), [dim for dim in OUTPUTS[name] if dim != "point"]
+        values = np.moveaxis(values, OUTPUTS[name].index("point"), -1)
+        for place in np.ndindex(values.shape[:-1]):
+            ends = [f"_{i + 1 if dim == 'tendon' else 'xy'[i]}" for dim, i in zip(own, place, strict=True)]
+            columns[f"{name}{''.join(ends)} [{QUANTITIES[name].unit}]"] = values[place]
     return columns
 
 

@@ -2,9 +2,8 @@
 
 import platform
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import version
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import Determination
 from ..estimation.profile_likelihood import Profile
 from ..files.artifacts import picked
-from ..files.manipulator_file import write_manipulator
+from ..files.manipulator_file import manipulator_text
 from ..identification.bench import unit_of
 from ..identification.fit import Fit
 from ..identification.fit_diagnostics import Normality, normality, own_names
@@ -180,12 +179,7 @@ def _given_noise(fit: Fit) -> dict[str, object]:
 
 def _as_toml(manipulator: Manipulator) -> str | None:
     """The file of the manipulator from which the search started; None for profiles that no file can hold."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "manipulator.toml"
-        for outside in (False, True):
-            try:
-                write_manipulator(manipulator, path, offsets_outside_wall=outside)
-            except InputError:
-                continue
-            return path.read_text(encoding="utf-8")
+    for outside in (False, True):
+        with suppress(InputError):
+            return manipulator_text(manipulator, offsets_outside_wall=outside)
     return None
