@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
@@ -99,13 +98,18 @@ def bootstrap_figure(fit: Fit, bootstrap: Bootstrap) -> Figure:
         for (i, k), panel in np.ndenumerate(axes):
             if i < k:
                 panel.remove()
-            elif i == k:
+                continue
+            if i == k:
                 _draw_histogram(panel, points[:, i], float(estimate[i]))
             else:
                 known = {names[i], names[k]} <= set(correlated_names(fit))
                 pair = covariance[np.ix_([k, i], [k, i])] if known else None
                 _draw_pair(panel, points[:, [k, i]], estimate[[k, i]], pair, _stretch(fit))
-            _label_corner(panel, i, k, labels)
+            panel.xaxis.set_major_locator(MaxNLocator(3))
+            panel.yaxis.set_major_locator(MaxNLocator(4, integer=i == k))
+            panel.set_xlabel(labels[k] if i == len(names) - 1 else "")
+            panel.set_ylabel("Refits" if i == k else labels[i] if k == 0 else "")
+            panel.tick_params(labelleft=i == k or k == 0)
         figure.align_labels()
         draw.common_legend(figure, [axes[0, 0], axes[-1, 0]])
     return figure
@@ -133,29 +137,11 @@ def _draw_pair(
     axes.plot(*estimate, "x", color=draw.BLACK, markersize=5, zorder=4)
     if covariance is None:
         return
-    sizes, axes_of = np.linalg.eigh(covariance)
-    width, height = 2 * stretch * np.sqrt(np.maximum(sizes[::-1], 0.0))
-    angle = np.degrees(np.arctan2(axes_of[1, 1], axes_of[0, 1]))
+    sizes, directions = np.linalg.eigh(covariance)
+    turn = np.linspace(0.0, 2 * np.pi, 200)
+    circle = stretch * np.sqrt(np.maximum(sizes, 0.0))[:, None] * np.array([np.cos(turn), np.sin(turn)])
     look = {"facecolor": "none", "edgecolor": draw.BLUE, "linewidth": 1.1, "zorder": 3}
-    axes.add_patch(Ellipse(tuple(estimate), width, height, angle=angle, label="95 % ellipse of the fit", **look))
-    axes.autoscale_view()
-
-
-def _label_corner(axes: Axes, i: int, k: int, labels: list[str]) -> None:
-    """Labels at the rim only."""
-    if i < k:
-        return
-    axes.xaxis.set_major_locator(MaxNLocator(3))
-    axes.yaxis.set_major_locator(MaxNLocator(4, integer=i == k))
-    axes.tick_params(labelbottom=i == len(labels) - 1)
-    if i == len(labels) - 1:
-        axes.set_xlabel(labels[k])
-    if i == k:
-        axes.set_ylabel("Refits")
-    elif k == 0:
-        axes.set_ylabel(labels[i])
-    else:
-        axes.tick_params(labelleft=False)
+    axes.fill(*(estimate[:, None] + directions @ circle), label="95 % ellipse of the fit", **look)
 
 
 def draw_profile(fit: Fit, profile: Profile | str, axes: Axes | None = None) -> Axes:

@@ -11,14 +11,8 @@ from ..statics.contact import self_contact
 from ..statics.description import last_lines, strain_line, tendon_lines, tip_line
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.targets import CurvatureAt, Target
+from ..sweeping.one_solve import OUTPUTS
 from ..units import shown
-
-FIELDS = (  # of an equilibrium, in the order of the file
-    *("tip_tension", "tension_loss", "tip_position", "tip_angle", "tendon_displacement", "base_tension"),
-    *("target_miss", "base_moment", "load_fraction", "num_load_steps", "stable", "error_estimate"),
-    *("num_iterations", "direction", "direction_contradicted", "arc_length", "curvature", "heading", "position"),
-    *("tension", "wrap_angle", "normal_force", "friction_force"),
-)
 
 
 def solve_as_dict(
@@ -37,9 +31,8 @@ def solve_as_dict(
     if loads is not None:
         answer["loads"] = picked(loads, ("tip_force", "tip_moment", "gravity"))
     answer["self_contact"] = self_contact(equilibrium)
-    peak = ("peak_strain", "peak_strain_at")
-    answer |= picked(equilibrium, peak) if equilibrium.has_wall else dict.fromkeys(peak)
-    return answer | picked(equilibrium, FIELDS)
+    known = [name for name in OUTPUTS if equilibrium.has_wall or not name.startswith("peak_strain")]
+    return answer | dict.fromkeys(OUTPUTS) | picked(equilibrium, known)
 
 
 def _target_as_dict(target: Target) -> dict[str, object]:
