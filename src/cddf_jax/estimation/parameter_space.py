@@ -16,6 +16,7 @@ from ..errors import InputError
 Numbers = np.ndarray | Array
 Bounds = Mapping[str, tuple[float | None, float | None]]  # by parameter, (lower, upper), None for no bound
 TINY = 1e-300  # keeps a divisor from being 0
+FREE, BELOW, BETWEEN = (False, False), (True, False), (True, True)  # bounded below, above
 FLIPPED = 0.25  # of further starts: share in which a parameter without bounds has the other sign
 
 
@@ -153,15 +154,6 @@ def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
     return dict(sorted(found.items()))  # as JAX orders them
 
 
-# by whether there is a lower and an upper bound
-_KINDS = {
-    (False, False): "free",
-    (True, False): "bounded below",
-    (False, True): "bounded above",
-    (True, True): "between",
-}
-
-
 class ParameterSpace(eqx.Module):
     """The change of variable from dimensionless, unbounded z to the parameters.
 
@@ -174,7 +166,7 @@ class ParameterSpace(eqx.Module):
     upper: Float[Numbers, " n"]
     scale: Float[Numbers, " n"]
     least_size: Float[Numbers, " n"]
-    kinds: tuple[str, ...] = eqx.field(static=True)
+    bounded: tuple[tuple[bool, bool], ...] = eqx.field(static=True)  # below, above
 
     def __init__(
         self,
@@ -196,7 +188,7 @@ class ParameterSpace(eqx.Module):
         given = np.full(np.shape(start), np.nan) if scale is None else scale
         self.scale = np.where(np.isfinite(given), given, own)
         self.least_size = np.where(np.isfinite(given), given, 0.0)
-        self.kinds = tuple(_KINDS[pair] for pair in zip(lower > -np.inf, upper < np.inf, strict=True))
+        self.bounded = tuple(zip((lower > -np.inf).tolist(), (upper < np.inf).tolist(), strict=True))
 
     def size(self, value: Float[Numbers, "*lanes n"]) -> Float[Array, "*lanes n"]:
         """What to measure each parameter by: its value, or where that is smaller the scale that was given."""
@@ -208,33 +200,33 @@ class ParameterSpace(eqx.Module):
 
     def _bound(self, i: int) -> float | Numbers:
         """Of a parameter with one bound."""
-        return self.lower[i] if self.kinds[i] == "bounded below" else self.upper[i]
+        return self.lower[i] if self.bounded[i] == BELOW else self.upper[i]
 
     def inverse(self, i: int, value: ArrayLike) -> np.ndarray:
         """The z_i of values of parameter i inside its bounds."""
         value, start = np.asarray(value), self.start[i]
-        if self.kinds[i] == "free":
+        if self.bounded[i] == FREE:
             return np.asarray((value - start) / self.scale[i])
-        if self.kinds[i] == "between":
+        if self.bounded[i] == BETWEEN:
             return np.asarray(np.log((value - self.lower[i]) / (self.upper[i] - value)))
         return np.asarray(np.log((value - self._bound(i)) / (start - self._bound(i))))
 
     def parameters(self, z: Float[Numbers, " n"]) -> Float[Array, " n"]:
         """The parameters at z, inside their bounds."""
 
-        def one(i, kind):
-            if kind == "free":
+        def one(i, bounded):
+            if bounded == FREE:
                 return self.start[i] + self.scale[i] * z[i]
-            if kind == "between":
+            if bounded == BETWEEN:
                 return self.lower[i] + (self.upper[i] - self.lower[i]) * jax.nn.sigmoid(z[i])
             return self._bound(i) + (self.start[i] - self._bound(i)) * jnp.exp(z[i])
 
-        return jnp.stack([one(i, kind) for i, kind in enumerate(self.kinds)])
+        return jnp.stack([one(i, bounded) for i, bounded in enumerate(self.bounded)])
 
     @property
     def free(self) -> np.ndarray:
         """Which parameters have no bounds."""
-        return np.array([kind == "free" for kind in self.kinds])
+        return np.array([bounded == FREE for bounded in self.bounded])
 
     def elsewhere(self, draw: np.ndarray, decades: float) -> "tuple[ParameterSpace, np.ndarray]":
         """Another start: a space about it, in which a search feels as though it were the given one, and its z.
@@ -263,13 +255,13 @@ class ParameterSpace(eqx.Module):
         """How many times its start a parameter has grown to, from its bound on; without bounds, shrunk to as well."""
         size = np.asarray(self.size(self.start))
 
-        def one(i, kind):
-            if kind == "free":
+        def one(i, bounded):
+            if bounded == FREE:
                 times = np.abs(value[i]) / size[i]
                 return times if self.start[i] == 0 else max(times, 1 / max(times, TINY))
-            return 1.0 if kind == "between" else (value[i] - self._bound(i)) / (self.start[i] - self._bound(i))
+            return 1.0 if bounded == BETWEEN else (value[i] - self._bound(i)) / (self.start[i] - self._bound(i))
 
-        return np.array([one(i, kind) for i, kind in enumerate(self.kinds)])
+        return np.array([one(i, bounded) for i, bounded in enumerate(self.bounded)])
 
     def at_bound(self, value: np.ndarray) -> np.ndarray:
         """Whether the optimiser pushed a parameter against a bound."""

@@ -68,16 +68,10 @@ def table_named(fit: Fit, table: str) -> Measurements:
     return fit.tables[list(fit.alone).index(table)]
 
 
-def on_one_curve(fit: Fit, table: str) -> bool:
-    """Whether a single curve holds the rows of a table."""
-    rows = experiment_named(fit, table)
-    return isinstance(rows, Pulley) or rows.on_one_curve
-
-
 def model_curve(fit: Fit, table: str, column: str) -> ModelCurve | None:
     """The model over all base tensions (wrap angles) of a table; None where no single curve holds its rows."""
-    rows = table_named(fit, table)
-    if not on_one_curve(fit, table):
+    rows, experiment = table_named(fit, table), experiment_named(fit, table)
+    if isinstance(experiment, Bench) and not experiment.on_one_curve:
         return None
     if column != "pulling_tension":
         grid = np.linspace(max(rows["base_tension"].min(), 0.0), rows["base_tension"].max(), GRID)
