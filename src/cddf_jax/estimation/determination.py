@@ -74,11 +74,11 @@ class Evidence:
     value: np.ndarray
     size: np.ndarray  # of each parameter, the unit of the Jacobian's columns
     at_bound: np.ndarray
-    open_profile: np.ndarray  # whether the parameter can move far while the sum of squares hardly rises
     rows: dict[str, np.ndarray]  # by group, (rows, parameters)
     prior_rows: dict[int, np.ndarray]  # by parameter
     noise_estimated: dict[str, bool]
     products: bool = True  # whether combinations of what is not identified may be written as products of powers
+    open_profile: tuple[int, ...] = ()  # parameters that can move far while the sum of squares hardly rises
     bounded_above: tuple[int, ...] = ()  # parameters at the lower bound, with an upper 95 % limit
     random: tuple[int, ...] = ()  # random effects: draws about 0, with a standard deviation that was estimated
     failed: bool = False  # whether the fit failed, so that nothing is identified
@@ -94,7 +94,7 @@ class Evidence:
             rows={name: self.rows[name] for name in groups},
             prior_rows={i: row for i, row in self.prior_rows.items() if self.space.names[i] in with_priors_of},
             noise_estimated={name: self.noise_estimated[name] for name in groups},
-            open_profile=np.zeros_like(self.open_profile),
+            open_profile=(),
             bounded_above=(),
         )
 
@@ -215,7 +215,8 @@ def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> li
         of_prior[i] = np.abs(row[0, i])
     # the data alone do not determine it, and with the prior its standard error is that of the prior
     prior_only = ~(data_error < np.inf) & (error * of_prior > ALL_OF_PRIOR * evidence.size)
-    told = known & closed & ~evidence.open_profile & (not evidence.failed)
+    told = known & closed & (not evidence.failed)
+    told[list(evidence.open_profile)] = False
     words = [AT_BOUND, PRIOR_ONLY, IDENTIFIED]
     return np.select([evidence.at_bound, prior_only, told], words, NOT_IDENTIFIED).tolist()
 

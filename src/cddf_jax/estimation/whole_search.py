@@ -42,15 +42,6 @@ EXPECTED_PART = 0.5  # of the rise that the curvature foretells: with less the v
 MOSTLY_LOST = 0.7  # length of a direction within the parameters that are not identified, of 1
 
 
-class Valleys(NamedTuple):
-    """What was found where one parameter after the other was held far from its estimate."""
-
-    open: np.ndarray  # by parameter: whether the sum of squares stayed low at all places tried on a side
-    least_rise: float  # of the sum of squares, over all that was tried
-    lower: np.ndarray | None  # z of the place with the least rise; None where it fell nowhere
-    bounded_above: tuple[int, ...]  # parameters at the lower bound, with an upper 95 % limit
-
-
 class FitTask(NamedTuple):
     """What stays the same however often a fit is searched."""
 
@@ -79,17 +70,17 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
     minimum, settled = _settle_noise(task, z)
     evidence = _evidence(task, minimum)
     determination = determine(evidence)
-    valleys = look_along_valleys(minimum, evidence, determination)
-    result = _result(minimum, evidence, valleys, settled=settled)
-    if task.prefer_start and np.any(valleys.open):
-        minimum = minimum._replace(outcome=nearest_to_start(minimum, valleys.open, determination.quantile))
-        evidence = _evidence(task, minimum)
-    evidence = replace(evidence, open_profile=valleys.open, bounded_above=valleys.bounded_above)
+    evidence, least_rise, lower = look_along_valleys(minimum, evidence, determination)
+    result = _result(minimum, evidence, least_rise, settled=settled)
+    if task.prefer_start and evidence.open_profile:
+        minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence.open_profile[0], determination.quantile))
+        seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above}
+        evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
         evidence = evidence.after_failure()
     else:
         evidence = replace(evidence, products=are_products(minimum, determine(evidence)))
-    return Ending(minimum, evidence, determine(evidence), result, valleys.lower)
+    return Ending(minimum, evidence, determine(evidence), result, lower)
 
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
@@ -125,7 +116,6 @@ def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
         value=outcome.parameters,
         size=size,
         at_bound=at_bound,
-        open_profile=np.zeros(len(size), bool),
         rows=dict(zip(problem.groups, rows, strict=True)),
         prior_rows={i: row[None] for i, row in zip(problem.data.prior, prior_rows, strict=True)},
         noise_estimated={group.name: group.estimated_parts > 0 for group in task.groups},
@@ -138,7 +128,7 @@ def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
     return slope / np.sqrt(max(spread, TINY))
 
 
-def _result(minimum: Minimum, evidence: Evidence, valleys: Valleys, *, settled: bool) -> str:
+def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled: bool) -> str:
     """ "successful", or what went wrong."""
     problem, outcome = minimum
     if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
@@ -151,7 +141,7 @@ def _result(minimum: Minimum, evidence: Evidence, valleys: Valleys, *, settled: 
     exact = total <= EXACT * np.sqrt(outcome.residual.size)
     if not exact and np.any(slope[free] > (STEEPEST if outcome.solved else STEEPEST_UNSOLVED)):
         return STOPPED_SHORT
-    if valleys.least_rise < -NOTEWORTHY_FALL:
+    if least_rise < -NOTEWORTHY_FALL:
         return BETTER_ELSEWHERE
     if unexplained := unexplained_groups(evidence, minimum):
         return (
@@ -164,11 +154,17 @@ def _result(minimum: Minimum, evidence: Evidence, valleys: Valleys, *, settled: 
 # --- valleys --------------------------------------------------------------------------------------
 
 
-def look_along_valleys(minimum: Minimum, evidence: Evidence, determination: Determination) -> Valleys:
+def look_along_valleys(
+    minimum: Minimum, evidence: Evidence, determination: Determination
+) -> tuple[Evidence, float, np.ndarray | None]:
     """Hold each parameter that looks identified at values ever farther off and fit the others again.
 
     The curvature at a minimum can suggest an interval although the valley is flat farther off. A side is closed where
     the sum of squares has risen by twice what ends a 95 % interval.
+
+    Returns:
+        The evidence with what was seen of each parameter, the least rise of the sum of squares over all that was tried,
+        and the z of its place; None where it fell nowhere.
     """
     space, value, quantile = minimum.problem.space, evidence.value, determination.quantile
     error = spectrum_of(evidence.jacobian).relative_error * evidence.size
@@ -187,13 +183,17 @@ def look_along_valleys(minimum: Minimum, evidence: Evidence, determination: Dete
         return False
 
     status = np.array([determination.status[name] for name in space.names])
-    half_width, opened = quantile * error, np.zeros(len(value), bool)
-    for i in np.flatnonzero(status == IDENTIFIED).tolist():
-        opened[i] = not all(closes(i, places) for places in _sides(space, i, value[i], half_width[i]))
+    half_width = quantile * error
+    opened = [
+        i
+        for i in np.flatnonzero(status == IDENTIFIED).tolist()
+        if not all(closes(i, places) for places in _sides(space, i, value[i], half_width[i]))
+    ]
     near = np.isfinite(space.lower) & (value - half_width <= space.lower) & np.isin(status, (NOT_IDENTIFIED, AT_BOUND))
     near &= np.isfinite(half_width) & (value + half_width < space.upper)
     limited = [i for i in np.flatnonzero(near).tolist() if closes(i, value[i] + half_width[i] * np.array([1.0, 2.0]))]
-    return Valleys(opened, *min(tried, key=lambda place: place[0]), tuple(limited))
+    seen = replace(evidence, open_profile=tuple(opened), bounded_above=tuple(limited))
+    return seen, *min(tried, key=lambda place: place[0])
 
 
 def are_products(minimum: Minimum, determination: Determination) -> bool:
@@ -220,10 +220,10 @@ def are_products(minimum: Minimum, determination: Determination) -> bool:
     return True
 
 
-def nearest_to_start(minimum: Minimum, opened: np.ndarray, quantile: float) -> Outcome:
-    """Any place along an open valley fits alike: take the start of the first open parameter, if it fits."""
+def nearest_to_start(minimum: Minimum, i: int, quantile: float) -> Outcome:
+    """Any place along the open valley of a parameter fits alike: take that of its start, if it fits."""
     problem, best = minimum
-    i, first = int(np.argmax(opened)), problem.space.first()
+    first = problem.space.first()
     held = hold_one(len(first), i, problem.space.start[i])
     moved, _ = minimum.refit(held)
     there = evaluate(problem, np.where(np.isnan(held), moved.z, first))

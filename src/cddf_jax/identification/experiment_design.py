@@ -153,7 +153,6 @@ def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Eviden
         value=value,
         size=size,
         at_bound=np.zeros(len(names), bool),
-        open_profile=np.zeros(len(names), bool),
         rows={"before": np.zeros((len(names), len(names)))},  # nothing
         prior_rows=prior_rows,
         noise_estimated={"before": False},
@@ -167,7 +166,7 @@ def _with(evidence: Evidence, rows: np.ndarray) -> Evidence:
         evidence,
         rows={**evidence.rows, name: rows},
         noise_estimated={**evidence.noise_estimated, name: False},
-        open_profile=np.zeros_like(evidence.open_profile),
+        open_profile=(),
         at_bound=np.zeros_like(evidence.at_bound),
     )
 
