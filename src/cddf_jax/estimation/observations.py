@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import PyTree
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 
 from ..errors import InputError
 from .determination import spectrum_of, without_nan
@@ -18,8 +18,7 @@ MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: th
 MEDIAN_TO_DEVIATION = 1.4826  # of a Gaussian, from the median of |residual|
 LARGEST_LEVERAGE = 0.9
 NEGLIGIBLE = 1e-3  # of the noise: a part of it that is called 0
-SCORING_STEPS = 100
-STEP_PARTS = 0.5 ** np.arange(8)
+EXACTLY = {"ftol": 1e-15, "gtol": 1e-12, "maxiter": 500, "maxls": 60}  # of the likelihood of floor and fraction
 WINSOR = 1.0  # squares of residuals count up to this under a robust loss: Huber (1981), proposal 2
 WINSORED_SQUARE = 0.5160585  # their mean for a Gaussian: E min(Z^2, 1)
 
@@ -115,7 +114,7 @@ def _parts(
         least = (MODEL_PRECISION**2 * np.mean(predicted**2)) or TINY
         size = np.max(design[:, ~known], axis=0, initial=TINY)
         free, rest = design[:, ~known] / size, design @ given + least
-        first, _ = nnls(free / old[:, None] ** 2, np.maximum(1 - rest / old**2, 0.0))
+        first, _ = nnls(free / old[:, None] ** 2, np.maximum(squares / kept - rest, 0.0) / old**2)
         given[~known] = _most_likely(free, rest, squares / kept, kept, first) / size
     floor, fraction = np.sqrt(given)
     return float(floor), float(fraction)
@@ -124,26 +123,16 @@ def _parts(
 def _most_likely(
     design: np.ndarray, rest: np.ndarray, squares: np.ndarray, weight: np.ndarray, first: np.ndarray
 ) -> np.ndarray:
-    """The least of the sum of weight * (log v + square / v), v = design @ u + rest, over u of 0 or more.
+    """The least of the sum of weight * (log v + square / v), v = design @ u + rest, over u of 0 or more."""
+    unit = float(np.mean(squares + rest))
 
-    Scoring (the deviation of a square is in proportion to its mean), each step cut until it leads downhill:
-    whole steps can go round in circles where a part is next to zero.
-    """
+    def height(u: np.ndarray) -> tuple[float, np.ndarray]:
+        variance = unit * (design @ u) + rest
+        slope = weight * (1 - squares / variance) / variance
+        return float(np.sum(weight * (np.log(variance) + squares / variance))), unit * (slope @ design)
 
-    def height(u):
-        variance = design @ u + rest
-        return float(np.sum(weight * (np.log(variance) + squares / variance)))
-
-    u, here = first, height(first)
-    for _ in range(SCORING_STEPS):
-        row = np.sqrt(weight) / (design @ u + rest)
-        step = nnls(design * row[:, None], (squares - rest) * row)[0] - u
-        tried = [(height(u + part * step), part) for part in STEP_PARTS]
-        there, part = min(tried)
-        if not there < here - 1e-13 * abs(here):
-            break
-        u, here = u + part * step, there
-    return u
+    bounds = [(0, None)] * design.shape[1]
+    return unit * minimize(height, first / unit, jac=True, method="L-BFGS-B", bounds=bounds, options=EXACTLY).x
 
 
 def group_observations(observed: PyTree, sigma: PyTree) -> tuple[Observed, ...]:
