@@ -16,10 +16,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from enum import EnumType
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 from unittest import mock
 
 import ziamath
@@ -176,7 +175,7 @@ def command_tables() -> str:
 def _parameter_row(parameter: Any) -> str:
     names = ", ".join(f"`{name}`" for name in parameter.opts)
     kind = parameter.type_descriptor.annotation
-    choices = " or ".join(f"`{choice.value}`" for choice in kind) if isinstance(kind, EnumType) else ""
+    choices = " or ".join(f"`{choice}`" for choice in get_args(kind)) if get_origin(kind) is Literal else ""
     words = [parameter.help or "", choices and f"One of {choices}.", "Required." if parameter.required else ""]
     words.append(_default_in_words(parameter))
     return f"| {names} | {' '.join(filter(None, words))} |".replace("\n", " ")
@@ -187,7 +186,7 @@ def _default_in_words(parameter: Any) -> str:
     if parameter.required or getattr(parameter, "is_flag", False) or parameter.show_default is False:
         return ""
     told = parameter.show_default if isinstance(parameter.show_default, str) else parameter.default
-    return "" if told is None else f"Default: {getattr(told, 'value', told)}."
+    return "" if told is None else f"Default: {told}."
 
 
 # --- examples ---------------------------------------------------------------------------------------

@@ -114,7 +114,7 @@ def test_added_to_what_was_measured(run):
         (CANDIDATES.replace("repeats = 2", "repeats = 0"), "repeats must be 1 or more"),
         (CANDIDATES.replace("repeats = 2", "repeats = 1.5"), "repeats must be a whole number"),
         (CANDIDATES.replace("cost = 1.5", "cost = 0"), "cost must be a number > 0"),
-        (CANDIDATES.replace("cost = 1.5", "cost = '1 h'"), "cost must be a number, got"),
+        (CANDIDATES.replace("cost = 1.5", "cost = '1 h'"), "cost is a plain number, got"),
         (CANDIDATES.replace("base_tension", "base"), "unknown column 'base'"),
         (CANDIDATES.replace('["20 N", "40 N", "60 N"]', "[]"), "base_tension is empty"),
     ],

@@ -15,13 +15,11 @@ SHOWN = 8  # numbers that are recorded themselves; more of them are recorded as 
 def numbers_of(tree: object) -> dict[str, object]:
     """The numbers of a pytree by their names, and the digest of its structure."""
     leaves, structure = jax.tree.flatten_with_path(tree, is_leaf=lambda part: isinstance(part, Function))
-    return {_name(path): recorded(leaf) for path, leaf in leaves} | {
-        "structure": digest(without_addresses(str(structure)))
-    }
-
-
-def _name(path: jax.tree_util.KeyPath) -> str:
-    return jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("manipulator.")
+    found: dict[str, object] = {"structure": digest(without_addresses(str(structure)))}
+    for path, leaf in leaves:
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        found[name.removeprefix("manipulator.")] = recorded(leaf)
+    return found
 
 
 def recorded(value: object) -> object:

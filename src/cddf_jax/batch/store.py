@@ -75,17 +75,13 @@ class ZarrStore:
 
     def has(self, index: Index) -> bool:
         """Whether a chunk is whole: every file is there, and none is empty or damaged, as a power cut may leave it."""
-        for name, variable in self.layout.variables.items():
-            place = (*index, *(0,) * (len(variable.shape) - len(index)))
-            try:
+        try:
+            for name, variable in self.layout.variables.items():
+                place = (*index, *(0,) * (len(variable.shape) - len(index)))
                 if not (self.path / name / "c" / Path(*map(str, place))).stat().st_size:
                     return False
-            except FileNotFoundError:
-                return False
-        try:
-            for name in self.layout.variables:
                 self._group[name][self.layout.region(index)]
-        except (RuntimeError, ValueError, OSError):  # of the decompressor, or of a block of another size
+        except (RuntimeError, ValueError, OSError):  # no file, of the decompressor, or a block of another size
             return False
         return True
 

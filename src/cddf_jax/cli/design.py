@@ -86,7 +86,7 @@ def run_design(task: "DesignTask", out: Path | None) -> Answer:
 
 
 def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
-    """As `carry_out`, of the two objectives against each other."""
+    """As `run_design`, of the two objectives against each other."""
     from ..designing import report
     from ..figures.designs import pareto_figure
     from ..figures.style import render

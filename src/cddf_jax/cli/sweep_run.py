@@ -218,7 +218,7 @@ def rehearse(work: Sweep, places: Places | None) -> Json:
     """What a sweep would take, without solving or writing anything.
 
     Raises:
-        InputError: as `carry_out`.
+        InputError: as `run_sweep`.
     """
     layout, store = work.layout, None
     if places is not None:
@@ -239,7 +239,7 @@ def rehearse(work: Sweep, places: Places | None) -> Json:
 
 
 def summary_in_words(summary: Json) -> str:
-    """What the terminal shows of what `carry_out` returns."""
+    """What the terminal shows of what `run_sweep` returns."""
     total, before, paths = summary["solves"], summary["solves_there_before"], summary["paths"]
     counts = ", ".join(f"{count:,} {plain_words(name)}" for name, count in summary["results"].items())
     some = f", {before:,} there already, {total - before:,} more" if before else ""

@@ -151,9 +151,7 @@ def _limits(name: str, text: str, dimension: units.Dimension) -> tuple[float, fl
     return least, largest
 
 
-def read_base_tension(
-    texts: Sequence[str], manipulator: Manipulator
-) -> float | Target | np.ndarray | tuple[float | Target, ...] | None:
+def read_base_tension(texts: Sequence[str], manipulator: Manipulator) -> float | Target | list[float | Target] | None:
     """What `Sweep` takes for texts as `cddf solve` takes them; None for none.
 
     Raises:
@@ -162,9 +160,7 @@ def read_base_tension(
     if not texts:
         return None
     entries = read_actuation(texts, manipulator)
-    if len(entries) == 1:
-        return entries[0]
-    return np.array(entries) if all(isinstance(entry, float) for entry in entries) else tuple(entries)
+    return entries[0] if len(entries) == 1 else entries
 
 
 def read_memory(text: str) -> float:

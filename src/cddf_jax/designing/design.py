@@ -201,11 +201,7 @@ def problem_of(
     if not used or not all(isinstance(case, LoadCase) for case in used):
         raise InputError("design: cases must be one LoadCase or more, as in cases=LoadCase(50.0)")
     numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
-    _check_body(manipulator, [part.name for part in (*constraints, *(aim for _, aim in objectives))])
-    _check_overlap(numbers, used)
-    for case in used:
-        check_weight(case.body(manipulator), case.loads)
-    _check_places(manipulator, [aim for _, aim in objectives])
+    _check(manipulator, [*constraints, *(aim for _, aim in objectives)], numbers, used)
     implied = _implied(manipulator, constraints, offsets_outside_wall=options.offsets_outside_wall)
     limits, one = [*constraints, *implied], jnp.ones(())
     problem = DesignProblem(
@@ -257,29 +253,24 @@ def _stations(body: Manipulator) -> np.ndarray:
     return np.concatenate([np.linspace(0.0, 1.0, STATIONS), joints - 1e-9, joints + 1e-9, wandering])
 
 
-def _check_body(body: Manipulator, names: Sequence[str]) -> None:
-    if "mass" in names and not body.has_mass:
-        raise InputError('design: the body has no mass, since its density is 0; give it one, or take "volume"')
-    of_radii = [name for name in names if name in OF_RADII]
-    if of_radii and not body.has_radii:
-        raise InputError(f"design: {of_radii[0]!r} needs radii; give the body outer_radius and inner_radius")
-
-
-def _check_places(body: Manipulator, aims: Sequence[Objective]) -> None:
-    """Places at which a quantity is compared must lie on the body."""
-    length = float(np.asarray(body.length))
-    for aim in aims:
-        at = getattr(aim, "at", None)
+def _check(
+    body: Manipulator, parts: Sequence[Limit | Objective], numbers: FreeNumbers, cases: Sequence[LoadCase]
+) -> None:
+    """Refuse what the body lacks, places that are not on it, and free numbers that a case sets."""
+    length, free = float(np.asarray(body.length)), {name for names in numbers.names for name in names}
+    for part in parts:
+        if part.name == "mass" and not body.has_mass:
+            raise InputError('design: the body has no mass, since its density is 0; give it one, or take "volume"')
+        if part.name in OF_RADII and not body.has_radii:
+            raise InputError(f"design: {part.name!r} needs radii; give the body outer_radius and inner_radius")
+        at = getattr(part, "at", None)
         if at is not None and (np.min(at) < 0 or np.max(at) > length * (1 + 1e-9)):
-            raise InputError(f"design: {aim} is compared at {np.max(at):g} m, off a body of {length:g} m; change at")
-
-
-def _check_overlap(numbers: FreeNumbers, cases: tuple[LoadCase, ...]) -> None:
-    free = {name for names in numbers.names for name in names}
+            raise InputError(f"design: {part} is compared at {np.max(at):g} m, off a body of {length:g} m; change at")
     for case in cases:
         for name in case.numbers:
             if name in free:
                 raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")
+        check_weight(case.body(body), case.loads)
 
 
 def _demand_start(problem: DesignProblem, found: DesignEvaluation, limits: Sequence[Limit]) -> None:

@@ -193,18 +193,13 @@ def free_numbers(problem: DesignProblem, local: LocalMinimum, unit: float) -> di
         start, value, lower, upper, size = map(float, row)
         at_lower, at_upper = abs(value - lower) <= ACTIVE * size, abs(value - upper) <= ACTIVE * size
         status = "at lower bound" if at_lower else "at upper bound" if at_upper else "inside"
-        worth = _worth_of_bounds(local, i) * unit / size if at_lower or at_upper else 0.0
+        worth = 0.0
+        if at_lower or at_upper:
+            own = 1.0 * (np.arange(local.point.x.size) == i)
+            least, _ = local.optimality.range_of(lower=own, upper=own) if local.feasible else (np.nan, np.nan)
+            worth = 0.0 if least <= NOT_ZERO else least * unit / size  # the least that the multipliers tell
         found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth)
     return found
-
-
-def _worth_of_bounds(local: LocalMinimum, i: int) -> float:
-    """The least that the multipliers tell, scaled; zero where it is zero but for rounding."""
-    if not local.feasible:
-        return np.nan
-    own = 1.0 * (np.arange(local.point.x.size) == i)
-    worth, _ = local.optimality.range_of(lower=own, upper=own)
-    return worth if worth > NOT_ZERO else 0.0
 
 
 def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignEvaluation) -> tuple[Achieved, ...]:
