@@ -168,10 +168,8 @@ def sweep(
     if kinematics is not None and any(text.partition("=")[0].strip() == "kinematics" for text in over or []):
         raise InputError("kinematics is given by --kinematics and varies too; leave one out")
 
-    def configure() -> None:
-        _configure(coordinator, num_processes, process_id, distributed=distributed)
-
-    manipulator = read_robot(robot, kinematics, configure).manipulator
+    processes = coordinator, num_processes, process_id
+    manipulator = read_robot(robot, kinematics, lambda: _configure(*processes, distributed=distributed)).manipulator
     from ..files.actuation import read_directions, read_loads
     from . import sweep_run, sweep_texts
 

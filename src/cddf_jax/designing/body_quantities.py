@@ -46,10 +46,6 @@ class BodyView:
         return self.equilibrium.at(self.arc_length)
 
     @cached_property
-    def sides(self) -> Float[Array, "tendons 1"]:
-        return jnp.asarray([[float(tendon.side)] for tendon in self.body.tendons])
-
-    @cached_property
     def anchored(self) -> Bool[Array, "tendons points"]:
         """Whether each tendon still runs there: up to its anchor."""
         ends = [self.body.length if tendon.end is None else tendon.end for tendon in self.body.tendons]
@@ -176,7 +172,8 @@ def _strain(view: BodyView) -> Array:
 
 
 def _crossing(view: BodyView) -> Array:
-    return jnp.where(view.anchored, view.sides * view.body.offset(view.arc_length) * view.along.curvature, 0.0)
+    sides = jnp.asarray([[float(tendon.side)] for tendon in view.body.tendons])
+    return jnp.where(view.anchored, sides * view.body.offset(view.arc_length) * view.along.curvature, 0.0)
 
 
 def _tension(view: BodyView) -> Array:
