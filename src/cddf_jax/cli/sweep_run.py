@@ -30,11 +30,9 @@ PACKAGES = ("cddf-jax", "jax", "jaxlib", "numpy", "equinox", "xarray", "zarr")
 
 
 class Places(NamedTuple):
-    """Where the answer goes."""
+    """Where the answer goes: figures and JSON lie beside the store, under its name."""
 
     store: Path
-    folder: Path
-    stem: str  # of the figures and the JSON in the folder
     netcdf: Path | None = None
     csv: Path | None = None
 
@@ -58,9 +56,7 @@ def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Plac
             raise InputError(f"{option} {path}: is a folder; give the name of a file")
     if netcdf is not None and netcdf == csv:
         raise InputError(f"--netcdf and --csv are both {csv}; give them different names")
-    if out.suffix == ".zarr":
-        return Places(out, out.parent, out.stem, netcdf, csv)
-    return Places(out / "sweep.zarr", out, "sweep", netcdf, csv)
+    return Places(out if out.suffix == ".zarr" else out / "sweep.zarr", netcdf, csv)
 
 
 def _check_places(places: Places, work: Sweep) -> None:
@@ -154,19 +150,20 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
         write_csv(work.layout, answer, places.csv)
     varied = [name for axis in work.dimensions for name in (*axis.numbers, *axis.options)]
     figure = sweep_figure(answer, work.outputs, {name: _target(work, name) or name_in_words(name) for name in varied})
-    files = {} if isinstance(figure, str) else render(figure, places.stem)
-    name = f"{places.stem}.json"
+    folder, stem = places.store.parent, places.store.stem
+    files = {} if isinstance(figure, str) else render(figure, stem)
+    name = f"{stem}.json"
     paths: Json = {
         "store": str(places.store),
-        "json": str(places.folder / name),
-        "figures": [str(places.folder / file) for file in files],
+        "json": str(folder / name),
+        "figures": [str(folder / file) for file in files],
         "no_figure": figure if isinstance(figure, str) else None,
         "left_out": left_out_of_figure(answer, work.outputs) if files else [],
         "not_in_csv": [name for name in work.outputs if not is_short(work.layout, name)] if places.csv else [],
         "netcdf": places.netcdf and str(places.netcdf),
         "csv": places.csv and str(places.csv),
     }
-    write_all(places.folder, {**files, name: as_json(summary | {"paths": paths})})
+    write_all(folder, {**files, name: as_json(summary | {"paths": paths})})
     return paths
 
 

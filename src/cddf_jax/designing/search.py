@@ -254,9 +254,8 @@ def _margins(problem: DesignProblem, local: LocalMinimum, places: np.ndarray) ->
     """(rows, places) of every limit along the body, and of every peak below its height."""
     point, count = local.point, len(problem.stations)
     heights = dict(zip(problem.peaks, problem.split(point.x)[1], strict=True))
-    blocks = [places[start : start + count] for start in range(0, len(places), count)]
-    padded = [np.pad(block, (0, count - len(block)), mode="edge") for block in blocks]
-    found = [replace(problem, stations=jnp.asarray(block)).evaluation(point.x) for block in padded]
+    blocks = np.pad(places, (0, -len(places) % count), mode="edge").reshape(-1, count)
+    found = [replace(problem, stations=jnp.asarray(block)).evaluation(point.x) for block in blocks]
     parts = [[each.margins[i] for each in found] for i, limit in enumerate(problem.limits) if limit.known.along]
     for i, term in enumerate(problem.terms):
         if term.objective.peak:
