@@ -132,9 +132,12 @@ def test_the_legend_tells_the_loads_and_covers_nothing(figure):
     for mark, vector in zip([*told.values()][::2], (LOADS.tip_force, LOADS.gravity), strict=True):
         np.testing.assert_allclose(mark, vector / np.linalg.norm(vector), atol=1e-6)
     figure.draw_without_rendering()
-    legend = shape_of(figure).get_legend().get_window_extent()
-    assert legend.y0 > shape_of(figure).get_window_extent().y1
-    assert not any(legend.overlaps(axes.get_tightbbox()) for axes in figure.axes[1:])
+    axes = shape_of(figure)
+    legend, frame = axes.get_legend().get_window_extent(), axes.get_window_extent()
+    assert np.all(frame.min <= legend.min)
+    assert np.all(legend.max <= frame.max)
+    drawn = axes.transData.transform(np.concatenate([wall_of(figure).get_xy(), *arrows(figure).values()]))
+    assert not any(legend.contains(*point) for point in drawn)
 
 
 def test_the_tension_stops_at_the_anchor(figure, equilibrium):

@@ -99,7 +99,7 @@ def draw_shape(
 def _fitting_height(axes: Axes, width: float) -> float:
     """Of a figure whose axes for the body are so wide, in."""
     across, up = axes.dataLim.size
-    return float(np.clip(width * up / across + 0.9, 2.4, 4.2))
+    return float(np.clip(width * up / across + 0.7, 2.4, 4.2))
 
 
 def _tension_range(tension: np.ndarray) -> Normalize:
@@ -133,7 +133,8 @@ def _draw_loads(axes: Axes, body: Body, loads: Loads, length: float) -> None:
         entries.append((f"$g$ = {np.linalg.norm(gravity):.3g} m/s$^2$", _arrow_along(gravity), draw.BLACK))
     for label, marker, color in entries:
         axes.plot([], [], marker=marker, color=color, linestyle="none", markersize=11, label=label)
-    draw.legend_above(axes, 3)
+    if entries:
+        axes.legend(loc="best")
 
 
 def _draw_arrow(axes: Axes, points: np.ndarray, color: str) -> None:

@@ -98,7 +98,7 @@ def _chosen(
 ) -> "xarray.DataArray":
     """An output over one or two numbers and what else varies, of which there may be `most` combinations."""
     answer = dataset.drop_dims("point", errors="ignore")
-    if output not in answer.data_vars:
+    if output not in answer.data_vars or RESULT not in answer.data_vars:
         there = ", ".join(map(str, answer))
         raise InputError(f"{who}: {output!r} is no output of this sweep, or one along the body; there are {there}")
     for name, value in selection.items():
