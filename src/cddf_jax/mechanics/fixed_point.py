@@ -55,26 +55,25 @@ def truncation_error(problem: Problem, solution: Solution) -> Number:
     """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest.
 
     With drag the tip tension is taken relative to what it would be without.
-    The rates along the polynomials of the solution are integrated once more with a few more nodes in
-    each panel; what differs is summed over the panels.
+    The rates along the polynomials of the solution are integrated by the nodes of the panels and by a few more in
+    each; what differs is summed over the panels.
     """
-    coarse, fine = problem.panels, problem.panels.finer()
-    sections = jax.vmap(jax.vmap(lambda s: guarded_section(problem.manipulator, s)))(fine.nodes)
-    finer = jax.tree.map(lambda a, b: coarse.resample(a, b, fine.rule.nodes), solution.starts, solution.nodes)
-
-    def gains(cut, sections, state):
-        kappa = curvature_along(problem, sections, state.pull, state.moment)
-        moment_rate = moment_rate_of(state.heading, state.force)
-        turning = rates_along(problem, sections, kappa, state.pull, moment_rate).turning
-        growth = ratio_rate(problem.direction, sections, turning, state.ratio) / solution.tip.ratio
-        spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, solution.tip.pull)
-        spent = [] if spending is None or scale is None else [cut.gain(spending / scale)]
-        shape = [cut.gain(component)[:, None] / cut.edges[-1] for component in cos_sin(state.heading)]
-        bending = [cut.gain(moment_rate)[:, None] / problem.moment_scale] if problem.loads is not None else []
-        return jnp.concatenate([cut.gain(growth), *spent, *shape, cut.gain(kappa)[:, None], *bending], axis=1)
-
-    differences = jnp.abs(gains(fine, sections, finer) - gains(coarse, problem.nodes, solution.nodes))
-    return jnp.maximum(SAFETY * largest(jnp.sum(differences, axis=0)), _unseen_turning(problem))
+    cut = problem.panels
+    fractions, difference = cut.check_rule
+    places = cut.edges[:-1, None] + cut.width[:, None] * jnp.asarray(fractions, cut.edges.dtype)
+    sections = jax.vmap(jax.vmap(lambda s: guarded_section(problem.manipulator, s)))(places)
+    state = jax.tree.map(lambda a, b: cut.resample(a, b, fractions), solution.starts, solution.nodes)
+    kappa = curvature_along(problem, sections, state.pull, state.moment)
+    moment_rate = moment_rate_of(state.heading, state.force)
+    turning = rates_along(problem, sections, kappa, state.pull, moment_rate).turning
+    growth = ratio_rate(problem.direction, sections, turning, state.ratio) / solution.tip.ratio
+    spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, solution.tip.pull)
+    spent = [] if spending is None or scale is None else [spending / scale]
+    shape = [*(component / cut.edges[-1] for component in cos_sin(state.heading)), kappa]
+    bending = [moment_rate / problem.moment_scale] if problem.loads is not None else []
+    rates = jnp.concatenate([growth, *spent, jnp.stack([*shape, *bending], axis=-1)], axis=-1)
+    missed = cut.width[:, None] * jnp.abs(jnp.moveaxis(rates, 1, -1) @ jnp.asarray(difference, rates.dtype))
+    return jnp.maximum(SAFETY * largest(jnp.sum(missed, axis=0)), _unseen_turning(problem))
 
 
 def _unseen_turning(problem: Problem) -> Number:

@@ -11,6 +11,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree, Shaped
 
 Numbers = PyTree  # an array of floating-point numbers or a tree of them
@@ -88,19 +89,16 @@ def cos_sin(angle: Float[Array, "*points"]) -> tuple[Float[Array, "*points"], Fl
 
 @jax.custom_jvp
 def _cos_sin(angle: Array) -> tuple[Array, Array]:
-    turns = angle * (1 / math.pi)
-    cosine, sine = -_sine(angle, jnp.floor(turns), 0.5), _sine(angle, jnp.floor(turns + 0.5), 0.0)  # round is slow
-    return computed_once(cosine), computed_once(sine)  # not anew for every tangent
-
-
-def _sine(angle: Array, turns: Array, more: float) -> Array:
-    """The sine of angle - (turns + more) pi, its sign changed where `turns` is odd."""
+    more = np.array([0.5, 0.0], angle.dtype).reshape(2, *[1] * angle.ndim)  # cos(x) = -sin(x - (n + 1 / 2) pi) for even n
+    turns = jnp.floor(angle * (1 / math.pi) + (0.5 - more))  # rounding by `jnp.round` is slow
     parts, terms = DOUBLE if angle.dtype == jnp.float64 else SINGLE
-    rest = angle
+    rest = jnp.broadcast_to(angle, turns.shape)
     for part in parts:
         rest = rest - (turns + more) * part
     sine = rest * _series(rest * rest, [(-1) ** k / math.factorial(2 * k + 1) for k in range(terms)])
-    return jnp.where(0.5 * turns == jnp.floor(0.5 * turns), sine, -sine)
+    even = 0.5 * turns == jnp.floor(0.5 * turns)
+    both = computed_once(jnp.where(even == (more == 0), sine, -sine))  # not anew for every tangent
+    return both[0], both[1]
 
 
 @_cos_sin.defjvp

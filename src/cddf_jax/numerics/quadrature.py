@@ -107,9 +107,11 @@ class Panels(eqx.Module):
         slopes = jnp.moveaxis(values, 1, -1) @ self.constant("differentiation").T  # on the right, as in `accumulate`
         return jnp.moveaxis(slopes, -1, 1) / width.reshape((-1, *[1] * (values.ndim - 1)))
 
-    def finer(self) -> "Panels":
-        """The same panels with a few more nodes each, to check an integral with."""
-        return Panels(self.edges, self.order + 3)
+    @property
+    def check_rule(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points in [0, 1], and weights that give an integral by a few more nodes less that by the nodes themselves."""
+        more = gauss_rule(self.order + 3)
+        return np.append(self.rule.nodes, more.nodes), np.append(-self.rule.weights, more.weights)
 
     def dense_gain(self, rate: Callable[[Array], Array], times: int, order: int) -> Float[Array, "P *k"]:
         """The integral of a function of the arc length over each panel cut into `times`, with `order` nodes in each."""

@@ -1,0 +1,137 @@
+"""How large the compiled programs are: operations of the lowered modules, and the time to trace and compile them.
+
+Compiling is what a user waits for, and it grows with the size of the program. Operations are those of the StableHLO
+module with every call expanded, so that moving code into functions is no gain. Beside them stands a plain RK4
+`lax.scan` of one tendon, which is what a user would otherwise write.
+
+    python benchmarks/program_size.py
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+import cddf_jax as cddf
+
+OUTPUTS = "tip_tension", "tip_position", "result", "error_estimate"
+TIP_FORCE = cddf.Loads(tip_force=(0.0, -1.0))
+
+
+def num_operations(function: Callable, *arguments: object) -> int:
+    """The operations of the lowered module, every call counted with all that it calls."""
+    module = jax.jit(function).lower(*arguments).compiler_ir("stablehlo")
+    own, calls = {}, {}
+    for part in module.body.operations:
+        name = part.attributes["sym_name"].value
+        own[name], calls[name] = _own(part)
+
+    def total(name: str) -> int:
+        return own[name] + sum(count * total(callee) for callee, count in calls[name].items())
+
+    return total("main")
+
+
+def _own(operation) -> tuple[int, Counter]:
+    count, calls = 0, Counter()
+    for region in operation.regions:
+        for block in region.blocks:
+            for inner in block.operations:
+                kind = inner.operation.name
+                if kind in ("func.return", "stablehlo.return"):
+                    continue
+                if kind == "func.call":
+                    calls[inner.attributes["callee"].value] += 1
+                else:
+                    below, called = _own(inner.operation)
+                    count += 1 + below
+                    calls += called
+    return count, calls
+
+
+def paper_body(num_tendons: int = 1) -> cddf.Manipulator:
+    return cddf.conical(
+        length=0.14,
+        outer_radius=(0.020, 0.013),
+        inner_radius=0.007,
+        tendon_offset=0.010,
+        youngs_modulus=1.4e6,
+        friction_coefficient=0.42,
+        num_tendons=num_tendons,
+    )
+
+
+def outputs(equilibrium: cddf.Equilibrium) -> list:
+    return [getattr(equilibrium, name) for name in OUTPUTS]
+
+
+def solved(actuation: Callable, num_tendons: int = 1, loads: cddf.Loads | None = None, **options) -> Callable:
+    """What is lowered: a function of the body and a number that makes the actuation."""
+
+    def program(body, number):
+        return outputs(cddf.solve(body, actuation(number), loads, throw=False, **options))
+
+    return program
+
+
+def gradient(loads: cddf.Loads) -> Callable:
+    def tip(body, number):
+        return cddf.solve(body, number, loads, throw=False).tip_position[1]
+
+    return jax.value_and_grad(tip, allow_int=True)
+
+
+def plain_scan(body: cddf.Manipulator, base_tension: jax.Array) -> tuple:
+    """One tendon by 64 RK4 steps, as one would write it by hand: exact kinematics, offset constant."""
+    length, friction = jnp.asarray(body.length), jnp.asarray(body.friction_coefficient)
+
+    def rates(s, state):
+        tension, heading = state[0], state[1]
+        offset = body.tendons[0].offset(s)
+        curvature = tension * offset / body.stiffness(s)
+        return jnp.stack([-friction * jnp.abs(curvature) * tension, curvature, jnp.cos(heading), jnp.sin(heading)])
+
+    step = length / 64
+
+    def advance(state, s):
+        a = rates(s, state)
+        b = rates(s + step / 2, state + step / 2 * a)
+        c = rates(s + step / 2, state + step / 2 * b)
+        d = rates(s + step, state + step * c)
+        return state + step / 6 * (a + 2 * b + 2 * c + d), None
+
+    start = jnp.zeros(4).at[0].set(base_tension)
+    end, _ = jax.lax.scan(advance, start, step * jnp.arange(64.0))
+    return end[0], end[2:]
+
+
+PROGRAMS = {
+    "plain RK4 scan, one tendon": (plain_scan, 1),
+    "one tendon": (solved(lambda x: x), 1),
+    "two tendons, directions stated": (solved(lambda x: jnp.stack([x, 0.3 * x]), direction=(1.0, -1.0)), 2),
+    "two tendons, directions found": (solved(lambda x: jnp.stack([x, 0.3 * x])), 2),
+    "a displacement": (solved(lambda x: cddf.Displacement(1e-4 * x)), 1),
+    "a tip force": (solved(lambda x: x, loads=TIP_FORCE), 1),
+    "a tip force, gradient by the whole body": (gradient(TIP_FORCE), 1),
+    "a displacement under a tip force": (solved(lambda x: cddf.Displacement(1e-4 * x), loads=TIP_FORCE), 1),
+}
+
+
+def main() -> None:
+    print(f"{'program':42}{'operations':>11}{'trace + lower, s':>18}{'compile, s':>12}")
+    for name, (program, num_tendons) in PROGRAMS.items():
+        body = jax.tree.map(jnp.asarray, paper_body(num_tendons))
+        started = time.perf_counter()
+        lowered = jax.jit(program).lower(body, jnp.asarray(40.0))
+        traced = time.perf_counter()
+        lowered.compile()
+        compiled = time.perf_counter()
+        size = num_operations(program, body, jnp.asarray(40.0))
+        print(f"{name:42}{size:11,}{traced - started:18.2f}{compiled - traced:12.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    with jax.enable_x64(True):
+        main()
