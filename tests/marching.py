@@ -37,14 +37,14 @@ class Marching(eqx.Module):
 
     steps: int = eqx.field(default=4, static=True)
 
-    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Solution:
+    def __call__(self, problem: Problem) -> Solution:
         coarse, _ = _march(problem, self.steps)
         tip, (starts, along) = _march(problem, 2 * self.steps)
         length = problem.panels.edges[-1]
         one = jnp.ones_like(length)
         force = jnp.max(jnp.abs(problem.outboard.starts)) + problem.moment_scale / length
         pull = Pull(tip.ratio, spent_scale(problem, tip.pull))
-        scale = State(pull, jnp.ones_like(tip.ratio), one, length, problem.moment_scale, force)
+        scale = State(pull, one, problem.moment_scale, force, jnp.ones_like(tip.ratio), length)
         both = zip(*map(jax.tree.leaves, (tip, coarse, scale)), strict=True)
         differences = [jnp.max(jnp.abs((a - b) / c)) for a, b, c in both]
         residual = jnp.max(jnp.stack(differences)) / 15
@@ -59,7 +59,10 @@ class Marching(eqx.Module):
             locked=~positive,
         )
 
-    improve = __call__
+    def improve(self, problem: Problem, guess: Nodal) -> Solution:
+        return self(problem)
+
+    finish = improve
 
 
 def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
@@ -79,7 +82,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
         force_rate = jnp.zeros_like(state.force)
         if problem.loads is not None:
             force_rate = -load_rate(problem.manipulator, arc_length, problem.loads)
-        return State(growth, jnp.abs(turning), kappa, axis_of(state.heading), moment_rate, force_rate)
+        return State(growth, kappa, moment_rate, force_rate, jnp.abs(turning), axis_of(state.heading))
 
     def panel(state, inputs):
         joint, drop, start, end, stops = inputs
@@ -103,7 +106,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
     zero = zero_as(ones)
     force = problem.outboard.starts[0]
     pull = Pull(ones, None if problem.base.drag is None else jnp.zeros_like(ones))
-    base = State(pull, jnp.zeros_like(ones), zero, jnp.zeros_like(force), problem.base_moment, force)
+    base = State(pull, zero, problem.base_moment, force, jnp.zeros_like(ones), jnp.zeros_like(force))
     base = jax.tree.map(lambda x: x + zero, base)
     inputs = problem.joints, problem.outboard.drops, cut.edges[:-1], cut.edges[1:], stops
     return jax.lax.scan(panel, base, inputs)

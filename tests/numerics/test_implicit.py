@@ -13,14 +13,23 @@ from cddf_jax.numerics.iteration import fixed_point
 A = np.array([0.5, 2.0, 7.0])
 
 
-def gap(a, b, x):
-    return b * x * x - a
+def gap(a, b, values, x):
+    """x^2 = a / b, as an equation, and y = sqrt(x + y), as a fixed point."""
+    return jnp.sqrt(x[0] + values), b * x * x - a
+
+
+def both(a):
+    """X = sqrt(a / 2) and y = (1 + sqrt(1 + 4 x)) / 2, which `implicit` is given without derivatives."""
+    x = jnp.sqrt(a / 2.0)
+    return implicit(Partial(gap, a, 2.0), (1 + jnp.sqrt(1 + 4 * x)) / 2, x[None])
 
 
 def root(a):
-    """sqrt(a / 2), told to `implicit` without a derivative."""
-    x = jax.lax.stop_gradient(jnp.sqrt(a / 2.0))[None]
-    return implicit(Partial(gap, a, 2.0), x)[0]
+    return both(a)[1][0]
+
+
+def values_with_a_root(a):
+    return both(a)[0]
 
 
 def grow(a, y):
@@ -35,6 +44,13 @@ def golden(a):
 # value, slope and curvature by hand
 CASES = {
     "root": (root, np.sqrt(A / 2), 0.5 / np.sqrt(2 * A), -0.25 / np.sqrt(2) * A**-1.5),
+    "fixed point with a root": (
+        values_with_a_root,
+        (1 + np.sqrt(1 + 4 * np.sqrt(A / 2))) / 2,
+        (1 + 4 * np.sqrt(A / 2)) ** -0.5 * 0.5 / np.sqrt(2 * A),
+        -2 * (1 + 4 * np.sqrt(A / 2)) ** -1.5 * (0.5 / np.sqrt(2 * A)) ** 2
+        - (1 + 4 * np.sqrt(A / 2)) ** -0.5 * 0.25 / np.sqrt(2) * A**-1.5,
+    ),
     "fixed point": (golden, (1 + np.sqrt(1 + 4 * A)) / 2, (1 + 4 * A) ** -0.5, -2 * (1 + 4 * A) ** -1.5),
 }
 
@@ -51,18 +67,18 @@ def test_derivatives_are_those_of_the_closed_form(function, value, slope, bend):
 
 
 def test_a_root_without_derivatives_costs_nothing():
-    def never(a, x):
+    def never(a, values, x):
         raise AssertionError("the residual was traced")
 
-    program = jax.make_jaxpr(lambda a: implicit(Partial(never, a), jnp.ones(1)))(2.0)
+    program = jax.make_jaxpr(lambda a: implicit(Partial(never, a), jnp.ones(3), jnp.ones(1)))(2.0)
     assert "mul" not in str(program)
 
 
 def test_what_does_not_move_has_no_slope():
     """Two unknowns, of which one follows a and one does not: x = (a, 3), and as a fixed point y = (a, 3) as well."""
 
-    def apart(a, unknowns):
-        return jnp.stack([unknowns[0] - a, unknowns[1] - 3.0])
+    def apart(a, values, unknowns):
+        return values, jnp.stack([unknowns[0] - a, unknowns[1] - 3.0])
 
     def halfway(a, values):
         return {"moved": (values["moved"] + a) / 2, "still": (values["still"] + 3.0) / 2}
@@ -72,7 +88,7 @@ def test_what_does_not_move_has_no_slope():
         return fixed_point(Partial(halfway, a), start, tolerance=1e-15, max_passes=100).value
 
     def root_of_two(a):
-        return implicit(Partial(apart, a), jnp.array([2.0, 3.0]))
+        return implicit(Partial(apart, a), {}, jnp.array([2.0, 3.0]))[1]
 
     for derivative in (jax.jacfwd, jax.jacrev):
         root, slopes = jax.jit(lambda a, by=derivative: (by(root_of_two)(a), by(values)(a)))(2.0)
@@ -84,7 +100,7 @@ def test_a_singular_lane_has_a_finite_derivative_and_harms_no_other():
     """x^3 = a at a = 0 has no derivative; beside it a = 8, where it is 1 / 12."""
 
     def cube(a):
-        return implicit(Partial(lambda a, x: x**3 - a, a), jnp.cbrt(a)[None])[0]
+        return implicit(Partial(lambda a, values, x: (values, x**3 - a), a), {}, jnp.cbrt(a)[None])[1][0]
 
     slopes = jax.jit(jax.vmap(jax.grad(cube)))(jnp.array([0.0, 8.0]))
     assert np.isfinite(slopes[0])

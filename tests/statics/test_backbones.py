@@ -418,7 +418,9 @@ def test_a_factor_on_the_stiffness_is_fitted_where_there_is_no_modulus(tmp_path)
     assert "youngs_modulus" not in str(fit)
     message = refused(lambda: cddf.fit(body, fit.tables, ("youngs_modulus",)))
     assert message == "fit: the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness"
-    assert "changes nothing where bending_stiffness is given" in refused(lambda: cddf.fit(body, fit.tables, ("outer_radius_error",)))
+    assert "changes nothing where bending_stiffness is given" in refused(
+        lambda: cddf.fit(body, fit.tables, ("outer_radius_error",))
+    )
 
 
 @pytest.mark.slow

@@ -14,8 +14,8 @@ from jaxtyping import Array, ArrayLike, Bool, PyTree
 
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
-from .friction import PerTendon, unspent
-from .problem import Number, Problem, Solution
+from .friction import PerTendon, Pull, unspent
+from .problem import Number, Problem
 
 LEAST_TRAVEL = 1e-6  # of the length: a tendon that travels less contradicts no direction
 NUM_FLIPS = 3  # choices made by turning round what was contradicted; then all choices in turn
@@ -60,14 +60,14 @@ def stated_directions(direction: Directions, num_tendons: int) -> ArrayLike | Se
     return tuple(direction) if num_tendons > 1 else 1.0
 
 
-def travel_under_tension(problem: Problem, solution: Solution, travel: PerTendon) -> PerTendon:
+def travel_under_tension(problem: Problem, pull: Pull, travel: PerTendon) -> PerTendon:
     """The travel of each tendon, m, zero for one that has no tension anywhere.
 
     A drag gives a tendon that slides out more and more tension, so that it may have some without base tension.
     """
     pulls = problem.base_tension > 0
     if problem.base.drag is not None:
-        pulls = pulls | (unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio > 0)
+        pulls = pulls | (unspent(problem.base_tension, pull) / pull.ratio > 0)[-1, -1]
     return jnp.where(pulls, travel, 0.0)
 
 

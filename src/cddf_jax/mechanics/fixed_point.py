@@ -17,7 +17,8 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
 from ..numerics.arrays import all_finite, cos_sin, largest, relative_size, zero_as
-from ..numerics.iteration import constant_map, fixed_point, minus, round_off
+from ..numerics.implicit import minus, round_off
+from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
 from ..robot.manipulator import CrossSection
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
@@ -30,10 +31,12 @@ from .problem import (
     Solution,
     State,
     at_base,
+    axis_of,
     curvature_along,
     everywhere,
     guarded_section,
     moment_rate_of,
+    moments_of,
     rates_along,
     spent_scale,
     turn_at_joint,
@@ -143,33 +146,39 @@ class FixedPoint(eqx.Module):
     tolerance: float | None = eqx.field(default=None, static=True)
     max_passes: int = eqx.field(default=64, static=True)
 
-    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Solution:
-        # From scratch it takes fewer passes panel by panel. From a good guess the panels go together, outside a scan:
-        # within one, forward over reverse mode differentiates the passes as they ran, and they may be one or two.
-        if guess is None:
-            edges, whole = problem.panels.edges, _whole(problem)
-            single = jax.vmap(lambda *ends: Panels(jnp.stack(ends), problem.panels.order))(edges[:-1], edges[1:])
-            tip, answer = jax.lax.scan(partial(self._resolve_panel, problem), _base(problem), (single, whole[1:]))
-        else:
-            tip, answer = self._resolve(problem, _whole(problem), _base(problem), guess)
+    def __call__(self, problem: Problem) -> Solution:
+        # from scratch it takes fewer passes panel by panel
+        edges, whole = problem.panels.edges, _whole(problem)
+        single = jax.vmap(lambda *ends: Panels(jnp.stack(ends), problem.panels.order))(edges[:-1], edges[1:])
+        tip, answer = jax.lax.scan(partial(self._resolve_panel, problem), _base(problem), (single, whole[1:]))
         good = answer.converged & answer.positive
-        return _complete(
+        return _with_path(
             problem,
             answer.along,
-            tip,
-            num_iterations=jnp.max(answer.num_passes),
-            residual=jnp.max(answer.change),
-            converged=jnp.all(good),
-            locked=jnp.any((answer.change <= self._tolerance(problem)) & ~good),
+            _solution(
+                problem,
+                answer.along,
+                tip,
+                num_iterations=jnp.max(answer.num_passes),
+                residual=jnp.max(answer.change),
+                converged=jnp.all(good),
+                locked=jnp.any((answer.change <= self._tolerance(problem)) & ~good),
+            ),
         )
 
     def improve(self, problem: Problem, guess: Nodal) -> Solution:
+        return self._improve(problem, guess)[1]
+
+    def finish(self, problem: Problem, guess: Nodal) -> Solution:
+        return _with_path(problem, *self._improve(problem, guess))
+
+    def _improve(self, problem: Problem, guess: Nodal) -> tuple["_Pass", Solution]:
         along, tip = _pass(problem, _whole(problem), _base(problem), guess)
         better = along.nodes.values
         change = relative_size(minus(better, guess), better)
         positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
         still = change <= self._tolerance(problem)
-        return _complete(
+        return along, _solution(
             problem,
             along,
             tip,
@@ -180,7 +189,7 @@ class FixedPoint(eqx.Module):
         )
 
     def _resolve(self, problem: Problem, part: _Part, start: _Point, guess: Nodal) -> tuple[_Point, _Resolved]:
-        """Iterate on some panels together, from what is known at their start; what follows at their end."""
+        """Iterate on one panel, from what is known at its start; what follows at its end."""
         update = Partial(_improved, problem, part, start)
         if problem.is_quadrature:
             answer = constant_map(update, guess, _acceptable)
@@ -212,11 +221,6 @@ def _base(problem: Problem) -> _Point:
     return _Point(base, zero_as(base), None if problem.base.drag is None else jnp.zeros_like(base.ratio))
 
 
-def _moment(problem: Problem, values: Nodal) -> Float[Array, "*points"]:
-    """M_ext, N m."""
-    return jnp.zeros_like(values.ratio[..., 0]) if values.moment is None else problem.moment_scale * values.moment
-
-
 def _onward(cut: Panels, start: Array, rate: Array) -> tuple[Array, Array]:
     """The integral of a rate from a start value on, at the edges and at the nodes."""
     edges, nodes = cut.integrate(rate)
@@ -235,7 +239,7 @@ def _pass(problem: Problem, part: _Part, start: _Point, guess: Nodal) -> tuple[_
         What is found along the panels, and at the end of the last one.
     """
     cut, section, loaded = part.cut, part.section, guess.moment is not None
-    moment = _moment(problem, guess)
+    moment = moments_of(problem, guess)
     spent, spent_at_nodes = _onward_if_any(cut, start.spent, spent_rate(problem.direction, section, guess.ratio))
     pull = Pull(guess.ratio, spent_at_nodes)
     kappa = curvature_along(problem, section, pull, moment)
@@ -284,27 +288,32 @@ def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | N
         turn, beyond = turn_at_joint(problem, joint, Pull(ratio, spent), moment)
         return beyond + gain, (beyond, turn)
 
-    gains, moment = jnp.diff(edges.ratio, axis=0), _moment(problem, edges)
+    gains, moment = jnp.diff(edges.ratio, axis=0), moments_of(problem, edges)
     inputs = part.joints, gains, None if spent is None else spent[:-1], moment[:-1]
     tip, (starts, turns) = jax.lax.scan(across, edges.ratio[0], inputs)
     return starts, tip, turns
 
 
-def _complete(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> Solution:
-    """The solution: what a pass found, with the wrap angle and the position, which it has no need of."""
-    cut, outboard = problem.panels, problem.outboard
-    axis = [cut.integrate(component) for component in cos_sin(along.nodes.heading)]
-    position, position_at_nodes = (jnp.stack(components, axis=-1) for components in zip(*axis, strict=True))
+def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> Solution:
+    """What a pass found."""
+
+    def state(point: _Point, force: Array) -> State:
+        values, heading, spent = point
+        return State(Pull(values.ratio, spent), heading, moments_of(problem, values), force)
+
+    at, outboard = (along.starts, along.nodes, tip), problem.outboard
+    states = map(state, at, (outboard.starts, outboard.nodes, outboard.tip))
+    return Solution(*states, **outcome)
+
+
+def _with_path(problem: Problem, along: _Pass, solution: Solution) -> Solution:
+    """The solution with wrap angle and position, which a pass has no need of."""
+    cut = problem.panels
+    position, position_at_nodes = cut.integrate(axis_of(along.nodes.heading))
     wrap, wrap_at_nodes = cut.integrate(jnp.abs(along.turning))
     turned = jnp.cumsum(along.turns, axis=0)
-
-    def state(point: _Point, wrap: Array, position: Array, force: Array) -> State:
-        values, heading, spent = point
-        return State(Pull(values.ratio, spent), wrap, heading, position, _moment(problem, values), force)
-
-    return Solution(
-        state(along.starts, wrap[:-1] + turned, position[:-1], outboard.starts),
-        state(along.nodes, wrap_at_nodes + turned[:, None], position_at_nodes, outboard.nodes),
-        state(tip, wrap[-1] + turned[-1], position[-1], outboard.tip),
-        **outcome,
+    return solution._replace(
+        starts=solution.starts._replace(wrap_angle=wrap[:-1] + turned, position=position[:-1]),
+        nodes=solution.nodes._replace(wrap_angle=wrap_at_nodes + turned[:, None], position=position_at_nodes),
+        tip=solution.tip._replace(wrap_angle=wrap[-1] + turned[-1], position=position[-1]),
     )

@@ -21,7 +21,7 @@ from ..numerics.quadrature import Panels, panels, panels_between
 from ..robot.loads import Loads, force_at_points, force_per_length, planar_cross
 from ..robot.manipulator import CrossSection, Manipulator
 from . import bending
-from .friction import PerTendon, Pull, is_proportional, ratio_beyond, unspent
+from .friction import PerTendon, Pull, is_proportional, ratio_beyond, spent_rate, unspent
 
 Number = Float[Array, ""]
 
@@ -81,11 +81,11 @@ class State(NamedTuple):
     """What is integrated along the body; leading axes may be panels and nodes."""
 
     pull: Pull
-    wrap_angle: Float[Array, "*points tendons"]  # theta, rad
     heading: Float[Array, "*points"]  # phi, rad
-    position: Float[Array, "*points 2"]  # u, m
     moment: Float[Array, "*points"]  # M_ext, N m
     force: Float[Array, "*points 2"]  # N, N
+    wrap_angle: Float[Array, "*points tendons"] | None = None  # theta, rad; None where only a pass was made
+    position: Float[Array, "*points 2"] | None = None  # u, m; likewise
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -116,12 +116,16 @@ class Nodal(NamedTuple):
 class Method(Protocol):
     """A way to resolve shape and tension from the base to the tip. Its settings are static."""
 
-    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Solution:
-        """Solve to the end, from a first guess if there is one."""
+    def __call__(self, problem: Problem) -> Solution:
+        """Solve to the end."""
         ...
 
     def improve(self, problem: Problem, guess: Nodal) -> Solution:
         """One pass from a guess, `converged` if the guess was right; a method without passes solves to the end."""
+        ...
+
+    def finish(self, problem: Problem, guess: Nodal) -> Solution:
+        """As `improve`, with wrap angle and position."""
         ...
 
 
@@ -319,6 +323,11 @@ def nodal(problem: Problem, solution: Solution) -> Nodal:
     return Nodal(solution.nodes.ratio, None if problem.loads is None else solution.nodes.moment / problem.moment_scale)
 
 
+def moments_of(problem: Problem, values: Nodal) -> Float[Array, "*points"]:
+    """M_ext, N m."""
+    return jnp.zeros_like(values.ratio[..., 0]) if values.moment is None else problem.moment_scale * values.moment
+
+
 def line_up(base: Array, nodes: Array, tip: Array) -> Array:
     """Base, Gauss nodes and tip in one row of points."""
     return jnp.concatenate([base[None], nodes.reshape(-1, *base.shape), tip[None]])
@@ -338,32 +347,35 @@ rates_along = jax.vmap(jax.vmap(rates_of, (*AT_NODES, 0)), (*AT_NODES, 0))
 # --- how far tendons slide ------------------------------------------------------------------------
 
 
-def tendon_displacement(problem: Problem, solution: Solution) -> PerTendon:
+def pull_at_nodes(problem: Problem, values: Nodal) -> Pull:
+    """R and what follows from it, c = the integral of c'."""
+    spending = spent_rate(problem.direction, problem.nodes, values.ratio)
+    return Pull(values.ratio, None if spending is None else problem.panels.integrate(spending)[1])
+
+
+def tendon_displacement(problem: Problem, pull: Pull, moment: Float[Array, "P p"]) -> PerTendon:
     """Length of each tendon pulled in at the base since the straight body without tension, m.
 
     The tendon's path shortens by the integral of sqrt(1 + d'^2) - |u_c'|, and the tendon itself stretches
     by T / (E A), inside the body and along its free length outside.
     """
     body = problem.manipulator
-    rate = shortening_along(problem, solution) + stretch_along(problem, solution)
+    rate = shortening_along(problem, pull, moment) + stretch_along(problem, pull)
     outside = problem.base_tension * body.tendon_compliance * body.tendon_free_length
-    return problem.panels.integrate(rate)[0][-1] + outside
+    return jnp.sum(problem.panels.gain(rate), axis=0) + outside
 
 
-def stretch_along(problem: Problem, solution: Solution) -> Float[Array, "P p tendons"]:
+def stretch_along(problem: Problem, pull: Pull) -> Float[Array, "P p tendons"]:
     """The stretch of each tendon per arc length, T sqrt(1 + d'^2) / (E A)."""
-    tension = tension_of(problem.nodes, problem.base_tension, solution.nodes.pull)
+    tension = tension_of(problem.nodes, problem.base_tension, pull)
     return tension * jnp.sqrt(1.0 + problem.nodes.offset_slope**2) * problem.manipulator.tendon_compliance
 
 
-def shortening_along(problem: Problem, solution: Solution) -> Float[Array, "P p tendons"]:
+def shortening_along(problem: Problem, pull: Pull, moment: Float[Array, "P p"]) -> Float[Array, "P p tendons"]:
     """Length of each tendon in the straight body less that in the bent one, per arc length."""
-
-    def shortening(section, pull, moment):
-        kappa = curvature_of(problem, section, pull, moment)
-        # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
-        bend, slope = section.side * section.offset * kappa, section.offset_slope
-        rate = bend * (2.0 - bend) / (jnp.sqrt(1.0 + slope**2) + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
-        return jnp.where(section.present, rate, 0.0)
-
-    return jax.vmap(jax.vmap(shortening))(problem.nodes, solution.nodes.pull, solution.nodes.moment)
+    section = problem.nodes
+    kappa = curvature_along(problem, section, pull, moment)[..., None]
+    # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
+    bend, slope = section.side * section.offset * kappa, section.offset_slope
+    rate = bend * (2.0 - bend) / (jnp.sqrt(1.0 + slope**2) + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
+    return jnp.where(section.present, rate, 0.0)

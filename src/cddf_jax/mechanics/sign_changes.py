@@ -6,7 +6,6 @@ A tendon goes slack where drag has used up its base tension.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -14,25 +13,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..numerics.arrays import largest, varying_as, zero_as
+from ..numerics.quadrature import Panels
 from ..robot.loads import Loads
-from ..robot.manipulator import CrossSection, Manipulator
-from .problem import (
-    Number,
-    Problem,
-    Solution,
-    State,
-    all_points,
-    curvature_of,
-    edge_nudge,
-    guarded_section,
-    line_up,
-    moment_rate_of,
-    rates_of,
-)
+from ..robot.manipulator import Manipulator
+from .problem import Number, Problem, Solution, curvature_along, edge_nudge, moment_rate_of, rates_along
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 Values = TypeVar("Values")
-REFINEMENTS = 5  # the panels end ever closer to the place, and so does the interval in which it lies
+REFINEMENTS = 5  # by the Illinois rule
 
 
 def only_if(needed: Bool[Array, ""], compute: Callable[[Number], Values], otherwise: Values) -> Values:
@@ -58,7 +46,7 @@ class Splits(NamedTuple):
     """Where the panels are to end. Places that are not needed lie at the tip, and belong to no tendon."""
 
     arc_length: Float[Array, " splits"]  # m
-    owner: Int[Array, " splits"]  # whose turning or base tension left changes sign, see `turning_at`; -1 for none
+    owner: Int[Array, " splits"]  # whose turning or base tension left changes sign, see `turning_along`; -1 for none
 
 
 def num_splits(manipulator: Manipulator, loads: Loads | None) -> int:
@@ -80,35 +68,40 @@ def unsplit(manipulator: Manipulator, loads: Loads | None) -> Splits:
     return Splits(jnp.broadcast_to(jnp.asarray(manipulator.length), (count,)), jnp.full((count,), -1))
 
 
-def turning_at(problem: Problem, section: CrossSection, state: State) -> Float[Array, " owners"]:
-    """What may change sign at one cross-section, 1/m: kappa, or psi' of every tendon.
+Turning = Float[Array, "P p owners"]
+
+
+def turning_along(problem: Problem, solution: Solution) -> Turning:
+    """What may change sign, at the nodes, 1/m: kappa, or psi' of every tendon.
 
     And with drag what it leaves of the base tension of every tendon, over the moment scale.
     """
-    kappa = curvature_of(problem, section, state.pull, state.moment)
-    turning = kappa[None]
+    section, state = problem.nodes, solution.nodes
+    kappa = curvature_along(problem, section, state.pull, state.moment)
+    turning = kappa[..., None]
     if _turns_on_its_own(problem.manipulator):
-        turning = rates_of(problem, section, kappa, state.pull, moment_rate_of(state.heading, state.force)).turning
+        moment_rate = moment_rate_of(state.heading, state.force)
+        turning = rates_along(problem, section, kappa, state.pull, moment_rate).turning
     if state.pull.spent is None:
         return turning
-    return jnp.concatenate([turning, (problem.base_tension - state.pull.spent) / problem.moment_scale])
+    left = (problem.base_tension - state.pull.spent) / problem.moment_scale
+    return jnp.concatenate([turning, left], axis=-1)
+
+
+def at_starts_and_ends(cut: Panels, turning: Turning) -> Float[Array, "2 P owners"]:
+    """The polynomials through the nodes of each panel, at its start and at its end."""
+    return jnp.moveaxis(jnp.moveaxis(turning, 1, -1) @ cut.constant("ends").T, -1, 0)
 
 
 def locate(problem: Problem, solution: Solution) -> Splits:
-    """The first sign changes from the base, found between neighbouring nodes and refined on their polynomials."""
-    turning = jax.vmap(lambda *at: turning_at(problem, *at))(*all_points(problem, solution))
+    """The first sign changes from the base, between neighbouring nodes and on the polynomials through them."""
+    turning = turning_along(problem, solution)
     both, least = _has_both_signs(problem, turning)
     none = varying_as(unsplit(problem.manipulator, problem.loads), zero_as(least))
-    return only_if(both, lambda zero: _first_changes(problem, solution, turning + zero, least, none), none)
+    return only_if(both, lambda zero: _first_changes(problem, turning + zero, least, none), none)
 
 
-def changes_sign(problem: Problem, solution: Solution) -> Bool[Array, ""]:
-    """Whether there is a sign change between nodes."""
-    turning = jax.vmap(jax.vmap(lambda *at: turning_at(problem, *at)))(problem.nodes, solution.nodes)
-    return _has_both_signs(problem, turning)[0]
-
-
-def _has_both_signs(problem: Problem, turning: Float[Array, "*points owners"]) -> tuple[Bool[Array, ""], Number]:
+def _has_both_signs(problem: Problem, turning: Turning) -> tuple[Bool[Array, ""], Number]:
     """Whether there is turning of both signs, and how small it may be to have one.
 
     That is measured by what one tendon alone or the largest turning would make of the curvature, 1/m.
@@ -119,23 +112,34 @@ def _has_both_signs(problem: Problem, turning: Float[Array, "*points owners"]) -
     return (ahead > least) & (back > least), least
 
 
-def _first_changes(
-    problem: Problem, solution: Solution, turning: Float[Array, "points owners"], least: Number, none: Splits
-) -> Splits:
+def _first_changes(problem: Problem, turning: Turning, least: Number, none: Splits) -> Splits:
     cut = problem.panels
-    arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1]) + zero_as(turning)
-    left_turn, right_turn = turning > least, turning < -least
+    starts, ends = at_starts_and_ends(cut, turning)
+    per_panel, owners = cut.order + 2, turning.shape[-1]
+    points = jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1).reshape(-1, owners)
+    arc_length = jnp.concatenate([cut.edges[:-1, None], cut.nodes, cut.edges[1:, None]], axis=1).ravel()
+    left_turn, right_turn = points > least, points < -least
     last_left, last_right = _last_before(left_turn), _last_before(right_turn)
     changes = (left_turn & (last_right > last_left)) | (right_turn & (last_left > last_right))
 
     order = _first_of(changes.ravel(), none.owner.shape[0])
     found, at = order < changes.size, jnp.minimum(order, changes.size - 1)
-    point, owner = at // turning.shape[1], at % turning.shape[1]
-    before = jnp.maximum(last_left, last_right).ravel()[at]
-    bracket = arc_length[jnp.maximum(before, 0)], arc_length[point]
-    place, jumps = jax.vmap(partial(_refine, problem, solution))(*bracket, owner)
-    found = found & ~jumps
+    point, owner = at // owners, at % owners
+    before = jnp.maximum(jnp.maximum(last_left, last_right).ravel()[at], 0)
+    panel, edge = point // per_panel, arc_length[point // per_panel * per_panel]
+    inside = before // per_panel == panel
+    bracket = jnp.stack([arc_length[before], arc_length[point]])
+    # between two panels the sign changes in a jump, unless they end at a sign change or next to one
+    jumps = _is_joint(problem, edge) & (point % per_panel == 0) & (before % per_panel == per_panel - 1)
+    refined = jax.vmap(lambda *at: _refine(cut, turning[at[0], :, at[1]], at[0], at[2]))(panel, owner, bracket.T)
+    place, found = jnp.where(inside, refined, edge), found & ~jumps
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner, -1))
+
+
+def _is_joint(problem: Problem, arc_length: Float[Array, " places"]) -> Bool[Array, " places"]:
+    """Whether a piece of the body or a tendon ends there."""
+    distance = jnp.abs(arc_length[:, None] - problem.manipulator.breakpoints)
+    return jnp.any(distance <= edge_nudge(problem.panels), axis=1)
 
 
 def _last_before(holds: Bool[Array, "points owners"]) -> Int[Array, "points owners"]:
@@ -153,45 +157,29 @@ def _first_of(holds: Bool[Array, " entries"], count: int) -> Int[Array, " count"
     return jnp.stack(order)
 
 
-def _refine(
-    problem: Problem, solution: Solution, left: Number, right: Number, owner: Int[Array, ""]
-) -> tuple[Number, Bool[Array, ""]]:
-    """The zero of one tendon's turning between two arc lengths, by the Illinois rule.
+def _refine(cut: Panels, turning: Float[Array, " p"], panel: Int[Array, ""], bracket: Float[Array, "2"]) -> Number:
+    """The zero of the polynomial of one panel between two arc lengths, by the Illinois rule."""
+    start, width = cut.edges[panel], jnp.where(cut.width[panel] > 0, cut.width[panel], 1.0)
 
-    And whether the sign changes in a jump instead, where a piece of the body or a tendon ends and a panel ends anyway.
-    """
+    def value(arc_length):
+        return cut.lagrange((arc_length - start) / width) @ turning
 
-    def turning(arc_length):
-        state = problem.panels.read(solution.starts, solution.nodes, arc_length)
-        return turning_at(problem, guarded_section(problem.manipulator, arc_length), state)[owner]
-
-    def narrow(_, bracket):
-        a, fa, b, fb = bracket
+    def narrow(_, state):
+        (a, b), (fa, fb) = state
         slope = jnp.where(fb == fa, 1.0, fb - fa)
         c = jnp.where(fb == fa, (a + b) / 2, jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b)))
-        fc = turning(c)
+        fc = value(c)
         crossed = fc * fb < 0
-        return jnp.where(crossed, b, a), jnp.where(crossed, fb, fa / 2), c, fc
+        return jnp.stack([jnp.where(crossed, b, a), c]), jnp.stack([jnp.where(crossed, fb, fa / 2), fc])
 
-    nudge, joints = edge_nudge(problem.panels), problem.manipulator.breakpoints
-    ends, before, after = jnp.split(
-        jax.vmap(turning)(jnp.concatenate([jnp.stack([left, right]), joints - nudge, joints + nudge])),
-        [2, 2 + joints.shape[0]],
-    )
-    zero = zero_as(ends)  # shard_map wants the bracket to vary as the turning does
-    place = jax.lax.fori_loop(0, REFINEMENTS, narrow, (left + zero, ends[0], right + zero, ends[1]))[2]
-    within = (joints >= left) & (joints <= right)
-    return place, jnp.any(within & (before * after < 0))
+    bracket = bracket + zero_as(turning)  # shard_map wants the bracket to vary as the turning does
+    return jax.lax.fori_loop(0, REFINEMENTS, narrow, (bracket, jax.vmap(value)(bracket)))[0][1]
 
 
 def turning_at_splits(problem: Problem, solution: Solution, splits: Splits) -> Float[Array, " splits"]:
     """The turning that should vanish at each split; for one that is not needed, its distance from the tip, m."""
-
-    def residual(arc_length, owner):
-        start = jnp.argmin(jnp.abs(problem.panels.edges[:-1] - arc_length))
-        state = jax.tree.map(lambda x: x[start], solution.starts)
-        section = guarded_section(problem.manipulator, arc_length)
-        turning = turning_at(problem, section, state)[jnp.maximum(owner, 0)]
-        return jnp.where(owner >= 0, turning, arc_length - problem.panels.edges[-1])
-
-    return jax.vmap(residual)(*splits)
+    edges = problem.panels.edges
+    starts = at_starts_and_ends(problem.panels, turning_along(problem, solution))[0]
+    panel = jnp.argmin(jnp.abs(edges[:-1] - splits.arc_length[:, None]), axis=1)
+    turning = starts[panel, jnp.maximum(splits.owner, 0)]
+    return jnp.where(splits.owner >= 0, turning, splits.arc_length - edges[-1])

@@ -89,7 +89,9 @@ def cos_sin(angle: Float[Array, "*points"]) -> tuple[Float[Array, "*points"], Fl
 
 @jax.custom_jvp
 def _cos_sin(angle: Array) -> tuple[Array, Array]:
-    more = np.array([0.5, 0.0], angle.dtype).reshape(2, *[1] * angle.ndim)  # cos(x) = -sin(x - (n + 1 / 2) pi) for even n
+    more = np.array([0.5, 0.0], angle.dtype).reshape(
+        2, *[1] * angle.ndim
+    )  # cos(x) = -sin(x - (n + 1 / 2) pi) for even n
     turns = jnp.floor(angle * (1 / math.pi) + (0.5 - more))  # rounding by `jnp.round` is slow
     parts, terms = DOUBLE if angle.dtype == jnp.float64 else SINGLE
     rest = jnp.broadcast_to(angle, turns.shape)

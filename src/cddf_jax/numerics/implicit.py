@@ -1,4 +1,4 @@
-"""The implicit function theorem, for a few unknowns, by whatever method they were found."""
+"""The implicit function theorem, for a fixed point and a few unknowns, by whatever method they were found."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -8,44 +8,131 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .arrays import zero_as
+from .arrays import relative_size, zero_as
 
 Unknowns = Float[Array, " unknowns"]
 Tree = TypeVar("Tree")
 Result = TypeVar("Result")
+Scalar = Float[Array, ""]
+MAX_PASSES = 64
 
 
-def implicit(residual: Callable[[Unknowns], Unknowns], root: Unknowns) -> Unknowns:
-    """The same root, with the derivatives that residual(root) = 0 gives it.
+Step = Callable[[Tree, Unknowns], tuple[Tree, Unknowns]]
 
-    They hold in both modes and to any order. The Jacobian is dense: one linearised residual for each unknown.
-    Where it is singular, as in a lane of a batch that found no root, it is replaced by the identity, so that
-    the derivative is finite. Where nothing is differentiated, the residual is not evaluated.
+
+def implicit(step: Step[Tree], values: Tree, root: Unknowns) -> tuple[Tree, Unknowns]:
+    """The same values and unknowns, with the derivatives that the equations give them.
+
+    The equations are values = step(values, unknowns)[0], a fixed point, and step(values, unknowns)[1] = 0. The
+    derivatives hold in both modes and to any order. Linear passes solve the fixed point; the Jacobian of the
+    unknowns is dense. Where it is singular, as in a lane of a batch that found no root, it is replaced by the identity,
+    so that the derivative is finite. Where nothing is differentiated, `step` is not evaluated.
 
     Args:
-        residual: as many equations as unknowns, a pytree as `jax.tree_util.Partial` makes it: derivatives are by its
-            leaves, and whatever else it closes over must be constant.
+        step: (values, unknowns) -> (better values, residual), a pytree as `jax.tree_util.Partial` makes it: derivatives
+            are by its leaves, and whatever else it closes over must be constant.
+        values: of the fixed point; without derivatives of their own.
         root: where the residual is zero; without derivatives of its own.
     """
-    return _root(residual, jax.lax.stop_gradient(root)) if root.size else root
+    return _root(step, jax.tree.map(jax.lax.stop_gradient, values), jax.lax.stop_gradient(root))
+
+
+def slopes_by_unknowns(push: Step[Tree], values: Tree, root: Unknowns, count: int) -> tuple[Tree, Array]:
+    """The slopes of values and residual with respect to the first unknowns, which stand along a leading axis.
+
+    Args:
+        push: a step as `implicit` takes it, linearised at the values and the root.
+        values, root: where.
+        count: of the unknowns.
+    """
+    still = jax.tree.map(jnp.zeros_like, values)
+    basis = jnp.eye(count, root.size, dtype=root.dtype) + zero_as(values, root)
+    return jax.vmap(lambda unit: _through_passes(push, push(still, unit), root))(basis)
 
 
 @eqx.filter_custom_jvp
-def _root(residual, root):
-    return root
+def _root(step, values, root):
+    return values, root
 
 
 @_root.def_jvp
 def _(primals, tangents):
-    (residual, root), (direction, _) = primals, tangents
-    root = _root(residual, root)
-    pushed = slope_along(lambda residual: residual(root), residual, direction)
-    eye = jnp.eye(root.size, dtype=root.dtype) + zero_as(root)
-    jacobian = jax.vmap(jax.linearize(residual, root)[1], out_axes=1)(eye)
+    (step, values, root), (direction, *_) = primals, tangents
+    values, root = _root(step, values, root)
+    pushed = slope_along(lambda step: step(values, root), step, direction)
+    push = jax.linearize(step, values, root)[1]
+    values_slope, residual_slope = _through_passes(push, pushed, root)
+    if not root.size:
+        return (values, root), (values_slope, jnp.zeros_like(root))
+    values_slopes, slopes = slopes_by_unknowns(push, values, root, root.size)
+    jacobian, eye = slopes.T, jnp.eye(root.size, dtype=root.dtype)
     size = jnp.max(jnp.abs(jacobian), axis=1)
     regular = jnp.all(jnp.isfinite(jacobian)) & jnp.all(size > 0)
     size = jnp.where(regular, size, 1.0)
-    return root, -solve_small(jnp.where(regular, jacobian / size[:, None], eye), pushed / size)[0]
+    root_slope = -solve_small(jnp.where(regular, jacobian / size[:, None], eye), residual_slope / size)[0]
+    followed = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), values_slope, values_slopes)
+    return (values, root), (followed, root_slope)
+
+
+def _through_passes(push: Step[Tree], pushed: tuple[Tree, Unknowns], root: Unknowns) -> tuple[Tree, Unknowns]:
+    """Values v and residual r with (v, r) = pushed + push(v, 0), by passes that go on until only rounding changes."""
+    still = jnp.zeros_like(root)
+    return solve_by_passes(lambda both: push(both[0], still), pushed)
+
+
+def solve_by_passes(push: Callable[[Tree], Tree], pushed: Tree, max_passes: int = MAX_PASSES) -> Tree:
+    """The solution of v = pushed + push(v), where passes v <- pushed + push(v) settle; NaN elsewhere.
+
+    Args:
+        push: a linear function.
+        pushed: the known part, of which the solution is a linear function.
+        max_passes: the largest number of passes.
+    """
+
+    def solve_linear(operator, b):
+        settled = round_off(jax.tree.leaves(b)[0].dtype)
+
+        def again(v):
+            return jax.tree.map(lambda b, v, w: b + v - w, b, v, operator(v))
+
+        value, change, _ = repeat(again, b, relative_size, settled, max_passes)
+        return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
+
+    return jax.lax.custom_linear_solve(
+        lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
+    )
+
+
+def repeat(
+    update: Callable[[Tree], Tree],
+    first: Tree,
+    size: Callable[[Tree, Tree], Scalar],
+    tolerance: float,
+    max_passes: int,
+) -> tuple[Tree, Scalar, Scalar]:
+    """The update again and again until it changes no more than the tolerance: values, last change, number of passes."""
+    zero = zero_as(first)
+
+    def unsettled(carry):
+        _, change, count = carry
+        return (change > tolerance) & (count < max_passes)
+
+    def body(carry):
+        value, _, count = carry
+        new = update(value)
+        return new, size(minus(new, value), new), count + 1.0
+
+    return jax.lax.while_loop(unsettled, body, (first, zero + jnp.inf, zero))
+
+
+def minus(a: Tree, b: Tree) -> Tree:
+    """The difference of two trees."""
+    return jax.tree.map(jnp.subtract, a, b)
+
+
+def round_off(dtype: jnp.dtype) -> float:
+    """The relative change below which further passes change nothing but rounding errors."""
+    return 32 * float(jnp.finfo(dtype).eps)
 
 
 def slope_along(function: Callable[[Tree], Result], given: Tree, direction: PyTree) -> Result:

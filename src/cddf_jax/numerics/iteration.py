@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
 from .arrays import all_finite, computed_once, relative_size, zero_as
-from .implicit import slope_along
+from .implicit import repeat, slope_along, solve_by_passes
 
 Values = TypeVar("Values")  # an array or a tree of arrays
 Scalar = Float[Array, ""]
@@ -22,16 +22,6 @@ class FixedPointResult(NamedTuple):
     num_passes: Scalar
     change: Scalar  # in the last pass, as `size` measures it
     converged: Bool[Array, ""]
-
-
-def minus(a: Values, b: Values) -> Values:
-    """The difference of two trees."""
-    return jax.tree.map(jnp.subtract, a, b)
-
-
-def round_off(dtype: jnp.dtype) -> float:
-    """The relative change below which further passes change nothing but rounding errors."""
-    return 32 * float(jnp.finfo(dtype).eps)
 
 
 def fixed_point(
@@ -66,7 +56,7 @@ def fixed_point(
 
 @eqx.filter_custom_jvp
 def _solve(update, start, *, tolerance, max_passes, size, acceptable):
-    value, change, count = _repeat(update, start, size, tolerance, max_passes)
+    value, change, count = repeat(update, start, size, tolerance, max_passes)
     good = (change <= tolerance) & acceptable(value)
     return jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start), count, change, good
 
@@ -78,18 +68,7 @@ def _(primals, tangents, **settings):
     pushed = slope_along(lambda update: update(value), update, direction)
     push = jax.linearize(update, value)[1]
 
-    def solve_linear(operator, b):
-        settled = round_off(jax.tree.leaves(b)[0].dtype)
-
-        def again(v):
-            return jax.tree.map(lambda b, v, w: b + v - w, b, v, operator(v))
-
-        value, change, _ = _repeat(again, b, relative_size, settled, settings["max_passes"])
-        return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
-
-    slope = jax.lax.custom_linear_solve(
-        lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
-    )
+    slope = solve_by_passes(push, pushed, settings["max_passes"])
     return (value, *outcome), (slope, None, None, None)
 
 
@@ -102,18 +81,3 @@ def constant_map(
     good = computed_once(acceptable(value).astype(zero.dtype)) > 0.5
     value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
     return FixedPointResult(value, zero + 1.0, change, good)
-
-
-def _repeat(update, first, size, tolerance, max_passes):
-    zero = zero_as(first)
-
-    def unsettled(carry):
-        _, change, count = carry
-        return (change > tolerance) & (count < max_passes)
-
-    def body(carry):
-        value, _, count = carry
-        new = update(value)
-        return new, size(minus(new, value), new), count + 1.0
-
-    return jax.lax.while_loop(unsettled, body, (first, zero + jnp.inf, zero))

@@ -28,7 +28,8 @@ class Rule(NamedTuple):
     integration: np.ndarray  # (p, p) integral from 0 to each node
     differentiation: np.ndarray  # (p, p) derivative at each node
     interpolation: np.ndarray  # (p + 1, p + 1) values at 0 and the nodes -> Legendre coefficients
-    barycentric: np.ndarray  # (p + 1) of 0 and the nodes
+    barycentric: np.ndarray  # (p) of the nodes
+    ends: np.ndarray  # (2, p) the polynomial through the nodes at 0 and at 1
 
 
 @lru_cache
@@ -41,8 +42,7 @@ def gauss_rule(order: int) -> Rule:
     integrals = np.stack([legendre.legval(roots, legendre.legint(row, lbnd=-1)) for row in identity], axis=1)
     slopes = np.stack([legendre.legval(roots, legendre.legder(row)) for row in identity], axis=1)
     places = np.concatenate([[-1.0], roots])
-    apart = np.where(np.eye(order + 1) > 0, 1.0, places[:, None] - places)
-    barycentric = 1.0 / np.prod(apart, axis=1)
+    barycentric = 1.0 / np.prod(np.where(identity > 0, 1.0, roots[:, None] - roots), axis=1)
     return Rule(
         nodes=(roots + 1) / 2,
         weights=weights / 2,
@@ -50,6 +50,7 @@ def gauss_rule(order: int) -> Rule:
         differentiation=2 * slopes @ series,
         interpolation=np.linalg.inv(legendre.legvander(places, order)),
         barycentric=barycentric / np.max(np.abs(barycentric)),
+        ends=legendre.legvander(np.array([-1.0, 1.0]), order - 1) @ series,
     )
 
 
@@ -135,13 +136,31 @@ class Panels(eqx.Module):
         width = self.width[i]
         return i, (arc_length - self.edges[i]) / jnp.where(width > 0, width, 1.0)
 
-    def read(self, start: Tree, values: Tree, arc_length: Float[Array, ""]) -> Tree:
-        """As `interpolate`, in less time in a batch, but without a derivative by the arc length."""
-        i, x = self._within(arc_length)
-        apart = x - jnp.append(0.0, self.constant("nodes"))
+    def lagrange(self, place: Float[Array, ""]) -> Float[Array, " p"]:
+        """The weights of the nodes in their polynomial at a place in [0, 1]; without a derivative by the place."""
+        apart = place - self.constant("nodes")
         terms = self.constant("barycentric") / jnp.where(apart == 0, jnp.finfo(apart.dtype).tiny ** 0.5, apart)
-        weights = terms / jnp.sum(terms)
-        return jax.tree.map(lambda a, b: weights[0] * a[i] + jnp.tensordot(weights[1:], b[i], 1), start, values)
+        return terms / jnp.sum(terms)
+
+    def on_nodes_of(self, new: "Panels", values: Tree) -> Tree:
+        """Values at the nodes of these panels, read from their polynomials at the nodes of other panels of the body.
+
+        Args:
+            new: the other panels.
+            values: trees of arrays with leading axes (P, p).
+        """
+
+        def weights_at(arc_length):
+            i, place = self._within(arc_length)
+            chosen = jnp.where(jnp.arange(self.edges.shape[0] - 1) == i, 1.0, 0.0).astype(place.dtype)
+            return (chosen[:, None] * self.lagrange(place)).ravel()
+
+        weights = jax.vmap(weights_at)(new.nodes.ravel())
+
+        def read(x: Array) -> Array:
+            return (weights @ x.reshape(weights.shape[1], -1)).reshape(*new.nodes.shape, *x.shape[2:])
+
+        return jax.tree.map(read, values)
 
     def interpolate(self, start: Tree, values: Tree, arc_length: Float[Array, ""]) -> Tree:
         """The polynomials through the start and the nodes of the panel that holds `arc_length`.
@@ -156,59 +175,6 @@ class Panels(eqx.Module):
             basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
         weights = jnp.stack(basis) @ self.constant("interpolation")
         return jax.tree.map(lambda a, b: jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i]]), 1), start, values)
-
-
-def follow_edges(old: Panels, new: Panels, values: Tree) -> Tree:
-    """Values at the nodes of some panels, moved along their slopes to the nodes of panels with nearly the same edges.
-
-    Args:
-        old, new: as many panels of the same body.
-        values: trees of arrays with leading axes (P, p).
-    """
-    farthest = 0.1 * old.width[:, None]
-    moves = jnp.clip(new.nodes - old.nodes, -farthest, farthest)
-
-    def moved(x: Array) -> Array:
-        return x + old.differentiate(x) * moves.reshape(*moves.shape, *[1] * (x.ndim - 2))
-
-    return jax.tree.map(moved, values)
-
-
-def with_empty_panels(old: Panels, new: Panels, values: Tree, at_tip: Tree) -> Tree:
-    """Values at the nodes of some panels, extended to panels to which empty ones were added at the tip.
-
-    Args:
-        old, new: panels of the same body.
-        values: trees of arrays with leading axes (P, p).
-        at_tip: the same at the tip.
-    """
-    more = new.edges.shape[0] - old.edges.shape[0]
-
-    def extended(x: Array, tip: Array) -> Array:
-        return jnp.concatenate([x, jnp.broadcast_to(tip, (more, *x.shape[1:]))])
-
-    return jax.tree.map(extended, values, at_tip)
-
-
-def redistribute(old: Panels, new: Panels, values: Tree, at_tip: Tree) -> Tree:
-    """Values at the nodes of some panels, linearly interpolated to the nodes of others.
-
-    Args:
-        old, new: panels of the same body.
-        values: trees of arrays with leading axes (P, p).
-        at_tip: the same at the tip.
-    """
-    places, wanted = jnp.append(old.nodes, old.edges[-1]), new.nodes.ravel()
-    after = jnp.clip(jnp.searchsorted(places, wanted), 1, places.size - 1)
-    gap = places[after] - places[after - 1]
-    part = jnp.clip((wanted - places[after - 1]) / jnp.where(gap > 0, gap, 1.0), 0.0, 1.0)
-
-    def between(x: Array, tip: Array) -> Array:
-        flat = jnp.append(x, tip).reshape(places.size, -1)
-        found = flat[after - 1] + part[:, None] * (flat[after] - flat[after - 1])
-        return found.reshape(*new.nodes.shape, *x.shape[2:])
-
-    return jax.tree.map(between, values, at_tip)
 
 
 def panels(length: Float[Array, ""], breakpoints: Float[Array, " n"], nodes: int) -> Panels:

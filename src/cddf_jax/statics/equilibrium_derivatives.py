@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import Number, Problem, Solution, all_points, curvature_of
+from ..mechanics.problem import Nodal, Number, Problem, Solution, all_points, curvature_of, nodal, tendon_displacement
 from ..mechanics.sign_changes import Splits, turning_at_splits
 from ..numerics.arrays import largest
 from ..numerics.implicit import Unknowns, implicit, without_derivative
 from .corrector import moment_left_at_tip
-from .equilibrium_search import Settled, Setup, place, settle, travel_of
+from .equilibrium_search import Settled, Setup, first_guess, place, settle
 from .load_path import LoadPath
 
 
@@ -46,10 +47,10 @@ def no_equations(problem: Problem, solution: Solution) -> Float[Array, " 0"]:
     return solution.tip.ratio[:0]
 
 
-class _Residual(eqx.Module):
-    """The residual whose root is the equilibrium.
+class System(eqx.Module):
+    """One pass, and the residual whose root is the equilibrium, as `implicit` takes them.
 
-    Its unknowns are the tensions that were searched for, the base moment, and the places of sign changes.
+    The unknowns are the tensions that were searched for, the base moment, and the places of sign changes.
     """
 
     setup: Setup
@@ -58,28 +59,42 @@ class _Residual(eqx.Module):
     equations: Equations
     unknown: tuple[int, ...] = eqx.field(static=True)
 
-    def start(self) -> Unknowns:
+    def root(self) -> Unknowns:
         """The unknowns as they were found."""
         load_path, splits = self.settled.load_path, self.settled.splits
         moment = [] if self.setup.loads is None else [load_path.base_moment[None]]
         return jnp.concatenate([*[self.base_tension[i, None] for i in self.unknown], *moment, splits.arc_length])
 
-    def problem(self, unknowns: Unknowns) -> tuple[Problem, Splits]:
-        """The problem and its sign changes with some values of the unknowns."""
-        load_path, splits = self.settled.load_path, self.settled.splits
+    def problem(self, unknowns: Unknowns) -> Problem:
+        """The problem with some values of the unknowns."""
         tensions, rest = jnp.split(unknowns, [len(self.unknown)])
+        load_path, splits = self.settled.load_path, self._splits(unknowns)
         if self.setup.loads is not None:
-            load_path, rest = load_path._replace(base_moment=rest[0]), rest[1:]
-        splits = splits._replace(arc_length=rest)
+            load_path = load_path._replace(base_moment=rest[0])
         tension = self.base_tension.at[jnp.asarray(self.unknown)].set(tensions) if self.unknown else self.base_tension
-        return place(self.setup, tension, self.settled._replace(load_path=load_path, splits=splits)), splits
+        return place(self.setup, tension, self.settled._replace(load_path=load_path, splits=splits))
 
-    def __call__(self, unknowns: Unknowns) -> Unknowns:
-        """The equations of the targets, the residual moment at the tip, and the turning at the sign changes."""
-        problem, splits = self.problem(unknowns)
-        solution = self.setup.method(problem, self.settled.guess)
-        turning = turning_at_splits(problem, solution, splits)
-        return jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution), turning])
+    def _splits(self, unknowns: Unknowns) -> Splits:
+        splits = self.settled.splits
+        return splits._replace(arc_length=unknowns[unknowns.size - splits.arc_length.size :])
+
+    def __call__(self, values: Nodal | None, unknowns: Unknowns) -> tuple[Nodal | None, Unknowns]:
+        """Better values, and the residual."""
+        return self.step(values, unknowns)[0]
+
+    def step(
+        self, values: Nodal | None, unknowns: Unknowns
+    ) -> tuple[tuple[Nodal | None, Unknowns], tuple[Problem, Solution]]:
+        """The same, and what they were read from.
+
+        The residual: the equations of the targets, the residual moment at the tip, the turning at the sign changes.
+        Without values the method solves from scratch, and has derivatives of its own.
+        """
+        problem, method = self.problem(unknowns), self.setup.method
+        solution = method(problem) if values is None else method.improve(problem, values)
+        turning = turning_at_splits(problem, solution, self._splits(unknowns))
+        residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution), turning])
+        return (None if values is None else nodal(problem, solution), residual), (problem, solution)
 
 
 def balance(
@@ -98,18 +113,32 @@ def balance(
         unknown: the tendons whose tension was searched for.
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
     """
-    residual = _Residual(setup, base_tension, settled, equations, unknown)
-    problem, _ = residual.problem(implicit(residual, residual.start()))
-    solution = setup.method(problem, settled.guess)
-    found = settled.load_path
-    found = found._replace(converged=found.converged & solution.converged)
-    travel = travel_of(setup, problem, solution, settled)
-    if settled.trial is None:
+    system, found, trial = System(setup, base_tension, settled, equations, unknown), settled.load_path, settled.trial
+    if trial is None or settled.travel is None:
+        problem = system.problem(implicit(system, None, system.root())[1] if unknown else system.root())
+        solution = setup.method(problem)
+        found = found._replace(converged=found.converged & solution.converged)
+        at_nodes = solution.nodes.pull, solution.nodes.moment
+        travel = travel_under_tension(problem, at_nodes[0], tendon_displacement(problem, *at_nodes))
         return Balance(problem, solution, found, travel, jnp.ones_like(solution.residual))
-    changes = solution.residual, settled.trial.change, jnp.abs(moment_left_at_tip(problem, solution))
-    solution = solution._replace(residual=largest(jnp.stack(changes)))
-    leverage = jnp.where(found.converged, settled.trial.leverage, 1.0)
-    return Balance(problem, solution, found, travel, leverage)
+
+    values = jax.tree.map(
+        lambda x, at_start: jnp.where(found.converged, x, at_start), trial.nodal, first_guess(trial.nodal)
+    )
+    values, root = implicit(system, values, system.root())
+    problem = system.problem(root)
+    solution = setup.method.finish(problem, values)
+    changes = [solution.residual, trial.change]
+    if setup.loads is not None:
+        changes.append(jnp.abs(moment_left_at_tip(problem, solution)))
+    solution = solution._replace(
+        num_iterations=trial.num_passes,
+        residual=largest(jnp.stack(changes)),
+        converged=found.resolved & jnp.isfinite(solution.residual),
+        locked=trial.locked,
+    )
+    leverage = jnp.where(found.converged, trial.leverage, 1.0)
+    return Balance(problem, solution, found, settled.travel, leverage)
 
 
 def inside_of_bend(problem: Problem, solution: Solution) -> Float[Array, " points"]:

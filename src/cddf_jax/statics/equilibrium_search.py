@@ -3,14 +3,12 @@
 Without derivatives: `balance` gives the result its derivatives, as implicit functions.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
 
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
@@ -19,27 +17,25 @@ from ..mechanics.problem import (
     Nodal,
     Number,
     Problem,
-    Solution,
     at_base,
     cut_into_panels,
     everywhere,
     lay_out,
     loaded_to,
-    tendon_displacement,
+    pull_at_nodes,
 )
-from ..mechanics.sign_changes import Splits, changes_sign, locate, num_splits, only_if, unsplit
+from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, unsplit
 from ..numerics.arrays import largest_size, varying_as, zero_as
-from ..numerics.implicit import without_derivative
-from ..numerics.quadrature import Panels, follow_edges, redistribute, with_empty_panels
+from ..numerics.quadrature import Panels
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from .corrector import Flag, LoadedBody, Trial, by_moment, start_from
+from .corrector import Flag, LoadedBody, Trial, start_from
 from .load_path import LoadPath, follow_loads
 
 MAX_ROUNDS = 6
 MAX_MOVES = 12  # of panels that follow the sign changes from pass to pass; then MAX_ROUNDS more of settled bodies
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
-SETTLED = 1e-6  # of the length: a kink that lies so far off a panel's end costs 1e-12
+SETTLED = 1e-7  # of the length: a kink that lies so far off the end of a panel costs 1e-14
 
 
 class Setup(eqx.Module):
@@ -68,12 +64,13 @@ class Settled(NamedTuple):
     direction: PerTendon
     load_path: LoadPath
     splits: Splits
-    trial: Trial | None  # the values at the nodes; None without loads
+    trial: Trial | None  # the values at the nodes; None where nothing has to be found
+    travel: PerTendon | None  # by which directions are judged, m; likewise
 
-    @property
-    def guess(self) -> Nodal | None:
-        """From which a method may start."""
-        return None if self.trial is None else self.trial.nodal
+
+def needs_search(manipulator: Manipulator, loads: Loads | None) -> bool:
+    """Whether a moment at the base or sign changes have to be found; static."""
+    return loads is not None or num_splits(manipulator, None) > 0
 
 
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
@@ -84,16 +81,6 @@ def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
     found = settled.load_path
     fraction = jnp.where(found.converged, 1.0, found.fraction)
     return loaded_to(problem, fraction, found.base_moment * problem.moment_scale)
-
-
-def travel_of(setup: Setup, problem: Problem, solution: Solution, settled: Settled) -> PerTendon:
-    """The travel of each tendon by which its direction is judged, m."""
-    if settled.trial is None:
-        travel = tendon_displacement(problem, solution)
-    else:
-        body = LoadedBody(without_derivative(problem), setup.method)
-        travel = body.travel(settled.trial, jnp.ones_like(settled.load_path.fraction))
-    return travel_under_tension(problem, solution, travel)
 
 
 def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
@@ -110,10 +97,16 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
         resolved=true,
     )
     direction = setup.direction + zero
-    if setup.loads is None:
-        return Settled(direction, load_path, splits, None)
-    guess = everywhere(_cut(setup, splits), Nodal(jnp.ones_like(base_tension), zero))
-    return Settled(direction, load_path, splits, start_from(guess, zero, num_slopes=1))
+    if not needs_search(setup.manipulator, setup.loads):
+        return Settled(direction, load_path, splits, None, None)
+    moment = None if setup.loads is None else zero
+    guess = everywhere(_cut(setup, splits), Nodal(jnp.ones_like(base_tension), moment))
+    return Settled(direction, load_path, splits, start_from(guess, zero), base_tension + zero)
+
+
+def first_guess(values: Nodal) -> Nodal:
+    """Neither friction nor loads, in the shape of some values."""
+    return Nodal(jnp.ones_like(values.ratio), None if values.moment is None else jnp.zeros_like(values.moment))
 
 
 def _cut(setup: Setup, splits: Splits) -> Panels:
@@ -122,120 +115,61 @@ def _cut(setup: Setup, splits: Splits) -> Panels:
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     """Directions that are not stated, base moment, and sign changes until they stay where they are. No derivatives."""
+    start = unsettled(setup, base_tension)
+    if start.trial is None:
+        return start
     if not setup.to_find:
-        return _settle_as_stated(setup, base_tension)[0]
+        return _settle_as_stated(setup, base_tension)
 
     def attempt(direction: PerTendon) -> tuple[Settled, PerTendon, Flag]:
-        there = setup.sliding(direction)
-        settled, travel = _settle_as_stated(there, base_tension)
-        if settled.trial is not None:
-            problem = place(there, base_tension, settled)
-            travel = travel_of(there, problem, there.method.improve(problem, settled.trial.nodal), settled)
-        assert travel is not None
-        return settled, travel, settled.load_path.converged
+        settled = _settle_as_stated(setup.sliding(direction), base_tension)
+        assert settled.travel is not None
+        return settled, settled.travel, settled.load_path.converged
 
-    blank = unsettled(setup, base_tension)
-    return find_directions(setup.manipulator, base_tension, blank.direction, setup.to_find, attempt, blank)
-
-
-def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> tuple[Settled, PerTendon | None]:
-    """With the directions of the setup; and the travel of each tendon, if directions are to be found without loads."""
-    start = unsettled(setup, base_tension)
-    if setup.loads is not None:
-        return _settle_loaded(setup, base_tension, start.load_path.fraction), None
-    if num_splits(setup.manipulator, None) == 0:
-        return start, None
-    return _settle_unloaded(setup, base_tension, start)
-
-
-# --- without loads -------------------------------------------------------------------------------
-
-
-class _Round(NamedTuple):
-    settled: Settled
-    travel: PerTendon | None  # None where all directions are stated
-    moved: Number  # how far the sign changes moved, of the length
-    num_rounds: Number
-
-
-def _settle_unloaded(setup: Setup, base_tension: PerTendon, start: Settled) -> tuple[Settled, PerTendon | None]:
-    """Solve, and solve again on panels that end at the sign changes, until these stay where they are."""
-
-    def once(state: _Round) -> _Round:
-        old = state.settled
-        problem = setup.lay_out(base_tension, old.splits)
-        solution = setup.method(problem)
-        load_path = old.load_path._replace(converged=solution.converged)
-        new = old._replace(load_path=load_path, splits=locate(problem, solution))
-        travel = travel_of(setup, problem, solution, new) if setup.to_find else None
-        return _Round(new, travel, _distance(new.splits, old.splits, problem.panels), state.num_rounds + 1.0)
-
-    def goes_on(state: _Round) -> Flag:
-        converged = state.settled.load_path.converged
-        return (state.moved > SETTLED) & (state.num_rounds < MAX_ROUNDS) & converged
-
-    zero = start.load_path.num_steps
-    travel = base_tension + zero if setup.to_find else None
-    end = jax.lax.while_loop(goes_on, once, _Round(start, travel, zero + jnp.inf, zero))
-    return end.settled, end.travel
-
-
-def _distance(new: Splits, old: Splits, cut: Panels) -> Number:
-    return largest_size(new.arc_length - old.arc_length) / cut.edges[-1]
-
-
-# --- under loads ---------------------------------------------------------------------------------
+    return find_directions(setup.manipulator, base_tension, start.direction, setup.to_find, attempt, start)
 
 
 class _Following(NamedTuple):
     """Passes over panels that follow the sign changes."""
 
     trial: Trial
+    travel: PerTendon
     splits: Splits  # the sign changes
     ends: Splits  # where the panels end on which they were found
     moved: Number  # the distance between the two, of the length
     num_moves: Number
 
 
-def _settle_loaded(setup: Setup, base_tension: PerTendon, zero: Number) -> Settled:
-    """Along the path of the loads, then with panels that follow the sign changes from pass to pass.
+def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
+    """With the directions of the setup: along the path of the loads, then with panels that follow the sign changes.
 
-    On the way the panels end where the body is not smooth, and nowhere else. A body without sign changes settles there.
+    On the path the panels end where the body is not smooth, and nowhere else.
     """
-    problem = setup.lay_out(base_tension, None)
-    body = LoadedBody(problem, setup.method)
-    found, near = follow_loads(body, everywhere(problem.panels, at_base(problem)), zero)
-    smooth = ~changes_sign(problem, body.solution(near, found.fraction))
-    near = body.polish(near, found.fraction, found.converged & smooth)
-    start = _first_following(setup, problem, body.solution(near, found.fraction), near, zero)
+    blank = unsettled(setup, base_tension)
+    assert blank.trial is not None
+    assert blank.travel is not None
+    found, trial, zero = blank.load_path, blank.trial, blank.load_path.num_steps
+    if setup.loads is not None:
+        problem = setup.lay_out(base_tension, None)
+        guess = everywhere(problem.panels, at_base(problem))
+        found, near = follow_loads(LoadedBody(problem, setup.method), guess, zero)
+        trial = _on_other_panels(near, problem.panels, _cut(setup, blank.splits))
 
     def goes_on(state: _Following) -> Flag:
-        in_place = (state.moved <= SETTLED) | (state.num_moves >= MAX_MOVES + MAX_ROUNDS)
+        in_place = (state.moved <= _in_place(zero)) | (state.num_moves >= MAX_MOVES + MAX_ROUNDS)
         return found.converged & ~state.trial.lost & ~(state.trial.settled & in_place)
 
+    start = _Following(trial, blank.travel, blank.splits, blank.splits, zero + jnp.inf, zero)
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
-    trial, splits, *_ = jax.lax.while_loop(goes_on, follow, start)
+    end = jax.lax.while_loop(goes_on, follow, start)
+    trial = end.trial
     found = found._replace(
-        base_moment=trial.moment,
+        base_moment=zero if trial.moment is None else trial.moment,
         converged=found.converged & trial.settled,
         stable=jnp.where(trial.num_passes > 0, trial.stable, found.stable),
-        resolved=found.resolved & trial.sane,
+        resolved=found.resolved & trial.sane & (trial.settled | ~found.converged),
     )
-    return Settled(setup.direction + zero, found, splits, trial)
-
-
-def _first_following(setup: Setup, problem: Problem, solution: Solution, near: Trial, zero: Number) -> _Following:
-    """The sign changes of the body at the end of the path, and its values on panels that end there."""
-    splits = locate(problem, solution)
-    moved = jnp.where(largest_size(splits.owner + 1.0) > 0, zero + jnp.inf, zero)
-    old, new = problem.panels, _cut(setup, splits)
-
-    def redistributed(zero: Number) -> Trial:
-        cut = Panels(new.edges + zero, new.order)
-        return _on_other_panels(near, problem, solution, partial(redistribute, old, cut))
-
-    unmoved = _on_other_panels(near, problem, solution, partial(with_empty_panels, old, new))
-    return _Following(only_if(moved > 0, redistributed, unmoved), splits, splits, moved, zero)
+    return Settled(blank.direction, found, end.ends, trial, end.travel)
 
 
 def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number, state: _Following) -> _Following:
@@ -245,34 +179,41 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     settled body to the next.
     """
     calm = (state.num_moves < MAX_MOVES) & (state.trial.change <= ROUGHLY)
-    move = (state.moved > SETTLED) & (state.trial.settled | calm)
+    move = (state.moved > _in_place(fraction)) & (state.trial.settled | calm)
     ends = jax.tree.map(lambda a, b: jnp.where(move, a, b), state.splits, state.ends)
     num_moves = state.num_moves + jnp.where(move, 1.0, 0.0)
     problem = setup.lay_out(base_tension, ends)
-    guess = follow_edges(_cut(setup, state.ends), problem.panels, state.trial.nodal)
-    start = state.trial._replace(nodal=guess, num_passes=jnp.where(move, 0.0, state.trial.num_passes))
-    trial, solution = LoadedBody(problem, setup.method).correct(start, fraction)
+    old, new = _cut(setup, state.ends), problem.panels
+
+    def moved(zero: Number) -> Trial:
+        return _on_other_panels(state.trial, Panels(old.edges + zero, old.order), new)
+
+    start = only_if(move, moved, state.trial)
+    start = start._replace(num_passes=jnp.where(move, 0.0, start.num_passes))
+    body = LoadedBody(problem, setup.method)
+    trial, solution = body.correct(start, fraction, fraction < 0)
     splits = locate(problem, solution)
-    new = _Following(trial, splits, ends, _distance(splits, ends, problem.panels), num_moves)
-    kept = jax.tree.map(lambda a, b: jnp.where(trial.lost, a, b), state, new)
-    return kept._replace(trial=kept.trial._replace(lost=trial.lost))
+    travel = travel_under_tension(problem, pull_at_nodes(problem, trial.nodal), body.travel(trial, fraction))
+    distance = largest_size(splits.arc_length - ends.arc_length) / new.edges[-1]
+    following = _Following(trial, travel, splits, ends, distance, num_moves)
+    kept = jax.tree.map(lambda a, b: jnp.where(trial.lost, a, b), state, following)
+    return kept._replace(trial=kept.trial._replace(lost=trial.lost, locked=trial.locked))
 
 
-def _on_other_panels(
-    trial: Trial, problem: Problem, solution: Solution, moved: Callable[[PyTree, PyTree], PyTree]
-) -> Trial:
-    """The trial with the values that `moved` makes of those at nodes and tip, and slopes by M_ext(0) only."""
-    nodal_slopes, heading_slopes = by_moment(trial.nodal_slopes), by_moment(trial.heading_slopes)
-    at_tip = Nodal(solution.tip.ratio, solution.tip.moment / problem.moment_scale)
-    values = moved(trial.nodal, at_tip)
-    nodal_slopes = moved(nodal_slopes, jax.tree.map(lambda x: x[-1, -1], nodal_slopes))
-    heading_slopes = heading_slopes._replace(nodes=moved(heading_slopes.nodes, heading_slopes.tip))
-    blank = start_from(values, jnp.zeros_like(trial.moment), num_slopes=1)
-    return blank._replace(
-        moment=trial.moment,
-        nodal_slopes=jax.tree.map(lambda x: x[None], nodal_slopes),
-        residual_slopes=trial.residual_slopes[:1],
-        heading_slopes=jax.tree.map(lambda x: x[None], heading_slopes),
-        settled=trial.settled,
-        change=trial.change,
+def _in_place(number: Number) -> float:
+    """How far from the sign changes the panels may end, of the length."""
+    return max(SETTLED, 16 * float(jnp.finfo(number.dtype).eps))
+
+
+def _on_other_panels(trial: Trial, old: Panels, new: Panels) -> Trial:
+    """The trial with its values and slopes at the nodes of other panels."""
+    nodal = old.on_nodes_of(new, trial.nodal)
+    if trial.heading is None or trial.slopes is None:
+        return trial._replace(nodal=nodal)
+    slopes = trial.slopes.nodal, trial.slopes.heading.nodes
+    slopes, heading_slopes = jax.vmap(partial(old.on_nodes_of, new))(slopes)
+    return trial._replace(
+        nodal=nodal,
+        heading=trial.heading._replace(nodes=old.on_nodes_of(new, trial.heading.nodes)),
+        slopes=trial.slopes._replace(nodal=slopes, heading=trial.slopes.heading._replace(nodes=heading_slopes)),
     )

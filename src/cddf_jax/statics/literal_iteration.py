@@ -37,7 +37,7 @@ class LiteralIteration(eqx.Module):
     tip_tolerance: float = eqx.field(default=1e-4, static=True)
     max_updates: int = eqx.field(default=100, static=True)
 
-    def __call__(self, problem: Problem, guess: Nodal | None = None) -> Solution:
+    def __call__(self, problem: Problem) -> Solution:
         if problem.loads is not None:
             raise ValueError("LiteralIteration is the paper's and knows no loads; use FixedPoint")
         _refuse_drag(problem.manipulator)
@@ -54,11 +54,11 @@ class LiteralIteration(eqx.Module):
         wrap_edges, wrap = literal_wrap_angle(problem, answer.value)
         (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
         none = jnp.zeros_like(cut.edges), jnp.zeros_like(position_edges)
-        edges = State(Pull(jnp.exp(gain * wrap_edges)), wrap_edges, heading_edges, position_edges, *none)
+        edges = State(Pull(jnp.exp(gain * wrap_edges)), heading_edges, *none, wrap_edges, position_edges)
         outboard = problem.outboard.nodes
         return Solution(
             starts=jax.tree.map(lambda x: x[:-1], edges),
-            nodes=State(Pull(jnp.exp(gain * wrap)), wrap, heading, position, jnp.zeros_like(heading), outboard),
+            nodes=State(Pull(jnp.exp(gain * wrap)), heading, jnp.zeros_like(heading), outboard, wrap, position),
             tip=jax.tree.map(lambda x: x[-1], edges),
             num_iterations=answer.num_passes,
             residual=answer.change / cut.edges[-1],
@@ -66,7 +66,10 @@ class LiteralIteration(eqx.Module):
             locked=jnp.zeros_like(answer.converged),
         )
 
-    improve = __call__
+    def improve(self, problem: Problem, guess: Nodal) -> Solution:
+        return self(problem)
+
+    finish = improve
 
 
 def _refuse_drag(manipulator: Manipulator) -> None:

@@ -19,6 +19,7 @@ LARGEST_MISS = 0.2  # rad, by which any cross-section may miss its predicted hea
 LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: where stability changes in a longer step, it may have reached another branch
 MAX_TRIES = 200
+MAX_SETTLING = 16  # passes at the full loads; where the tendons' turning changes its sign, they need not settle
 
 
 class LoadPath(NamedTuple):
@@ -74,15 +75,20 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
         zero: 0, which under shard_map varies as all numbers do.
 
     Returns:
-        The end of the path, and a trial near there, still to be settled.
+        The end of the path, and a trial near there. Where the path did not end before, the second slopes of the trial
+        are those with respect to a factor on all base tensions.
     """
 
     def advance(walk: _Walk) -> _Walk:
         # in a batch this runs for all lanes, also for those that are over
+        full = walk.fraction >= 1.0
+
+        def done(trial: Trial) -> Flag:
+            enough = trial.settled | ~full | (trial.num_passes >= MAX_SETTLING)
+            return (trial.near & enough) | trial.lost | walk.over
+
         trial = jax.lax.while_loop(
-            lambda trial: ~(trial.near | trial.lost | walk.over),
-            lambda trial: body.correct(trial, walk.fraction)[0],
-            walk.trial,
+            lambda trial: ~done(trial), lambda trial: body.correct(trial, walk.fraction, ~full)[0], walk.trial
         )
         return _decide(walk._replace(trial=trial))
 
@@ -101,7 +107,7 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
 
 def _first_walk(guess: Nodal, zero: Number) -> _Walk:
     """Before the first try, which is the body without loads."""
-    trial = start_from(guess, zero, num_slopes=2)
+    trial = start_from(guess, zero)
     false, true = zero > 0, zero == 0
     place = _arrive(trial, zero)._replace(stable=true)
     return _Walk(
@@ -119,7 +125,10 @@ def _first_walk(guess: Nodal, zero: Number) -> _Walk:
 
 def _arrive(trial: Trial, fraction: Number) -> _Place:
     """The equilibrium that a trial is near to, with its slopes along the path."""
-    slope, slope_by_fraction = trial.residual_slopes
+    assert trial.moment is not None
+    assert trial.heading is not None
+    assert trial.slopes is not None
+    slope, slope_by_fraction = trial.slopes.residual
     moment_slope = jnp.where(slope_by_fraction == 0, 0.0, -slope_by_fraction / slope)
 
     def along_path(slopes: Tree) -> Tree:
@@ -130,9 +139,9 @@ def _arrive(trial: Trial, fraction: Number) -> _Place:
         moment=trial.moment,
         moment_slope=moment_slope,
         nodal=trial.nodal,
-        nodal_slope=along_path(trial.nodal_slopes),
+        nodal_slope=along_path(trial.slopes.nodal),
         heading=trial.heading,
-        heading_slope=along_path(trial.heading_slopes),
+        heading_slope=along_path(trial.slopes.heading),
         stable=trial.stable,
     )
 
@@ -158,7 +167,11 @@ def _decide(walk: _Walk) -> _Walk:
     ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
     return _Walk(
         place,
-        _predict(place, jnp.where(ended, 0.0, step), trial)._replace(settled=trial.settled & arrived),
+        jax.tree.map(
+            lambda there, next: jnp.where(arrived, there, next),
+            trial,
+            _predict(place, jnp.where(ended, 0.0, step), trial),
+        ),
         step,
         fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
         num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
@@ -189,11 +202,14 @@ def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_p
 def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
     """The next trial, by an Euler step along the path; the slopes of the last trial are about right for it."""
     false = trial.lost & False
+    assert trial.slopes is not None
+    slopes = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.slopes.nodal)
     return trial._replace(
         moment=place.moment + step * place.moment_slope,
         nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
-        nodal_slopes=jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.nodal_slopes),
+        slopes=trial.slopes._replace(nodal=slopes),
         near=false,
+        settled=false,
         lost=false,
         num_passes=jnp.zeros_like(place.moment),
     )

@@ -202,7 +202,9 @@ class _Stage(NamedTuple):
 def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     there = equilibrate(setup, base_tension)
     problem, solution, cut = there.problem, there.solution, there.problem.panels
-    reel = shortening_along(problem, solution) + stretch_along(problem, solution)
+    reel = shortening_along(problem, solution.nodes.pull, solution.nodes.moment) + stretch_along(
+        problem, solution.nodes.pull
+    )
     edges, inner = cut.integrate(reel)
     kappa = curvature_along(problem, problem.nodes, solution.nodes.pull, solution.nodes.moment)
     moment_rate = moment_rate_of(solution.nodes.heading, solution.nodes.force)
@@ -213,10 +215,10 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     starts = unspent(base_tension, solution.starts.pull) / solution.starts.ratio
     arriving = jnp.concatenate([base_tension[None], (starts - cut.gain(friction))[:-1]])
     body = problem.manipulator
-    stretching = jnp.sum(tension * stretch_along(problem, solution), axis=-1)
+    stretching = jnp.sum(tension * stretch_along(problem, solution.nodes.pull), axis=-1)
     outside = jnp.sum(base_tension**2 * body.tendon_compliance * body.tendon_free_length)
     return _Stage(
-        displacement=tendon_displacement(problem, solution),
+        displacement=tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment),
         elastic_energy=jnp.sum(cut.gain(section.stiffness * kappa**2 + stretching)) / 2 + outside / 2,
         load_energy=_load_energy(problem, solution),
         arc_length=cut.nodes,

@@ -166,7 +166,9 @@ def _solve(
         tip_angle=nan_unless(solved, solution.tip.heading),
         tip_tension=nan_unless(solved, at_tip),
         tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, solution) / solution.tip.ratio),
-        tendon_displacement=nan_unless(solved, tendon_displacement(problem, solution)),
+        tendon_displacement=nan_unless(
+            solved, tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment)
+        ),
         base_tension=nan_unless(solved, problem.base_tension),
         target_miss=nan_unless(solved, found.miss),
         base_moment=nan_unless(solved, problem.base_moment),

@@ -49,7 +49,7 @@ class Displacement(eqx.Module):
     value: Scalar = eqx.field(converter=as_number)
 
     def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
-        return tendon_displacement(problem, solution)[tendon]
+        return tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment)[tendon]
 
     def size(self, setup: Setup) -> Number:
         return jnp.max(setup.manipulator.offset(0.0 * jnp.asarray(setup.manipulator.length)))

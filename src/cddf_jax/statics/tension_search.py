@@ -9,10 +9,10 @@ from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import Number, Problem, Solution
-from ..numerics.arrays import varying_as, zero_as
-from ..numerics.implicit import solve_small, without_derivative
-from .equilibrium_derivatives import Balance, balance, inside_of_bend, missing_moment
-from .equilibrium_search import Settled, Setup, place, settle, unsettled
+from ..numerics.arrays import largest, varying_as, zero_as
+from ..numerics.implicit import slopes_by_unknowns, solve_small, without_derivative
+from .equilibrium_derivatives import Balance, System, balance, inside_of_bend
+from .equilibrium_search import Settled, Setup, settle, unsettled
 from .targets import Displacement, Target, bending_tension
 
 START = 0.05  # of the tension at which d kappa would come near 1
@@ -93,10 +93,10 @@ def _equations(
 ) -> Float[Array, " unknowns"]:
     """The residuals: the misses of the targets; for a tension that could not follow its target, how far it moved."""
     tension = problem.base_tension[jnp.asarray(list(wanted))] / scale
-    return jnp.where(free, _misses(setup, problem, solution, wanted), tension - found)
+    return jnp.where(free, _misses(setup, wanted, problem, solution), tension - found)
 
 
-def _misses(setup: Setup, problem: Problem, solution: Solution, wanted: Wanted) -> Float[Array, " unknowns"]:
+def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution) -> Float[Array, " unknowns"]:
     """Reached less wanted, over the sizes of the targets."""
 
     def miss(tendon, target):
@@ -111,31 +111,22 @@ def _search(
     """Levenberg-Marquardt between slack and the farthest tension; every trial is an equilibrium of its own."""
     which = jnp.asarray(list(wanted))
 
-    def evaluate(tension):
+    count, loaded = len(wanted), setup.loads is not None
+
+    def evaluate(tension: Float[Array, " unknowns"]) -> _TensionTrial:
         base_tension = given.at[which].set(scale * tension)
         settled = settle(setup, base_tension)
-
-        def flow(tension, moment):
-            there = settled._replace(load_path=settled.load_path._replace(base_moment=moment))
-            problem = place(setup, given.at[which].set(scale * tension), there)
-            solution = setup.method(problem, settled.guess)
-            rows = jnp.concatenate([_misses(setup, problem, solution, wanted), missing_moment(problem, solution)])
-            return rows, solution.converged & (jnp.max(inside_of_bend(problem, solution)) < 1.0)
-
-        at = tension, settled.load_path.base_moment
-        basis = jnp.eye(len(wanted) + (setup.loads is not None), len(wanted) + 1, dtype=tension.dtype)
-        basis = basis + zero_as(at)  # shard_map wants tangents like their values
-
-        def push(row):
-            return jax.jvp(flow, at, (row[:-1], row[-1]), has_aux=True)
-
-        rows, slopes, fine = jax.vmap(push, out_axes=(None, 1, None))(basis)
-        count = len(wanted)
+        system = System(setup, base_tension, settled, Partial(_misses, setup, wanted), tuple(wanted))
+        values, root = None if settled.trial is None else settled.trial.nodal, system.root()
+        (_, rows), push, (problem, solution) = jax.linearize(system.step, values, root, has_aux=True)
+        slopes = slopes_by_unknowns(push, values, root, count + loaded)[1].T  # those by the sign changes vanish
         residual, jacobian = rows[:count], slopes[:count, :count]
-        if setup.loads is not None:  # the base moment follows the tensions so that M_ext(L) stays m
-            jacobian = jacobian - jnp.outer(slopes[:count, -1], slopes[-1, :count] / slopes[-1, -1])
-        fine = fine & settled.load_path.converged & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
-        return _TensionTrial(tension, residual, jacobian, jnp.where(fine, jnp.sum(residual**2), jnp.inf), settled)
+        if loaded:  # the base moment follows the tensions so that M_ext(L) stays m
+            jacobian = jacobian - jnp.outer(slopes[:count, count], slopes[count, :count] / slopes[count, count])
+        fine = settled.load_path.converged & solution.converged & (largest(inside_of_bend(problem, solution)) < 1.0)
+        fine = fine & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
+        cost = jnp.where(fine, jnp.sum(residual**2), jnp.inf)
+        return _TensionTrial(tension, residual, scale * jacobian, cost, settled)
 
     start = jnp.full(len(wanted), START) + zero_as(scale, given)
     blank, eye = unsettled(setup, given), jnp.eye(len(wanted), dtype=start.dtype)
