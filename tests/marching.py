@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from cddf_jax.mechanics import bending
 from cddf_jax.mechanics.fixed_point import ACCURACY
 from cddf_jax.mechanics.friction import Pull, ratio_rate, spent_rate
 from cddf_jax.mechanics.problem import (
@@ -19,8 +20,8 @@ from cddf_jax.mechanics.problem import (
     load_rate,
     moment_rate_of,
     ones_at_base,
-    rates_of,
     spent_scale,
+    tension_of,
     turn_at_joint,
 )
 from cddf_jax.numerics.arrays import zero_as
@@ -73,9 +74,10 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
 
     def rate(state: State, arc_length: Number) -> State:
         section = guarded_section(problem.manipulator, arc_length)
-        kappa = curvature_of(problem, section, state.pull, state.moment)
+        kappa = curvature_of(problem, section, state)
         moment_rate = moment_rate_of(state.heading, state.force)
-        turning = rates_of(problem, section, kappa, state.pull, moment_rate).turning
+        tension = tension_of(section, problem.base_tension, state.pull)
+        turning = bending.turning(section, kappa, tension, problem.direction, moment_rate)
         ratio = state.ratio
         direction = problem.direction
         growth = Pull(ratio_rate(direction, section, turning, ratio), spent_rate(direction, section, ratio))

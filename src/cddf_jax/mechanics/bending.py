@@ -138,13 +138,32 @@ def rates(
     def with_signs(sign: PerTendon) -> Rates:
         friction = bending_loss(direction, section, tension) * sign * arm * t.along
         kappa_rate = (force - jnp.sum(friction * t.turning)) / (stiffness + jnp.sum(friction * t.turning_slope))
-        return Rates(kappa_rate, t.turning + t.turning_slope * kappa_rate if coupled else t.turning)
+        return Rates(kappa_rate, t.turning + t.turning_slope * kappa_rate)
 
-    coupled = section.kinematics == "exact" and section.slanted
-    if not coupled:
+    if _turns_with_the_body(section):
         return with_signs(jnp.sign(t.turning))
     frictionless = with_signs(jnp.zeros_like(t.turning))
     return with_signs(jnp.sign(with_signs(jnp.sign(frictionless.turning)).turning))
+
+
+def turning(
+    section: CrossSection,
+    curvature: Number,
+    tension: PerTendon,
+    direction: PerTendon,
+    external_moment_rate: float | Number = 0.0,
+) -> PerTendon:
+    """The rate psi' alone, zero beyond the anchor: what friction needs; without kappa' where psi' does not depend on it."""
+    if _turns_with_the_body(section):
+        rate = tangent(section, curvature).turning
+    else:
+        rate = rates(section, curvature, tension, direction, external_moment_rate).turning
+    return jnp.where(section.present, rate, 0.0)
+
+
+def _turns_with_the_body(section: CrossSection) -> bool:
+    """Whether psi' follows from kappa alone; static."""
+    return section.kinematics == "published" or not section.slanted
 
 
 class Forces(NamedTuple):

@@ -17,13 +17,12 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
 from ..numerics.arrays import all_finite, cos_sin, largest, relative_size, zero_as
-from ..numerics.implicit import minus, round_off
+from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
 from ..robot.manipulator import CrossSection
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
 from .problem import (
-    AT_NODES,
     Joints,
     Nodal,
     Number,
@@ -31,20 +30,22 @@ from .problem import (
     Solution,
     State,
     at_base,
+    at_nodes,
     axis_of,
     curvature_along,
     everywhere,
     guarded_section,
     moment_rate_of,
     moments_of,
-    rates_along,
     spent_scale,
+    tension_of,
     turn_at_joint,
+    turning_along,
 )
 
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
 SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
-_ratio_rates = jax.vmap(jax.vmap(ratio_rate, AT_NODES), AT_NODES)  # over panels and nodes
+_ratio_rates = at_nodes(ratio_rate, (None, 0, 0, 0))
 
 
 def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -66,9 +67,10 @@ def truncation_error(problem: Problem, solution: Solution) -> Number:
     places = cut.edges[:-1, None] + cut.width[:, None] * jnp.asarray(fractions, cut.edges.dtype)
     sections = jax.vmap(jax.vmap(lambda s: guarded_section(problem.manipulator, s)))(places)
     state = jax.tree.map(lambda a, b: cut.resample(a, b, fractions), solution.starts, solution.nodes)
-    kappa = curvature_along(problem, sections, state.pull, state.moment)
+    tension = tension_of(sections, problem.base_tension, state.pull)
+    kappa = curvature_along(sections, tension, state.moment)
     moment_rate = moment_rate_of(state.heading, state.force)
-    turning = rates_along(problem, sections, kappa, state.pull, moment_rate).turning
+    turning = turning_along(sections, kappa, tension, problem.direction, moment_rate)
     growth = ratio_rate(problem.direction, sections, turning, state.ratio) / solution.tip.ratio
     spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, solution.tip.pull)
     spent = [] if spending is None or scale is None else [spending / scale]
@@ -174,7 +176,7 @@ class FixedPoint(eqx.Module):
 
     def _improve(self, problem: Problem, guess: Nodal) -> tuple["_Pass", Solution]:
         along, tip = _pass(problem, _whole(problem), _base(problem), guess)
-        better = along.nodes.values
+        better, guess = without_derivative((along.nodes.values, guess))  # as what is told of them has none
         change = relative_size(minus(better, guess), better)
         positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
         still = change <= self._tolerance(problem)
@@ -241,11 +243,11 @@ def _pass(problem: Problem, part: _Part, start: _Point, guess: Nodal) -> tuple[_
     cut, section, loaded = part.cut, part.section, guess.moment is not None
     moment = moments_of(problem, guess)
     spent, spent_at_nodes = _onward_if_any(cut, start.spent, spent_rate(problem.direction, section, guess.ratio))
-    pull = Pull(guess.ratio, spent_at_nodes)
-    kappa = curvature_along(problem, section, pull, moment)
+    tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent_at_nodes))
+    kappa = curvature_along(section, tension, moment)
     heading, heading_at_nodes = _onward(cut, start.heading, kappa)
     moment_rate = moment_rate_of(heading_at_nodes, part.force) if loaded else jnp.zeros_like(kappa)
-    turning = rates_along(problem, section, kappa, pull, moment_rate).turning
+    turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
     bending, bending_at_nodes = _onward_if_any(cut, start.values.moment, moment_rate * (1.0 / problem.moment_scale))
     gains, within = cut.integrate(_ratio_rates(problem.direction, section, turning, guess.ratio))
     starts, tip, turns = _across_joints(problem, part, Nodal(start.values.ratio + gains, bending), spent)

@@ -9,6 +9,7 @@ First the types and how a `Problem` is laid out on panels; then functions of one
 integrate; last how far tendons slide: the length of their paths through the body, and their own stretch.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -248,18 +249,9 @@ def tension_of(section: CrossSection, base_tension: PerTendon, pull: Pull) -> Pe
     return jnp.where(section.present, unspent(base_tension, pull) / size, 0.0)
 
 
-def curvature_of(problem: Problem, section: CrossSection, pull: Pull, moment: Number) -> Number:
-    """The curvature kappa, 1/m, from the tensions and the dead loads at one cross-section."""
-    return bending.curvature(section, tension_of(section, problem.base_tension, pull), moment)
-
-
-def rates_of(
-    problem: Problem, section: CrossSection, curvature: Number, pull: Pull, moment_rate: Number
-) -> bending.Rates:
-    """The rates kappa' and psi' at one cross-section; psi' is zero beyond the anchor."""
-    tension = tension_of(section, problem.base_tension, pull)
-    rate = bending.rates(section, curvature, tension, problem.direction, moment_rate)
-    return rate._replace(turning=jnp.where(section.present, rate.turning, 0.0))
+def curvature_of(problem: Problem, section: CrossSection, state: State) -> Number:
+    """The curvature kappa, 1/m, at one cross-section."""
+    return bending.curvature(section, tension_of(section, problem.base_tension, state.pull), state.moment)
 
 
 def moment_rate_of(heading: Float[Array, "*points"], force: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
@@ -288,7 +280,8 @@ def turn_at_joint(problem: Problem, joint: Joints | None, pull: Pull, moment: Nu
     before, after = joint
 
     def angle(section, ratio):
-        return bending.tangent_angle(section, curvature_of(problem, section, pull._replace(ratio=ratio), moment))
+        tension = tension_of(section, problem.base_tension, pull._replace(ratio=ratio))
+        return bending.tangent_angle(section, bending.curvature(section, tension, moment))
 
     arriving = angle(before, ratio)
 
@@ -339,9 +332,13 @@ def all_points(problem: Problem, solution: Solution) -> tuple[CrossSection, Stat
     return jax.tree.map(line_up, base, (problem.nodes, solution.nodes), (problem.tip, solution.tip))
 
 
-AT_NODES = (None, 0, 0, 0)
-curvature_along = jax.vmap(jax.vmap(curvature_of, AT_NODES), AT_NODES)  # over panels and nodes
-rates_along = jax.vmap(jax.vmap(rates_of, (*AT_NODES, 0)), (*AT_NODES, 0))
+def at_nodes(function: Callable[..., Array], in_axes: tuple[int | None, ...]) -> Callable[..., Array]:
+    """A function of one cross-section, made one over panels and nodes."""
+    return jax.vmap(jax.vmap(function, in_axes), in_axes)
+
+
+curvature_along = at_nodes(bending.curvature, (0, 0, 0))
+turning_along = at_nodes(bending.turning, (0, 0, 0, None, 0))
 
 
 # --- how far tendons slide ------------------------------------------------------------------------
@@ -374,7 +371,7 @@ def stretch_along(problem: Problem, pull: Pull) -> Float[Array, "P p tendons"]:
 def shortening_along(problem: Problem, pull: Pull, moment: Float[Array, "P p"]) -> Float[Array, "P p tendons"]:
     """Length of each tendon in the straight body less that in the bent one, per arc length."""
     section = problem.nodes
-    kappa = curvature_along(problem, section, pull, moment)[..., None]
+    kappa = curvature_along(section, tension_of(section, problem.base_tension, pull), moment)[..., None]
     # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
     bend, slope = section.side * section.offset * kappa, section.offset_slope
     rate = bend * (2.0 - bend) / (jnp.sqrt(1.0 + slope**2) + jnp.sqrt((1.0 - bend) ** 2 + slope**2))

@@ -16,7 +16,16 @@ from ..numerics.arrays import largest, varying_as, zero_as
 from ..numerics.quadrature import Panels
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from .problem import Number, Problem, Solution, curvature_along, edge_nudge, moment_rate_of, rates_along
+from .problem import (
+    Number,
+    Problem,
+    Solution,
+    curvature_along,
+    edge_nudge,
+    moment_rate_of,
+    tension_of,
+    turning_along,
+)
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 Values = TypeVar("Values")
@@ -46,7 +55,7 @@ class Splits(NamedTuple):
     """Where the panels are to end. Places that are not needed lie at the tip, and belong to no tendon."""
 
     arc_length: Float[Array, " splits"]  # m
-    owner: Int[Array, " splits"]  # whose turning or base tension left changes sign, see `turning_along`; -1 for none
+    owner: Int[Array, " splits"]  # whose turning or base tension left changes sign, see `signed_turning`; -1 for none
 
 
 def num_splits(manipulator: Manipulator, loads: Loads | None) -> int:
@@ -71,17 +80,18 @@ def unsplit(manipulator: Manipulator, loads: Loads | None) -> Splits:
 Turning = Float[Array, "P p owners"]
 
 
-def turning_along(problem: Problem, solution: Solution) -> Turning:
+def signed_turning(problem: Problem, solution: Solution) -> Turning:
     """What may change sign, at the nodes, 1/m: kappa, or psi' of every tendon.
 
     And with drag what it leaves of the base tension of every tendon, over the moment scale.
     """
     section, state = problem.nodes, solution.nodes
-    kappa = curvature_along(problem, section, state.pull, state.moment)
+    tension = tension_of(section, problem.base_tension, state.pull)
+    kappa = curvature_along(section, tension, state.moment)
     turning = kappa[..., None]
     if _turns_on_its_own(problem.manipulator):
         moment_rate = moment_rate_of(state.heading, state.force)
-        turning = rates_along(problem, section, kappa, state.pull, moment_rate).turning
+        turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
     if state.pull.spent is None:
         return turning
     left = (problem.base_tension - state.pull.spent) / problem.moment_scale
@@ -95,7 +105,7 @@ def at_starts_and_ends(cut: Panels, turning: Turning) -> Float[Array, "2 P owner
 
 def locate(problem: Problem, solution: Solution) -> Splits:
     """The first sign changes from the base, between neighbouring nodes and on the polynomials through them."""
-    turning = turning_along(problem, solution)
+    turning = signed_turning(problem, solution)
     both, least = _has_both_signs(problem, turning)
     none = varying_as(unsplit(problem.manipulator, problem.loads), zero_as(least))
     return only_if(both, lambda zero: _first_changes(problem, turning + zero, least, none), none)
@@ -179,7 +189,7 @@ def _refine(cut: Panels, turning: Float[Array, " p"], panel: Int[Array, ""], bra
 def turning_at_splits(problem: Problem, solution: Solution, splits: Splits) -> Float[Array, " splits"]:
     """The turning that should vanish at each split; for one that is not needed, its distance from the tip, m."""
     edges = problem.panels.edges
-    starts = at_starts_and_ends(problem.panels, turning_along(problem, solution))[0]
+    starts = at_starts_and_ends(problem.panels, signed_turning(problem, solution))[0]
     panel = jnp.argmin(jnp.abs(edges[:-1] - splits.arc_length[:, None]), axis=1)
     turning = starts[panel, jnp.maximum(splits.owner, 0)]
     return jnp.where(splits.owner >= 0, turning, splits.arc_length - edges[-1])

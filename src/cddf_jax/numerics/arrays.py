@@ -22,24 +22,32 @@ Scalar = Float[Array, ""]
 @jax.jit  # traced once for every shape
 def largest(values: Shaped[Array, "*values"]) -> Shaped[Array, ""]:
     """The largest value, by halves: in a batch that is ten times as fast as XLA's reduction on the CPU."""
-    left = values.ravel()
-    while left.size > 1:
-        half, odd = divmod(left.size, 2)
-        halves, rest = (left[: 2 * half], left[-1]) if odd else (left, None)
-        left = jnp.maximum(*jnp.split(halves, 2))
-        left = left if rest is None else jnp.maximum(left, rest)
-    return left[0]
+    return _largest_of_columns(values.ravel())
+
+
+def _largest_of_columns(values: Shaped[Array, "n *columns"]) -> Shaped[Array, "*columns"]:
+    while (n := values.shape[0]) > 1:
+        values = jnp.maximum(
+            values[: (n + 1) // 2], values[n // 2 :]
+        )  # where n is odd, the one in the middle is in both
+    return values[0]
 
 
 def largest_size(numbers: Numbers) -> Scalar:
     """The largest magnitude."""
-    return reduce(jnp.maximum, [largest(jnp.abs(x)) for x in jax.tree.leaves(numbers)])
+    return largest(jnp.abs(_flat(numbers)))
 
 
+@jax.jit
 def relative_size(change: Numbers, value: Numbers) -> Scalar:
     """The largest change over the largest value."""
-    size = largest_size(value)
-    return largest_size(change) / jnp.maximum(size, jnp.finfo(size.dtype).tiny)
+    change, value = _largest_of_columns(jnp.abs(jnp.stack([_flat(change), _flat(value)], axis=1)))
+    return change / jnp.maximum(value, jnp.finfo(value.dtype).tiny)
+
+
+def _flat(numbers: Numbers) -> Float[Array, " numbers"]:
+    leaves = [x.ravel() for x in jax.tree.leaves(numbers)]
+    return leaves[0] if len(leaves) == 1 else jnp.concatenate(leaves)
 
 
 def all_finite(numbers: Numbers) -> Bool[Array, ""]:

@@ -145,7 +145,7 @@ def inside_of_bend(problem: Problem, solution: Solution) -> Float[Array, " point
     """Sigma d kappa at base, nodes and tip, the largest of all tendons that reach there."""
 
     def inside(section, state):
-        kappa = curvature_of(problem, section, state.pull, state.moment)
+        kappa = curvature_of(problem, section, state)
         return jnp.max(jnp.where(section.present, section.side * section.offset * kappa, -jnp.inf))
 
     return jax.vmap(inside)(*all_points(problem, solution))

@@ -12,7 +12,7 @@ from ..mechanics import bending
 from ..mechanics.directions import Directions, not_stated
 from ..mechanics.fixed_point import integrate_shape
 from ..mechanics.friction import Pull
-from ..mechanics.problem import Nodal, Problem, Solution, State, curvature_along, lay_out
+from ..mechanics.problem import Nodal, Problem, Solution, State, curvature_along, lay_out, tension_of
 from ..numerics.implicit import without_derivative
 from ..numerics.iteration import fixed_point
 from ..numerics.quadrature import Panels
@@ -89,8 +89,8 @@ def _tip_motion(cut: Panels, change: Float[Array, "P p"], curvature: Float[Array
 
 def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
     """The shape with T = T_base everywhere, where the paper starts. Liu et al. (2020), eq. (17)."""
-    ones = jnp.ones_like(problem.nodes.offset)
-    return curvature_along(problem, problem.nodes, Pull(ones), jnp.zeros_like(problem.panels.nodes))
+    tension = tension_of(problem.nodes, problem.base_tension, Pull(jnp.ones_like(problem.nodes.offset)))
+    return curvature_along(problem.nodes, tension, jnp.zeros_like(problem.panels.nodes))
 
 
 def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:

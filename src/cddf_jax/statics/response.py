@@ -22,11 +22,11 @@ from ..mechanics.problem import (
     curvature_along,
     load_rate,
     moment_rate_of,
-    rates_along,
     shortening_along,
     stretch_along,
     tendon_displacement,
     tension_of,
+    turning_along,
 )
 from ..numerics.quadrature import gauss_rule
 from ..robot.loads import Loads
@@ -206,11 +206,11 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
         problem, solution.nodes.pull
     )
     edges, inner = cut.integrate(reel)
-    kappa = curvature_along(problem, problem.nodes, solution.nodes.pull, solution.nodes.moment)
-    moment_rate = moment_rate_of(solution.nodes.heading, solution.nodes.force)
-    turning = rates_along(problem, problem.nodes, kappa, solution.nodes.pull, moment_rate).turning
     section = problem.nodes
     tension = tension_of(section, base_tension, solution.nodes.pull)
+    kappa = curvature_along(section, tension, solution.nodes.moment)
+    moment_rate = moment_rate_of(solution.nodes.heading, solution.nodes.force)
+    turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
     friction = -tension_rate(problem.direction, section, turning, tension)
     starts = unspent(base_tension, solution.starts.pull) / solution.starts.ratio
     arriving = jnp.concatenate([base_tension[None], (starts - cut.gain(friction))[:-1]])

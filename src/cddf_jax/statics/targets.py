@@ -107,7 +107,7 @@ class CurvatureAt(eqx.Module):
     def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
         arc_length = jnp.asarray(self.arc_length, problem.panels.edges.dtype)
         state = problem.panels.interpolate(solution.starts, solution.nodes, arc_length)
-        return curvature_of(problem, guarded_section(setup.manipulator, arc_length), state.pull, state.moment)
+        return curvature_of(problem, guarded_section(setup.manipulator, arc_length), state)
 
     def size(self, setup: Setup) -> Number:
         return 1.0 / jnp.asarray(setup.manipulator.length)
