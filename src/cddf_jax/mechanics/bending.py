@@ -153,7 +153,7 @@ def turning(
     direction: PerTendon,
     external_moment_rate: float | Number = 0.0,
 ) -> PerTendon:
-    """The rate psi' alone, zero beyond the anchor: what friction needs; without kappa' where psi' does not depend on it."""
+    """The rate psi' alone, zero beyond the anchor: what friction needs, without kappa' unless psi' depends on it."""
     if _turns_with_the_body(section):
         rate = tangent(section, curvature).turning
     else:

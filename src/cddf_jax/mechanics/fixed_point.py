@@ -20,6 +20,7 @@ from ..numerics.arrays import all_finite, cos_sin, largest, relative_size, zero_
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
+from ..robot.loads import planar_cross
 from ..robot.manipulator import CrossSection
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
 from .problem import (
@@ -35,7 +36,6 @@ from .problem import (
     curvature_along,
     everywhere,
     guarded_section,
-    moment_rate_of,
     moments_of,
     spent_scale,
     tension_of,
@@ -69,14 +69,14 @@ def truncation_error(problem: Problem, solution: Solution) -> Number:
     state = jax.tree.map(lambda a, b: cut.resample(a, b, fractions), solution.starts, solution.nodes)
     tension = tension_of(sections, problem.base_tension, state.pull)
     kappa = curvature_along(sections, tension, state.moment)
-    moment_rate = moment_rate_of(state.heading, state.force)
+    axis = axis_of(state.heading)
+    moment_rate = -planar_cross(axis, state.force)
     turning = turning_along(sections, kappa, tension, problem.direction, moment_rate)
     growth = ratio_rate(problem.direction, sections, turning, state.ratio) / solution.tip.ratio
     spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, solution.tip.pull)
     spent = [] if spending is None or scale is None else [spending / scale]
-    shape = [*(component / cut.edges[-1] for component in cos_sin(state.heading)), kappa]
-    bending = [moment_rate / problem.moment_scale] if problem.loads is not None else []
-    rates = jnp.concatenate([growth, *spent, jnp.stack([*shape, *bending], axis=-1)], axis=-1)
+    bending = [moment_rate[..., None] / problem.moment_scale] if problem.loads is not None else []
+    rates = jnp.concatenate([growth, *spent, axis / cut.edges[-1], kappa[..., None], *bending], axis=-1)
     missed = cut.width[:, None] * jnp.abs(jnp.moveaxis(rates, 1, -1) @ jnp.asarray(difference, rates.dtype))
     return jnp.maximum(SAFETY * largest(jnp.sum(missed, axis=0)), _unseen_turning(problem))
 
@@ -120,6 +120,7 @@ class _Pass(NamedTuple):
     nodes: _Point
     turns: Float[Array, "*P tendons"]  # finite angles by which tendons turn where panels start, rad
     turning: Float[Array, "*P p tendons"]  # psi' at the nodes, rad/m
+    axis: Float[Array, "*P p 2"] | None  # t at the nodes; None without loads, where a pass has no need of it
 
 
 class _Resolved(NamedTuple):
@@ -151,7 +152,7 @@ class FixedPoint(eqx.Module):
     def __call__(self, problem: Problem) -> Solution:
         # from scratch it takes fewer passes panel by panel
         edges, whole = problem.panels.edges, _whole(problem)
-        single = jax.vmap(lambda *ends: Panels(jnp.stack(ends), problem.panels.order))(edges[:-1], edges[1:])
+        single = jax.vmap(lambda *ends: Panels.between(jnp.stack(ends), problem.panels.order))(edges[:-1], edges[1:])
         tip, answer = jax.lax.scan(partial(self._resolve_panel, problem), _base(problem), (single, whole[1:]))
         good = answer.converged & answer.positive
         return _with_path(
@@ -246,7 +247,8 @@ def _pass(problem: Problem, part: _Part, start: _Point, guess: Nodal) -> tuple[_
     tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent_at_nodes))
     kappa = curvature_along(section, tension, moment)
     heading, heading_at_nodes = _onward(cut, start.heading, kappa)
-    moment_rate = moment_rate_of(heading_at_nodes, part.force) if loaded else jnp.zeros_like(kappa)
+    axis = axis_of(heading_at_nodes) if loaded else None
+    moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, part.force)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
     bending, bending_at_nodes = _onward_if_any(cut, start.values.moment, moment_rate * (1.0 / problem.moment_scale))
     gains, within = cut.integrate(_ratio_rates(problem.direction, section, turning, guess.ratio))
@@ -256,7 +258,7 @@ def _pass(problem: Problem, part: _Part, start: _Point, guess: Nodal) -> tuple[_
     at_edges = bending, heading, spent
     at_starts = _point(starts, *jax.tree.map(lambda x: x[:-1], at_edges))
     at_tip = _point(tip, *jax.tree.map(lambda x: x[-1], at_edges))
-    return _Pass(at_starts, nodes, turns, turning), at_tip
+    return _Pass(at_starts, nodes, turns, turning, axis), at_tip
 
 
 def _point(ratio: Array, moment: Array | None, heading: Array, spent: Array | None) -> _Point:
@@ -311,7 +313,8 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
 def _with_path(problem: Problem, along: _Pass, solution: Solution) -> Solution:
     """The solution with wrap angle and position, which a pass has no need of."""
     cut = problem.panels
-    position, position_at_nodes = cut.integrate(axis_of(along.nodes.heading))
+    axis = axis_of(along.nodes.heading) if along.axis is None else along.axis
+    position, position_at_nodes = cut.integrate(axis)
     wrap, wrap_at_nodes = cut.integrate(jnp.abs(along.turning))
     turned = jnp.cumsum(along.turns, axis=0)
     return solution._replace(

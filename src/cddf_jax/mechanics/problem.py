@@ -351,28 +351,24 @@ def pull_at_nodes(problem: Problem, values: Nodal) -> Pull:
 
 
 def tendon_displacement(problem: Problem, pull: Pull, moment: Float[Array, "P p"]) -> PerTendon:
-    """Length of each tendon pulled in at the base since the straight body without tension, m.
-
-    The tendon's path shortens by the integral of sqrt(1 + d'^2) - |u_c'|, and the tendon itself stretches
-    by T / (E A), inside the body and along its free length outside.
-    """
+    """Length of each tendon pulled in at the base since the straight body without tension, m."""
     body = problem.manipulator
-    rate = shortening_along(problem, pull, moment) + stretch_along(problem, pull)
     outside = problem.base_tension * body.tendon_compliance * body.tendon_free_length
-    return jnp.sum(problem.panels.gain(rate), axis=0) + outside
-
-
-def stretch_along(problem: Problem, pull: Pull) -> Float[Array, "P p tendons"]:
-    """The stretch of each tendon per arc length, T sqrt(1 + d'^2) / (E A)."""
     tension = tension_of(problem.nodes, problem.base_tension, pull)
-    return tension * jnp.sqrt(1.0 + problem.nodes.offset_slope**2) * problem.manipulator.tendon_compliance
+    return jnp.sum(problem.panels.gain(displacement_rate(problem, tension, moment)), axis=0) + outside
 
 
-def shortening_along(problem: Problem, pull: Pull, moment: Float[Array, "P p"]) -> Float[Array, "P p tendons"]:
-    """Length of each tendon in the straight body less that in the bent one, per arc length."""
+def displacement_rate(
+    problem: Problem, tension: Float[Array, "P p tendons"], moment: Float[Array, "P p"]
+) -> Float[Array, "P p tendons"]:
+    """By how much a tendon's path shortens and the tendon stretches, per arc length.
+
+    The path shortens by sqrt(1 + d'^2) - |u_c'|; the tendon stretches by T sqrt(1 + d'^2) / (E A).
+    """
     section = problem.nodes
-    kappa = curvature_along(section, tension_of(section, problem.base_tension, pull), moment)[..., None]
+    kappa = curvature_along(section, tension, moment)[..., None]
     # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
     bend, slope = section.side * section.offset * kappa, section.offset_slope
-    rate = bend * (2.0 - bend) / (jnp.sqrt(1.0 + slope**2) + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
-    return jnp.where(section.present, rate, 0.0)
+    straight = jnp.sqrt(1.0 + slope**2)
+    rate = bend * (2.0 - bend) / (straight + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
+    return jnp.where(section.present, rate, 0.0) + tension * straight * problem.manipulator.tendon_compliance

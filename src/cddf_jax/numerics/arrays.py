@@ -39,9 +39,15 @@ def largest_size(numbers: Numbers) -> Scalar:
 
 
 @jax.jit
+def largest_sizes(*trees: Numbers) -> tuple[Scalar, ...]:
+    """The largest magnitude of each of several trees of as many numbers."""
+    sizes = _largest_of_columns(jnp.abs(jnp.stack([_flat(tree) for tree in trees], axis=1)))
+    return tuple(sizes[i] for i in range(len(trees)))
+
+
 def relative_size(change: Numbers, value: Numbers) -> Scalar:
     """The largest change over the largest value."""
-    change, value = _largest_of_columns(jnp.abs(jnp.stack([_flat(change), _flat(value)], axis=1)))
+    change, value = largest_sizes(change, value)
     return change / jnp.maximum(value, jnp.finfo(value.dtype).tiny)
 
 

@@ -58,19 +58,20 @@ class Panels(eqx.Module):
     """Panels along the body, P of them with p nodes each."""
 
     edges: Float[Array, " edges"]  # arc length, m, from 0 to L
+    width: Float[Array, " P"]
+    nodes: Float[Array, "P p"]
     order: int = eqx.field(static=True)
+
+    @classmethod
+    def between(cls, edges: Float[Array, " edges"], order: int) -> "Panels":
+        """The panels between edges."""
+        width = edges[1:] - edges[:-1]
+        places = jnp.asarray(gauss_rule(order).nodes, edges.dtype)
+        return cls(edges, width, edges[:-1, None] + width[:, None] * places, order)
 
     @property
     def rule(self) -> Rule:
         return gauss_rule(self.order)
-
-    @property
-    def width(self) -> Float[Array, " P"]:
-        return jnp.diff(self.edges)
-
-    @property
-    def nodes(self) -> Float[Array, "P p"]:
-        return self.edges[:-1, None] + self.width[:, None] * self.constant("nodes")
 
     @property
     def shares(self) -> Float[Array, "P p"]:
@@ -90,10 +91,16 @@ class Panels(eqx.Module):
 
     def integrate(self, rate: Float[Array, "P p *k"]) -> tuple[Float[Array, "edges *k"], Float[Array, "P p *k"]]:
         """The integral of `rate` from the base to every edge and to every node."""
-        width, gain = self._width_for(rate), self.gain(rate)
-        at_edges = jnp.concatenate([jnp.zeros_like(gain[:1]), jnp.cumsum(gain, axis=0)])
-        within = width[:, None] * self.accumulate(rate, 1)
-        return at_edges, at_edges[:-1, None] + within
+        scaled = self._width_for(rate)[:, None] * rate
+        at_edges = self._sums_before_edges(jnp.moveaxis(scaled, 1, -1) @ self.constant("weights"))
+        return at_edges, at_edges[:-1, None] + self.accumulate(scaled, 1)
+
+    def _sums_before_edges(self, gain: Float[Array, "P *k"]) -> Float[Array, "edges *k"]:
+        """The sum over the panels before each edge."""
+        count = gain.shape[0]
+        if count == 1:
+            return jnp.concatenate([jnp.zeros_like(gain), gain])
+        return jnp.tensordot(jnp.tril(jnp.ones((count + 1, count), gain.dtype), -1), gain, 1)
 
     def accumulate(self, rate: Float[Array, "*k"], axis: int = 0) -> Float[Array, "*k"]:
         """The integral of `rate` from the start of a panel of width 1 to its nodes, which lie along `axis`.
@@ -142,25 +149,15 @@ class Panels(eqx.Module):
         terms = self.constant("barycentric") / jnp.where(apart == 0, jnp.finfo(apart.dtype).tiny ** 0.5, apart)
         return terms / jnp.sum(terms)
 
-    def on_nodes_of(self, new: "Panels", values: Tree) -> Tree:
-        """Values at the nodes of these panels, read from their polynomials at the nodes of other panels of the body.
-
-        Args:
-            new: the other panels.
-            values: trees of arrays with leading axes (P, p).
-        """
+    def weights_on(self, new: "Panels") -> Float[Array, "points nodes"]:
+        """The weights of these nodes in their polynomials at the nodes of other panels of the body, in one row each."""
 
         def weights_at(arc_length):
             i, place = self._within(arc_length)
             chosen = jnp.where(jnp.arange(self.edges.shape[0] - 1) == i, 1.0, 0.0).astype(place.dtype)
             return (chosen[:, None] * self.lagrange(place)).ravel()
 
-        weights = jax.vmap(weights_at)(new.nodes.ravel())
-
-        def read(x: Array) -> Array:
-            return (weights @ x.reshape(weights.shape[1], -1)).reshape(*new.nodes.shape, *x.shape[2:])
-
-        return jax.tree.map(read, values)
+        return jax.vmap(weights_at)(new.nodes.ravel())
 
     def interpolate(self, start: Tree, values: Tree, arc_length: Float[Array, ""]) -> Tree:
         """The polynomials through the start and the nodes of the panel that holds `arc_length`.
@@ -192,4 +189,4 @@ def panels_between(joints: Float[Array, " joints"], nodes: int) -> Panels:
     order = -(-nodes // per_piece)
     fraction = jnp.arange(per_piece) / per_piece
     starts = joints[:-1, None] + jnp.diff(joints)[:, None] * fraction.astype(joints.dtype)
-    return Panels(jnp.concatenate([starts.ravel(), joints[-1:]]), order)
+    return Panels.between(jnp.concatenate([starts.ravel(), joints[-1:]]), order)

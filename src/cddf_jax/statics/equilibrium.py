@@ -235,10 +235,16 @@ class Dense(eqx.Module):
     manipulator: Manipulator
     base_tension: PerTendon
     direction: PerTendon
-    panels: Panels
+    edges: Float[Array, " edges"]  # of the panels, m
+    order: int = eqx.field(static=True)  # nodes in each panel
     starts: State
     nodes: State
     solved: Bool[Array, ""]
+
+    @property
+    def panels(self) -> Panels:
+        """The panels of the solve."""
+        return Panels.between(self.edges, self.order)
 
     def state(self, arc_length: Float[Array, ""]) -> State:
         """The integrated state at one arc length."""

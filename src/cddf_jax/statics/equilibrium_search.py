@@ -3,12 +3,14 @@
 Without derivatives: `balance` gives the result its derivatives, as implicit functions.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
@@ -153,7 +155,8 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
         problem = setup.lay_out(base_tension, None)
         guess = everywhere(problem.panels, at_base(problem))
         found, near = follow_loads(LoadedBody(problem, setup.method), guess, zero)
-        trial = _on_other_panels(near, problem.panels, _cut(setup, blank.splits))
+        more = trial.nodal.ratio.shape[0] - guess.ratio.shape[0]  # empty panels at the tip
+        trial = _moved(near, lambda x: jnp.concatenate([x, *[jnp.broadcast_to(x[-1:, -1:], (1, *x.shape[1:]))] * more]))
 
     def goes_on(state: _Following) -> Flag:
         in_place = (state.moved <= _in_place(zero)) | (state.num_moves >= MAX_MOVES + MAX_ROUNDS)
@@ -183,10 +186,10 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     ends = jax.tree.map(lambda a, b: jnp.where(move, a, b), state.splits, state.ends)
     num_moves = state.num_moves + jnp.where(move, 1.0, 0.0)
     problem = setup.lay_out(base_tension, ends)
-    old, new = _cut(setup, state.ends), problem.panels
 
     def moved(zero: Number) -> Trial:
-        return _on_other_panels(state.trial, Panels(old.edges + zero, old.order), new)
+        weights = _cut(setup, state.ends).weights_on(problem.panels) + zero
+        return _moved(state.trial, lambda x: (weights @ x.reshape(weights.shape[1], -1)).reshape(x.shape))
 
     start = only_if(move, moved, state.trial)
     start = start._replace(num_passes=jnp.where(move, 0.0, start.num_passes))
@@ -194,10 +197,10 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     trial, solution = body.correct(start, fraction, fraction < 0)
     splits = locate(problem, solution)
     travel = travel_under_tension(problem, pull_at_nodes(problem, trial.nodal), body.travel(trial, fraction))
-    distance = largest_size(splits.arc_length - ends.arc_length) / new.edges[-1]
-    following = _Following(trial, travel, splits, ends, distance, num_moves)
-    kept = jax.tree.map(lambda a, b: jnp.where(trial.lost, a, b), state, following)
-    return kept._replace(trial=kept.trial._replace(lost=trial.lost, locked=trial.locked))
+    distance = largest_size(splits.arc_length - ends.arc_length) / problem.panels.edges[-1]
+    kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), start, trial)
+    kept = kept._replace(lost=trial.lost, locked=trial.locked)
+    return _Following(kept, travel, splits, ends, distance, num_moves)
 
 
 def _in_place(number: Number) -> float:
@@ -205,15 +208,15 @@ def _in_place(number: Number) -> float:
     return max(SETTLED, 16 * float(jnp.finfo(number.dtype).eps))
 
 
-def _on_other_panels(trial: Trial, old: Panels, new: Panels) -> Trial:
+def _moved(trial: Trial, on_new_panels: Callable[[Array], Array]) -> Trial:
     """The trial with its values and slopes at the nodes of other panels."""
-    nodal = old.on_nodes_of(new, trial.nodal)
+    nodal = jax.tree.map(on_new_panels, trial.nodal)
     if trial.heading is None or trial.slopes is None:
         return trial._replace(nodal=nodal)
     slopes = trial.slopes.nodal, trial.slopes.heading.nodes
-    slopes, heading_slopes = jax.vmap(partial(old.on_nodes_of, new))(slopes)
+    slopes, heading_slopes = jax.tree.map(jax.vmap(on_new_panels), slopes)
     return trial._replace(
         nodal=nodal,
-        heading=trial.heading._replace(nodes=old.on_nodes_of(new, trial.heading.nodes)),
+        heading=trial.heading._replace(nodes=on_new_panels(trial.heading.nodes)),
         slopes=trial.slopes._replace(nodal=slopes, heading=trial.slopes.heading._replace(nodes=heading_slopes)),
     )

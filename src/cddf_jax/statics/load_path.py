@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ..mechanics.problem import Nodal, Number
-from ..numerics.arrays import all_finite, computed_once, largest_size
+from ..numerics.arrays import computed_once, largest_size, largest_sizes
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, start_from
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
@@ -152,8 +152,9 @@ def _decide(walk: _Walk) -> _Walk:
     new = _arrive(trial, walk.fraction)
     turned = jax.tree.map(jnp.subtract, new.heading, old.heading)
     missed = jax.tree.map(lambda x, v: x - (new.fraction - old.fraction) * v, turned, old.heading_slope)
-    missed, turned = (jnp.where(first, 0.0, largest_size(x)) for x in (missed, turned))
-    near = trial.near & all_finite(new.heading_slope)
+    missed, turned, slope = largest_sizes(missed, turned, new.heading_slope)
+    missed, turned = jnp.where(first, 0.0, missed), jnp.where(first, 0.0, turned)
+    near = trial.near & jnp.isfinite(slope)
     jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
     accepted = near & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
     accepted = computed_once(jnp.where(accepted, 1.0, 0.0)) > 0
@@ -167,11 +168,7 @@ def _decide(walk: _Walk) -> _Walk:
     ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
     return _Walk(
         place,
-        jax.tree.map(
-            lambda there, next: jnp.where(arrived, there, next),
-            trial,
-            _predict(place, jnp.where(ended, 0.0, step), trial),
-        ),
+        _predict(place, jnp.where(ended, 0.0, step), trial)._replace(settled=trial.settled & arrived),
         step,
         fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
         num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
@@ -209,7 +206,6 @@ def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
         nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
         slopes=trial.slopes._replace(nodal=slopes),
         near=false,
-        settled=false,
         lost=false,
         num_passes=jnp.zeros_like(place.moment),
     )

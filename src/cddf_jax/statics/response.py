@@ -20,10 +20,9 @@ from ..mechanics.problem import (
     Problem,
     Solution,
     curvature_along,
+    displacement_rate,
     load_rate,
     moment_rate_of,
-    shortening_along,
-    stretch_along,
     tendon_displacement,
     tension_of,
     turning_along,
@@ -202,12 +201,10 @@ class _Stage(NamedTuple):
 def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     there = equilibrate(setup, base_tension)
     problem, solution, cut = there.problem, there.solution, there.problem.panels
-    reel = shortening_along(problem, solution.nodes.pull, solution.nodes.moment) + stretch_along(
-        problem, solution.nodes.pull
-    )
-    edges, inner = cut.integrate(reel)
     section = problem.nodes
     tension = tension_of(section, base_tension, solution.nodes.pull)
+    reel = displacement_rate(problem, tension, solution.nodes.moment)
+    edges, inner = cut.integrate(reel)
     kappa = curvature_along(section, tension, solution.nodes.moment)
     moment_rate = moment_rate_of(solution.nodes.heading, solution.nodes.force)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
@@ -215,7 +212,7 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     starts = unspent(base_tension, solution.starts.pull) / solution.starts.ratio
     arriving = jnp.concatenate([base_tension[None], (starts - cut.gain(friction))[:-1]])
     body = problem.manipulator
-    stretching = jnp.sum(tension * stretch_along(problem, solution.nodes.pull), axis=-1)
+    stretching = jnp.sum(tension**2 * jnp.sqrt(1.0 + section.offset_slope**2) * body.tendon_compliance, axis=-1)
     outside = jnp.sum(base_tension**2 * body.tendon_compliance * body.tendon_free_length)
     return _Stage(
         displacement=tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment),

@@ -157,7 +157,14 @@ def _solve(
     crossing = largest(inside_of_bend(problem, solution)) >= 1.0
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     dense = Dense(
-        manipulator, problem.base_tension, problem.direction, problem.panels, solution.starts, solution.nodes, solved
+        manipulator,
+        problem.base_tension,
+        problem.direction,
+        problem.panels.edges,
+        problem.panels.order,
+        solution.starts,
+        solution.nodes,
+        solved,
     )
 
     return Equilibrium(
