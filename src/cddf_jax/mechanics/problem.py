@@ -60,11 +60,7 @@ class Problem(eqx.Module):
     loads: Loads | None
     outboard: Outboard  # zero without loads
     base_moment: Number  # M_ext(0), N m; zero without loads
-
-    @property
-    def moment_scale(self) -> Number:
-        """E J / L at the base, N m."""
-        return self.base.stiffness / self.panels.edges[-1]
+    moment_scale: Number  # E J / L at the base, N m
 
     @property
     def is_quadrature(self) -> bool:
@@ -146,18 +142,20 @@ def lay_out(
     turns = manipulator.kinematics == "exact" and manipulator.slanted and manipulator.breakpoints.shape[0] > 0
     starts = cut.edges[:-1]
     inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip causes no turn there
+    base = jax.tree.map(lambda x: x[0], along)
     return Problem(
         manipulator,
         base_tension,
         direction,
         cut,
-        base=jax.tree.map(lambda x: x[0], along),
+        base=base,
         nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
         tip=jax.tree.map(lambda x: x[-1], along),
         joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside)) if turns else None,
         loads=loads,
         outboard=_outboard(manipulator, cut, loads, splits),
         base_moment=jnp.zeros_like(cut.edges[-1]),
+        moment_scale=base.stiffness / cut.edges[-1],
     )
 
 

@@ -10,9 +10,9 @@ from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt
 
-from ..numerics.arrays import largest, varying_as, zero_as
+from ..numerics.arrays import largest, largest_of_each, varying_as, zero_as
 from ..numerics.quadrature import Panels
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -117,8 +117,8 @@ def _has_both_signs(problem: Problem, turning: Turning) -> tuple[Bool[Array, ""]
     That is measured by what one tendon alone or the largest turning would make of the curvature, 1/m.
     """
     alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
-    ahead, back = largest(turning), largest(-turning)
-    least = NEGLIGIBLE * jnp.maximum(largest(alone), jnp.maximum(ahead, back))
+    ahead, back, alone = largest_of_each(*(jnp.max(x, axis=-1) for x in (turning, -turning, alone)))
+    least = NEGLIGIBLE * jnp.maximum(alone, jnp.maximum(ahead, back))
     return (ahead > least) & (back > least), least
 
 
@@ -133,9 +133,9 @@ def _first_changes(problem: Problem, turning: Turning, least: Number, none: Spli
     changes = (left_turn & (last_right > last_left)) | (right_turn & (last_left > last_right))
 
     order = _first_of(changes.ravel(), none.owner.shape[0])
-    found, at = order < changes.size, jnp.minimum(order, changes.size - 1)
+    found, at = order < changes.size, jnp.minimum(order, changes.size - 1).astype(jnp.uint32)  # not read from the end
     point, owner = at // owners, at % owners
-    before = jnp.maximum(jnp.maximum(last_left, last_right).ravel()[at], 0)
+    before = jnp.maximum(jnp.maximum(last_left, last_right).ravel()[at], 0).astype(jnp.uint32)
     panel, edge = point // per_panel, arc_length[point // per_panel * per_panel]
     inside = before // per_panel == panel
     bracket = jnp.stack([arc_length[before], arc_length[point]])
@@ -143,7 +143,7 @@ def _first_changes(problem: Problem, turning: Turning, least: Number, none: Spli
     jumps = _is_joint(problem, edge) & (point % per_panel == 0) & (before % per_panel == per_panel - 1)
     refined = jax.vmap(lambda *at: _refine(cut, turning[at[0], :, at[1]], at[0], at[2]))(panel, owner, bracket.T)
     place, found = jnp.where(inside, refined, edge), found & ~jumps
-    return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner, -1))
+    return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner.astype(none.owner.dtype), -1))
 
 
 def _is_joint(problem: Problem, arc_length: Float[Array, " places"]) -> Bool[Array, " places"]:
@@ -167,7 +167,7 @@ def _first_of(holds: Bool[Array, " entries"], count: int) -> Int[Array, " count"
     return jnp.stack(order)
 
 
-def _refine(cut: Panels, turning: Float[Array, " p"], panel: Int[Array, ""], bracket: Float[Array, "2"]) -> Number:
+def _refine(cut: Panels, turning: Float[Array, " p"], panel: UInt[Array, ""], bracket: Float[Array, "2"]) -> Number:
     """The zero of the polynomial of one panel between two arc lengths, by the Illinois rule."""
     start, width = cut.edges[panel], jnp.where(cut.width[panel] > 0, cut.width[panel], 1.0)
 

@@ -38,11 +38,16 @@ def largest_size(numbers: Numbers) -> Scalar:
     return largest(jnp.abs(_flat(numbers)))
 
 
-@jax.jit
 def largest_sizes(*trees: Numbers) -> tuple[Scalar, ...]:
     """The largest magnitude of each of several trees of as many numbers."""
-    sizes = _largest_of_columns(jnp.abs(jnp.stack([_flat(tree) for tree in trees], axis=1)))
-    return tuple(sizes[i] for i in range(len(trees)))
+    return largest_of_each(*(jnp.abs(_flat(tree)) for tree in trees))
+
+
+@jax.jit
+def largest_of_each(*arrays: Shaped[Array, "..."]) -> tuple[Scalar, ...]:
+    """The largest value of each of several arrays of one size."""
+    found = _largest_of_columns(jnp.stack([values.ravel() for values in arrays], axis=1))
+    return tuple(found[i] for i in range(len(arrays)))
 
 
 def relative_size(change: Numbers, value: Numbers) -> Scalar:

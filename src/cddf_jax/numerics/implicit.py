@@ -37,16 +37,15 @@ def implicit(step: Step[Tree], values: Tree, root: Unknowns) -> tuple[Tree, Unkn
     return _root(step, jax.tree.map(jax.lax.stop_gradient, values), jax.lax.stop_gradient(root))
 
 
-def slopes_by_unknowns(push: Step[Tree], values: Tree, root: Unknowns, count: int) -> tuple[Tree, Array]:
-    """The slopes of values and residual with respect to the first unknowns, which stand along a leading axis.
+def slopes_by_unknowns(push: Step[Tree], values: Tree, root: Unknowns) -> tuple[Tree, Array]:
+    """The slopes of values and residual with respect to the unknowns, which stand along a leading axis.
 
     Args:
         push: a step as `implicit` takes it, linearised at the values and the root.
         values, root: where.
-        count: of the unknowns.
     """
     still = jax.tree.map(jnp.zeros_like, values)
-    basis = jnp.eye(count, root.size, dtype=root.dtype) + zero_as(values, root)
+    basis = jnp.eye(root.size, dtype=root.dtype) + zero_as(values, root)
     return jax.vmap(lambda unit: _through_passes(push, push(still, unit), root))(basis)
 
 
@@ -64,7 +63,7 @@ def _(primals, tangents):
     values_slope, residual_slope = _through_passes(push, pushed, root)
     if not root.size:
         return (values, root), (values_slope, jnp.zeros_like(root))
-    values_slopes, slopes = slopes_by_unknowns(push, values, root, root.size)
+    values_slopes, slopes = slopes_by_unknowns(push, values, root)
     jacobian, eye = slopes.T, jnp.eye(root.size, dtype=root.dtype)
     size = jnp.max(jnp.abs(jacobian), axis=1)
     regular = jnp.all(jnp.isfinite(jacobian)) & jnp.all(size > 0)

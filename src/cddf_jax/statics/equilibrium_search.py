@@ -10,7 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
@@ -138,6 +138,7 @@ class _Following(NamedTuple):
     travel: PerTendon
     splits: Splits  # the sign changes
     ends: Splits  # where the panels end on which they were found
+    edges: Float[Array, " edges"]  # of these panels, m
     moved: Number  # the distance between the two, of the length
     num_moves: Number
 
@@ -162,7 +163,8 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
         in_place = (state.moved <= _in_place(zero)) | (state.num_moves >= MAX_MOVES + MAX_ROUNDS)
         return found.converged & ~state.trial.lost & ~(state.trial.settled & in_place)
 
-    start = _Following(trial, blank.travel, blank.splits, blank.splits, zero + jnp.inf, zero)
+    edges = _cut(setup, blank.splits).edges
+    start = _Following(trial, blank.travel, blank.splits, blank.splits, edges, zero + jnp.inf, zero)
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
     end = jax.lax.while_loop(goes_on, follow, start)
     trial = end.trial
@@ -188,7 +190,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     problem = setup.lay_out(base_tension, ends)
 
     def moved(zero: Number) -> Trial:
-        weights = _cut(setup, state.ends).weights_on(problem.panels) + zero
+        weights = Panels.between(state.edges + zero, problem.panels.order).weights_on(problem.panels)
         return _moved(state.trial, lambda x: (weights @ x.reshape(weights.shape[1], -1)).reshape(x.shape))
 
     start = only_if(move, moved, state.trial)
@@ -200,7 +202,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     distance = largest_size(splits.arc_length - ends.arc_length) / problem.panels.edges[-1]
     kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), start, trial)
     kept = kept._replace(lost=trial.lost, locked=trial.locked)
-    return _Following(kept, travel, splits, ends, distance, num_moves)
+    return _Following(kept, travel, splits, ends, problem.panels.edges, distance, num_moves)
 
 
 def _in_place(number: Number) -> float:

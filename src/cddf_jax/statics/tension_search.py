@@ -8,9 +8,9 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import Number, Problem, Solution
+from ..mechanics.problem import Nodal, Number, Problem, Solution
 from ..numerics.arrays import largest, varying_as, zero_as
-from ..numerics.implicit import slopes_by_unknowns, solve_small, without_derivative
+from ..numerics.implicit import Unknowns, slopes_by_unknowns, solve_small, without_derivative
 from .equilibrium_derivatives import Balance, System, balance, inside_of_bend
 from .equilibrium_search import Settled, Setup, settle, unsettled
 from .targets import Displacement, Target, bending_tension
@@ -117,9 +117,15 @@ def _search(
         base_tension = given.at[which].set(scale * tension)
         settled = settle(setup, base_tension)
         system = System(setup, base_tension, settled, Partial(_misses, setup, wanted), tuple(wanted))
-        values, root = None if settled.trial is None else settled.trial.nodal, system.root()
-        (_, rows), push, (problem, solution) = jax.linearize(system.step, values, root, has_aux=True)
-        slopes = slopes_by_unknowns(push, values, root, count + loaded)[1].T  # those by the sign changes vanish
+        values = None if settled.trial is None else settled.trial.nodal
+        root, splits = jnp.split(system.root(), [count + loaded])  # slopes by the places of sign changes vanish
+
+        def step(values: Nodal | None, root: Unknowns):
+            (better, rows), there = system.step(values, jnp.concatenate([root, splits]))
+            return (better, rows[: count + loaded]), there
+
+        (_, rows), push, (problem, solution) = jax.linearize(step, values, root, has_aux=True)
+        slopes = slopes_by_unknowns(push, values, root)[1].T
         residual, jacobian = rows[:count], slopes[:count, :count]
         if loaded:  # the base moment follows the tensions so that M_ext(L) stays m
             jacobian = jacobian - jnp.outer(slopes[:count, count], slopes[count, :count] / slopes[count, count])
