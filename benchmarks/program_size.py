@@ -24,6 +24,7 @@ def num_operations(function: Callable, *arguments: object) -> int:
     """The operations of the lowered module, every call counted with all that it calls."""
     module = jax.jit(function).lower(*arguments).compiler_ir("stablehlo")
     own, calls = {}, {}
+    assert module is not None
     for part in module.body.operations:
         name = part.attributes["sym_name"].value
         own[name], calls[name] = _own(part)

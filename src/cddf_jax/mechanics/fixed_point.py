@@ -305,9 +305,13 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
         values, heading, spent = point
         return State(Pull(values.ratio, spent), heading, moments_of(problem, values), force)
 
-    at, outboard = (along.starts, along.nodes, tip), problem.outboard
-    states = map(state, at, (outboard.starts, outboard.nodes, outboard.tip))
-    return Solution(*states, **outcome)
+    outboard = problem.outboard
+    return Solution(
+        starts=state(along.starts, outboard.starts),
+        nodes=state(along.nodes, outboard.nodes),
+        tip=state(tip, outboard.tip),
+        **outcome,
+    )
 
 
 def _with_path(problem: Problem, along: _Pass, solution: Solution) -> Solution:

@@ -113,32 +113,36 @@ def balance(
         unknown: the tendons whose tension was searched for.
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
     """
-    system, found, trial = System(setup, base_tension, settled, equations, unknown), settled.load_path, settled.trial
+    system = System(setup, base_tension, settled, equations, unknown)
+    trial, found = settled.trial, settled.load_path
     if trial is None or settled.travel is None:
-        problem = system.problem(implicit(system, None, system.root())[1] if unknown else system.root())
-        solution = setup.method(problem)
-        found = found._replace(converged=found.converged & solution.converged)
-        at_nodes = solution.nodes.pull, solution.nodes.moment
-        travel = travel_under_tension(problem, at_nodes[0], tendon_displacement(problem, *at_nodes))
-        return Balance(problem, solution, found, travel, jnp.ones_like(solution.residual))
-
-    values = jax.tree.map(
-        lambda x, at_start: jnp.where(found.converged, x, at_start), trial.nodal, first_guess(trial.nodal)
-    )
+        return _from_scratch(system)
+    start = first_guess(trial.nodal)
+    values = jax.tree.map(lambda x, guess: jnp.where(found.converged, x, guess), trial.nodal, start)
     values, root = implicit(system, values, system.root())
+    assert values is not None
     problem = system.problem(root)
     solution = setup.method.finish(problem, values)
     changes = [solution.residual, trial.change]
-    if setup.loads is not None:
-        changes.append(jnp.abs(moment_left_at_tip(problem, solution)))
+    changes += [] if setup.loads is None else [jnp.abs(moment_left_at_tip(problem, solution))]
     solution = solution._replace(
         num_iterations=trial.num_passes,
         residual=largest(jnp.stack(changes)),
         converged=found.resolved & jnp.isfinite(solution.residual),
         locked=trial.locked,
     )
-    leverage = jnp.where(found.converged, trial.leverage, 1.0)
-    return Balance(problem, solution, found, settled.travel, leverage)
+    return Balance(problem, solution, found, settled.travel, jnp.where(found.converged, trial.leverage, 1.0))
+
+
+def _from_scratch(system: System) -> Balance:
+    """For a body without loads and sign changes, where nothing was searched for but tensions."""
+    found, root = system.settled.load_path, system.root()
+    problem = system.problem(implicit(system, None, root)[1] if system.unknown else root)
+    solution = system.setup.method(problem)
+    found = found._replace(converged=found.converged & solution.converged)
+    pull = solution.nodes.pull
+    travel = travel_under_tension(problem, pull, tendon_displacement(problem, pull, solution.nodes.moment))
+    return Balance(problem, solution, found, travel, jnp.ones_like(solution.residual))
 
 
 def inside_of_bend(problem: Problem, solution: Solution) -> Float[Array, " points"]:

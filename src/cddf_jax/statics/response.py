@@ -234,10 +234,14 @@ def _load_energy(problem: Problem, solution: Solution) -> Number:
     if loads is None:
         return jnp.zeros_like(solution.tip.heading)
     rate = load_rate(problem.manipulator, problem.panels.nodes, loads)
-    lifted = jnp.sum(problem.panels.gain(jnp.sum(rate * solution.nodes.position, axis=-1)))
+    at_starts, at_nodes, at_tip = (state.position for state in (solution.starts, solution.nodes, solution.tip))
+    assert at_starts is not None
+    assert at_nodes is not None
+    assert at_tip is not None
+    lifted = jnp.sum(problem.panels.gain(jnp.sum(rate * at_nodes, axis=-1)))
     if problem.outboard.drops is not None:
-        lifted = lifted + jnp.sum(problem.outboard.drops * solution.starts.position)
-    return -(jnp.asarray(loads.tip_force) @ solution.tip.position + loads.tip_moment * solution.tip.heading + lifted)
+        lifted = lifted + jnp.sum(problem.outboard.drops * at_starts)
+    return -(jnp.asarray(loads.tip_force) @ at_tip + loads.tip_moment * solution.tip.heading + lifted)
 
 
 def _dissipation(stage: _Stage, rate: _Stage) -> PerTendon:

@@ -149,6 +149,7 @@ def _solve(
     balance, found = _equilibrium(setup, given, targets)
     problem, solution = balance.problem, balance.solution
 
+    assert solution.tip.position is not None
     physical = finite & is_physical(asked[0], asked[1], asked[2], problem) & are_on_the_body(targets, problem)
     solved = physical & balance.load_path.converged
     at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
