@@ -42,6 +42,7 @@ studies: .venv/ready  ## every study of fitting/, into out/fitting/ and out/desi
 		$(BIN)/cddf design $$task --out out/design/$$(basename $$task .toml) || exit 1; done
 
 benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
+	$(BIN)/python benchmarks/program_size.py
 	$(BIN)/python benchmarks/methods.py
 	$(BIN)/python benchmarks/loads.py
 	$(BIN)/python benchmarks/interval_coverage.py

@@ -2,7 +2,7 @@
 
 Compiling is what a user waits for, and it grows with the size of the program. Operations are those of the StableHLO
 module with every call expanded, so that moving code into functions is no gain. Beside them stands a plain RK4
-`lax.scan` of one tendon, which is what a user would otherwise write.
+`lax.scan` of one tendon, which is what a user would otherwise write. Times are those of one first call.
 
     python benchmarks/program_size.py
 """
@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 import cddf_jax as cddf
+from cddf_jax.files.artifacts import as_json, write_all
 
 OUTPUTS = "tip_tension", "tip_position", "result", "error_estimate"
 TIP_FORCE = cddf.Loads(tip_force=(0.0, -1.0))
@@ -120,17 +121,30 @@ PROGRAMS = {
 }
 
 
+def measure(name: str) -> dict[str, float]:
+    """The size of a program, and the seconds that it takes."""
+    program, num_tendons = PROGRAMS[name]
+    arguments = jax.tree.map(jnp.asarray, (paper_body(num_tendons), 40.0))
+    started = time.perf_counter()
+    lowered = jax.jit(program).lower(*arguments)
+    traced = time.perf_counter()
+    lowered.compile()
+    compiled = time.perf_counter()
+    size = num_operations(program, *arguments)
+    return {"operations": size, "trace and lower, s": traced - started, "compile, s": compiled - traced}
+
+
 def main() -> None:
-    print(f"{'program':42}{'operations':>11}{'trace + lower, s':>18}{'compile, s':>12}")
-    for name, (program, num_tendons) in PROGRAMS.items():
-        body = jax.tree.map(jnp.asarray, paper_body(num_tendons))
-        started = time.perf_counter()
-        lowered = jax.jit(program).lower(body, jnp.asarray(40.0))
-        traced = time.perf_counter()
-        lowered.compile()
-        compiled = time.perf_counter()
-        size = num_operations(program, body, jnp.asarray(40.0))
-        print(f"{name:42}{size:11,}{traced - started:18.2f}{compiled - traced:12.2f}", flush=True)
+    """Measure, print and save."""
+    rows = {name: measure(name) for name in PROGRAMS}
+    lines = ["| program | operations | trace and lower, s | compile, s |", "| --- | ---: | ---: | ---: |"]
+    lines += [
+        f"| {name} | {size:,.0f} | {trace:.2f} | {compiling:.2f} |"
+        for name, (size, trace, compiling) in ((name, row.values()) for name, row in rows.items())
+    ]
+    text = "\n".join(lines) + "\n"
+    print(text)
+    write_all("out/benchmark", {"program_size.md": text, "program_size.json": as_json(rows)})
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ PARTS = {
     "seventeen_levels": "Fit of 17 levels with tip positions",
     "designs": "A design",
     "cold_start": "Cold start",
+    "program_size": "Size of the programs",
     "methods": "Accuracy of the methods",
     "loads": "Accuracy under loads",
     "interval_coverage": "Coverage of intervals",

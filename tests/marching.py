@@ -1,5 +1,7 @@
 """A second method of `solve`, the oracle of the fixed point: one pass with Runge-Kutta steps, without iteration."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,6 +39,7 @@ class Marching(eqx.Module):
     """
 
     steps: int = eqx.field(default=4, static=True)
+    max_passes: ClassVar[int] = 64
 
     def __call__(self, problem: Problem) -> Solution:
         coarse, _ = _march(problem, self.steps)

@@ -7,7 +7,6 @@ on r, see `Problem.is_quadrature`, and one pass is exact. What drag uses up of t
 more integral, see `problem`.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,15 +15,13 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
-from ..numerics.arrays import all_finite, cos_sin, largest, relative_size, zero_as
+from ..numerics.arrays import all_finite, cos_sin, largest, relative_size
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
 from ..robot.loads import planar_cross
-from ..robot.manipulator import CrossSection
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
 from .problem import (
-    Joints,
     Nodal,
     Number,
     Problem,
@@ -96,15 +93,6 @@ def _unseen_turning(problem: Problem) -> Number:
     return largest(jnp.sum(jnp.abs(cut.dense_gain(bend, times=32, order=4) - seen), axis=0))
 
 
-class _Part(NamedTuple):
-    """Some panels in a row, leading axis P."""
-
-    cut: Panels
-    joints: Joints | None
-    section: CrossSection
-    force: Float[Array, "P p 2"]
-
-
 class _Point(NamedTuple):
     """What a pass integrates from the base up to a point, or to each of several points."""
 
@@ -114,60 +102,50 @@ class _Point(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """The result of one pass over some panels."""
+    """The result of one pass."""
 
     starts: _Point
     nodes: _Point
-    turns: Float[Array, "*P tendons"]  # finite angles by which tendons turn where panels start, rad
-    turning: Float[Array, "*P p tendons"]  # psi' at the nodes, rad/m
-    axis: Float[Array, "*P p 2"] | None  # t at the nodes; None without loads, where a pass has no need of it
-
-
-class _Resolved(NamedTuple):
-    """Some panels after the last pass, and how the passes ended."""
-
-    along: _Pass
-    num_passes: Float[Array, "*P"]
-    change: Float[Array, "*P"]  # in the last pass, relative
-    converged: Bool[Array, "*P"]
-    positive: Bool[Array, "*P"]  # r > 0 at the end: no tendon locks
+    turns: Float[Array, "P tendons"]  # finite angles by which tendons turn where panels start, rad
+    turning: Float[Array, "P p tendons"]  # psi' at the nodes, rad/m
+    axis: Float[Array, "P p 2"] | None  # t at the nodes; None without loads, where a pass has no need of it
 
 
 class FixedPoint(eqx.Module):
-    """The default method: Picard iteration of r = r_start + integral of direction mu theta' r in each panel.
+    """The default method: Picard iteration of r = 1 + integral of direction mu theta' r.
 
-    Under dead loads M_ext = M_start - integral of t x N is iterated with it. Each pass solves the equilibrium
+    Under dead loads M_ext = M_ext(0) - integral of t x N is iterated with it. Each pass solves the equilibrium
     of every cross-section with the last tensions and the last moment (the semi-implicit map). Both enter
     through Volterra integrals, so that the error after n passes falls like c^n / n! for any load.
     Derivatives are implicit, see `fixed_point`.
 
     Args:
         tolerance: relative change of r at which the passes stop; None for 1e-12 (float32: 4e-6).
-        max_passes: the largest number of passes in one panel.
+        max_passes: the largest number of passes in one try.
     """
 
     tolerance: float | None = eqx.field(default=None, static=True)
     max_passes: int = eqx.field(default=64, static=True)
 
     def __call__(self, problem: Problem) -> Solution:
-        # from scratch it takes fewer passes panel by panel
-        edges, whole = problem.panels.edges, _whole(problem)
-        single = jax.vmap(lambda *ends: Panels.between(jnp.stack(ends), problem.panels.order))(edges[:-1], edges[1:])
-        tip, answer = jax.lax.scan(partial(self._resolve_panel, problem), _base(problem), (single, whole[1:]))
-        good = answer.converged & answer.positive
-        return _with_path(
+        update, guess = Partial(_improved, problem), everywhere(problem.panels, at_base(problem))
+        if problem.is_quadrature:
+            answer = constant_map(update, guess, _acceptable)
+        else:
+            settings = {"tolerance": self._tolerance(problem), "max_passes": self.max_passes}
+            answer = fixed_point(update, guess, **settings, acceptable=_acceptable)
+        along, tip = _pass(problem, answer.value)
+        good = answer.converged & jnp.all(tip.values.ratio > 0)
+        solution = _solution(
             problem,
-            answer.along,
-            _solution(
-                problem,
-                answer.along,
-                tip,
-                num_iterations=jnp.max(answer.num_passes),
-                residual=jnp.max(answer.change),
-                converged=jnp.all(good),
-                locked=jnp.any((answer.change <= self._tolerance(problem)) & ~good),
-            ),
+            along,
+            tip,
+            num_iterations=answer.num_passes,
+            residual=answer.change,
+            converged=good,
+            locked=(answer.change <= self._tolerance(problem)) & ~good,
         )
+        return _with_path(problem, along, solution)
 
     def improve(self, problem: Problem, guess: Nodal) -> Solution:
         return self._improve(problem, guess)[1]
@@ -176,7 +154,7 @@ class FixedPoint(eqx.Module):
         return _with_path(problem, *self._improve(problem, guess))
 
     def _improve(self, problem: Problem, guess: Nodal) -> tuple["_Pass", Solution]:
-        along, tip = _pass(problem, _whole(problem), _base(problem), guess)
+        along, tip = _pass(problem, guess)
         better, guess = without_derivative((along.nodes.values, guess))  # as what is told of them has none
         change = relative_size(minus(better, guess), better)
         positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
@@ -191,68 +169,36 @@ class FixedPoint(eqx.Module):
             locked=still & ~positive,  # from a poor guess r may pass below zero and come back
         )
 
-    def _resolve(self, problem: Problem, part: _Part, start: _Point, guess: Nodal) -> tuple[_Point, _Resolved]:
-        """Iterate on one panel, from what is known at its start; what follows at its end."""
-        update = Partial(_improved, problem, part, start)
-        if problem.is_quadrature:
-            answer = constant_map(update, guess, _acceptable)
-        else:
-            settings = {"tolerance": self._tolerance(problem), "max_passes": self.max_passes}
-            answer = fixed_point(update, guess, **settings, acceptable=_acceptable)
-        along, end = _pass(problem, part, start, answer.value)
-        positive = jnp.all(end.values.ratio > 0)
-        values = end.values._replace(ratio=jnp.where(positive, end.values.ratio, 1.0))
-        resolved = _Resolved(along, answer.num_passes, answer.change, answer.converged, positive)
-        return end._replace(values=values), resolved
-
-    def _resolve_panel(self, problem: Problem, start: _Point, inputs: tuple[Panels, tuple]) -> tuple[_Point, _Resolved]:
-        """The same for one panel, from what holds at its start."""
-        part = _Part(inputs[0], *jax.tree.map(lambda x: x[None], inputs[1]))
-        end, answer = self._resolve(problem, part, start, everywhere(part.cut, start.values))
-        return end, answer._replace(along=jax.tree.map(lambda x: x[0], answer.along))
-
     def _tolerance(self, problem: Problem) -> float:
         return max(1e-12, round_off(problem.panels.edges.dtype)) if self.tolerance is None else self.tolerance
 
 
-def _whole(problem: Problem) -> _Part:
-    return _Part(problem.panels, problem.joints, problem.nodes, problem.outboard.nodes)
-
-
-def _base(problem: Problem) -> _Point:
-    base = at_base(problem)
-    return _Point(base, zero_as(base), None if problem.base.drag is None else jnp.zeros_like(base.ratio))
-
-
-def _onward(cut: Panels, start: Array, rate: Array) -> tuple[Array, Array]:
-    """The integral of a rate from a start value on, at the edges and at the nodes."""
+def _integral(cut: Panels, start: Array | float | None, rate: Array | None) -> tuple[Array | None, Array | None]:
+    """The integral of a rate from a start value on, at the edges and at the nodes; None where there is no rate."""
+    if rate is None or start is None:
+        return None, None
     edges, nodes = cut.integrate(rate)
     return start + edges, start + nodes
 
 
-def _onward_if_any(cut: Panels, start: Array | None, rate: Array | None) -> tuple[Array | None, Array | None]:
-    """The same, or None for what there is not, such as the drag."""
-    return (None, None) if start is None or rate is None else _onward(cut, start, rate)
-
-
-def _pass(problem: Problem, part: _Part, start: _Point, guess: Nodal) -> tuple[_Pass, _Point]:
+def _pass(problem: Problem, guess: Nodal) -> tuple[_Pass, _Point]:
     """Curvature and turning that follow from a guess of r and M_ext, and the better r and M_ext that follow from these.
 
     Returns:
-        What is found along the panels, and at the end of the last one.
+        What is found along the body, and at its tip.
     """
-    cut, section, loaded = part.cut, part.section, guess.moment is not None
-    moment = moments_of(problem, guess)
-    spent, spent_at_nodes = _onward_if_any(cut, start.spent, spent_rate(problem.direction, section, guess.ratio))
+    cut, section, base, loaded = problem.panels, problem.nodes, at_base(problem), guess.moment is not None
+    spent, spent_at_nodes = _integral(cut, 0.0, spent_rate(problem.direction, section, guess.ratio))
     tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent_at_nodes))
-    kappa = curvature_along(section, tension, moment)
-    heading, heading_at_nodes = _onward(cut, start.heading, kappa)
+    kappa = curvature_along(section, tension, moments_of(problem, guess))
+    heading, heading_at_nodes = cut.integrate(kappa)
     axis = axis_of(heading_at_nodes) if loaded else None
-    moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, part.force)
+    moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, problem.outboard.nodes)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
-    bending, bending_at_nodes = _onward_if_any(cut, start.values.moment, moment_rate * (1.0 / problem.moment_scale))
+    scaled = moment_rate * (1.0 / problem.moment_scale) if loaded else None
+    bending, bending_at_nodes = _integral(cut, base.moment, scaled)
     gains, within = cut.integrate(_ratio_rates(problem.direction, section, turning, guess.ratio))
-    starts, tip, turns = _across_joints(problem, part, Nodal(start.values.ratio + gains, bending), spent)
+    starts, tip, turns = _across_joints(problem, Nodal(base.ratio + gains, bending), spent)
     nodes = _Point(Nodal((starts - gains[:-1])[:, None] + within, bending_at_nodes), heading_at_nodes, spent_at_nodes)
 
     at_edges = bending, heading, spent
@@ -265,26 +211,26 @@ def _point(ratio: Array, moment: Array | None, heading: Array, spent: Array | No
     return _Point(Nodal(ratio, moment), heading, spent)
 
 
-def _improved(problem: Problem, part: _Part, start: _Point, guess: Nodal) -> Nodal:
-    return _pass(problem, part, start, guess)[0].nodes.values
+def _improved(problem: Problem, guess: Nodal) -> Nodal:
+    return _pass(problem, guess)[0].nodes.values
 
 
 def _acceptable(values: Nodal) -> Bool[Array, ""]:
     return jnp.all(values.ratio > 0) & all_finite(values)
 
 
-def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array]:
+def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array]:
     """The finite angles by which tendons turn between panels, and what they do to r.
 
     Args:
-        problem, part: the body and the panels.
+        problem: the body.
         edges: r and M_ext at the edges of the panels, as they are without these turns.
         spent: c there.
 
     Returns:
         r at the start of each panel, r at the end of the last one, and the angles, rad.
     """
-    if part.joints is None:
+    if problem.joints is None:
         return edges.ratio[:-1], edges.ratio[-1], jnp.zeros_like(edges.ratio[:-1])
 
     def across(ratio: PerTendon, inputs):
@@ -293,7 +239,7 @@ def _across_joints(problem: Problem, part: _Part, edges: Nodal, spent: Array | N
         return beyond + gain, (beyond, turn)
 
     gains, moment = jnp.diff(edges.ratio, axis=0), moments_of(problem, edges)
-    inputs = part.joints, gains, None if spent is None else spent[:-1], moment[:-1]
+    inputs = problem.joints, gains, None if spent is None else spent[:-1], moment[:-1]
     tip, (starts, turns) = jax.lax.scan(across, edges.ratio[0], inputs)
     return starts, tip, turns
 

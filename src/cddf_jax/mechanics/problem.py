@@ -113,6 +113,8 @@ class Nodal(NamedTuple):
 class Method(Protocol):
     """A way to resolve shape and tension from the base to the tip. Its settings are static."""
 
+    max_passes: int  # calls of `improve` in one try
+
     def __call__(self, problem: Problem) -> Solution:
         """Solve to the end."""
         ...

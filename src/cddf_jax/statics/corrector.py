@@ -27,7 +27,6 @@ from ..mechanics.problem import (
 )
 from ..numerics.arrays import largest, largest_size, relative_size, varying_as, zero_as
 
-MAX_PASSES = 64  # in one try
 ROUGH = 1e-3  # relative tolerance of the states on the way
 STEADY = 1e-2  # relative tolerance of the slopes on the way
 
@@ -144,7 +143,7 @@ class LoadedBody(NamedTuple):
             near=settled | (near & steady & (changed <= STEADY)),
             settled=settled,
             locked=solution.locked,
-            lost=~sane | (trial.num_passes + 1 >= MAX_PASSES),
+            lost=~sane | (trial.num_passes + 1 >= self.method.max_passes),
             sane=jnp.where(trial.num_passes == 0, sane, trial.sane),
             num_passes=trial.num_passes + 1.0,
             change=solution.residual,
@@ -159,7 +158,7 @@ class LoadedBody(NamedTuple):
             near=solution.converged,
             settled=solution.converged,
             locked=solution.locked,
-            lost=~sane | (trial.num_passes + 1 >= MAX_PASSES),
+            lost=~sane | (trial.num_passes + 1 >= self.method.max_passes),
             num_passes=trial.num_passes + 1.0,
             change=solution.residual,
         ), solution

@@ -1,6 +1,7 @@
 """The paper's algorithm as it stands, as a method of `solve` and step by step. Liu et al. (2020), section III."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -36,6 +37,7 @@ class LiteralIteration(eqx.Module):
 
     tip_tolerance: float = eqx.field(default=1e-4, static=True)
     max_updates: int = eqx.field(default=100, static=True)
+    max_passes: ClassVar[int] = 64
 
     def __call__(self, problem: Problem) -> Solution:
         if problem.loads is not None:

@@ -1,0 +1,35 @@
+"""The size of the programs that JAX compiles: operations do not depend on the machine, and people wait for them."""
+
+import runpy
+
+import jax
+import jax.numpy as jnp
+import pytest
+from places import ROOT
+
+SIZES = runpy.run_path(str(ROOT / "benchmarks" / "program_size.py"))
+
+# what benchmarks/program_size.py counted when each physical map stood in the program once, and a tenth more
+LARGEST = {
+    "one tendon": 1_510,
+    "two tendons, directions stated": 2_850,
+    "two tendons, directions found": 3_200,
+    "a displacement": 4_550,
+    "a tip force": 5_400,
+    "a tip force, gradient by the whole body": 8_600,
+    "a displacement under a tip force": 9_600,
+}
+
+
+@pytest.mark.parametrize("name", LARGEST)
+def test_programs_stay_small(name):
+    program, num_tendons = SIZES["PROGRAMS"][name]
+    arguments = jax.tree.map(jnp.asarray, (SIZES["paper_body"](num_tendons), 40.0))
+    assert SIZES["num_operations"](program, *arguments) <= LARGEST[name]
+
+
+def test_a_function_called_twice_counts_twice():
+    """Three operations by hand in the function that is called: two constants' worth are not added."""
+    inner = jax.jit(lambda x: jnp.sin(x) + x * x)
+    assert SIZES["num_operations"](inner, 1.0) == 3
+    assert SIZES["num_operations"](lambda x: inner(x) - inner(x + x), 1.0) == 3 + 3 + 2
