@@ -165,10 +165,13 @@ def test_one_pass_that_leads_nowhere_is_told(direction, friction, expected):
 
 @pytest.mark.slow
 def test_few_passes_settle_strong_friction():
-    """The errors of the passes fall like c^n / n!, design.md section 3: 80 % loss, a slanted pair."""
+    """The errors of passes over the whole body fall like c^n / n!, design.md section 3.
+
+    A slanted pair with 80 % loss: c = -ln(1 - 0.8) = 1.6, and c^n / n! is 1e-12 at n = 18.
+    """
     solution = solved("strong friction", cddf.FixedPoint())
     assert solution.tension_loss[0] > 0.7
-    assert solution.num_iterations < 13
+    assert solution.num_iterations < 18
 
 
 @pytest.mark.slow

@@ -151,7 +151,7 @@ class Equilibrium(eqx.Module):
     # True where a tendon travels against its direction: since the straight body, or under loads as all tensions rise
     direction_contradicted: Bool[Array, " tendons"]
     error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
-    num_iterations: Int[Array, ""]  # passes of the last solve; few under loads, as it starts near the solution
+    num_iterations: Int[Array, ""]  # passes since the panels of the solve were moved last
     result: RESULTS  # how the solve ended
     _dense: "Dense"
 

@@ -126,7 +126,7 @@ def balance(
     changes = [solution.residual, trial.change]
     changes += [] if setup.loads is None else [jnp.abs(moment_left_at_tip(problem, solution))]
     solution = solution._replace(
-        num_iterations=trial.num_passes,
+        num_iterations=jnp.maximum(trial.num_passes, solution.num_iterations),
         residual=largest(jnp.stack(changes)),
         converged=found.resolved & jnp.isfinite(solution.residual),
         locked=trial.locked,
