@@ -4,6 +4,7 @@ import io
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import partial
 from typing import TypeAlias
 
@@ -73,18 +74,14 @@ def words(name: str) -> pn.pane.HTML:
     return pn.pane.HTML("", stylesheets=[WORDS], sizing_mode="stretch_width", margin=(4, 8), css_classes=[name])
 
 
-class Threads:
+class Threads(ExitStack):
     """Three, so that what is quick never waits for what may take long, least of all for a compiler."""
 
     def __init__(self):
-        self.pictures, self.comparisons, self.fits = self.all = [ThreadPoolExecutor(1) for _ in range(3)]
-
-    def __enter__(self) -> "Threads":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for threads in self.all:
-            threads.shutdown(cancel_futures=True)
+        super().__init__()
+        self.pictures, self.comparisons, self.fits = each = [ThreadPoolExecutor(1) for _ in range(3)]
+        for threads in each:
+            self.callback(threads.shutdown, cancel_futures=True)
 
 
 def plot(figure: BokehFigure) -> pn.pane.Bokeh:

@@ -134,7 +134,9 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
             axes.plot(x[~good], y[~good], "o", color=draw.VERMILION, markerfacecolor="white", label="not stationary")
         _draw_start(axes, [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)], (x, y))
         for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
-            set_label(f"{_words(name)}{f' ({_raised(unit)})' if unit else ''}")
+            words = re.sub("^(least|most) ", "", name).replace("_", " ").capitalize()
+            raised = re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)  # exponents as they are set: cm^3
+            set_label(f"{words} ({raised})" if unit else words)
         _widen(axes, x, y)
         axes.legend(loc="lower left", frameon=False)
     return axes
@@ -157,13 +159,3 @@ def _widen(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
         middle = float(np.nanmean(values))
         if np.nanmax(values) - np.nanmin(values) < 1e-3 * abs(middle):
             set_limits(middle - 0.05 * abs(middle), middle + 0.05 * abs(middle))
-
-
-def _raised(unit: str) -> str:
-    """With exponents as they are set: cm^3."""
-    return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
-
-
-def _words(name: str) -> str:
-    kind, _, quantity = name.partition(" ")
-    return quantity.replace("_", " ").capitalize() if kind in ("least", "most") else name.replace("_", " ").capitalize()
