@@ -47,7 +47,7 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
     ending = first = search_from(task, problem.space.first())
     costs = np.array([_cost(task, first)])
     if starts == 1:
-        return Searched(first, costs)
+        return Searched(first._replace(result=STOPPED_SHORT) if _ran_away(task, first) else first, costs)
     reason = trouble(task, first)
     if not reason:
         return Searched(first, np.empty(0))
@@ -110,6 +110,14 @@ def trouble(task: FitTask, ending: Ending) -> str:
         gone = lost
     names = [name for name, far in zip(determination.names, gone, strict=True) if far]
     return f"ended where the data do not determine {', '.join(names)}" if names else ""
+
+
+def _ran_away(task: FitTask, ending: Ending) -> bool:
+    """Whether a search is far from its start where the data determine nothing: the cost falls on without a minimum."""
+    determination = ending.determination
+    if determination.combinations or set(determination.status.values()) != {NOT_IDENTIFIED}:
+        return False
+    return bool(np.any(task.problem.space.times_the_start(ending.minimum.outcome.parameters) > FAR))
 
 
 def _is_flat(task: FitTask, ending: Ending) -> bool:
