@@ -153,6 +153,7 @@ def test_a_bowed_tendon_turns_over_though_the_body_does_not():
 # on the paper's body: base tension (N), loads, number of sign changes
 OPPOSED = {
     "a force": (60.0, PlainLoads((0.0, -8.0)), 1),
+    "a force, before the first node": (40.0, PlainLoads((0.0, -2.9104)), 1),  # at 0.3 mm; the node lies at 0.7 mm
     "a force, near the base": (60.0, PlainLoads((1.0, -4.5)), 1),
     "a force and a moment, near the tip": (60.0, PlainLoads((0.0, 4.7), -0.51), 1),
     "a weight": (60.0, PlainLoads(gravity=(0.0, -160.0)), 1),

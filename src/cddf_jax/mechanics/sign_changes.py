@@ -106,27 +106,28 @@ def at_starts_and_ends(cut: Panels, turning: Turning) -> Float[Array, "2 P owner
 def locate(problem: Problem, solution: Solution) -> Splits:
     """The first sign changes from the base, between neighbouring nodes and on the polynomials through them."""
     turning = signed_turning(problem, solution)
-    both, least = _has_both_signs(problem, turning)
+    starts, ends = at_starts_and_ends(problem.panels, turning)
+    points = jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)  # it may change beside an end
+    both, least = _has_both_signs(problem, points)
     none = varying_as(unsplit(problem.manipulator, problem.loads), zero_as(least))
-    return only_if(both, lambda zero: _first_changes(problem, turning + zero, least, none), none)
+    return only_if(both, lambda zero: _first_changes(problem, points + zero, least, none), none)
 
 
-def _has_both_signs(problem: Problem, turning: Turning) -> tuple[Bool[Array, ""], Number]:
+def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tuple[Bool[Array, ""], Number]:
     """Whether there is turning of both signs, and how small it may be to have one.
 
     That is measured by what one tendon alone or the largest turning would make of the curvature, 1/m.
     """
     alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
-    ahead, back, alone = largest_of_each(*(jnp.max(x, axis=-1) for x in (turning, -turning, alone)))
-    least = NEGLIGIBLE * jnp.maximum(alone, jnp.maximum(ahead, back))
+    ahead, back = largest_of_each(turning, -turning)
+    least = NEGLIGIBLE * jnp.maximum(largest(alone), jnp.maximum(ahead, back))
     return (ahead > least) & (back > least), least
 
 
-def _first_changes(problem: Problem, turning: Turning, least: Number, none: Splits) -> Splits:
+def _first_changes(problem: Problem, turning: Float[Array, "P q owners"], least: Number, none: Splits) -> Splits:
     cut = problem.panels
-    starts, ends = at_starts_and_ends(cut, turning)
-    per_panel, owners = cut.order + 2, turning.shape[-1]
-    points = jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1).reshape(-1, owners)
+    per_panel, owners = turning.shape[1:]
+    points, turning = turning.reshape(-1, owners), turning[:, 1:-1]
     arc_length = jnp.concatenate([cut.edges[:-1, None], cut.nodes, cut.edges[1:, None]], axis=1).ravel()
     left_turn, right_turn = points > least, points < -least
     last_left, last_right = _last_before(left_turn), _last_before(right_turn)
