@@ -152,7 +152,6 @@ def test_a_single_tendon_slides_in():
     np.testing.assert_array_equal(cddf.solve(paper_body("exact"), 5.0, direction=[None]).direction, [1])
 
 
-@pytest.mark.slow
 def test_under_loads():
     """The travel is then the rate while all tensions rise; the stated directions agree with it, the others do not."""
     loads = cddf.Loads(tip_force=(0.0, -2.0))

@@ -267,7 +267,6 @@ def jacobians(w, base_tension, direction):
 each_mode = pytest.mark.parametrize("mode", ["forward", "reverse"])
 
 
-@pytest.mark.slow
 @each_mode
 @pytest.mark.parametrize(("tension", "direction"), [(75.0, 1.0), (12.0, 1.0), (40.0, -1.0)], ids=["in", "slack", "out"])
 def test_derivatives_by_drag_and_tension(mode, tension, direction):

@@ -442,7 +442,6 @@ def good():
     return derivatives(between_good_ones(*GOOD_LANES[0]))
 
 
-@pytest.mark.slow
 def test_a_failing_lane_reports_itself_and_spoils_nothing():
     for failure, (density, loads, expected) in BAD_LANES.items():
         found = derivatives(between_good_ones(density, loads))
@@ -485,7 +484,6 @@ def bend(function, at, direction, h=1e-2):
     return (-far_back + 16 * back - 30 * here + 16 * ahead - far_ahead) / (12 * h**2)
 
 
-@pytest.mark.slow
 def test_derivatives_by_every_number():
     """Forward and reverse against differences of the reference: h^2 and its 1e-11 over h leave 1e-6."""
     found, ones = good(), np.ones(len(NUMBERS))

@@ -42,7 +42,6 @@ def test_vmap_over_the_leaves_of_pairs_is_a_loop():
         assert_same(lane(batch, i), solve_pair(body, TENSIONS[i]), 1e-10)  # the passes of a batch end together
 
 
-@pytest.mark.slow
 def test_jit_is_eager():
     """One tendon: every operation is a call of its own, and with antagonists there are very many."""
 
