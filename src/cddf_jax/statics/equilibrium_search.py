@@ -184,7 +184,8 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     settled body to the next.
     """
     calm = (state.num_moves < MAX_MOVES) & (state.trial.change <= ROUGHLY)
-    move = (state.moved > _in_place(fraction)) & (state.trial.settled | calm)
+    known = jnp.isfinite(state.moved)  # where they are; not before the first pass
+    move = known & (state.moved > _in_place(fraction)) & (state.trial.settled | calm)
     ends = jax.tree.map(lambda a, b: jnp.where(move, a, b), state.splits, state.ends)
     num_moves = state.num_moves + jnp.where(move, 1.0, 0.0)
     problem = setup.lay_out(base_tension, ends)
