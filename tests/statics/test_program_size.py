@@ -29,7 +29,7 @@ def test_programs_stay_small(name):
 
 
 def test_a_function_called_twice_counts_twice():
-    """Three operations by hand in the function that is called: two constants' worth are not added."""
+    """By hand: a sine, a product and a sum are three operations; two calls, x + x and the difference make eight."""
     inner = jax.jit(lambda x: jnp.sin(x) + x * x)
     assert SIZES["num_operations"](inner, 1.0) == 3
     assert SIZES["num_operations"](lambda x: inner(x) - inner(x + x), 1.0) == 3 + 3 + 2

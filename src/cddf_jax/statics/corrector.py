@@ -42,7 +42,7 @@ class Headings(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Slopes along a leading axis of two: with respect to M_ext(0), and to what `LoadedBody.correct` is told."""
+    """Slopes along a leading axis of two: with respect to M_ext(0), and to the loads or the tensions."""
 
     nodal: Nodal
     heading: Headings
