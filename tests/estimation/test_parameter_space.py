@@ -1,4 +1,4 @@
-"""Names, fixed, shared and bounded parameters, and the searches from other starts."""
+"""Names and bounds of parameters, and the searches from other starts."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,10 +9,6 @@ from cddf_jax.estimation.least_squares import least_squares_fit
 from cddf_jax.estimation.parameter_space import ParameterSpace, Uniform
 
 SETTLED = 1e-6  # what is quadratic near the minimum loses half of the digits of the cost
-
-
-def two_lines(p):
-    return {"fine": p["fine_level"] + p["slope"] * X, "coarse": p["coarse_level"] + p["slope"] * X}
 
 
 # --- names, structures and compilation -----------------------------------------------------------
@@ -52,65 +48,7 @@ def test_the_same_model_again_is_not_compiled_again():
     assert len(traces) == count
 
 
-# --- parameters that are not fitted, or measured otherwise ----------------------------------------
-
-CURVED = {"a": 1.0, "b": {"slopes": np.array([1.0, 0.1])}}
-
-
-def curved(p):
-    return p["a"] + p["b"]["slopes"][0] * X + p["b"]["slopes"][1] * X**2
-
-
-def test_a_fixed_parameter_keeps_its_start():
-    fit = least_squares_fit(line, {"a": 1.9, "b": 1.0}, NOISY, SIGMA, fixed=["a"])
-    assert fit.names == ("b",)
-    assert float(fit.parameters["a"]) == 1.9
-    slope = np.sum(X * (NOISY - 1.9)) / np.sum(X**2)  # least squares with the level given
-    assert fit.value["b"] == pytest.approx(slope, rel=SETTLED)
-    assert fit.standard_error["b"] == pytest.approx(SIGMA / np.sqrt(np.sum(X**2)), rel=SETTLED)
-    assert fit.degrees_of_freedom == 29
-
-
-@pytest.mark.parametrize(("fixed", "fitted"), [("b.slopes", ("a",)), ("b.slopes[1]", ("a", "b.slopes[0]"))])
-def test_the_name_of_an_array_fixes_all_of_it(fixed, fitted):
-    fit = least_squares_fit(curved, CURVED, NOISY, SIGMA, fixed=[fixed])
-    assert fit.names == fitted
-    columns = np.stack([np.ones_like(X), X, X**2], axis=1)[:, : len(fitted)]
-    rest = (X + 0.1 * X**2) if len(fitted) == 1 else 0.1 * X**2
-    expected = np.linalg.lstsq(columns, NOISY - rest, rcond=None)[0]
-    np.testing.assert_allclose([fit.value[n] for n in fitted], expected, rtol=SETTLED)
-    assert fit.parameters["b"]["slopes"][1] == 0.1
-
-
-def test_shared_parameters_are_one():
-    fit = least_squares_fit(curved, CURVED, NOISY, SIGMA, shared={"b.slopes[1]": "b.slopes[0]"})
-    assert fit.names == ("a", "b.slopes[0]")
-    columns = np.stack([np.ones_like(X), X + X**2], axis=1)
-    expected, covariance = np.linalg.lstsq(columns, NOISY, rcond=None)[0], np.linalg.inv(columns.T @ columns)
-    np.testing.assert_allclose(list(fit.value.values()), expected, rtol=SETTLED)
-    np.testing.assert_allclose(fit.covariance, SIGMA**2 * covariance, rtol=SETTLED)
-    np.testing.assert_allclose(fit.parameters["b"]["slopes"], [expected[1]] * 2, rtol=SETTLED)
-
-
-def test_shared_with_a_fixed_one():
-    fit = least_squares_fit(curved, CURVED, NOISY, SIGMA, fixed=["b.slopes[0]"], shared={"b.slopes[1]": "b.slopes[0]"})
-    assert fit.names == ("a",)
-    assert fit.value["a"] == pytest.approx(np.mean(NOISY - X - X**2), rel=SETTLED)
-    np.testing.assert_array_equal(fit.parameters["b"]["slopes"], [1.0, 1.0])
-
-
-def test_a_fixed_and_a_shared_parameter_among_others():
-    """The two lines of the groups below with one level and the slope given: two weighted means."""
-    data = {"fine": 1.0 + 0.5 * X, "coarse": 1.2 + 0.5 * X}
-    fit = least_squares_fit(
-        two_lines,
-        {"fine_level": 0.0, "coarse_level": 0.0, "slope": 0.5},
-        data,
-        {"fine": 0.1, "coarse": 0.2},
-        fixed={"slope"},
-        shared={"coarse_level": "fine_level"},
-    )
-    assert fit.value["fine_level"] == pytest.approx((1.0 / 0.01 + 1.2 / 0.04) / (1 / 0.01 + 1 / 0.04), rel=SETTLED)
+# --- uniform priors and scales ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bound", [None, (0.2, None), (None, 0.7), (0.2, 0.9)])
@@ -148,7 +86,11 @@ def test_a_scale_judges_what_is_zero():
 
 def test_information_criteria_prefer_the_line_to_the_parabola():
     """One parameter more for what is nothing but noise: BIC knows, the rise in likelihood is below ln(30) / 2."""
-    parabola = least_squares_fit(curved, CURVED, NOISY, SIGMA)
+
+    def curved(p):
+        return p["a"] + p["b"] * X + p["c"] * X**2
+
+    parabola = least_squares_fit(curved, START | {"c": 0.1}, NOISY, SIGMA)
     straight = least_squares_fit(line, START, NOISY, SIGMA)
     assert 0 < parabola.log_likelihood - straight.log_likelihood < np.log(30) / 2
     assert straight.information_criteria["BIC"] < parabola.information_criteria["BIC"]

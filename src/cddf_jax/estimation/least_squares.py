@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, PyTree
@@ -16,15 +17,7 @@ from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
 from .determination import Determination, Evidence, determine, quantiles, spectrum_of
 from .levenberg_marquardt import MAX_STEPS, Data, LeastSquaresProblem, Minimum
 from .observations import Noise, Observed, group_observations
-from .parameter_space import (
-    Bounds,
-    ParameterSpace,
-    Prior,
-    Priors,
-    bounds_of,
-    lay_out_parameters,
-    priors_of,
-)
+from .parameter_space import Bounds, ParameterSpace, Prior, Priors, bounds_of, names_of, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
 from .restarts import Searched, search
@@ -196,8 +189,6 @@ def least_squares_fit(
     bounds: Bounds | None = None,
     *,
     priors: Priors | None = None,
-    fixed: Collection[str] = (),
-    shared: Mapping[str, str] | None = None,
     scales: Mapping[str, float] | None = None,
     loss: str = "linear",
     starts: int | None = None,
@@ -217,8 +208,6 @@ def least_squares_fit(
             estimated from the residuals.
         bounds: by parameter name, (lower, upper), None for none; the estimate stays inside.
         priors: by parameter name, mean and standard deviation of a Gaussian, or `Uniform(low, high)`.
-        fixed: names of parameters that keep their start.
-        shared: by parameter name, the name of the parameter whose value it takes.
         scales: by parameter name, a size that matters, for parameters that may be 0. Where the estimate is smaller,
             the standard error of an identified parameter is judged by this size.
         loss: "linear", "soft_l1", "huber" or "cauchy", in standard deviations of the noise, which is then
@@ -247,7 +236,8 @@ def least_squares_fit(
         raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
     if loss not in LOSSES:
         raise InputError(f"loss {loss!r} is not known; there are {', '.join(LOSSES)}")
-    names, first, unravel = lay_out_parameters(start, fixed, shared or {})
+    flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
+    names, first = names_of(start), np.asarray(flat)
     groups = group_observations(observed, sigma)
     limits = bounds_of(names, first, bounds or {}, priors or {})
     prior = priors_of(names, priors or {})

@@ -1,12 +1,10 @@
 """The parameters of a fit: their names, bounds, priors, and the change of variable that the optimiser sees."""
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
@@ -35,60 +33,6 @@ class Uniform(NamedTuple):
 
 
 Priors = Mapping[str, Prior | tuple[float, float] | Uniform]  # by parameter
-
-
-def lay_out_parameters(
-    start: PyTree, fixed: Collection[str], shared: Mapping[str, str]
-) -> tuple[tuple[str, ...], np.ndarray, Callable[[Array], PyTree]]:
-    """Leave out what is fixed at its start, and what is to equal another parameter.
-
-    Args:
-        start: a pytree of numbers or arrays.
-        fixed: names that keep their start; the name of an array stands for all of its numbers.
-        shared: by name, the name of the parameter that it shares the value of.
-
-    Returns:
-        Names and starts of the numbers that are fitted, and what makes of these the structure of the parameters.
-
-    Raises:
-        InputError: for unknown names, nothing left to fit, or a chain of shared parameters.
-    """
-    flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
-    every = names_of(start)
-
-    def known(name, kind):
-        if name not in every:
-            raise InputError(f"{kind}: there is no parameter {name!r}; there are {', '.join(every)}")
-        return every.index(name)
-
-    held = {i for i, name in enumerate(every) if name in fixed or name.partition("[")[0] in fixed}
-    for name in fixed:
-        if name not in every and not any(other.startswith(f"{name}[") for other in every):
-            known(name, "fixed")
-    source = {known(name, "shared"): known(other, "shared") for name, other in shared.items()}
-    for i, j in source.items():
-        if j in source or i in held:
-            raise InputError(f"shared: {every[i]} cannot follow {every[j]}; name one parameter that is neither itself")
-    fitted = [i for i in range(len(every)) if i not in held and i not in source]
-    if not fitted:
-        raise InputError("there is no parameter to fit")
-    others = [i for i in range(len(every)) if i not in fitted]
-    order = [*fitted, *others]
-    place = tuple(order.index(source.get(i, i)) for i in range(len(every)))
-    put = _Put(unravel, tuple(float(flat[i]) for i in others), place)
-    return tuple(every[i] for i in fitted), np.asarray(flat)[fitted], put
-
-
-@dataclass(frozen=True)
-class _Put:
-    """All parameters from those that are fitted; equal to another that does the same, so that jit knows it again."""
-
-    unravel: Callable[[Array], PyTree]
-    others: tuple[float, ...]  # that are not fitted
-    place: tuple[int, ...]  # of each parameter among the fitted numbers, followed by these
-
-    def __call__(self, values: Array) -> PyTree:
-        return self.unravel(jnp.append(values, jnp.asarray(self.others, values.dtype))[np.array(self.place)])
 
 
 def names_of(start: PyTree) -> tuple[str, ...]:
