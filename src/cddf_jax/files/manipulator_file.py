@@ -62,7 +62,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..quantities import dimension_of
+from ..quantities import QUANTITIES, dimension_of
 from ..robot.manipulator import Manipulator, PointMass, Tendon
 from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
 from ..units import Dimension, quantity, written
@@ -70,15 +70,12 @@ from .artifacts import write_all
 from .cross_sections import TOLERANCE, CrossSections, SectionColumn, sections_and_columns
 
 _Table = Mapping[str, Any]
-_NUMBERS = ("length", "friction_coefficient", "density", "drag", "yield_strain", "stiffness_factor")
-_TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "drag")
 _RADII = ("outer_radius", "inner_radius")
-_MORE_PROFILES = ("youngs_modulus", "bending_stiffness", "mass_per_length")
+_PROFILES = (*_RADII, "youngs_modulus", "bending_stiffness", "mass_per_length")
+_NUMBERS = ("friction_coefficient", "density", "drag", "yield_strain", "stiffness_factor")
+_TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "drag")
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
-_OPTIONAL = (
-    *("density", "drag", "kinematics", "offsets_outside_wall", "name", "description"),
-    *("mass_per_length", "point_mass", "stiffness_factor", "yield_strain", "bending_stiffness", "cross_sections"),
-)
+_OTHERS = ("kinematics", "offsets_outside_wall", "name", "description", "point_mass", "cross_sections")
 _SECTIONS = "cross_sections"
 _FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
@@ -175,23 +172,27 @@ def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = F
 
 
 def _manipulator(table: _Table, sections: dict[str, Any]) -> Manipulator:
-    numbers = _numbers(table, _NUMBERS)
-    for key in table.keys() & set(_MORE_PROFILES):
-        profile = _profile(table[key], sections["length"], key, dimension_of(key))
-        # a plain modulus stays a number, which has the name of the whole
-        numbers[key] = profile.value if isinstance(profile, Constant) and key == "youngs_modulus" else profile
+    found = sections | _values(table, sections["length"])
+    modulus = found.get("youngs_modulus")
+    if isinstance(modulus, Constant):
+        found["youngs_modulus"] = modulus.value  # a plain modulus stays a number, which has the name of the whole
     masses = []
     for i, mass in enumerate(_tables(table, "point_mass", "mass"), 1):
         where = f"point_mass {i}: "
         check_keys(where, mass, ("at", "mass"), ())
-        masses.append(PointMass(quantity(mass["at"], "length", f"{where}at"), **_numbers(mass, ["mass"], where)))
-    numbers["point_masses"] = masses
-    return Manipulator(**numbers | sections, kinematics=table.get("kinematics", "exact"))
+        masses.append(PointMass(quantity(mass["at"], "length", f"{where}at"), **_values(mass, 0.0, where)))
+    return Manipulator(**found, point_masses=masses, kinematics=table.get("kinematics", "exact"))
 
 
-def _numbers(table: _Table, keys: Iterable[str], where: str = "") -> dict[str, Any]:
-    """What the table has of them, in SI."""
-    return {key: quantity(table[key], dimension_of(key), f"{where}{key}") for key in keys if key in table}
+def _values(table: _Table, length: float, where: str = "") -> dict[str, Any]:
+    """The profiles and numbers of a table by key, in SI; `length` is that of the body, m."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if key in (*_PROFILES, "offset"):
+            found[key] = _profile(value, length, f"{where}{key}", dimension_of(key))
+        elif key in QUANTITIES:
+            found[key] = quantity(value, dimension_of(key), f"{where}{key}")
+    return found
 
 
 def _check_top(table: _Table) -> None:
@@ -202,16 +203,16 @@ def _check_top(table: _Table) -> None:
         if one in table and other in table:
             raise InputError(f"{one} and {other} are both given; leave one of them out")
     required = [key for key in _REQUIRED if key not in given_elsewhere]
-    check_keys("", table, required, [key for key in (*_REQUIRED, *_OPTIONAL) if key not in required])
+    check_keys(
+        "", table, required, [key for key in (*_REQUIRED, *_PROFILES, *_NUMBERS, *_OTHERS) if key not in required]
+    )
 
 
 def _sections(table: _Table) -> dict[str, Any]:
-    """The body as its keys say."""
-    length = _numbers(table, ["length"])["length"]
+    """Length and tendons as their keys say."""
+    length = quantity(table["length"], "length", "length")
     tables = enumerate(_tables(table, "tendons", "tendon"), 1)
-    tendons = [_tendon(tendon, length, f"tendon {number}") for number, tendon in tables]
-    radii = {key: _profile(table[key], length, key) for key in _RADII if key in table}
-    return {"length": length, "tendons": tendons, **radii}
+    return {"length": length, "tendons": [_tendon(tendon, length, f"tendon {number}: ") for number, tendon in tables]}
 
 
 def _tables(table: _Table, key: str, one: str) -> list[_Table]:
@@ -232,8 +233,9 @@ def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[S
     if len(tables) != len(tendons):
         raise InputError(f"tendons: {len(tables)} tables for {len(tendons)} columns of offsets; write as many, or none")
     for i, own in enumerate(tables):
-        check_keys(f"tendon {i + 1}: ", own, (), [key for key in _TENDON_NUMBERS if key != "end"])
-        tendons[i] = dataclasses.replace(tendons[i], **_numbers(own, own, f"tendon {i + 1}: "))
+        where = f"tendon {i + 1}: "
+        check_keys(where, own, (), [key for key in _TENDON_NUMBERS if key != "end"])
+        tendons[i] = dataclasses.replace(tendons[i], **_values(own, sections.length, where))
     return sections._replace(tendons=tuple(tendons))._asdict(), columns
 
 
@@ -248,15 +250,14 @@ def _named(value: object, folder: Path) -> tuple[Path, float]:
 
 
 def _tendon(table: _Table, length: float, where: str) -> Tendon:
-    check_keys(f"{where}: ", table, ("offset",), ("side", *_TENDON_NUMBERS))
+    check_keys(where, table, ("offset",), ("side", *_TENDON_NUMBERS))
     side = table.get("side", 1)
     if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
-        raise InputError(f"{where}: side must be 1 or -1, got {side!r}")
-    offset = _profile(table["offset"], length, f"{where}: offset")
-    return Tendon(offset, int(side), **_numbers(table, _TENDON_NUMBERS, f"{where}: "))
+        raise InputError(f"{where}side must be 1 or -1, got {side!r}")
+    return Tendon(side=int(side), **_values(table, length, where))
 
 
-def _profile(value: object, length: float, where: str, kind: Dimension = "length") -> Profile:
+def _profile(value: object, length: float, where: str, kind: Dimension) -> Profile:
     match value:
         case str() | int() | float():
             return Constant(quantity(value, kind, where))
@@ -315,40 +316,32 @@ def check_keys(where: str, table: _Table, required: Sequence[str], optional: Seq
 
 def _table(manipulator: Manipulator) -> dict[str, object]:
     length = manipulator.length
-    profiles = (*_RADII, *_MORE_PROFILES)
-    own = {key: getattr(manipulator, key) for key in (*profiles, *_NUMBERS)}
-    own = {key: value for key, value in own.items() if value is not None}
     masses = [{"at": _text(point.arc_length), "mass": _text(point.mass, "mass")} for point in manipulator.point_masses]
     return {
-        "length": _text(length),
-        **{key: _form(as_profile(own[key]), length, key, dimension_of(key)) for key in profiles if key in own},
-        **{key: _number_text(own[key], key) for key in _NUMBERS if key in own},
+        **_forms(manipulator, ("length", *_PROFILES, *_NUMBERS), length),
         "kinematics": manipulator.kinematics,
         **({"point_mass": masses} if masses else {}),
         "tendons": [
-            _tendon_table(tendon, length, f"tendon {number}") for number, tendon in enumerate(manipulator.tendons, 1)
+            {"side": tendon.side} | _forms(tendon, ("offset", *_TENDON_NUMBERS), length, f"tendon {number}: ")
+            for number, tendon in enumerate(manipulator.tendons, 1)
         ],
     }
 
 
-def _number_text(value: ArrayLike, key: str) -> float | str:
-    dimension = dimension_of(key)
-    return float(np.asarray(value)) if dimension in ("dimensionless", "strain") else _text(value, dimension)
+def _forms(owner: Manipulator | Tendon, keys: Iterable[str], length: ArrayLike, where: str = "") -> dict[str, object]:
+    """The profiles and numbers that the owner has, by key."""
+    values = {key: getattr(owner, key) for key in keys}
+    return {
+        key: _form(as_profile(value), length, f"{where}{key}", dimension_of(key))
+        for key, value in values.items()
+        if value is not None and not (key == "free_length" and value == 0)
+    }
 
 
-def _tendon_table(tendon: Tendon, length: ArrayLike, where: str) -> dict[str, object]:
-    table = {"offset": _form(tendon.offset, length, f"{where}: offset"), "side": tendon.side}
-    for key in _TENDON_NUMBERS:
-        value = getattr(tendon, key)
-        if value is not None and not (key == "free_length" and value == 0):
-            table[key] = _number_text(value, key)
-    return table
+def _form(profile: Profile, length: ArrayLike, where: str, kind: Dimension) -> object:
+    """A profile in one of the forms that `_profile` reads; a number is a constant one."""
 
-
-def _form(profile: Profile, length: ArrayLike, where: str, kind: Dimension = "length") -> object:
-    """A profile in one of the forms that `_profile` reads."""
-
-    def value(x: ArrayLike) -> str:
+    def value(x: ArrayLike) -> float | str:
         return _text(x, kind)
 
     match profile:
@@ -370,5 +363,6 @@ def _form(profile: Profile, length: ArrayLike, where: str, kind: Dimension = "le
     )
 
 
-def _text(value: ArrayLike, kind: Dimension = "length") -> str:
-    return written(float(np.asarray(value)), kind)
+def _text(value: ArrayLike, kind: Dimension = "length") -> float | str:
+    number = float(np.asarray(value))
+    return number if kind in ("dimensionless", "strain") else written(number, kind)
