@@ -157,7 +157,7 @@ def test_bad_input_is_named(load_cells, tmp_path):
 
 def test_files_are_replaced_together_or_not_at_all(tmp_path):
     artifacts.write_all(tmp_path, {"a.txt": "old", "b.bin": b"old"})
-    with pytest.raises(OSError, match="missing"):
+    with pytest.raises(InputError, match="missing"):
         artifacts.write_all(tmp_path, {"a.txt": "new", "missing/b.bin": b"new"})
     assert (tmp_path / "a.txt").read_text() == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.bin"]

@@ -195,8 +195,7 @@ def save(figure: Figure, path: str | Path) -> Path:
         The path.
 
     Raises:
-        InputError: for another suffix.
-        OSError: when the file cannot be written.
+        InputError: for another suffix, or when the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower().removeprefix(".")

@@ -2,47 +2,41 @@
 
 import json
 import math
-import os
-import secrets
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..batch.store import in_one_step
+from ..errors import InputError
+
 # what JSON knows, nested; a type that names itself cannot be checked while a program runs
 JsonValue: TypeAlias = dict[str, Any] | list[Any] | str | bool | int | float | None
 
 
-def write_all(folder: str | Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+def write_all(folder: str | Path, contents: Mapping[str, str | bytes]) -> None:
     """Write several files into a folder, which is made if it is missing.
 
-    Every file is first written under a temporary name beside its place; only when all are complete
-    do they take their places, each in one step. A failure before that leaves what was there.
+    Only when all are complete do they take their places, each in one step. A failure before that leaves what was there.
 
     Args:
         folder: where the files go.
         contents: text (written as UTF-8) or bytes by file name.
 
-    Returns:
-        The paths in the order of `contents`.
-
     Raises:
-        OSError: when the folder cannot be made or written to.
+        InputError: when the folder cannot be made or written to.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    suffix = f".{secrets.token_hex(4)}.tmp"
-    places = {folder / name: folder / f".{name}{suffix}" for name in contents}
     try:
-        for temporary, content in zip(places.values(), contents.values(), strict=True):
-            temporary.write_bytes(content.encode() if isinstance(content, str) else content)
-        for place, temporary in places.items():
-            os.replace(temporary, place)
-    finally:
-        for temporary in places.values():
-            temporary.unlink(missing_ok=True)
-    return list(places)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}; choose another place") from None
+    with ExitStack() as files:
+        for name, content in contents.items():
+            draft = files.enter_context(in_one_step(folder / name))
+            draft.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def as_json(value: object) -> str:

@@ -146,11 +146,7 @@ def write_manipulator(
             f"got {type(manipulator).__name__} and {type(path).__name__}"
         )
     text, path = manipulator_text(manipulator, offsets_outside_wall=offsets_outside_wall), Path(path)
-    try:
-        write_all(path.parent, {path.name: text})
-    except OSError as error:
-        what = f"cannot be written ({error.strerror})"
-        raise InputError(what, where=str(path), remedy="check the folder and its permissions") from None
+    write_all(path.parent, {path.name: text})
 
 
 def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = False) -> str:
