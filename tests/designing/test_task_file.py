@@ -42,7 +42,7 @@ def refused_design(message, body=None, **changes):
         ({"free": ()}, "free must list one name or more"),
         ({"free": "outer_radius"}, "free must list one name or more"),
         ({"free": ("outer_radios",)}, "did you mean 'outer_radius'?"),
-        ({"free": ("outer_radius.middle",)}, "outer_radius has no 'middle'; known are base, length, tip"),
+        ({"free": ("outer_radius.middle",)}, "did you mean 'outer_radius."),
         ({"free": ("tendons.1.offset",)}, "tendons.1.offset"),
         ({"free": ("loads.tip_force.0",)}, "'loads.tip_force.0'"),
         ({"free": ("outer_radius", "outer_radius")}, "'outer_radius.base' is free twice; leave one out"),
@@ -85,7 +85,7 @@ def test_tendons_of_different_kinds_share_no_number():
 
 def test_a_profile_of_an_unknown_kind():
     odd = replace(paper_body("exact"), outer_radius=Shifted(cddf.Linear(0.02, 0.013, 0.14), 1e-3))
-    refused_design("outer_radius is not one number; name a number of it: outer_radius.profile, outer_radius.by", odd)
+    refused_design("outer_radius is not one number; name a number of it: outer_radius.profile.base,", odd)
     inside = replace(paper_body("exact"), outer_radius=cddf.Piecewise([0.07], [odd.outer_radius, 0.015]))
     refused_design("a profile of type Shifted has no free values; name a number of it", inside)
     refused("a profile of type Shifted cannot follow the length; hold the length", stretched, odd, 0.15)

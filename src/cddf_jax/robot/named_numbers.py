@@ -7,8 +7,8 @@ tables, which count tendons from 1: "base_tension" and "direction" of all tendon
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from difflib import get_close_matches
-from functools import reduce
 from typing import Any
 
 import equinox as eqx
@@ -20,12 +20,13 @@ from ..errors import InputError
 from ..quantities import QUANTITIES
 from .loads import Loads
 from .manipulator import Manipulator
-from .profiles import Constant
 from .reshape import stretched
 
-OWN = ("base_tension", "loads", "direction")  # parts of a case beside the parts of its manipulator
+WHOLE = ("base_tension", "direction")  # may be one number for all tendons
 _OF_ONE_TENDON = re.compile(r"(base_tension|direction)_([1-9]\d*)")
 _NOT_OF_NOTHING = ("outer_radius", "inner_radius", "youngs_modulus", "bending_stiffness", "mass_per_length")
+
+Place = tuple[int, tuple[int, ...]]  # of a number: the leaf of the case, and where in an array it is
 
 
 class Case(eqx.Module):
@@ -42,25 +43,43 @@ class Case(eqx.Module):
         Raises:
             InputError: names what is not there, and what is.
         """
-        return _Path(self, name).number
+        if name in WHOLE:
+            return getattr(self, name)
+        leaves, places, _ = self._flat()
+        leaf, index = _place(name, leaves, places)
+        return leaves[leaf][index] if index else leaves[leaf]
 
     def with_numbers(self, numbers: Mapping[str, Any]) -> "Case":
         """The case with other numbers, which may be traced; with another "length" all that runs along stretches."""
         case, others = self, dict(numbers)
         if "length" in others:
-            case = eqx.tree_at(lambda case: case.manipulator, case, stretched(case.manipulator, others.pop("length")))
+            case = replace(case, manipulator=stretched(case.manipulator, others.pop("length")))
+        case = replace(case, **{name: others.pop(name) for name in WHOLE if name in others})
+        leaves, places, structure = case._flat()
         for name, number in others.items():
-            case = _Path(case, name).replaced(number)
-        return case
+            leaf, index = _place(name, leaves, places)
+            leaves[leaf] = jnp.asarray(leaves[leaf]).at[index].set(number) if index else number
+        return jax.tree.unflatten(structure, leaves)
 
     def unit(self, name: str) -> str:
         """The SI unit of a number, "1" for none."""
-        parts = name.split(".")
-        target = _Path(self, name).parent
-        wanted = getattr(type(target), "quantity", None)
-        if stem_and_tendon(parts[0])[0] == "base_tension" and wanted is not None:
-            return QUANTITIES["arc_length" if parts[-1] == "arc_length" else wanted].unit
+        self.number(name)
+        stem, tendon = stem_and_tendon(name.split(".")[0])
+        if stem == "base_tension":
+            given = self.base_tension if tendon is None else self.base_tension[tendon]
+            if wanted := getattr(given, "quantity", ""):
+                return QUANTITIES["arc_length" if name.endswith(".arc_length") else wanted].unit
         return unit_of_name(name)
+
+    def _flat(self) -> tuple[list[Any], dict[str, Place], Any]:
+        """All leaves, the place of every number among them by its name, and the structure."""
+        paths, structure = jax.tree.flatten_with_path(self, is_leaf=lambda x: x is None)
+        places: dict[str, Place] = {}
+        for i, (path, leaf) in enumerate(paths):
+            own = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("manipulator.")
+            for index in np.ndindex(np.shape(leaf)):
+                places[_short(_counted(".".join([own, *map(str, index)])))] = i, index
+        return [leaf for _, leaf in paths], places, structure
 
 
 def unit_of_name(name: str) -> str:
@@ -87,77 +106,38 @@ def stem_and_tendon(name: str) -> tuple[str, int | None]:
     return (found[1], int(found[2]) - 1) if found else (name, None)
 
 
-class _Path:
-    """The way from a case to one of its numbers."""
+def _place(name: str, leaves: list[Any], places: Mapping[str, Place]) -> Place:
+    """Where the number of a name is.
 
-    def __init__(self, case: Case, name: str):
-        self.case, self.name = case, name
-        first, *rest = name.split(".")
-        stem, tendon = stem_and_tendon(first)
-        if first in ("base_tension", "direction") and rest and rest[0].isdigit():
-            instead = ".".join([of_tendon(first, int(rest[0])), *rest[1:]])
-            raise InputError(f"{name!r} is no number of a case: tendons count from 1; write {instead!r}")
-        self.steps = [stem, *([] if tendon is None else [str(tendon)]), *rest]
-        if stem not in OWN:
-            self.steps = ["manipulator", *self.steps]
-        node: Any = case
-        self.parent: Any = case
-        self.component: int | None = None  # of an array, which is no node of the tree
-        for depth, step in enumerate(self.steps):
-            self.parent = node
-            if step not in _parts(node):
-                raise InputError(self._unknown(depth, node))
-            if _is_vector(node):
-                self.component = int(step)
-            node = _step(node, step)
-        if isinstance(node, Constant):
-            self.steps.append("value")
-            self.parent, node = node, node.value
-        if node is None and self.steps[-1] in _NOT_OF_NOTHING:
-            raise InputError(f"{name}: the body has none, and what it has in its place would stay; give it one first")
-        self.number = node
-        whole = self.steps[-1] in ("base_tension", "direction")  # one number for all tendons
-        if not whole and node is not None and (not isinstance(node, jax.Array | np.ndarray | float) or np.ndim(node)):
-            of_tendons = name in ("base_tension", "direction")
-            parts = _parts(node)
-            inside = ", ".join(of_tendon(name, int(part)) if of_tendons else f"{name}.{part}" for part in parts)
-            raise InputError(f"{name} is not one number; name a number of it: {inside or 'it has none'}")
-
-    def _unknown(self, depth: int, node: Any) -> str:
-        step, known = self.steps[depth], sorted(_parts(node))
-        stem, tendon = stem_and_tendon(self.name.split(".")[0])
-        if depth == 1 and tendon is not None:
-            count = self.case.manipulator.num_tendons
-            why = f"the manipulator has {count} tendon(s)" if known else f"{stem} is one for all tendons; give one each"
-            return f"{self.name!r} is no number of a case: {why}"
-        if node is self.case.manipulator:
-            known += OWN
-        close = get_close_matches(step, known, 1)
-        remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known) or 'none'}"
-        inside = ".".join(self.steps[:depth]).removeprefix("manipulator").removeprefix(".")
-        there = f"{inside} has" if inside else "there is"
-        return f"{self.name!r} is no number of a case: {there} no {step!r}; {remedy}"
-
-    def replaced(self, number: Any) -> Case:
-        def where(case: Case) -> Any:
-            return reduce(_step, self.steps if self.component is None else self.steps[:-1], case)
-
-        if self.component is not None:
-            number = jnp.asarray(where(self.case)).at[self.component].set(number)
-        return eqx.tree_at(where, self.case, number, is_leaf=lambda x: x is None)
+    Raises:
+        InputError: names what is not there, and what is.
+    """
+    place = places.get(_short(name))
+    if place is None:
+        raise InputError(_unknown(name, places))
+    if leaves[place[0]] is None and name in _NOT_OF_NOTHING:
+        raise InputError(f"{name}: the body has none, and what it has in its place would stay; give it one first")
+    return place
 
 
-def _is_vector(node: Any) -> bool:
-    return isinstance(node, jax.Array | np.ndarray) and np.ndim(node) == 1
+def _unknown(name: str, places: Mapping[str, Place]) -> str:
+    if inside := [other for other in places if holds(name, other)]:
+        return f"{name} is not one number; name a number of it: {', '.join(inside)}"
+    known = dict.fromkeys(other.split(".")[0] for other in places)
+    if (counted := _counted(name)) != name:
+        remedy = f"tendons count from 1; write {counted!r}"
+    elif close := get_close_matches(name, [*known, *places], 1):
+        remedy = f"did you mean {close[0]!r}?"
+    else:
+        remedy = f"known are {', '.join(known)}"
+    return f"{name!r} is no number of a case; {remedy}"
 
 
-def _parts(node: Any) -> list[str]:
-    """The names of what a node holds."""
-    if isinstance(node, tuple | list) or _is_vector(node):
-        return [str(i) for i in range(len(node))]
-    fields = getattr(type(node), "__dataclass_fields__", {})
-    return [name for name, field in fields.items() if not field.metadata.get("static", False)]
+def _counted(name: str) -> str:
+    """ "base_tension_2" for "base_tension.1"."""
+    return re.sub(r"^(base_tension|direction)\.(\d+)", lambda found: of_tendon(found[1], int(found[2])), name)
 
 
-def _step(node: Any, step: str) -> Any:
-    return node[int(step)] if step.isdigit() else getattr(node, step)
+def _short(name: str) -> str:
+    """ "outer_radius" for the value of a constant profile, "outer_radius.value"; a target keeps its value."""
+    return name if name.startswith(WHOLE) else name.removesuffix(".value")
