@@ -455,7 +455,7 @@ WRONG = [
     ((*TENSIONS, "--nodes", "3"), "Invalid value for '--nodes'"),
     ((*TENSIONS, "--direction", "2"), "--direction 2: give +1"),
     ((*TENSIONS, "--tip-force", "5 N"), "--tip-force needs two components"),
-    ((*TENSIONS, "--gravity", "0, -9.81 m/s^2"), "--gravity '0, -9.81 m/s^2': the body has no weight"),
+    ((*TENSIONS, "--gravity", "0, -9.81 m/s^2"), "loads.gravity: the body has no weight"),
     ((*TENSIONS, "--csv", "."), "--csv .: is a folder; give the name of a file"),
     ((*TENSIONS, "--csv", "x", "--netcdf", "x"), "--netcdf and --csv are both x"),
     ((*TENSIONS, "--csv", "x.csv", "--output", "tension"), "--csv x.csv: a table takes no outputs along the body"),

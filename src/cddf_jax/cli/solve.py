@@ -59,7 +59,7 @@ def solve(
     from ..statics.solve import solve
 
     actuation = read_actuation(base_tension, manipulator)
-    loads = read_loads(tip_force, tip_moment, gravity, manipulator.has_mass)
+    loads = read_loads(tip_force, tip_moment, gravity)
     directions = read_directions(direction, manipulator)
     equilibrium = solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False)
     if equilibrium.result in (RESULTS.slack, RESULTS.unreachable):

@@ -173,14 +173,13 @@ def sweep(
     from ..files.actuation import read_directions, read_loads
     from . import sweep_run, sweep_texts
 
-    varied = {text.partition("=")[0].strip() for text in (*(over or []), *(sample or []))}
     work = sweep_texts.read_sweep(
         manipulator,
         over or [],
         together or [],
         sweep_texts.Samples(sample or [], samples, sampler, seed),
         base_tension=sweep_texts.read_base_tension(base_tension or [], manipulator),
-        loads=read_loads(tip_force, tip_moment, gravity, manipulator.has_mass or "density" in varied),
+        loads=read_loads(tip_force, tip_moment, gravity),
         direction=read_directions(direction, manipulator),
         outputs=tuple(dict.fromkeys(name.strip() for name in output.split(","))),
         sensitivities=tuple(sensitivity or ()),

@@ -233,7 +233,7 @@ def _case(table: Table, body: Manipulator) -> LoadCase:
     loads = {key: _text(table, key) if key in table else None for key in ("tip_force", "tip_moment", "gravity")}
     return LoadCase(
         read_actuation([str(text) for text in texts], body, called=str),
-        read_loads(**loads, has_weight=body.has_mass, called=str),
+        read_loads(**loads, called=str),
         read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
         _case_numbers(_entries(table, "numbers"), body) if "numbers" in table else {},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),

@@ -4,8 +4,6 @@ from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from typing import TypeVar, cast
 
-import numpy as np
-
 from ..errors import InputError
 from ..quantities import dimension_of
 from ..robot.loads import Loads
@@ -117,7 +115,6 @@ def read_loads(
     tip_force: str | None,
     tip_moment: str | None,
     gravity: str | None,
-    has_weight: bool,
     *,
     called: Callable[[str], str] = as_option,
 ) -> Loads | None:
@@ -125,23 +122,15 @@ def read_loads(
 
     Args:
         tip_force, tip_moment, gravity: as typed.
-        has_weight: whether the body has a mass.
         called: how messages call a quantity, by its name.
 
     Raises:
-        InputError: for text that cannot be read, and for gravity on a body without mass.
+        InputError: for text that cannot be read.
     """
     if tip_force is None and tip_moment is None and gravity is None:
         return None
-    loads = Loads(
+    return Loads(
         (0.0, 0.0) if tip_force is None else vector(tip_force, "force", called("tip_force")),
         0.0 if tip_moment is None else quantity(tip_moment, "moment", called("tip_moment")),
         (0.0, 0.0) if gravity is None else vector(gravity, "acceleration", called("gravity")),
     )
-    if np.any(loads.gravity) and not has_weight:
-        raise InputError(
-            "the body has no weight, since its density is 0",
-            where=f"{called('gravity')} {gravity!r}",
-            remedy='give in its file density = "1070 kg/m^3", mass_per_length = "0.12 kg/m" or a [[point_mass]]',
-        )
-    return loads
