@@ -33,7 +33,6 @@ LINES, COLUMNS, DOT_COLUMNS, PANELS = len(draw.CURVES), 4, 6, 12  # drawn at mos
 SAMPLES, VALUES = 3000, 500  # drawn at most: in all, and along each axis
 MARKED = 30  # values up to which a line has a marker at each
 LABELLED = 2  # maps beside each other up to which contours have their numbers
-NEAR = 1e-6  # relative: a value of the user that is this near to one along an axis means it
 # which part of an output
 PARTS: dict[str, Callable[[Any], str]] = {"tendon": lambda number: f"of tendon {number + 1}", "component": str}
 
@@ -41,9 +40,7 @@ PARTS: dict[str, Callable[[Any], str]] = {"tendon": lambda number: f"of tendon {
 # --- one output ----------------------------------------------------------------------------------
 
 
-def draw_lines(
-    dataset: "xarray.Dataset", output: str, over: str, axes: Axes | None = None, **selection: object
-) -> Axes:
+def draw_lines(dataset: "xarray.Dataset", output: str, over: str, axes: Axes | None = None) -> Axes:
     """An output of a sweep over one number, in mm, deg, MPa and else SI units.
 
     There is a line for each combination of what else varies, six at most: values of another axis, kinematics,
@@ -51,59 +48,48 @@ def draw_lines(
     are crosses at the foot. The legend says why.
 
     Args:
-        dataset: of `sweep`.
+        dataset: of `sweep`, whole or a part of it, as `dataset.sel(tendon=0)`.
         output: the name of an output, as "tip_tension".
         over: the name of a number along an axis, as "base_tension".
         axes: where to draw; None for a new figure, one column wide.
-        selection: values of other axes, SI units; `tendon` from 0, `component` "X" or "Y". Names that hold a dot
-            are given as `**{"outer_radius.tip": 0.013}`.
 
     Raises:
-        InputError: for names and values that are not there, or too many lines.
+        InputError: for names that are not there, or too many lines.
     """
-    array = _chosen("draw_lines", dataset, output, (over,), selection, LINES)
+    array = _chosen("draw_lines", dataset, output, (over,), LINES)
     with draw.axes_or_new(axes, 2.4) as axes:
         _draw_curves(axes, array, over)
         draw.legend_above(axes)
     return axes
 
 
-def draw_map(
-    dataset: "xarray.Dataset", output: str, x: str, y: str, axes: Axes | None = None, **selection: object
-) -> Axes:
+def draw_map(dataset: "xarray.Dataset", output: str, x: str, y: str, axes: Axes | None = None) -> Axes:
     """Contours of an output of a sweep over two numbers, in mm, deg, MPa and else SI units; the scale stands beside.
 
     Where a solve failed or is doubtful the map is left blank and hatched. The legend says why.
 
     Args:
-        dataset: of `sweep`.
+        dataset: of `sweep`; of what else varies one value is chosen, as `dataset.sel(tendon=0)`.
         output: the name of an output, as "tip_tension".
         x, y: names of numbers along two axes, as "base_tension".
         axes: where to draw; None for a new figure, one column wide.
-        selection: values of all other axes, SI units; `tendon` from 0, `component` "X" or "Y". Names that hold a dot
-            are given as `**{"outer_radius.tip": 0.013}`.
 
     Raises:
-        InputError: for names and values that are not there, or where more varies than x and y.
+        InputError: for names that are not there, or where more varies than x and y.
     """
-    array = _chosen("draw_map", dataset, output, (x, y), selection, 1)
+    array = _chosen("draw_map", dataset, output, (x, y), 1)
     with draw.axes_or_new(axes, 2.5) as axes:
         _draw_maps([axes], [array], x, y)
         draw.legend_above(axes)
     return axes
 
 
-def _chosen(
-    who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str], selection: Mapping[str, object], most: int
-) -> "xarray.DataArray":
+def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str], most: int) -> "xarray.DataArray":
     """An output over one or two numbers and what else varies, of which there may be `most` combinations."""
-    answer = dataset.drop_dims("point", errors="ignore")
+    answer = dataset.drop_dims("point", errors="ignore").squeeze(drop=True)
     if output not in answer.data_vars or RESULT not in answer.data_vars:
         there = ", ".join(map(str, answer))
         raise InputError(f"{who}: {output!r} is no output of this sweep, or one along the body; there are {there}")
-    for name, value in selection.items():
-        answer = _selected(who, answer, name, value)
-    answer = answer.squeeze(drop=True)
     numbers = [name for name, c in _lists(answer).items() if _is_numeric(c.values) and name not in PARTS]
     if lost := [name for name in over if name not in numbers]:
         raise InputError(f"{who}: {lost[0]!r} is no number that varies; there are {', '.join(numbers) or 'none left'}")
@@ -117,18 +103,6 @@ def _chosen(
         raise InputError(f"{who}: {name} varies too, with {others[name]} values; {remedy}")
     answer = answer.swap_dims(dict(zip(own, over, strict=True)))
     return _shown(_thinned(answer, dict.fromkeys(over, VALUES)), {})[output].transpose(*over, ...)
-
-
-def _selected(who: str, answer: "xarray.Dataset", name: str, value: object) -> "xarray.Dataset":
-    """The sweep at a value along an axis."""
-    if name not in (there := _lists(answer)):
-        raise InputError(f"{who}: nothing varies along {name!r}; there are {', '.join(there)}")
-    values = there[name].values
-    near = _is_numeric(values) and _is_numeric(np.asarray(value))
-    found = np.isclose(values, np.asarray(value), NEAR, NEAR * np.ptp(values)) if near else values == value
-    if not np.any(found):
-        raise InputError(f"{who}: {name} has no value {value!r}; there are {', '.join(map(str, values))}")
-    return answer.isel({there[name].dims[0]: int(np.argmax(found))}, drop=found.size == 1)
 
 
 def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
