@@ -126,7 +126,7 @@ def _as_page(text: str) -> str:
 def _gallery(drawn: bool) -> str:
     """The page; `on_pre_build` has set the drawing of its pictures going."""
     made = import_module("make_gallery")
-    parts = ["# Gallery", "Drawn when the site is built, at the width of one column, by the code below each picture."]
+    parts = ["# Gallery", "Drawn when the site is built, by the code below each picture."]
     parts += ["All of them draw into axes of yours as well (`axes=`). What they are made from:", _shown(made.SETUP)]
     for name, title, caption, code in made.PICTURES:
         picture = f'<img class="figure" src="gallery/{name}.png" alt="{title}" width="525">'

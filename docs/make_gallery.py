@@ -88,7 +88,7 @@ PICTURES = (
         "profile",
         "Profile likelihood",
         "How fast the fit gets worse away from the best friction coefficient, with all else fitted again.",
-        'figures.draw_profile(fit, "friction_coefficient")',
+        'figures.draw_profile(fit, fit.profile("friction_coefficient"))',
     ),
     Picture(
         "correlation",
@@ -130,7 +130,7 @@ PICTURES = (
 
 
 def make_gallery(folder: str | Path) -> list[Picture]:
-    """Draw every picture into a folder, as PNG and PDF, one column wide; call it beside the folder `data`.
+    """Draw every picture into a folder, as PNG and PDF; call it beside the folder `data`.
 
     Args:
         folder: made if it is missing.

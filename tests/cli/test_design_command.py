@@ -16,7 +16,7 @@ from cddf_jax.cli import design as design_command
 from cddf_jax.designing.task_file import KEYS, read_task
 from cddf_jax.estimation.determination import IDENTIFIED
 from cddf_jax.figures import style
-from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off, pareto_figure
+from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off
 
 PAPER = ROOT / "data" / "smooth_sil_940.toml"
 TASK = f"""
@@ -141,7 +141,7 @@ def test_a_trade_off(run, task, tmp_path):
     designs = [SimpleNamespace(success=True)] * 4
     told = {"names": answer["objectives"], "dimensions": ("volume", "dimensionless"), "values": values}
     front: Any = SimpleNamespace(**told, start=answer["start"], designs=designs)
-    (axes,) = pareto_figure(front).axes
+    axes = draw_trade_off(front)
     given = Figure().subplots()
     assert draw_trade_off(front, given) is given
     assert given.get_xlabel() == axes.get_xlabel() == "Volume (cm$^{3}$)"

@@ -9,7 +9,7 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.cli.candidate_file import read_candidates
-from cddf_jax.figures.plan import draw_plan, plan_figure
+from cddf_jax.figures.plan import draw_plan
 
 PAPER, LOAD_CELLS = (DATA / name for name in ("smooth_sil_940.toml", "load_cells_simulated.csv"))
 CANDIDATES = """
@@ -77,7 +77,7 @@ def test_the_figure_holds_the_table(candidates):
     given = Figure().subplots()
     assert draw_plan(answer, given) is given
     assert given.get_xlabel() == "Expected standard error (%)"
-    (axes,) = plan_figure(answer).axes
+    axes = draw_plan(answer)
     assert [label.get_text() for label in axes.get_yticklabels()] == [
         "now",
         *(r.candidate.name for r in answer.ranking),

@@ -391,8 +391,8 @@ def test_an_open_profile_is_seen_to_be_open(tensions_only):
 
 
 def test_the_correlation_in_numbers(paper_route, tensions_only):
-    figure = estimate_figures.correlation_figure(paper_route)
-    matrix = [[float(text) for text in row] for row in np.reshape(texts(figure.axes[0]), (2, 2))]
+    axes = estimate_figures.draw_correlation(paper_route)
+    matrix = [[float(text) for text in row] for row in np.reshape(texts(axes), (2, 2))]
     expected = paper_route.covariance[0, 1] / np.prod([paper_route.standard_error[name] for name in BOTH])
     np.testing.assert_allclose(matrix, [[1, expected], [expected, 1]], atol=0.0051)
     assert estimate_figures.correlated_names(tensions_only) == []

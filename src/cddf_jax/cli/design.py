@@ -88,8 +88,8 @@ def run_design(task: "DesignTask", out: Path | None) -> Answer:
 def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
     """As `run_design`, of the two objectives against each other."""
     from ..designing import report
-    from ..figures.designs import pareto_figure
-    from ..figures.style import render
+    from ..figures.designs import draw_trade_off
+    from ..figures.style import figure_of, render
     from ..files.artifacts import as_json, write_all
 
     if task.choices or task.options.starts > 1 or any(weight != 1 for weight, _ in task.objective):
@@ -102,7 +102,7 @@ def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
         files: dict[str, str | bytes] = {"pareto.md": text + "\n", "pareto.json": as_json(answer)}
         feasible = {i: found for i, found in enumerate(front.designs, 1) if found.feasible}
         files |= {f"design_{i}.toml": _manipulator_file(found, task) for i, found in feasible.items()}
-        write_all(out, files | render(pareto_figure(front), "pareto"))
+        write_all(out, files | render(figure_of(draw_trade_off(front)), "pareto"))
     return answer, text, front.success
 
 

@@ -71,9 +71,9 @@ def plan(
     found = plan(known, choices, names, criterion=criterion, num=num)
     text, answer = plan_as_markdown(found), plan_as_dict(found)
     if out is not None:
-        from ..figures.plan import plan_figure
-        from ..figures.style import render
+        from ..figures.plan import draw_plan
+        from ..figures.style import figure_of, render
         from ..files.artifacts import as_json as json_text, write_all
 
-        write_all(out, {"plan.md": text, "plan.json": json_text(answer)} | render(plan_figure(found), "plan"))
+        write_all(out, {"plan.md": text, "plan.json": json_text(answer)} | render(figure_of(draw_plan(found)), "plan"))
     print_answer(text, answer, as_json=as_json)

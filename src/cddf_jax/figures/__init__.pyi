@@ -14,11 +14,9 @@ from .designs import (
     design_figure as design_figure,
     draw_design as draw_design,
     draw_trade_off as draw_trade_off,
-    pareto_figure as pareto_figure,
 )
 from .estimates import (
     bootstrap_figure as bootstrap_figure,
-    correlation_figure as correlation_figure,
     draw_correlation as draw_correlation,
     draw_profile as draw_profile,
     profiles_figure as profiles_figure,
@@ -29,7 +27,7 @@ from .fit import (
     residuals_figure as residuals_figure,
     table_figures as table_figures,
 )
-from .plan import draw_plan as draw_plan, plan_figure as plan_figure
+from .plan import draw_plan as draw_plan
 from .style import (
     DOUBLE_COLUMN as DOUBLE_COLUMN,
     SINGLE_COLUMN as SINGLE_COLUMN,

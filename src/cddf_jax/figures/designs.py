@@ -110,11 +110,6 @@ def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: floa
     return level + reach + 1.3 * line
 
 
-def pareto_figure(front: ParetoFront) -> Figure:
-    """The trade-off as a figure of one column."""
-    return draw.figure_of(draw_trade_off(front))
-
-
 def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
     """The two objectives against each other: every design a point, the start apart.
 

@@ -15,7 +15,7 @@ from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..estimation.profile_likelihood import Profile
 from ..identification.fit import Fit
-from ..identification.fit_diagnostics import moving_names, own_names
+from ..identification.fit_diagnostics import moving_names
 from . import style as draw
 from .fit import PANEL_HEIGHT, shown_scale
 
@@ -30,21 +30,12 @@ def correlated_names(fit: Fit) -> list[str]:
     return [name for name in moving_names(fit) if fit.status[name] != NOT_IDENTIFIED]
 
 
-def correlation_figure(fit: Fit) -> Figure:
-    """The correlation of the estimates, as large as it needs to be."""
-    width = float(np.clip(1.5 + 0.6 * len(correlated_names(fit)), draw.SINGLE_COLUMN, draw.DOUBLE_COLUMN))
-    with draw.house_style():
-        figure = draw.new_figure(width, 0.8 * width)
-        draw_correlation(fit, figure.subplots())
-    return figure
-
-
 def draw_correlation(fit: Fit, axes: Axes | None = None) -> Axes:
     """The correlation of the estimates that the data determine, as numbers on colours.
 
     Args:
         fit: of `fit`.
-        axes: where to draw; None for a new figure, one column wide.
+        axes: where to draw; None for a new figure, one column wide, or more where there are many parameters.
 
     Raises:
         InputError: where fewer than two parameters are determined.
@@ -55,9 +46,11 @@ def draw_correlation(fit: Fit, axes: Axes | None = None) -> Axes:
             f"draw_correlation: needs two parameters that the data determine, there are {len(names)}; see fit.verdict"
         )
     index = [fit.names.index(name) for name in names]
-    with draw.axes_or_new(axes, 0.8 * draw.SINGLE_COLUMN) as axes:
-        image = axes.imshow(fit.correlation[np.ix_(index, index)], cmap=CORRELATION_COLOURS, vmin=-1, vmax=1)
-        _write_numbers(axes, fit.correlation[np.ix_(index, index)])
+    matrix = fit.correlation[np.ix_(index, index)]
+    width = float(np.clip(1.5 + 0.6 * len(names), draw.SINGLE_COLUMN, draw.DOUBLE_COLUMN))
+    with draw.axes_or_new(axes, 0.8 * width, width) as axes:
+        image = axes.imshow(matrix, cmap=CORRELATION_COLOURS, vmin=-1, vmax=1)
+        _write_numbers(axes, matrix)
         _name_rows(axes, [fill(shown_scale(name)[1].partition(" (")[0], 14) for name in names])
         draw.figure_of(axes).colorbar(image, ax=axes, label="Correlation", shrink=0.9, ticks=[-1, -0.5, 0, 0.5, 1])
     return axes
@@ -144,7 +137,7 @@ def _draw_pair(
     axes.fill(*(estimate[:, None] + directions @ circle), label="95 % ellipse of the fit", **look)
 
 
-def draw_profile(fit: Fit, profile: Profile | str, axes: Axes | None = None) -> Axes:
+def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
     """The root of the rise of the sum of squares over a parameter; for a linear model straight lines.
 
     The 95 % interval lies where it stays below the dashed line; where that is never crossed the side is open, and
@@ -152,20 +145,13 @@ def draw_profile(fit: Fit, profile: Profile | str, axes: Axes | None = None) -> 
 
     Args:
         fit: of `fit`.
-        profile: of `fit.profile`, or the name of a parameter that was fitted, which is then profiled: that is a few
-            dozen fits.
+        profile: of `fit.profile`.
         axes: where to draw; None for a new figure, one column wide.
-
-    Raises:
-        InputError: for a name that was not fitted.
     """
-    name = profile if isinstance(profile, str) else profile.name
-    if name not in own_names(fit):
-        raise InputError(f"draw_profile: {name!r} was not fitted; there are {', '.join(own_names(fit))}")
-    drawn = fit.profile(profile) if isinstance(profile, str) else profile
+    name = profile.name
     scale, label = shown_scale(name)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
-        _draw_profile(axes, drawn, scale, fit.value[name], fit.status[name])
+        _draw_profile(axes, profile, scale, fit.value[name], fit.status[name])
         axes.set(xlabel=label, ylabel="Root of the rise in squares")
         draw.legend_above(axes)
     return axes

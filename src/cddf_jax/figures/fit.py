@@ -24,7 +24,6 @@ from ..identification.fit_diagnostics import (
     tables_without_numbers,
 )
 from ..measurements.readings import kind_of
-from ..measurements.table import Measurements
 from ..quantities import QUANTITIES, dimension_of
 from ..units import preferred
 from . import style as draw
@@ -46,9 +45,7 @@ def shown_scale(name: str) -> tuple[float, str]:
 # --- data and model ------------------------------------------------------------------------------
 
 
-def draw_fit(
-    fit: Fit, table: str | Measurements | None = None, column: str | None = None, axes: Axes | None = None
-) -> Axes:
+def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes: Axes | None = None) -> Axes:
     """The readings of a column over base tension, N, and the fitted model with its 95 % band.
 
     Readings of one level are drawn as their mean with one standard deviation. A pulley test is drawn as pulling
@@ -58,7 +55,7 @@ def draw_fit(
 
     Args:
         fit: of `fit`.
-        table: one of the tables that were fitted, or its name as in `fit.alone`; may be left out where there is one.
+        table: the name of a table that was fitted, as in `fit.alone`; may be left out where there is one.
         column: "tip_tension", "tip_tension_2", ... (N), "tip_angle" (deg), "tip_x" or "tip_y" (mm); may be left out
             where there is one.
         axes: where to draw; None for a new figure, one column wide.
@@ -80,9 +77,7 @@ def draw_fit(
     return axes
 
 
-def draw_residuals(
-    fit: Fit, table: str | Measurements | None = None, column: str | None = None, axes: Axes | None = None
-) -> Axes:
+def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None, axes: Axes | None = None) -> Axes:
     """What the fitted model leaves of a column, observed less predicted, over base tension, N (wrap angle, deg).
 
     Every reading is a dot; over them mean and standard deviation of each level, and about zero the 95 % band of the
@@ -153,12 +148,9 @@ class _Panel(NamedTuple):
     data_label: str
 
 
-def _panel_of(who: str, fit: Fit, table: str | Measurements | None, column: str | None) -> _Panel:
+def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Panel:
     """The readings of a column and the model."""
-    names = list(fit.alone)
-    if isinstance(table, Measurements):
-        table = next((name for name, own in zip(names, fit.tables, strict=True) if own is table), table.name)
-    name = _the_one(who, "table", table, names)
+    name = _the_one(who, "table", table, list(fit.alone))
     column = _the_one(who, "column", column, list(experiment_named(fit, name).columns))
     if not has_numbers(fit, name, column):
         raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")

@@ -4,7 +4,6 @@ from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from ..estimation.determination import Determination
@@ -17,15 +16,6 @@ ROW_HEIGHT = 0.28  # inches
 MANY = 300  # of the largest over the smallest error: then only powers of ten are written
 
 
-def plan_figure(plan: Plan) -> Figure:
-    """The plan over both columns of a page."""
-    with draw.house_style():
-        figure = draw.new_figure(draw.DOUBLE_COLUMN, _height(plan))
-        axes = draw_plan(plan, figure.subplots())
-        draw.common_legend(figure, [axes])
-    return figure
-
-
 def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
     """Expected standard errors, per cent, one row for each candidate, the best on top.
 
@@ -34,14 +24,14 @@ def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
 
     Args:
         plan: of `plan`.
-        axes: where to draw; None for a new figure, one column wide.
+        axes: where to draw; None for a new figure, two columns wide.
     """
     rows = [("now", plan.now), *((ranked.candidate.name, ranked.expected) for ranked in plan.ranking)]
     names = plan.now.names
     errors = np.array([[_relative(told, name) for name in names] for _, told in rows])
     known = errors[np.isfinite(errors) & (errors > 0)]
     edge = 5 * known.max(initial=10.0)
-    with draw.axes_or_new(axes, _height(plan)) as axes:
+    with draw.axes_or_new(axes, 1.1 + ROW_HEIGHT * len(rows), draw.DOUBLE_COLUMN) as axes:
         axes.axhspan(-0.5, 0.5, color=draw.PALE, linewidth=0)
         for k, name in enumerate(names):
             look: draw.Look = draw.CURVES[k % len(draw.CURVES)] | {"linestyle": "none", "markersize": 4.5}
@@ -53,12 +43,8 @@ def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
         _scale_errors(axes, 0.5 * known.min(initial=10.0), edge)
         axes.set_yticks(range(len(rows)), [fill(name, 24) for name, _ in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        draw.legend_above(axes)
+        draw.legend_above(axes, 4)
     return axes
-
-
-def _height(plan: Plan) -> float:
-    return 1.1 + ROW_HEIGHT * (len(plan.ranking) + 1)
 
 
 def _scale_errors(axes: Axes, low: float, edge: float) -> None:

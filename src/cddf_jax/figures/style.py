@@ -132,13 +132,13 @@ def panels_figure(
 
 
 @contextmanager
-def axes_or_new(axes: Axes | None, height: float) -> Iterator[Axes]:
-    """The axes to draw into: those given, in their own style, or a new figure's as wide as a column, in the house's."""
+def axes_or_new(axes: Axes | None, height: float, width: float = SINGLE_COLUMN) -> Iterator[Axes]:
+    """The axes to draw into: those given, in their own style, or those of a new figure, inches, in the house's."""
     if axes is not None:
         yield axes
         return
     with house_style():
-        yield new_figure(SINGLE_COLUMN, height).subplots()
+        yield new_figure(width, height).subplots()
 
 
 def figure_of(axes: Axes) -> Figure:

@@ -11,7 +11,7 @@ from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..estimation.observations import Noise
 from ..figures import style as draw
-from ..figures.estimates import bootstrap_figure, correlated_names, correlation_figure, profiles_figure
+from ..figures.estimates import bootstrap_figure, correlated_names, draw_correlation, profiles_figure
 from ..figures.fit import residuals_figure, table_figures
 from ..files.artifacts import as_json, markdown_table, write_all
 from ..identification.bench import TRIALS, unit_of
@@ -58,7 +58,7 @@ def report_figures(report: Report) -> dict[str, Figure]:
     makers: dict[str, Callable[[], Figure]] = {
         "residuals": partial(residuals_figure, fit),
         "profiles": partial(profiles_figure, fit, report.profiles),
-        "correlation": partial(correlation_figure, fit),
+        "correlation": lambda: draw.figure_of(draw_correlation(fit)),
     }
     makers |= {f"bootstrap_{found.kind}": partial(bootstrap_figure, fit, found) for found in report.bootstraps}
     return table_figures(fit) | {name: make() for name, make in makers.items() if name not in missing}
