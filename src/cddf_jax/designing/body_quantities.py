@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import cached_property
 from typing import NamedTuple
 
@@ -85,12 +86,14 @@ def quantity_named(name: QuantityName) -> BodyQuantity:
     """A quantity by its name, or made of a function of manipulator and equilibrium.
 
     Raises:
-        InputError: names the known ones.
+        InputError: for an unknown name; names one like it, or the known ones.
     """
     if callable(name):
         return BodyQuantity("", lambda view: jnp.asarray(name(view.body, view.equilibrium)))
     if name not in BODY_QUANTITIES:
-        raise InputError(f"design: {name!r} is no quantity of a body; there are {', '.join(BODY_QUANTITIES)}")
+        close = get_close_matches(name, BODY_QUANTITIES, 1)
+        remedy = f"did you mean {close[0]}?" if close else f"there are {', '.join(BODY_QUANTITIES)}"
+        raise InputError(f"design: {name!r} is no quantity of a body; {remedy}")
     return BODY_QUANTITIES[name]
 
 

@@ -80,48 +80,33 @@ def pareto_front(
     pairs = weighted([(1.0, aim) for aim in objectives])
     problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, options, capped=True)
     with progress_shown(options) as show:
-        points = _Points(problem, options.max_iterations, show)
-        for _ in range(num - 2):
-            if not points.add():
-                break
-    return _front(problem, points.found, manipulator, num)
+        found = _searched(problem, num, options.max_iterations, show)
+    return _front(problem, found, manipulator, num)
 
 
-class _Points:
-    """The front as it grows: search results in order from one end to the other."""
+def _searched(problem: DesignProblem, num: int, max_iterations: int, show: ShowProgress) -> list[SearchResult]:
+    """Search results from one end of the front to the other; where none is feasible, a gap is given up."""
 
-    def __init__(self, problem: DesignProblem, max_iterations: int, show: ShowProgress):
-        self.problem, self.max_iterations, self.show = problem, max_iterations, show
-        start = np.asarray(problem.free.scaled_start)
-        first = self._search(0, np.inf, [start])
-        last = self._search(1, np.inf, [first.z, start])
-        self.found = [first, last]
-        self.given_up: set[tuple[int, int]] = set()  # gaps in which no body was found, by the bodies beside them
-
-    def _search(self, small: int, level: float, starts: Sequence[np.ndarray]) -> SearchResult:
+    def search(small: int, level: float, starts: Sequence[np.ndarray]) -> SearchResult:
         """Make one objective small under a level of the other; the best from some starts."""
-        search = DesignSearch(_at(self.problem, small, level), self.max_iterations, self.show)
-        return min((search.from_start(z) for z in starts), key=lambda found: found.rank)
+        searches = DesignSearch(_at(problem, small, level), max_iterations, show)
+        return min((searches.from_start(z) for z in starts), key=lambda each: each.rank)
 
-    def add(self) -> bool:
-        """A body in the middle of the widest gap; false where there is no gap left."""
-        raw = np.array([[_raw(found, k) for k in (0, 1)] for found in self.found])
-        good = [i for i, found in enumerate(self.found) if found.feasible]
+    start = np.asarray(problem.free.scaled_start)
+    first = search(0, np.inf, [start])
+    found = [first, search(1, np.inf, [first.z, start])]
+    while len(found) < num:
+        raw = np.array([[_raw(each, k) for k in (0, 1)] for each in found])
         size = np.maximum(np.abs(raw[0] - raw[-1]), 1e-12 * np.abs(raw[0]) + 1e-300)
-        gaps = [pair for pair in pairwise(good) if self._between(pair) not in self.given_up]
+        gaps = [i for i, pair in enumerate(pairwise(found)) if all(each.feasible for each in pair)]
         if not gaps or np.all(np.abs(raw[0] - raw[-1]) <= SAME * np.abs(raw[0])):
-            return False
-        before, after = max(gaps, key=lambda pair: float(np.linalg.norm((raw[pair[1]] - raw[pair[0]]) / size)))
-        wide = int(np.argmax(np.abs(raw[after] - raw[before]) / size))
-        level = float(np.mean([raw[before, wide], raw[after, wide]]))
-        found = self._search(1 - wide, level, [self.found[before].z, self.found[after].z])
-        if not found.feasible:
-            self.given_up.add(self._between((before, after)))
-        self.found.insert(before + 1, found)
-        return True
-
-    def _between(self, pair: tuple[int, int]) -> tuple[int, int]:
-        return id(self.found[pair[0]]), id(self.found[pair[1]])
+            break
+        widths = np.abs(np.diff(raw, axis=0)) / size
+        i = max(gaps, key=lambda i: float(np.linalg.norm(widths[i])))
+        wide = int(np.argmax(widths[i]))
+        level = float(np.mean(raw[i : i + 2, wide]))
+        found.insert(i + 1, search(1 - wide, level, [found[i].z, found[i + 1].z]))
+    return found
 
 
 def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:

@@ -4,7 +4,6 @@ import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TypeVar
 
@@ -19,7 +18,7 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import unit_of_name
 from ..robot.profiles import Linear, Profile, Spline
 from ..units import DIMENSION_OF, Dimension, quantity
-from .body_quantities import BODY_QUANTITIES
+from .body_quantities import BODY_QUANTITIES, quantity_named
 from .design import DesignOptions, design
 from .free_numbers import numbers_under
 from .limits import Limit
@@ -205,23 +204,21 @@ def _free(
 
 def _formed(body: Manipulator, name: str, entry: Table) -> Manipulator:
     """The body with a profile as a spline through some points, or as a straight taper."""
-    form = _form(entry, float(body.length))
+    if ("knots" in entry) == ("taper" in entry) or entry.get("taper", True) is not True:
+        raise InputError("write knots = 9 for a spline or taper = true for a straight taper")
+    length, knots = float(body.length), _whole(entry, "knots", 4)
+    if knots < 4:
+        raise InputError(f"knots must be 4 or more, got {knots}; or write taper = true")
     names = [name.replace("*", str(i)) for i in range(body.num_tendons if "*" in name else 1)]
     if not all(own.endswith(("radius", "offset")) and own in body.profiles for own in names):
         raise InputError("only outer_radius, inner_radius and tendons.0.offset have a form")
+
+    def form(profile: Profile) -> Profile:
+        if "taper" in entry:
+            return Linear(np.asarray(profile(0.0)), np.asarray(profile(length)), length)
+        return Spline.through(profile, np.linspace(0.0, length, knots))
+
     return eqx.tree_at(lambda body: [body.profiles[own] for own in names], body, replace_fn=form)
-
-
-def _form(entry: Table, length: float) -> Callable[[Profile], Profile]:
-    """What makes a profile a spline through some points, or a straight taper."""
-    if ("knots" in entry) == ("taper" in entry) or entry.get("taper", True) is not True:
-        raise InputError("write knots = 9 for a spline or taper = true for a straight taper")
-    if "taper" in entry:
-        return lambda profile: Linear(np.asarray(profile(0.0)), np.asarray(profile(length)), length)
-    knots = _whole(entry, "knots", 0)
-    if knots < 4:
-        raise InputError(f"knots must be 4 or more, got {knots}; or write taper = true")
-    return lambda profile: Spline.through(profile, np.linspace(0.0, length, knots))
 
 
 # --- cases, objectives, limits -------------------------------------------------------------------
@@ -270,7 +267,7 @@ def _objective(table: Table) -> tuple[float, Objective]:
     if len(kinds) != 1:
         raise InputError(f'write one of {", ".join(_AIMS)}, as in least = "base_tension"')
     kind = kinds[0]
-    name, dimension = _quantity(table[kind])
+    name = _text(table, kind)
     weight = quantity(table.get("weight", 1.0), "dimensionless", "weight")
     if kind != "near":
         if "value" in table or "at" in table:
@@ -282,22 +279,14 @@ def _objective(table: Table) -> tuple[float, Objective]:
     if at is not None and not isinstance(at, list):
         raise InputError(f'at must be a list of arc lengths, as in at = ["70 mm"], got {at!r}')
     places = None if at is None else _nested(at, "length", "at")
-    return weight, Near(name, _nested(table["value"], dimension, "value"), places)
+    return weight, Near(name, _nested(table["value"], quantity_named(name).dimension, "value"), places)
 
 
 def _limit(table: Table) -> Limit:
-    name, dimension = _quantity(table["quantity"])
+    name = _text(table, "quantity")
+    dimension = quantity_named(name).dimension
     sides = [side for side in ("least", "most", "equal") if side in table]
     return Limit(name, **{side: _nested(table[side], dimension, side) for side in sides})
-
-
-def _quantity(name: object) -> tuple[str, Dimension]:
-    """The name of a quantity, checked, and its dimension."""
-    if isinstance(name, str) and name in BODY_QUANTITIES:
-        return name, BODY_QUANTITIES[name].dimension
-    close = get_close_matches(str(name), BODY_QUANTITIES, 1)
-    remedy = f"did you mean {close[0]}?" if close else f"there are {', '.join(BODY_QUANTITIES)}"
-    raise InputError(f"{name!r} is no quantity of a body; {remedy}")
 
 
 # --- small things --------------------------------------------------------------------------------
