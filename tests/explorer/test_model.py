@@ -10,7 +10,7 @@ from bodies import PAPER, paper_body, paper_plain, straight
 from places import DATA
 
 import cddf_jax as cddf
-from cddf_jax.explorer.model import NUM_PULLS, Exploration, Rows, from_si, in_si, rounded
+from cddf_jax.explorer.model import NUM_PULLS, Exploration, from_si, in_si, rounded
 from cddf_jax.explorer.plots import TensionPlots
 from cddf_jax.explorer.words import numbers_html
 from cddf_jax.quantities import QUANTITIES
@@ -110,11 +110,13 @@ def test_rows_that_no_curve_holds_are_solved_as_they_were_measured():
     read = {"tip_tension": base, "tip_angle": 0.01 * base}
     table = cddf.Measurements.from_columns("bench", base_tension=base, direction=way, **read)
     pulled_in = cddf.Measurements.from_columns("loading", base_tension=base, tip_tension=base)
-    (rows,) = Exploration(paper_body("exact"), (pulled_in, table)).in_rows(paper_body("exact", youngs_modulus=2e6))
-    assert rows.table is table
+    ((rows, model),) = Exploration(paper_body("exact"), (pulled_in, table)).in_rows(
+        paper_body("exact", youngs_modulus=2e6)
+    )
+    assert rows is table
     loss = 0.42 / 2e6 * base * paper_plain("exact").compliance(PAPER["length"])
-    np.testing.assert_allclose(rows.model["tip_tension"], base / (1 + way * loss), rtol=1e-9)
-    np.testing.assert_allclose(rows.model["tip_angle"], np.log1p(way * loss) / (way * 0.42), rtol=1e-9)
+    np.testing.assert_allclose(model["tip_tension"], base / (1 + way * loss), rtol=1e-9)
+    np.testing.assert_allclose(model["tip_angle"], np.log1p(way * loss) / (way * 0.42), rtol=1e-9)
 
 
 def test_data_of_two_tendons_lie_over_their_own_tensions():
@@ -122,15 +124,15 @@ def test_data_of_two_tendons_lie_over_their_own_tensions():
     read = {"tip_tension": [16.0, 30.0], "tip_tension_2": [6.0, 12.0], "tip_angle": [0.1, 0.2]}
     table = cddf.Measurements.from_columns("pair", **columns, **read)
     plots = TensionPlots(2)
-    plots.show_data([table])
-    plots.show_rows([Rows(table, {name: np.array(values) + 1.0 for name, values in read.items()})])
+    plots.show_points("data", [(table, table.columns)])
+    plots.show_points("rows", [(table, {name: np.array(values) + 1.0 for name, values in read.items()})])
     tension, angle = plots.points["tension"], plots.points["angle"]
     for kind, more in (("data", 0.0), ("rows", 1.0)):
         np.testing.assert_array_equal(tension[kind].data["base"], [20.0, 40.0, 5.0, 10.0])
         np.testing.assert_array_equal(tension[kind].data["value"], np.array([16.0, 30.0, 6.0, 12.0]) + more)
         assert len(set(tension[kind].data["color"])) == 2
         np.testing.assert_allclose(angle[kind].data["value"], np.degrees([0.1 + more, 0.2 + more]))
-    plots.show_data([])
+    plots.show_points("data", [])
     assert [fig.select_one({"name": "data"}).visible for fig in plots.figures.values()] == [False, False]
 
 

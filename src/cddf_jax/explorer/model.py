@@ -23,7 +23,6 @@ from ..quantities import QUANTITIES, Quantity
 from ..robot.loads import Loads
 from ..robot.manipulator import Kinematics, Manipulator
 from ..robot.named_numbers import Case, of_tendon
-from ..robot.profiles import Profile
 from ..robot.reshape import tapered
 from ..statics.description import result_in_words, wall_remarks
 from ..statics.equilibrium import RESULTS, Equilibrium, Fields
@@ -100,13 +99,6 @@ class Curve(NamedTuple):
     base_tension: np.ndarray
     tip_tension: np.ndarray
     tip_angle: np.ndarray
-
-
-class Rows(NamedTuple):
-    """A table that no single curve holds, and what the body as it is set would show in its rows; SI."""
-
-    table: Measurements
-    model: dict[str, np.ndarray]  # by column that was read; NaN where a solve is not good
 
 
 class Taper(NamedTuple):
@@ -208,25 +200,13 @@ class Exploration:
         body = replace(self.manipulator, kinematics=settings.kinematics)
         body = replace(body, **{name: number[name] for name in FITTED if name in number})
         if self._radii:
-            body = replace(body, outer_radius=self._wall(*(number[name] for name in RADII)))
+            assert body.outer_radius is not None
+            wall = tapered(body.outer_radius, *(number[name] for name in RADII), body.length)
+            body = replace(body, outer_radius=wall).validate(offsets_outside_wall=self.offsets_outside_wall)
         force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
         loads = Loads(force, number["tip_moment"], gravity) if any((*force, number["tip_moment"], *gravity)) else None
         pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
         return Case(body, pulls, loads, as_directions(settings.direction))
-
-    def _wall(self, base: float, tip: float) -> Profile:
-        """The outer radius; whether tendons lie within it is asked once for each."""
-        if (base, tip) not in self._walls:
-            assert self.manipulator.outer_radius is not None
-            wall = tapered(self.manipulator.outer_radius, base, tip, self.manipulator.length)
-            body = replace(self.manipulator, outer_radius=wall)
-            body.validate(offsets_outside_wall=self.offsets_outside_wall)
-            self._walls[base, tip] = wall
-        return self._walls[base, tip]
-
-    @cached_property
-    def _walls(self) -> dict[tuple[float, float], Profile]:
-        return {}
 
     # --- answers ---------------------------------------------------------------------------------
 
@@ -244,11 +224,14 @@ class Exploration:
         pulls = np.linspace(0.0, self.controls[0].high, NUM_PULLS)
         return Curve(pulls, *map(np.asarray, _over_tension(case, pulls)))
 
-    def in_rows(self, body: Manipulator) -> list[Rows]:
-        """A body in every row of the tables of several tendons, under forces or of tendons that slide out."""
+    def in_rows(self, body: Manipulator) -> list[tuple[Measurements, dict[str, np.ndarray]]]:
+        """Tables that no single curve holds, and by column what a body shows in their rows; NaN without a good solve.
+
+        They are those of several tendons, under forces, or of tendons that slide out.
+        """
         experiments = ((table, experiment_of(table, body)) for table in self.tables)
         apart = [(table, rows) for table, rows in experiments if isinstance(rows, Bench) and not rows.on_one_curve]
-        return [Rows(table, jax.tree.map(np.asarray, _in_rows(rows, body))) for table, rows in apart]
+        return [(table, jax.tree.map(np.asarray, _in_rows(rows, body))) for table, rows in apart]
 
     def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:
         """The taper of the manipulator itself and that of the settings, all else as it is set.

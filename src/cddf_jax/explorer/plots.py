@@ -16,7 +16,7 @@ from ..measurements.table import Measurements
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from .model import Curve, Picture, Rows
+from .model import Curve, Picture
 
 Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
@@ -25,7 +25,7 @@ Points: TypeAlias = tuple[np.ndarray, np.ndarray, str]  # places, values and one
 
 NUM_ARROWS = 11  # along each tendon
 LONGEST_ARROW = 0.2  # of the length of the body
-DASHES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
+DASHES = {"-": [], "--": [6], "-.": [6, 4, 2, 4], ":": [2, 4]}
 NORMAL, FRICTION = GREEN, VERMILION
 ALONG = ("tension", "curvature", "normal_force", "friction_force")  # drawn over the arc length
 ARROW = ("x_start", "y_start", "x_end", "y_end")  # columns of arrows, as Bokeh calls them
@@ -36,8 +36,7 @@ NO_POINTS: Columns = {"base": [], "value": [], "color": []}
 def tendon_look(number: int) -> Look:
     """Colour and dashes of a tendon, counted from 0."""
     style = CURVES[number % len(CURVES)]
-    dashes = style["linestyle"]
-    return {"line_color": style["color"], "line_dash": DASHES.get(dashes) if isinstance(dashes, str) else [6, 3]}
+    return {"line_color": style["color"], "line_dash": DASHES.get(style["linestyle"], [6, 3])}
 
 
 def _figure(x_label: str, y_label: str, **options: Any) -> Plot:
@@ -226,16 +225,8 @@ class TensionPlots:
         for kind in ("data", "rows"):
             self._show_kind(fig, kind, False)
 
-    def show_data(self, tables: Sequence[Measurements]) -> None:
-        """Every reading of tip tensions and tip angle."""
-        self._show_points("data", [(table, table.columns) for table in tables if "base_tension" in table])
-
-    def show_rows(self, rows: Sequence[Rows]) -> None:
-        """What the body as set shows in the rows of the data."""
-        self._show_points("rows", [(row.table, row.model) for row in rows])
-
-    def _show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
-        """Readings, or what the model says of them, over the tensions that were set."""
+    def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
+        """Columns of tables over the tensions that were set: of "data" the readings, of "rows" what the body shows."""
         found: dict[str, list[Points]] = {name: [] for name in self.points}
         for table, columns in tables:
             for column, values in columns.items():

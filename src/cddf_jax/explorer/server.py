@@ -70,10 +70,6 @@ class PageContent:
     columns: tuple[SectionColumn, ...]  # of its table of cross-sections; none where it has none
     threads: Threads
 
-    def new_page(self) -> pn.Column:
-        """For one more browser."""
-        return Page(self).layout
-
 
 class Page:
     """One browser's page: files are loaded here, and the view of a manipulator is renewed with each."""
@@ -200,7 +196,7 @@ def serve(
     with Threads() as threads:
         content = PageContent(exploration, source, tuple(columns), threads)
         try:
-            server = get_server(content.new_page, port=port, address=ADDRESS, title=TITLE)
+            server = get_server(lambda: Page(content).layout, port=port, address=ADDRESS, title=TITLE)
         except OSError as error:
             raise InputError(f"--port {port}: {error.strerror}; give another, or leave it out for a free one") from None
         url = f"http://localhost:{server.port}/"

@@ -105,7 +105,8 @@ class ExplorerView:
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
         self.body, self.along, self.tension = BodyPlot(body, s), AlongPlots(body, s), TensionPlots(body.num_tendons)
-        self.tension.show_data(exploration.tables)
+        pulled = [table for table in exploration.tables if "base_tension" in table]
+        self.tension.show_points("data", [(table, table.columns) for table in pulled])
         self._make_controls()
         self._make_words()
         parts = {
@@ -243,7 +244,7 @@ class ExplorerView:
         curve = self.exploration.curve(picture.case)
         self._on_page(self.tension.show_curve, curve)
         rows = self.exploration.in_rows(picture.case.manipulator)
-        self._on_page(self.tension.show_rows, rows)
+        self._on_page(self.tension.show_points, "rows", rows)
         self._on_page(self._done, settings, ["tension"])
         told = "The bending stiffness of this body is given: another taper would not change how it bends."
         if self.exploration.manipulator.stiffened_by_radii:

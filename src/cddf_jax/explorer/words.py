@@ -51,10 +51,8 @@ def numbers_html(picture: Picture) -> str:
 def _line(tendon: int) -> str:
     """The look of a tendon in the figures."""
     look = tendon_look(tendon)
-    dashes = {"solid": "none", "dashed": "6 3", "dotted": "2 2", "dashdot": "6 2 2 2"}
-    dash = look["line_dash"]
-    pattern = dashes[dash] if isinstance(dash, str) else " ".join(map(str, dash))
-    line = f'<line x2="26" y1="4" y2="4" stroke="{look["line_color"]}" stroke-width="2" stroke-dasharray="{pattern}"/>'
+    dashes = " ".join(map(str, look["line_dash"]))
+    line = f'<line x2="26" y1="4" y2="4" stroke="{look["line_color"]}" stroke-width="2" stroke-dasharray="{dashes}"/>'
     return f'<svg width="26" height="8" aria-hidden="true">{line}</svg>'
 
 
