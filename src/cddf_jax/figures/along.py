@@ -15,7 +15,7 @@ from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, breakpoints
 from ..statics.equilibrium import Equilibrium, Fields
 from . import style as draw
-from .geometry import fields_along, reached, stations
+from .geometry import fields_along, reached, stations, with_joints
 
 MARKERS = ("", "o", "s", "^", "D", "v", "x")  # one for each round through the dash patterns
 HEIGHT, SECTION_HEIGHT = 2.2, 1.9  # of a panel, inches
@@ -110,7 +110,7 @@ def draw_section_column(column: SectionColumn, axes: Axes | None = None) -> Axes
         axes: where to draw; None for a new figure, one column wide.
     """
     points, values = 1e3 * column.arc_length, 1e3 * column.values
-    s = _section_stations(column)
+    s = with_joints(np.linspace(0.0, column.arc_length[-1], 1001), breakpoints(column.profile))
     with draw.axes_or_new(axes, SECTION_HEIGHT) as axes:
         axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=draw.BLUE, label="as read")
         size = 1.2 if len(points) > MANY_POINTS else 3.2
@@ -132,11 +132,3 @@ def sections_figure(columns: Sequence[SectionColumn]) -> Figure:
         columns: of `section_columns`.
     """
     return draw.panels_figure(lambda panel, column: draw_section_column(column, panel), columns, SECTION_HEIGHT)
-
-
-def _section_stations(column: SectionColumn) -> np.ndarray:
-    """Arc lengths, m: a grid, and both sides of every joint."""
-    length = column.arc_length[-1]
-    joints = np.asarray(breakpoints(column.profile), float)
-    sides = np.concatenate([joints - 1e-9 * length, joints])
-    return np.unique(np.clip(np.concatenate([np.linspace(0.0, length, 1001), sides]), 0.0, length))

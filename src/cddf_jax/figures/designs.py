@@ -57,32 +57,28 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
         design: of `design`.
         axes: where to draw; None for a new figure, one column wide.
     """
-    with draw.axes_or_new(axes, HEIGHT) as axes:
-        _draw_bodies(axes, design)
-    return axes
-
-
-def _draw_bodies(axes: Axes, design: Design) -> None:
     before, after = design.start, design.manipulator
     s, line = stations(after), LINE * 1e3 * float(after.length)
     bent = bent_body(after, fields_along(design.equilibria[0], s))
     paths = tendon_paths(after, bent, s)
     old = bent_body(before, fields_along(design.equilibria_at_start[0], stations(before)))
-    draw.draw_body(axes, bent)
-    axes.plot(*old.outline.T, color=draw.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
-    axes.plot(*bent.outline.T, color=draw.BLUE, linewidth=0.7)
-    for path in paths:
-        axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
-    top = float(axes.dataLim.y1)
-    level = _draw_straight(axes, after, "after", top, line)
-    numbers = " (numbers: outer/inner diameter, mm)" if before.has_radii else ""
-    _draw_straight(axes, before, f"before{numbers}", level, line)
-    draw.draw_clamp(axes, 1.2 * max(bent.outer_radius[0], np.max(np.abs(paths[:, 0, 1]))), 0.6 * line)
-    axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
-    draw.to_scale(axes)
-    axes.autoscale_view()
-    bottom = axes.get_ylim()[0]  # ticks beyond it would move it
-    axes.set_yticks([tick for tick in axes.get_yticks() if bottom <= tick <= top + 1e-9])
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        draw.draw_body(axes, bent)
+        axes.plot(*old.outline.T, color=draw.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
+        axes.plot(*bent.outline.T, color=draw.BLUE, linewidth=0.7)
+        for path in paths:
+            axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
+        top = float(axes.dataLim.y1)
+        level = _draw_straight(axes, after, "after", top, line)
+        numbers = " (numbers: outer/inner diameter, mm)" if before.has_radii else ""
+        _draw_straight(axes, before, f"before{numbers}", level, line)
+        draw.draw_clamp(axes, 1.2 * max(bent.outer_radius[0], np.max(np.abs(paths[:, 0, 1]))), 0.6 * line)
+        axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
+        draw.to_scale(axes)
+        axes.autoscale_view()
+        bottom = axes.get_ylim()[0]  # ticks beyond it would move it
+        axes.set_yticks([tick for tick in axes.get_yticks() if bottom <= tick <= top + 1e-9])
+    return axes
 
 
 def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: float, line: float) -> float:

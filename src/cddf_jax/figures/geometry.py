@@ -42,11 +42,15 @@ class Body(NamedTuple):
 
 
 def stations(manipulator: Manipulator) -> np.ndarray:
-    """Arc lengths, m: a grid, the joints of the body and the ends of tendons, and a point just behind each."""
-    length = float(manipulator.length)
-    joints = np.asarray(manipulator.breakpoints, float)
+    """Arc lengths, m: a grid, joints of the body and ends of tendons, and points close to both sides of each."""
+    return with_joints(np.linspace(0.0, float(manipulator.length), 201), manipulator.breakpoints)
+
+
+def with_joints(grid: np.ndarray, joints: ArrayLike) -> np.ndarray:
+    """A grid of arc lengths with those joints that lie on it, and points close to both sides of each."""
+    joints, length = np.asarray(joints, float), grid[-1]
     joints = joints[(joints > 0) & (joints < length)]
-    return np.unique(np.concatenate([np.linspace(0.0, length, 201), joints, joints + 1e-9 * length]))
+    return np.unique(np.concatenate([grid, *(joints + side * 1e-9 * length for side in (-1, 0, 1))]))
 
 
 def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
