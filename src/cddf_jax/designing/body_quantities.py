@@ -129,10 +129,6 @@ def check_fits(name: str, wanted: ArrayLike, value: Array) -> None:
 # --- of the body alone ---------------------------------------------------------------------------
 
 
-def _radius(view: BodyView, which: int) -> Array:
-    return view.body.radii(view.arc_length)[which]
-
-
 def _wall(view: BodyView) -> Array:
     outer, inner = view.body.radii(view.arc_length)
     return outer - inner
@@ -151,19 +147,13 @@ def _slopes(view: BodyView) -> Array:
     return jnp.stack([slopes, -slopes])
 
 
-def _volume(view: BodyView) -> Array:
-    return _integral(view.body, view.body.area)
-
-
 def _mass(view: BodyView) -> Array:
     points = jnp.asarray([0.0, *(point.mass for point in view.body.point_masses)])
-    return _integral(view.body, view.body.distributed_mass) + jnp.sum(points)
+    return _integral(view, view.body.distributed_mass) + jnp.sum(points)
 
 
-def _integral(body: Manipulator, of: Callable[[Array], Array]) -> Array:
-    """By Gauss's rule between the places where the body is not smooth."""
-    pieces = panels(jnp.asarray(body.length), body.breakpoints, BODY_NODES)
-    return jnp.sum(pieces.gain(of(pieces.nodes)))
+def _integral(view: BodyView, of: Callable[[Array], Array]) -> Array:
+    return jnp.sum(view.panels.gain(of(view.panels.nodes)))
 
 
 # --- of an equilibrium ---------------------------------------------------------------------------
@@ -187,15 +177,12 @@ def _tension(view: BodyView) -> Array:
 def _stiffness(direction: Callable[[Equilibrium], Array]) -> Callable[[BodyView], Array]:
     def stiffness(view: BodyView) -> Array:
         assert view.case is not None
-        case, found = view.case, view.equilibrium
-        loads = Loads() if case.loads is None else case.loads
+        found = view.equilibrium
+        loads = Loads() if view.case.loads is None else view.case.loads
 
         def tip(force: Array) -> Array:  # at constant base tensions, as in `tip_compliance`
-            pushed = replace(loads, tip_force=force)
-            there = solve(
-                view.body, found.base_tension, pushed, direction=found.direction, nodes=view.nodes, throw=False
-            )
-            return there.tip_position
+            given = view.body, found.base_tension, replace(loads, tip_force=force)
+            return solve(*given, direction=found.direction, nodes=view.nodes, throw=False).tip_position
 
         way = direction(found)
         return 1.0 / (way @ jax.jacfwd(tip)(jnp.asarray(loads.tip_force)) @ way)
@@ -207,18 +194,14 @@ def _across(found: Equilibrium) -> Array:
     return jnp.stack([-jnp.sin(found.tip_angle), jnp.cos(found.tip_angle)])
 
 
-def _fixed(x: float, y: float) -> Callable[[Equilibrium], Array]:
-    return lambda found: jnp.array([x, y])
-
-
 BODY_QUANTITIES: dict[str, BodyQuantity] = {
     quantity.name: quantity
     for quantity in (
         BodyQuantity("length", lambda v: jnp.asarray(v.body.length), bent=False),
-        BodyQuantity("volume", _volume, bent=False),
+        BodyQuantity("volume", lambda v: _integral(v, v.body.area), bent=False),
         BodyQuantity("mass", _mass, bent=False),
-        BodyQuantity("outer_radius", lambda v: _radius(v, 0), bent=False, along=True),
-        BodyQuantity("inner_radius", lambda v: _radius(v, 1), bent=False, along=True),
+        BodyQuantity("outer_radius", lambda v: v.body.radii(v.arc_length)[0], bent=False, along=True),
+        BodyQuantity("inner_radius", lambda v: v.body.radii(v.arc_length)[1], bent=False, along=True),
         BodyQuantity("wall_thickness", _wall, bent=False, along=True),
         BodyQuantity("clearance", _clearance, bent=False, along=True, to_anchor=True),
         BodyQuantity("taper", lambda v: -_slopes(v)[0, 0], bent=False, along=True),
@@ -238,7 +221,7 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("tip_x", lambda v: v.equilibrium.tip_position[0]),
         BodyQuantity("tip_y", lambda v: v.equilibrium.tip_position[1]),
         BodyQuantity("tip_stiffness", _stiffness(_across)),
-        BodyQuantity("tip_stiffness_x", _stiffness(_fixed(1.0, 0.0))),
-        BodyQuantity("tip_stiffness_y", _stiffness(_fixed(0.0, 1.0))),
+        BodyQuantity("tip_stiffness_x", _stiffness(lambda _: jnp.array([1.0, 0.0]))),
+        BodyQuantity("tip_stiffness_y", _stiffness(lambda _: jnp.array([0.0, 1.0]))),
     )
 }

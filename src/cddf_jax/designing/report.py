@@ -78,18 +78,18 @@ def _numbers(found: Design) -> Iterator[str]:
 
 
 def _limits(found: Design) -> Iterator[str]:
-    rows = []
+    rows, signs = [], {"least": ">=", "most": "<=", "equal": "="}
     for limit in found.limits:
+        bound, reached = (
+            ", ".join(shown(each, limit.dimension) for each in np.ravel(value))
+            for value in (limit.limit, limit.reached)
+        )
+        text = f"{limit.name} {signs[limit.side]} {bound}{' (implied)' if limit.implied else ''}"
         place = "all along" if limit.all_along else f"s = {shown(limit.arc_length, 'length')}"
         where = ", ".join(part for part in (limit.case, "" if np.isnan(limit.arc_length) else place) if part)
-        rows.append((_limit_text(limit), _value(limit.reached, limit.dimension), where, _worth(found, limit)))
+        rows.append((text, reached, where, _worth(found, limit)))
     yield from markdown_table(("limit", "reached", "where", "what giving way is worth"), rows, right=("reached",))
     yield ""
-
-
-def _limit_text(limit: LimitReport) -> str:
-    sign = {"least": ">=", "most": "<=", "equal": "="}[limit.side]
-    return f"{limit.name} {sign} {_value(limit.limit, limit.dimension)}{' (implied)' if limit.implied else ''}"
 
 
 def _worth(found: Design, limit: LimitReport) -> str:
@@ -152,10 +152,6 @@ def _foot(found: Design) -> Iterator[str]:
     if len(found.starts) > 1:
         ends = ", ".join(_objective(found, value) for value in found.starts)
         yield f"Searches from {len(found.starts)} starts came to {ends}."
-
-
-def _value(value: float | list[float], dimension: Dimension) -> str:
-    return ", ".join(shown(each, dimension) for each in np.ravel(value))
 
 
 def design_as_dict(found: Design) -> dict[str, object]:

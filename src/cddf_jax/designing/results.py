@@ -222,14 +222,14 @@ def limit_reports(problem: DesignProblem, local: LocalMinimum, unit: float) -> t
     length = float(np.asarray(problem.body(problem.split(local.point.x)[0]).length))
     reports = []
     for i, limit in enumerate(problem.limits):
-        price = unit / float(limit.scale)  # type: ignore[arg-type]
+        price = unit / float(np.asarray(limit.scale))
         for k, side in enumerate(side for side in ("least", "most") if getattr(limit, side) is not None):
             prices = _prices(local, "inequality", rows[i][:, k], price)
             reports.append(_of_range(problem, i, side, np.asarray(found.margins[i])[:, k], prices, length))
         for case, miss in enumerate(np.asarray(found.zeros[i]) if limit.equal is not None else ()):
             prices = _prices(local, "equality", equations[i][case], price) if miss.size == 1 else (np.nan, np.nan)
             wanted = np.asarray(limit.equal)
-            values = _plain(wanted), _plain(wanted + miss * np.asarray(limit.scale))
+            values = np.squeeze(wanted).tolist(), np.squeeze(wanted + miss * np.asarray(limit.scale)).tolist()
             reports.append(_report(problem, i, "equal", case, values, -float(np.max(np.abs(miss))), prices))
     return tuple(reports)
 
@@ -241,7 +241,7 @@ def _of_range(
     limit = problem.limits[i]
     at = np.unravel_index(np.argmin(margin), margin.shape)
     bound, room = float(getattr(limit, side)), float(margin[at])
-    reached = bound + (room if side == "least" else -room) * float(limit.scale)  # type: ignore[arg-type]
+    reached = bound + (room if side == "least" else -room) * float(np.asarray(limit.scale))
     report = _report(problem, i, side, int(at[0]), (bound, reached), room, prices)
     if not limit.known.along:
         return report
@@ -290,11 +290,6 @@ def _prices(
     weights = np.zeros(values.size)
     weights[np.ravel(places)] = price
     return local.optimality.range_of(**{kind: weights})
-
-
-def _plain(value: np.ndarray) -> float | list[float]:
-    array = np.squeeze(value)
-    return float(array) if array.ndim == 0 else array.tolist()
 
 
 def design_result(local: LocalMinimum, violation: float) -> str:
