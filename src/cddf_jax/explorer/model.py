@@ -201,7 +201,8 @@ class Exploration:
         body = replace(body, **{name: number[name] for name in FITTED if name in number})
         if self._radii:
             assert body.outer_radius is not None
-            wall = tapered(body.outer_radius, *(number[name] for name in RADII), body.length)
+            base, tip = (number[name] for name in RADII)
+            wall = tapered(body.outer_radius, base, tip, body.length)
             body = replace(body, outer_radius=wall).validate(offsets_outside_wall=self.offsets_outside_wall)
         force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
         loads = Loads(force, number["tip_moment"], gravity) if any((*force, number["tip_moment"], *gravity)) else None
