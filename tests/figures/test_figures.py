@@ -328,7 +328,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path, monkeypatch):
         raise OSError("the disk is full")
 
     monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(OSError, match="the disk is full"):
+    with pytest.raises(cddf.InputError, match="the disk is full; choose another place"):
         figures.save(a_figure(), path)
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]

@@ -20,7 +20,7 @@ Answer = tuple[dict[str, object], str, bool]  # for JSON, in words, and whether 
 def design(
     task: Annotated[
         Path | None,
-        typer.Argument(help="TOML file of the task; --template prints one with every key.", show_default=False),
+        typer.Argument(help="TOML file of the task; --template prints one with every key."),
     ] = None,
     template: Annotated[
         bool,
@@ -28,16 +28,12 @@ def design(
     ] = False,
     pareto: Annotated[
         int | None,
-        typer.Option(
-            help="Trade-off between the two objectives of the task: so many designs.", min=3, show_default=False
-        ),
+        typer.Option(help="Trade-off between the two objectives of the task: so many designs.", min=3),
     ] = None,
     as_json: AsJson = False,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for the new manipulator, its profile for CAD, figures and report.", show_default=False
-        ),
+        typer.Option(help="Folder for the new manipulator, its profile for CAD, figures and report."),
     ] = None,
 ) -> None:
     """The body that meets an objective best, within what can be made.

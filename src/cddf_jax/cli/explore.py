@@ -14,7 +14,7 @@ EXAMPLE = "Example: cddf explore data/smooth_sil_940.toml data/tip_angle_simulat
 def explore(
     robot: Annotated[
         Path | None,
-        typer.Argument(help="TOML file of the manipulator; without it that of the paper.", show_default=False),
+        typer.Argument(help="TOML file of the manipulator; without it that of the paper."),
     ] = None,
     data: OptionalData = None,
     column: Column = None,

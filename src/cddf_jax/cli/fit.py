@@ -40,10 +40,7 @@ Free = Annotated[
 ]
 PriorOption = Annotated[
     list[str] | None,
-    typer.Option(
-        help='Gaussian, "youngs_modulus=1.4 MPa +- 0.1 MPa", or uniform, "friction_coefficient=0.1..0.6".',
-        show_default=False,
-    ),
+    typer.Option(help='Gaussian, "youngs_modulus=1.4 MPa +- 0.1 MPa", or uniform, "friction_coefficient=0.1..0.6".'),
 ]
 Bound = Annotated[
     list[str] | None,
@@ -84,7 +81,7 @@ def fit(
     as_json: AsJson = False,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the report with profiles and figures, out/fit.", show_default=False),
+        typer.Option(help="Folder for the report with profiles and figures, out/fit."),
     ] = None,
 ) -> None:
     """Friction and modulus from measurements, and what the measurements cannot tell."""

@@ -16,17 +16,13 @@ if TYPE_CHECKING:
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
 T = TypeVar("T")
 Kinematics = Literal["published", "exact"]
-Robot = Annotated[
-    Path, typer.Argument(help="TOML file of the manipulator, data/smooth_sil_940.toml.", show_default=False)
-]
+Robot = Annotated[Path, typer.Argument(help="TOML file of the manipulator, data/smooth_sil_940.toml.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object in SI units and nothing else.")]
 Out = Annotated[
     Path | None,
-    typer.Option(help="Folder for the figures and results, out/run_1. It is made if missing.", show_default=False),
+    typer.Option(help="Folder for the figures and results, out/run_1. It is made if missing."),
 ]
-KinematicsOption = Annotated[
-    Kinematics | None, typer.Option(help="Kinematics of the tendons, instead of the file's.", show_default=False)
-]
+KinematicsOption = Annotated[Kinematics | None, typer.Option(help="Kinematics of the tendons, instead of the file's.")]
 Nodes = Annotated[int, typer.Option(help="Gauss nodes in each smooth piece of the body, 4 or more.", min=4)]
 Direction = Annotated[
     list[int] | None,
@@ -36,36 +32,30 @@ Direction = Annotated[
         show_default="found from the travel; 1 for a single tendon",
     ),
 ]
-TipForce = Annotated[
-    str | None, typer.Option(help='Dead load (X, Y) on the tip, with units, "0 N, -5 N".', show_default=False)
-]
+TipForce = Annotated[str | None, typer.Option(help='Dead load (X, Y) on the tip, with units, "0 N, -5 N".')]
 TipMoment = Annotated[
     str | None,
-    typer.Option(help='Moment on the tip with its unit, "0.1 N m", positive from X to Y.', show_default=False),
+    typer.Option(help='Moment on the tip with its unit, "0.1 N m", positive from X to Y.'),
 ]
 Gravity = Annotated[
     str | None,
-    typer.Option(help='Acceleration (X, Y), "0, -9.81 m/s^2". The body needs a mass.', show_default=False),
+    typer.Option(help='Acceleration (X, Y), "0, -9.81 m/s^2". The body needs a mass.'),
 ]
 Data = Annotated[
     list[Path],
     typer.Argument(
         help="CSV or .xlsx files with the units in the header, bench.csv. Files of the same columns are the trials of "
-        "one experiment.",
-        show_default=False,
+        "one experiment."
     ),
 ]
 OptionalData = Annotated[
     list[Path] | None,
-    typer.Argument(
-        help="CSV or .xlsx files of measurements with the units in the header, bench.csv.", show_default=False
-    ),
+    typer.Argument(help="CSV or .xlsx files of measurements with the units in the header, bench.csv."),
 ]
 Column = Annotated[
     list[str] | None,
     typer.Option(
-        help='What a column of the data is, with its unit, "Tbase_N=base_tension [N]". "NAME=" leaves it out.',
-        show_default=False,
+        help='What a column of the data is, with its unit, "Tbase_N=base_tension [N]". "NAME=" leaves it out.'
     ),
 ]
 AverageHolds = Annotated[

@@ -12,9 +12,7 @@ EXAMPLE = "Example: cddf reproduce data/smooth_sil_940.toml data/load_cells_simu
 
 def reproduce(
     robot: Robot,
-    load_cells: Annotated[
-        Path, typer.Argument(help="CSV of the load-cell trials, data/load_cells_simulated.csv.", show_default=False)
-    ],
+    load_cells: Annotated[Path, typer.Argument(help="CSV of the load-cell trials, data/load_cells_simulated.csv.")],
     column: Column = None,
     as_json: AsJson = False,
     out: Annotated[Path, typer.Option(help="Folder for the figures and the table.")] = Path("out/reproduce"),

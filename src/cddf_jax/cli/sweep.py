@@ -61,7 +61,6 @@ Task = Annotated[
         "overrides it.",
         callback=read_sweep_task,
         is_eager=True,
-        show_default=False,
     ),
 ]
 Over = Annotated[
@@ -70,39 +69,34 @@ Over = Annotated[
         help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list, "kinematics=published,exact" '
         'or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. Any number has a name: outer_radius.tip, '
         "tendons.0.offset, loads.tip_force.1, base_tension_2, of a target base_tension.value. "
-        "With the length everything along the body varies in proportion.",
-        show_default=False,
+        "With the length everything along the body varies in proportion."
     ),
 ]
 Together = Annotated[
     list[str] | None,
     typer.Option(
         help='Names of --over that are one axis, "friction_coefficient,youngs_modulus": their first values together, '
-        "their second ones, and so on, in place of every combination.",
-        show_default=False,
+        "their second ones, and so on, in place of every combination."
     ),
 ]
 Sample = Annotated[
     list[str] | None,
     typer.Option(
-        help='What varies at random between two values, "youngs_modulus=1.2MPa:1.6MPa". Repeated: all together.',
-        show_default=False,
+        help='What varies at random between two values, "youngs_modulus=1.2MPa:1.6MPa". Repeated: all together.'
     ),
 ]
-Samples = Annotated[int | None, typer.Option(help="Number of samples, for --sample.", min=1, show_default=False)]
+Samples = Annotated[int | None, typer.Option(help="Number of samples, for --sample.", min=1)]
 Sampler = Annotated[Literal["latin_hypercube", "sobol"], typer.Option(help="How the samples are spread.")]
 BaseTension = Annotated[
     list[str] | None,
-    typer.Option(
-        "--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given.", show_default=False
-    ),
+    typer.Option("--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given."),
 ]
 Output = Annotated[
     str, typer.Option(help="Names of outputs; also base_tension, tension_loss, tendon_displacement, curvature, ...")
 ]
 Sensitivity = Annotated[
     list[str] | None,
-    typer.Option(help="Derivatives of the outputs by this number, into the store and the files.", show_default=False),
+    typer.Option(help="Derivatives of the outputs by this number, into the store and the files."),
 ]
 Precision = Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")]
 Memory = Annotated[
@@ -110,21 +104,18 @@ Memory = Annotated[
     typer.Option(help='Memory that the sweep may use, "2 GB".', show_default="a quarter of what is free"),
 ]
 Chunk = Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")]
-Netcdf = Annotated[Path | None, typer.Option(help="Also a NetCDF file, sweep.nc.", show_default=False)]
-Csv = Annotated[Path | None, typer.Option(help="Also a table, sweep.csv, a row for each solve.", show_default=False)]
+Netcdf = Annotated[Path | None, typer.Option(help="Also a NetCDF file, sweep.nc.")]
+Csv = Annotated[Path | None, typer.Option(help="Also a table, sweep.csv, a row for each solve.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the sweep would take; solve and write nothing.")]
-Coordinator = Annotated[
-    str | None, typer.Option(help="HOST:PORT of process 0, where several share the work.", show_default=False)
-]
-NumProcesses = Annotated[int | None, typer.Option(help="Number of these processes.", min=1, show_default=False)]
-ProcessId = Annotated[int | None, typer.Option(help="Which of them this is, from 0.", min=0, show_default=False)]
+Coordinator = Annotated[str | None, typer.Option(help="HOST:PORT of process 0, where several share the work.")]
+NumProcesses = Annotated[int | None, typer.Option(help="Number of these processes.", min=1)]
+ProcessId = Annotated[int | None, typer.Option(help="Which of them this is, from 0.", min=0)]
 Distributed = Annotated[bool, typer.Option("--distributed", help="Several processes, as Slurm or MPI started them.")]
 Out = Annotated[
     Path | None,
     typer.Option(
         help="Folder for the Zarr store, figures and results; or the store itself, x.zarr, and the others beside it. "
-        "A sweep that was stopped goes on.",
-        show_default=False,
+        "A sweep that was stopped goes on."
     ),
 ]
 

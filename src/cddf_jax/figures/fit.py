@@ -11,16 +11,14 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from ..errors import InputError
-from ..identification.bench import parameter_named
+from ..identification.bench import Group, parameter_named
 from ..identification.fit import Fit
 from ..identification.fit_diagnostics import (
     ModelCurve,
-    experiment_named,
     half_width,
     has_numbers,
     model_curve,
     normality_of,
-    table_named,
     tables_without_numbers,
 )
 from ..measurements.readings import kind_of
@@ -115,7 +113,7 @@ def table_figures(fit: Fit) -> dict[str, Figure]:
 
 def _table_figure(fit: Fit, name: str) -> Figure:
     """Data and model above, residuals below; one column fills that of a page, up to three stand side by side."""
-    columns = list(experiment_named(fit, name).columns)
+    columns = list(_groups(fit, name))
     across, down = min(len(columns), MOST_ACROSS), -(-len(columns) // MOST_ACROSS)
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN if across == 1 else draw.DOUBLE_COLUMN, 3.2 * down)
@@ -151,11 +149,13 @@ class _Panel(NamedTuple):
 def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Panel:
     """The readings of a column and the model."""
     name = _the_one(who, "table", table, list(fit.alone))
-    column = _the_one(who, "column", column, list(experiment_named(fit, name).columns))
-    if not has_numbers(fit, name, column):
+    groups = _groups(fit, name)
+    column = _the_one(who, "column", column, list(groups))
+    group = groups[column]
+    if not has_numbers(fit, group):
         raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
-    rows, curve = table_named(fit, name), model_curve(fit, name, column)
-    there, observed, residual = rows.has(column), rows.read(column), fit.residuals[f"{name}: {column}"]
+    rows, curve = group.table, model_curve(fit, group)
+    there, observed, residual = group.there, group.observed, fit.residuals[group.label]
     label = ("simulated data" if rows.simulated else "data") + (", mean ± sd" if curve is not None else "")
     if column == "pulling_tension" and curve is not None:
         weight, curve = rows["weight"][there], curve._replace(grid=DEGREE * curve.grid)
@@ -169,9 +169,14 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
         curve = ModelCurve(curve.grid, scale * curve.value, scale * curve.half_width)
         base = rows["base_tension"][there]
         return _Panel(base, observed, residual, curve, np.nan, "Base tension (N)", words, unit, label)
-    half, words = scale * half_width(fit, name, column), words[0].lower() + words[1:]
+    half, words = scale * half_width(fit, group), words[0].lower() + words[1:]
     labels = f"Predicted {words}", f"Measured {words}"
     return _Panel(observed - residual, observed, residual, None, half, *labels, unit, label)
+
+
+def _groups(fit: Fit, table: str) -> dict[str, Group]:
+    """What was read in a table, by column."""
+    return {group.column: group for group in fit.groups if group.name == table}
 
 
 def _the_one(who: str, what: str, given: str | None, there: list[str]) -> str:

@@ -6,9 +6,8 @@ import numpy as np
 from scipy import stats
 
 from ..estimation.determination import AT_BOUND
-from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
-from .bench import TRIALS, Bench, Pulley
+from .bench import TRIALS, Bench, Group
 from .fit import Fit
 
 SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds
@@ -58,24 +57,14 @@ class ModelCurve(NamedTuple):
     half_width: np.ndarray  # of the 95 % band
 
 
-def experiment_named(fit: Fit, table: str) -> Pulley | Bench:
-    """The model's form of a table, by its name in `fit.alone`."""
-    return fit.model.experiments[list(fit.alone).index(table)]
-
-
-def table_named(fit: Fit, table: str) -> Measurements:
-    """A table that was fitted, by its name in `fit.alone`."""
-    return fit.tables[list(fit.alone).index(table)]
-
-
-def model_curve(fit: Fit, table: str, column: str) -> ModelCurve | None:
+def model_curve(fit: Fit, group: Group) -> ModelCurve | None:
     """The model over all base tensions (wrap angles) of a table; None where no single curve holds its rows."""
-    rows, experiment = table_named(fit, table), experiment_named(fit, table)
+    rows, experiment = group.table, group.experiment
     if isinstance(experiment, Bench) and not experiment.on_one_curve:
         return None
-    if column != "pulling_tension":
+    if isinstance(experiment, Bench):
         grid = np.linspace(max(rows["base_tension"].min(), 0.0), rows["base_tension"].max(), GRID)
-        return ModelCurve(grid, *fit.predict(column, grid)[:2])
+        return ModelCurve(grid, *fit.predict(group.column, grid)[:2])
     grid = np.linspace(0.0, rows["wrap_angle"].max(), GRID)
     ratio = np.asarray(pulling_tension(1.0, fit.value["friction_coefficient"], grid))
     slope = np.zeros((grid.size, len(fit.names)))
@@ -84,29 +73,28 @@ def model_curve(fit: Fit, table: str, column: str) -> ModelCurve | None:
     return ModelCurve(grid, ratio, fit.band(slope))
 
 
-def half_width(fit: Fit, table: str, column: str) -> np.ndarray:
-    """Of the 95 % intervals of the predictions for the rows of a table of the manipulator, SI."""
-    rows = experiment_named(fit, table)
-    assert isinstance(rows, Bench)
-    shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
-    return fit.band(shown.derivatives[column][table_named(fit, table).has(column)])
+def half_width(fit: Fit, group: Group) -> np.ndarray:
+    """Of the 95 % intervals of the predictions for what was read of the manipulator, SI."""
+    assert isinstance(group.experiment, Bench)
+    shown = group.experiment.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    return fit.band(shown.derivatives[group.column][group.there])
 
 
-def has_numbers(fit: Fit, table: str, column: str) -> bool:
+def has_numbers(fit: Fit, group: Group) -> bool:
     """Whether the model gave a finite prediction for each row, and along the whole curve where there is one."""
-    if not np.all(np.isfinite(fit.residuals[f"{table}: {column}"])):
+    if not np.all(np.isfinite(fit.residuals[group.label])):
         return False
-    curve = model_curve(fit, table, column)
+    curve = model_curve(fit, group)
     return curve is None or bool(np.all(np.isfinite(curve.value)))
 
 
 def tables_without_numbers(fit: Fit) -> dict[str, str]:
     """By table, in words, the columns that the model gave no numbers for; such a table cannot be drawn."""
     lost = {}
-    for table in fit.alone:
-        missing = [column for column in experiment_named(fit, table).columns if not has_numbers(fit, table, column)]
-        if missing:
-            rows = max(np.sum(~np.isfinite(fit.residuals[f"{table}: {column}"])) for column in missing)
-            where = f" in {rows} of {len(table_named(fit, table))} rows" if rows else " between the rows"
-            lost[table] = f"the model gave no numbers for {', '.join(missing)}{where}"
+    without = [group for group in fit.groups if not has_numbers(fit, group)]
+    for name, table in {group.name: group.table for group in without}.items():
+        columns = {group.column: fit.residuals[group.label] for group in without if group.name == name}
+        rows = max(np.sum(~np.isfinite(residual)) for residual in columns.values())
+        where = f" in {rows} of {len(table)} rows" if rows else " between the rows"
+        lost[name] = f"the model gave no numbers for {', '.join(columns)}{where}"
     return lost
