@@ -40,7 +40,9 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
     with jax.enable_x64(True):  # a profile is judged in float64, whatever the caller computes in
         s = _stations(manipulator)
         _check_wall(manipulator, s)
-        _check_stiffness_and_mass(manipulator, s)
+        for name, demand in _DEMANDED_ALONG.items():
+            if name in manipulator.profiles:
+                _check_sign(name, demand, _values(name, manipulator.profiles[name], s), s)
         for number, tendon in enumerate(manipulator.tendons, 1):
             _check_tendon(f"tendon {number}", manipulator, tendon, s, offsets_outside_wall)
 
@@ -142,14 +144,9 @@ def _sides(breakpoints: Array, end: float) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(joints - nudge, 0.0, end - nudge), np.clip(joints + nudge, 0.0, end - nudge)
 
 
-def _check_stiffness_and_mass(manipulator: Manipulator, s: np.ndarray) -> None:
-    profiles = manipulator.profiles
-    found = {name: _values(name, profiles[name], s) for name in _DEMANDED_ALONG if name in profiles}
-    for name, values in found.items():
-        demand, unit = _DEMANDED_ALONG[name], QUANTITIES[name].unit
-        for i in np.flatnonzero(values <= 0 if demand == "above 0" else values < 0)[:1]:
-            got = f"at s = {_mm(s[i])} it is {values[i]:.6g} {unit}"
-            raise InputError(f"{name} must be {demand}: {got}; correct it there")
+def _check_sign(name: str, demand: str, values: np.ndarray, s: np.ndarray) -> None:
+    unit, good = QUANTITIES[name].unit, values > 0 if demand == "above 0" else values >= 0
+    _demand(good, s, f"{name} must be {demand}", lambda i: f"it is {values[i]:.6g} {unit}", "correct it there")
 
 
 def _check_wall(manipulator: Manipulator, s: np.ndarray) -> None:
@@ -157,54 +154,38 @@ def _check_wall(manipulator: Manipulator, s: np.ndarray) -> None:
         return
     outer = _values("outer_radius", manipulator.outer_radius, s)
     inner = _values("inner_radius", manipulator.inner_radius, s)
-    _demand(
-        inner >= 0,
-        lambda i: f"inner_radius must be 0 or more: at s = {_mm(s[i])} it is {_mm(inner[i])}; enlarge it there",
-    )
-    _demand(
-        outer > inner,
-        lambda i: (
-            f"outer_radius must exceed inner_radius: at s = {_mm(s[i])} they are {_mm(outer[i])} and "
-            f"{_mm(inner[i])}; make the wall thicker there or shorten the body"
-        ),
-    )
+    _demand(inner >= 0, s, "inner_radius must be 0 or more", lambda i: f"it is {_mm(inner[i])}", "enlarge it there")
+    rule, remedy = "outer_radius must exceed inner_radius", "make the wall thicker there or shorten the body"
+    _demand(outer > inner, s, rule, lambda i: f"they are {_mm(outer[i])} and {_mm(inner[i])}", remedy)
 
 
 def _check_tendon(name: str, manipulator: Manipulator, tendon: Tendon, s: np.ndarray, outside_wall: bool) -> None:
     reach = float(manipulator.length if tendon.end is None else tendon.end)
     beyond = s > reach
     offset = _values(f"{name}: offset", tendon.offset, s, beyond)
-    _demand(
-        (offset >= 0) | beyond,
-        lambda i: (
-            f"{name}: offset must be 0 or more: at s = {_mm(s[i])} it is {_mm(offset[i])}; "
-            "give the distance from the neutral axis, and the side by side=-1"
-        ),
-    )
+    rule = f"{name}: offset must be 0 or more"
+    remedy = "give the distance from the neutral axis, and the side by side=-1"
+    _demand((offset >= 0) | beyond, s, rule, lambda i: f"it is {_mm(offset[i])}", remedy)
     _check_jumps(name, tendon, reach)
     if outside_wall or not manipulator.has_radii:
         return
     outer, inner = map(np.asarray, eqx.filter_jit(manipulator.radii)(jnp.asarray(s)))
     slack = _SLACK * float(manipulator.length)
-    _demand(
-        ((offset >= inner - slack) & (offset <= outer + slack)) | beyond,
-        lambda i: (
-            f"{name}: offset must lie inside the wall: at s = {_mm(s[i])} it is {_mm(offset[i])} and the wall runs "
-            f"from {_mm(inner[i])} to {_mm(outer[i])}; move the tendon, or allow it with offsets_outside_wall"
-        ),
-    )
+    inside = (offset >= inner - slack) & (offset <= outer + slack)
+    rule, remedy = f"{name}: offset must lie inside the wall", "move the tendon, or allow it with offsets_outside_wall"
+
+    def found(i: int) -> str:
+        return f"it is {_mm(offset[i])} and the wall runs from {_mm(inner[i])} to {_mm(outer[i])}"
+
+    _demand(inside | beyond, s, rule, found, remedy)
 
 
 def _check_jumps(name: str, tendon: Tendon, reach: float) -> None:
     sides = _sides(breakpoints(tendon.offset), reach)
     before, after = (_at(tendon.offset, side) for side in sides)
-    _demand(
-        np.abs(after - before) <= _SLACK * np.maximum(reach, np.abs(before)),  # a steep offset moves between the sides
-        lambda i: (
-            f"{name}: offset must not jump: at s = {_mm(sides[0][i])} it goes from {_mm(before[i])} to "
-            f"{_mm(after[i])}; make the pieces meet"
-        ),
-    )
+    slack = _SLACK * np.maximum(reach, np.abs(before))  # a steep offset moves between the sides
+    meet, rule = np.abs(after - before) <= slack, f"{name}: offset must not jump"
+    _demand(meet, sides[0], rule, lambda i: f"it goes from {_mm(before[i])} to {_mm(after[i])}", "make the pieces meet")
 
 
 def _values(name: str, profile: Profile, s: np.ndarray, unused: np.ndarray | bool = False) -> np.ndarray:
@@ -214,10 +195,8 @@ def _values(name: str, profile: Profile, s: np.ndarray, unused: np.ndarray | boo
             f"{name} must give one value per arc length, got shape {values.shape} for {s.shape}; "
             "work element by element, and validate one manipulator at a time"
         )
-    _demand(
-        np.isfinite(values) | unused,
-        lambda i: f"{name} must be finite: at s = {_mm(s[i])} it is {values[i]}; correct the profile there",
-    )
+    finite = np.isfinite(values) | unused
+    _demand(finite, s, f"{name} must be finite", lambda i: f"it is {values[i]}", "correct the profile there")
     return values
 
 
@@ -225,11 +204,10 @@ def _at(profile: Profile, s: np.ndarray) -> np.ndarray:
     return np.asarray(eqx.filter_jit(profile)(jnp.asarray(s)))
 
 
-def _demand(good: np.ndarray, message: Callable[[int], str]) -> None:
-    """Raise for the first place that is not good."""
-    bad = np.flatnonzero(~good)
-    if bad.size:
-        raise InputError(message(int(bad[0])))
+def _demand(good: np.ndarray, s: np.ndarray, rule: str, found: Callable[[int], str], remedy: str) -> None:
+    """Raise for the first arc length at which a rule is broken; `found` says what is there."""
+    for i in np.flatnonzero(~good)[:1].tolist():
+        raise InputError(f"{rule}: at s = {_mm(s[i])} {found(i)}; {remedy}")
 
 
 def _mm(value: Number | float) -> str:
