@@ -6,7 +6,7 @@ import pytest
 from straight_line import A_HAT, B_HAT, NOISY, SIGMA, START, X, line
 
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.parameter_space import ParameterSpace, Uniform
+from cddf_jax.estimation.parameter_space import Uniform, parameter_space
 
 SETTLED = 1e-6  # what is quadratic near the minimum loses half of the digits of the cost
 
@@ -125,7 +125,7 @@ def test_what_data_leave_open_is_not_searched_for_long():
 
 def test_other_starts_lie_within_the_bounds():
     lower, upper = np.array([[-np.inf, -np.inf, 1.0, -np.inf, 1.0], [np.inf, np.inf, np.inf, 4.0, 5.0]])
-    space = ParameterSpace(tuple("abcde"), np.array([-3.0, 0.0, 2.0, 2.0, 2.0]), lower, upper)
+    space = parameter_space(tuple("abcde"), np.array([-3.0, 0.0, 2.0, 2.0, 2.0]), lower, upper)
     draws = np.random.default_rng(9).random((200, 5))
     moved = [space.elsewhere(draw, 2.0) for draw in draws]
     starts = np.array([there.parameters(z) for there, z in moved])

@@ -7,8 +7,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
-import jax.flatten_util
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, PyTree
 
@@ -17,7 +15,7 @@ from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
 from .determination import Determination, Evidence, determine, quantiles, spectrum_of
 from .levenberg_marquardt import MAX_STEPS, Data, LeastSquaresProblem, Minimum
 from .observations import Noise, Observed, group_observations
-from .parameter_space import Bounds, ParameterSpace, Prior, Priors, bounds_of, names_of, priors_of
+from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
 from .restarts import Searched, search
@@ -236,12 +234,13 @@ def least_squares_fit(
         raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
     if loss not in LOSSES:
         raise InputError(f"loss {loss!r} is not known; there are {', '.join(LOSSES)}")
-    flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), start))
-    names, first = names_of(start), np.asarray(flat)
+    leaves = [np.asarray(leaf, float) for leaf in jax.tree.leaves(start)]
+    unravel = Structure(jax.tree.structure(start), tuple(leaf.shape for leaf in leaves))
+    names, first = names_of(start), np.concatenate([leaf.ravel() for leaf in leaves])
     groups = group_observations(observed, sigma)
     limits = bounds_of(names, first, bounds or {}, priors or {})
     prior = priors_of(names, priors or {})
-    space = ParameterSpace(names, first, *limits, _scales(names, first, scales or {}, prior))
+    space = parameter_space(names, first, *limits, _scales(names, first, scales or {}, prior))
     data = Data(
         values=tuple(group.values for group in groups),
         noise=tuple(group.first_guess() for group in groups),
@@ -292,7 +291,7 @@ def _conclude(groups: Sequence[Observed], structure: PyTree, searched: Searched,
         seed=seed,
         success=ending.success,
         result=ending.result,
-        parameters=jax.tree.map(np.asarray, problem.unravel(jnp.asarray(outcome.parameters))),
+        parameters=problem.unravel(outcome.parameters),
         evidence=ending.evidence,
         minimum=ending.minimum,
     )

@@ -1,7 +1,7 @@
 """The sum of squares of a fit, and its minimum by optimistix's Levenberg-Marquardt over dimensionless unknowns."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,7 +12,7 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from ..errors import InputError
-from .parameter_space import Numbers, ParameterSpace, Prior
+from .parameter_space import Numbers, ParameterSpace, Prior, Structure
 from .robust_loss import LOSSES
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; tighter, and rounding errors of the cost would decide on steps
@@ -29,16 +29,18 @@ class Data(NamedTuple):
     prior: dict[int, Prior]  # by parameter
 
 
-class LeastSquaresProblem(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class LeastSquaresProblem:
     """A model, its data, and what is known of its parameters."""
 
     predict: Callable[[PyTree], PyTree]
-    unravel: Callable[[Array], PyTree] = eqx.field(static=True)
-    groups: tuple[str, ...] = eqx.field(static=True)  # of the data
+    unravel: Structure = field(metadata={"static": True})
+    groups: tuple[str, ...] = field(metadata={"static": True})  # of the data
     data: Data
     space: ParameterSpace
-    loss: str = eqx.field(static=True)
-    max_steps: int = eqx.field(static=True)  # of a search
+    loss: str = field(metadata={"static": True})
+    max_steps: int = field(metadata={"static": True})  # of a search
 
     def residual(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " m"]:
         """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors."""
@@ -62,11 +64,12 @@ class LeastSquaresProblem(eqx.Module):
         """Without the rows of the priors, which no loss softens."""
         return sum(np.size(v) for v in self.data.values)
 
-    def softened(self, residual: Float[Array, " m"]) -> Float[Array, " m"]:
+    def softened(self, residual: Float[Numbers, " m"]) -> Float[Numbers, " m"]:
         """What to square and sum."""
-        data, prior = jnp.split(residual, [self.num_data])
-        times = jnp.concatenate([jnp.ravel(t) for t in self.data.times])
-        return jnp.concatenate([LOSSES[self.loss].transformed(data) * jnp.sqrt(times), prior])
+        xp = residual.__array_namespace__()
+        data, prior = residual[: self.num_data], residual[self.num_data :]
+        times = xp.concat([t.reshape(-1) for t in self.data.times])
+        return xp.concat([LOSSES[self.loss].transformed(data) * xp.sqrt(times), prior])
 
     def influence(self, residual: np.ndarray) -> np.ndarray:
         """Half the derivative of the cost by each residual."""
@@ -171,7 +174,7 @@ def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
 
 def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
     """In this process."""
-    return Outcome(*map(np.asarray, jax.device_get(found)))
+    return Outcome(*map(np.asarray, found))
 
 
 def _at(

@@ -1,9 +1,11 @@
 """The parameters of a fit: their names, bounds, priors, and the change of variable that the optimiser sees."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from itertools import accumulate
+from math import prod
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +35,20 @@ class Uniform(NamedTuple):
 
 
 Priors = Mapping[str, Prior | tuple[float, float] | Uniform]  # by parameter
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The structure of parameters, of which many are equal, so that jit knows it again."""
+
+    tree: jax.tree_util.PyTreeDef
+    shapes: tuple[tuple[int, ...], ...]
+
+    def __call__(self, numbers: Numbers) -> PyTree:
+        """The structure with these numbers, (n,), in it."""
+        ends = accumulate(map(prod, self.shapes))
+        parts = [numbers[end - prod(s) : end].reshape(s) for s, end in zip(self.shapes, ends, strict=True)]
+        return jax.tree.unflatten(self.tree, parts)
 
 
 def names_of(start: PyTree) -> tuple[str, ...]:
@@ -98,45 +114,26 @@ def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
     return dict(sorted(found.items()))  # as JAX orders them
 
 
-class ParameterSpace(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class ParameterSpace:
     """The change of variable from dimensionless, unbounded z to the parameters.
 
     A bounded parameter is seen as the logarithm of its distance from the bound, one between two as a logit.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = field(metadata={"static": True})
     start: Float[Numbers, " n"]
     lower: Float[Numbers, " n"]
     upper: Float[Numbers, " n"]
     scale: Float[Numbers, " n"]
     least_size: Float[Numbers, " n"]
-    bounded: tuple[tuple[bool, bool], ...] = eqx.field(static=True)  # below, above
+    bounded: tuple[tuple[bool, bool], ...] = field(metadata={"static": True})  # below, above
 
-    def __init__(
-        self,
-        names: tuple[str, ...],
-        start: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        scale: np.ndarray | None = None,
-    ):
-        """Set up the space.
-
-        Args:
-            names: of the parameters.
-            start, lower, upper: (n,), infinite where there is no bound.
-            scale: (n,), sizes that matter for parameters that may be 0; NaN for that of the start (1 where it is 0).
-        """
-        self.names, self.start, self.lower, self.upper = names, start, lower, upper
-        own = np.where(start == 0, 1.0, np.abs(start))
-        given = np.full(np.shape(start), np.nan) if scale is None else scale
-        self.scale = np.where(np.isfinite(given), given, own)
-        self.least_size = np.where(np.isfinite(given), given, 0.0)
-        self.bounded = tuple(zip((lower > -np.inf).tolist(), (upper < np.inf).tolist(), strict=True))
-
-    def size(self, value: Float[Numbers, "*lanes n"]) -> Float[Array, "*lanes n"]:
+    def size(self, value: Float[Numbers, " n"]) -> Float[Numbers, " n"]:
         """What to measure each parameter by: its value, or where that is smaller the scale that was given."""
-        return jnp.maximum(jnp.where(value == 0, self.scale, jnp.abs(value)), self.least_size)
+        xp = value.__array_namespace__()
+        return xp.maximum(xp.where(value == 0, self.scale, xp.abs(value)), self.least_size)
 
     def first(self) -> Float[np.ndarray, " n"]:
         """The z of the start."""
@@ -185,11 +182,11 @@ class ParameterSpace(eqx.Module):
         same = draw >= FLIPPED
         size = np.where(same, (draw - FLIPPED) / (1 - FLIPPED), draw / FLIPPED)
         sign = np.where(same, 1.0, -1.0) * np.where(self.start < 0, -1.0, 1.0)
-        moved = sign * np.asarray(self.size(self.start)) * 10 ** (decades * (2 * size - 1))
+        moved = sign * self.size(self.start) * 10 ** (decades * (2 * size - 1))
         given = np.where(self.least_size > 0, self.least_size, np.nan)
         z = self.first() + np.where(self.free, 0.0, np.log(10) * decades * (2 * draw - 1))
         start = np.where(self.free, moved, self.start)
-        return ParameterSpace(self.names, start, np.asarray(self.lower), np.asarray(self.upper), given), z
+        return parameter_space(self.names, start, self.lower, self.upper, given), z
 
     def seen_from(self, other: "ParameterSpace", z: np.ndarray) -> np.ndarray:
         """The z here of what is z in a space that differs by the start of what has no bounds."""
@@ -197,7 +194,7 @@ class ParameterSpace(eqx.Module):
 
     def times_the_start(self, value: np.ndarray) -> np.ndarray:
         """How many times its start a parameter has grown to, from its bound on; without bounds, shrunk to as well."""
-        size = np.asarray(self.size(self.start))
+        size = self.size(self.start)
 
         def one(i, bounded):
             if bounded == FREE:
@@ -212,3 +209,20 @@ class ParameterSpace(eqx.Module):
         below = value - self.lower < 1e-5 * (self.start - self.lower)
         above = self.upper - value < 1e-5 * (self.upper - self.start)
         return (np.isfinite(self.lower) & below) | (np.isfinite(self.upper) & above)
+
+
+def parameter_space(
+    names: tuple[str, ...], start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray | None = None
+) -> ParameterSpace:
+    """The space of some parameters.
+
+    Args:
+        names: of the parameters.
+        start, lower, upper: (n,), infinite where there is no bound.
+        scale: (n,), sizes that matter for parameters that may be 0; NaN for that of the start (1 where it is 0).
+    """
+    given = np.full(np.shape(start), np.nan) if scale is None else scale
+    known = np.isfinite(given)
+    own = np.where(start == 0, 1.0, np.abs(start))
+    bounded = tuple(zip((lower > -np.inf).tolist(), (upper < np.inf).tolist(), strict=True))
+    return ParameterSpace(names, start, lower, upper, np.where(known, given, own), np.where(known, given, 0.0), bounded)

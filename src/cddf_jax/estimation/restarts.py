@@ -3,7 +3,6 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
@@ -159,4 +158,4 @@ def _cost(task: FitTask, ending: Ending) -> float:
     pairs = zip(problem.data.noise, task.problem.data.noise, strict=True)
     residual = outcome.residual.copy()
     residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
-    return _height(outcome._replace(cost=np.sum(np.asarray(problem.softened(jnp.asarray(residual))) ** 2)))
+    return _height(outcome._replace(cost=np.sum(problem.softened(residual) ** 2)))

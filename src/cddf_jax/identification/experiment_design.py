@@ -17,7 +17,7 @@ from jaxtyping import ArrayLike
 from ..errors import InputError
 from ..estimation.determination import Determination, Evidence, determine
 from ..estimation.observations import Noise
-from ..estimation.parameter_space import ParameterSpace, Priors, priors_of
+from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
@@ -149,7 +149,7 @@ def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Eviden
         for i, prior in priors_of(names, priors).items()
     }
     return Evidence(
-        space=ParameterSpace(names, value, lower, np.full(len(names), np.inf), scale),
+        space=parameter_space(names, value, lower, np.full(len(names), np.inf), scale),
         value=value,
         size=size,
         at_bound=np.zeros(len(names), bool),
