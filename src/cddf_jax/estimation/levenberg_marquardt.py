@@ -179,7 +179,7 @@ def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
 
 def _at(
     problem: LeastSquaresProblem, z: Float[Array, " n"], held: Float[Numbers, " n"]
-) -> tuple[Float[Array, "..."], ...]:
+) -> tuple[Float[Numbers, "..."], ...]:
     """What an outcome says of a place, from z to the cost."""
     residual, by_z = _residual_and_slope(problem, held, z)
     parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))

@@ -92,10 +92,13 @@ class Observed:
 def estimate_noise(groups: Sequence[Observed], minimum: Minimum) -> tuple[np.ndarray, ...]:
     """Standard deviations of each group, from the residuals at a minimum."""
     problem, outcome = minimum
+    given = tuple(map(np.asarray, problem.data.noise))
+    if all(isinstance(group.sigma, np.ndarray) for group in groups):
+        return given
     jacobian = without_nan(outcome.jacobian)
     leverage = problem.by_group(spectrum_of(jacobian).leverage(jacobian))
-    found = zip(groups, problem.data.noise, problem.by_group(outcome.residual), leverage, strict=True)
-    return tuple(group.estimate(np.asarray(noise), r, h, problem.loss) for group, noise, r, h in found)
+    found = zip(groups, given, problem.by_group(outcome.residual), leverage, strict=True)
+    return tuple(group.estimate(noise, r, h, problem.loss) for group, noise, r, h in found)
 
 
 def _parts(

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from itertools import accumulate
 from math import prod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +41,7 @@ Priors = Mapping[str, Prior | tuple[float, float] | Uniform]  # by parameter
 class Structure:
     """The structure of parameters, of which many are equal, so that jit knows it again."""
 
-    tree: jax.tree_util.PyTreeDef
+    tree: Any  # as `jax.tree.structure` has it
     shapes: tuple[tuple[int, ...], ...]
 
     def __call__(self, numbers: Numbers) -> PyTree:
@@ -186,7 +186,7 @@ class ParameterSpace:
         given = np.where(self.least_size > 0, self.least_size, np.nan)
         z = self.first() + np.where(self.free, 0.0, np.log(10) * decades * (2 * draw - 1))
         start = np.where(self.free, moved, self.start)
-        return parameter_space(self.names, start, self.lower, self.upper, given), z
+        return parameter_space(self.names, start, np.asarray(self.lower), np.asarray(self.upper), given), z
 
     def seen_from(self, other: "ParameterSpace", z: np.ndarray) -> np.ndarray:
         """The z here of what is z in a space that differs by the start of what has no bounds."""

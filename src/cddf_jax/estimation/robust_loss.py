@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+
+from .parameter_space import Numbers
 
 
 class Loss(NamedTuple):
     """One loss, by what least squares can take: the residual whose square is rho."""
 
-    transformed: Callable[[Array], Array]  # sign(r) sqrt(rho(r))
+    transformed: Callable[[Numbers], Numbers]  # sign(r) sqrt(rho(r))
     influence: Callable[[np.ndarray], np.ndarray]  # psi = rho' / 2
     slope: Callable[[np.ndarray], np.ndarray]  # psi'
 
@@ -28,17 +29,17 @@ class Loss(NamedTuple):
 SOFT_L1, HUBER, CAUCHY = 1.2871, 1.3450, 2.3849
 
 
-def _soft_l1(r: Array) -> Array:
+def _soft_l1(r: Numbers) -> Numbers:
     return r * jnp.sqrt(2 / (1 + jnp.sqrt(1 + (r / SOFT_L1) ** 2)))
 
 
-def _huber(r: Array) -> Array:
+def _huber(r: Numbers) -> Numbers:
     size = jnp.abs(r)
     beyond = jnp.where(size > HUBER, size, HUBER)
     return jnp.where(size > HUBER, jnp.sign(r) * jnp.sqrt(HUBER * (2 * beyond - HUBER)), r)
 
 
-def _cauchy(r: Array) -> Array:
+def _cauchy(r: Numbers) -> Numbers:
     u = (r / CAUCHY) ** 2
     large = jnp.where(u > 1e-6, u, 1.0)
     return r * jnp.where(u > 1e-6, jnp.sqrt(jnp.log1p(large) / large), 1 - u / 4)

@@ -78,9 +78,11 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
         evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
         evidence = evidence.after_failure()
-    else:
-        evidence = replace(evidence, products=are_products(minimum, determine(evidence)))
-    return Ending(minimum, evidence, determine(evidence), result, lower)
+    determination = determine(evidence)
+    if result == SUCCESSFUL and not are_products(minimum, determination):
+        evidence = replace(evidence, products=False)
+        determination = determine(evidence)
+    return Ending(minimum, evidence, determination, result, lower)
 
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
@@ -89,9 +91,9 @@ def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
     outcome = minimise(problem, z)
     for _ in range(NOISE_ROUNDS):
         noise, improved = problem.data.noise, estimate_noise(task.groups, Minimum(problem, outcome))
+        if all(map(np.array_equal, noise, improved)):  # it was known
+            return Minimum(problem, outcome), True
         settled = all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
-        if settled and all(map(np.array_equal, noise, improved)):  # it was known
-            break
         problem = replace(problem, data=problem.data._replace(noise=improved))
         outcome = minimise(problem, outcome.z)
         if settled or not np.all(np.isfinite(outcome.residual)):

@@ -182,8 +182,8 @@ class Bench(eqx.Module):
         fill = -rows % LANES
         arrays = self.base_tension, self.direction, self.tip_force, self.trial
         padded = jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
-        answer = _evaluate(Bench(*padded), manipulator, jax.tree.map(jnp.asarray, parameters), nodes)
-        return jax.tree.map(lambda x: x[:rows], jax.device_get(answer))
+        answer = _evaluate(Bench(*padded), manipulator, jax.tree.map(np.asarray, parameters), nodes)
+        return jax.tree.map(lambda x: np.asarray(x)[:rows], answer)
 
 
 def _of_cells(parameters: Parameters, name: str, readings: Array) -> Array:

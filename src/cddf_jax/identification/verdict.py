@@ -56,6 +56,8 @@ def looks_at(parameters: Parameters, tables: Sequence[Measurements], model: Benc
 
 def doubt(look: Look) -> str:
     """Why these rows cannot have determined a parameter; "" where they can."""
+    if len(look.rows(RESULTS.successful)) == len(look.table):
+        return ""
     rows, count = look.rows(*OUTSIDE.values()), len(look.table)
     if len(rows) > MOST * count:
         kinds = ", ".join(words for words, code in OUTSIDE.items() if len(look.rows(code)))
