@@ -6,6 +6,7 @@ stands for a standard error of 1 / s, relative, along its direction.
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -104,10 +105,21 @@ class Evidence:
         lower, upper = self.space.lower, self.space.upper
         return np.where(self.value - lower < upper - self.value, lower, upper)
 
-    @property
+    @cached_property
     def jacobian(self) -> np.ndarray:
         """All rows, those of the priors last."""
         return without_nan(np.concatenate([*self.rows.values(), *self.prior_rows.values()]))
+
+    @cached_property
+    def spectrum(self) -> "Spectrum":
+        """Of all rows."""
+        return spectrum_of(self.jacobian)
+
+    @property
+    def noise_freedom(self) -> float:
+        """With how many degrees of freedom the noise was estimated; infinite where it was given."""
+        freedom = max(len(self.jacobian) - int(self.spectrum.determined.sum()), 1)
+        return float(freedom) if any(self.noise_estimated.values()) else np.inf
 
 
 def without_nan(matrix: np.ndarray) -> np.ndarray:
@@ -143,14 +155,13 @@ def spectrum_of(jacobian: np.ndarray) -> Spectrum:
 def determine(evidence: Evidence) -> Determination:
     """Standard errors, intervals and statuses from the rows of the Jacobian."""
     names, lower, upper = evidence.space.names, evidence.space.lower, evidence.space.upper
-    value, size, jacobian = evidence.value, evidence.size, evidence.jacobian
-    spectrum = spectrum_of(jacobian)
+    value, size, jacobian, spectrum = evidence.value, evidence.size, evidence.jacobian, evidence.spectrum
     rank = int(spectrum.determined.sum())
     freedom = jacobian.shape[0] - rank
     error = spectrum.relative_error * size
     noise_told = freedom > 0 or not any(evidence.noise_estimated.values())
     error = error if noise_told else np.full_like(error, np.inf)
-    quantile = quantiles(evidence, spectrum, np.eye(len(names)))
+    quantile = quantiles(evidence, np.eye(len(names)))
 
     status = _statuses(evidence, error, quantile)
     lost = np.array([word == NOT_IDENTIFIED for word in status])
@@ -180,21 +191,19 @@ def determine(evidence: Evidence) -> Determination:
         rank=rank,
         condition_number=float(spectrum.values[0] / spectrum.values[-1]) if rank == len(names) else np.inf,
         sloppy_direction=by_name(sloppy.tolist()),
-        quantile=float(quantiles(replace(evidence, random=()), spectrum, np.eye(1, len(names)))[0]),
+        quantile=float(stdtrit(evidence.noise_freedom, 0.975)),
     )
 
 
-def quantiles(evidence: Evidence, spectrum: Spectrum, directions: np.ndarray) -> np.ndarray:
+def quantiles(evidence: Evidence, directions: np.ndarray) -> np.ndarray:
     """Half-widths of 95 % intervals over their standard errors, of linear combinations (rows) of scaled parameters.
 
     Of the t distribution where noise was estimated. Where a variance holds a part from random effects, whose spread was
     estimated too, its degrees of freedom are those of Satterthwaite (1946), Biometrics Bulletin 2, 110.
     """
-    freedom = np.full(len(directions), np.inf)
-    if any(evidence.noise_estimated.values()):
-        freedom[:] = max(evidence.jacobian.shape[0] - int(spectrum.determined.sum()), 1)
+    freedom = np.full(len(directions), evidence.noise_freedom)
     if evidence.random:
-        along = directions @ spectrum.covariance
+        along = directions @ evidence.spectrum.covariance
         variance = np.sum(along * directions, axis=1)
         part = sum((along[:, k] * evidence.prior_rows[k][0, k]) ** 2 for k in evidence.random)
         of_spread = (len(evidence.random) - 1) * (variance / np.maximum(part, 1e-6 * variance + TINY)) ** 2
@@ -209,7 +218,9 @@ def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> li
     scale = np.where(np.isfinite(space.lower), 0.0, space.scale)
     known = error < LARGEST_RELATIVE_ERROR * np.maximum(evidence.size, scale)
     closed = (value - quantile * error > space.lower) & (value + quantile * error < space.upper)
-    data_error = spectrum_of(without_nan(np.concatenate([*evidence.rows.values()]))).relative_error * evidence.size
+    data_error = evidence.spectrum.relative_error * evidence.size
+    if evidence.prior_rows:
+        data_error = evidence.of(evidence.rows).spectrum.relative_error * evidence.size
     of_prior = np.full(len(value), np.nan)  # the size of a parameter over the standard deviation of its prior
     for i, row in evidence.prior_rows.items():
         of_prior[i] = np.abs(row[0, i])

@@ -12,7 +12,7 @@ from jaxtyping import ArrayLike, PyTree
 
 from ..errors import InputError
 from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
-from .determination import Determination, Evidence, determine, quantiles, spectrum_of
+from .determination import Determination, Evidence, determine, quantiles
 from .levenberg_marquardt import MAX_STEPS, Data, LeastSquaresProblem, Minimum
 from .observations import Noise, Observed, group_observations
 from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
@@ -97,7 +97,7 @@ class LeastSquaresFit(Determination):
         if self.noise_estimated and self.degrees_of_freedom < 1:
             raise InputError("profile: no data are left to tell the noise; give it, or measure more")
         i = self.names.index(name)
-        quantile = quantiles(self.evidence, spectrum_of(self.evidence.jacobian), np.eye(len(self.names))[i : i + 1])
+        quantile = quantiles(self.evidence, np.eye(len(self.names))[i : i + 1])
         return profile_likelihood(self.minimum, name, self.standard_error[name], float(quantile[0]))
 
     @property
@@ -171,10 +171,10 @@ class LeastSquaresFit(Determination):
         """
         if self.noise_estimated and self.degrees_of_freedom < 1:
             return np.full(len(sensitivity), np.inf)
-        spectrum, scaled = spectrum_of(self.evidence.jacobian), sensitivity * self.evidence.size
+        spectrum, scaled = self.evidence.spectrum, sensitivity * self.evidence.size
         along = scaled @ spectrum.directions[spectrum.determined].T
         error = np.linalg.norm(along / spectrum.values[spectrum.determined], axis=1)
-        half_width = quantiles(self.evidence, spectrum, scaled) * error
+        half_width = quantiles(self.evidence, scaled) * error
         whole = np.sum(scaled**2, axis=1)
         return np.where(whole - np.sum(along**2, axis=1) > UNDETERMINED * whole, np.inf, half_width)
 

@@ -28,7 +28,7 @@ ONE_DATUM = 0.5  # of a parameter's variance; one datum should not determine mor
 def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
     """Parameters on a bound, without effect, or determined mostly by one datum."""
     evidence, jacobian, found = fit.evidence, fit.evidence.jacobian, []
-    covariance = spectrum_of(jacobian).covariance
+    covariance = evidence.spectrum.covariance
     share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
     data = [(name, k) for name, rows in evidence.rows.items() for k in range(len(rows))]
     for i, name in enumerate(evidence.space.names):
@@ -49,7 +49,7 @@ def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
 def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
     """Groups that are met exactly or not at all, data far from all others, noise with few degrees of freedom."""
     evidence, (problem, outcome) = fit.evidence, fit.minimum
-    found, residuals, spectrum = [], problem.by_group(outcome.residual), spectrum_of(evidence.jacobian)
+    found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
     if any(evidence.noise_estimated.values()) and fit.degrees_of_freedom in (1, 2):
         found.append(f"the noise estimate has only {fit.degrees_of_freedom} degree(s) of freedom; measure more")
     for i, (name, rows) in enumerate(evidence.rows.items()):

@@ -18,7 +18,6 @@ from .determination import (
     Determination,
     Evidence,
     determine,
-    spectrum_of,
     without_nan,
 )
 from .levenberg_marquardt import LeastSquaresProblem, Minimum, Outcome, evaluate, hold_one, minimise
@@ -169,7 +168,7 @@ def look_along_valleys(
         and the z of its place; None where it fell nowhere.
     """
     space, value, quantile = minimum.problem.space, evidence.value, determination.quantile
-    error = spectrum_of(evidence.jacobian).relative_error * evidence.size
+    error = evidence.spectrum.relative_error * evidence.size
     tried: list[tuple[float, np.ndarray | None]] = [(0.0, None)]  # rise and z
 
     def closes(i: int, places: Iterable[float]) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..estimation.determination import FIXED, Determination, Estimate, spectrum_of
+from ..estimation.determination import FIXED, Determination, Estimate
 from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
@@ -137,7 +137,7 @@ class Fit(LeastSquaresFit):
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:
         """By group of data, how alike the residuals within holds are: consecutive rows at one level."""
-        spectrum, residual, rows = spectrum_of(self.evidence.jacobian), self.standardised_residuals, self.evidence.rows
+        spectrum, residual, rows = self.evidence.spectrum, self.standardised_residuals, self.evidence.rows
         taken = {label: float(np.sum(spectrum.leverage(own))) for label, own in rows.items()}
         return {
             g.label: serial_correlation(residual[g.label], holds_of(g.table)[g.there], taken[g.label])
