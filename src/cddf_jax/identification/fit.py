@@ -124,11 +124,6 @@ class Fit(LeastSquaresFit):
         return f"{row}, {one.column}" if one.table.files else f"{row} of {group}"
 
     @property
-    def rows(self) -> dict[str, np.ndarray]:
-        """By group of data, the row of each datum in its file."""
-        return {group.label: group.table.rows[group.there] for group in self.groups}
-
-    @property
     def remarks(self) -> tuple[str, ...]:
         """Those of any fit, and where samples of one hold are no independent readings."""
         alike = ((label, one.remark) for label, one in self.serial_correlation.items())
