@@ -285,9 +285,9 @@ def test_a_dry_run_writes_nothing(run, tmp_path):
         "nodes: 8 to 16, 2 values",
     ]
     # tip tension, two components and the angle in float64, the mask and the result: 34 bytes
-    assert lines[4] == "answer: tip_tension, tip_position, tip_angle; 1.36 kB on disk at most"
+    assert lines[4] == "answer: tip_tension, tip_position, tip_angle; 1.4 kB on disk at most"
     assert lines[5] == "chunks: 6 of 2 x 4 x 1 solves at most"
-    assert lines[6].startswith(f"memory: {3 * 8 * 34} B needed, ")
+    assert lines[6].startswith(f"memory: {3 * 8 * 34} bytes needed, ")
     assert lines[7] == "new/sweep.zarr: nothing there yet"
     assert len(lines) == 8
 
@@ -450,7 +450,7 @@ WRONG = [
     ((*TENSIONS, "--memory", "2"), "--memory '2': write a number above 0 and one of B, kB"),
     ((*TENSIONS, "--memory", "60 B"), "sweep: one solve needs "),
     (("--over", "base_tension=1N:2N:1000000000000"), "--over base_tension: 1000000000000 values are more than"),
-    ((*TENSIONS, "--memory", "200 B", "--netcdf", "x.nc"), "--netcdf x.nc: takes 340 B of memory, 200 B are allowed"),
+    ((*TENSIONS, "--memory", "200 B", "--netcdf", "x.nc"), "--netcdf x.nc: takes 340 bytes of memory, 200 bytes are allowed"),
     ((*TENSIONS, "--chunk", "0"), "Invalid value for '--chunk'"),
     ((*TENSIONS, "--nodes", "3"), "Invalid value for '--nodes'"),
     ((*TENSIONS, "--direction", "2"), "--direction 2: give +1"),

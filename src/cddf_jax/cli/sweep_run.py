@@ -3,7 +3,7 @@
 import platform
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import timedelta
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
+from rich import filesize
 
 from .. import units
 from ..batch.store import ZarrStore
@@ -18,7 +19,7 @@ from ..batch.work import COPIES
 from ..errors import InputError
 from ..statics.equilibrium import RESULTS
 from ..statics.targets import Target
-from ..sweeping.export import blocks_of, component_label, is_short, write_csv, write_netcdf
+from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
 from ..sweeping.one_solve import RESULT, RESULT_NAMES, VERDICTS
 from ..sweeping.sweep import Sweep
 
@@ -70,11 +71,11 @@ def _check_places(places: Places, work: Sweep) -> None:
     if netcdf is not None:
         largest = max(int(np.prod(v.shape)) * v.dtype.itemsize for v in layout.variables.values())
         if largest > NETCDF_MOST:
-            size = size_in_words(largest)
+            size = filesize.decimal(largest)
             raise InputError(f"--netcdf {netcdf}: a variable has {size}, NetCDF 3 takes 2 GB; use the Zarr store")
         total = 2 * layout.size * layout.bytes_each  # as it is read and as it is written
         if total > work.allowed:
-            size, allowed = size_in_words(total), size_in_words(work.allowed)
+            size, allowed = filesize.decimal(total), filesize.decimal(int(work.allowed))
             raise InputError(f"--netcdf {netcdf}: takes {size} of memory, {allowed} are allowed; raise --memory")
     if csv is not None and not any(name not in VERDICTS and is_short(layout, name) for name in layout.variables):
         raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
@@ -246,7 +247,7 @@ def summary_in_words(summary: Json) -> str:
     lines = [f"{total:,} solve{'s' if total > 1 else ''}{how}: {counts}"]
     failed = [name for name in summary["results"] if name != "successful"]
     lines += [f"{plain_words(name)}: {RESULTS[getattr(RESULTS, name)]}" for name in failed]
-    lines += [f"{name}: {_range(known)}" for name, known in summary["outputs"].items() if known["min"] is not None]
+    lines += _ranges(summary["outputs"])
     for what, entries in (
         ("no figure", paths["no_figure"]),
         ("not in the table, as they run along the body", ", ".join(paths["not_in_csv"])),
@@ -263,9 +264,9 @@ def rehearsal_in_words(expected: Json) -> str:
     lines = [
         f"{expected['solves']:,} solves",
         *(f"{axis['dimension']}: {_axis_in_words(axis)}" for axis in expected["axes"]),
-        f"answer: {', '.join(expected['outputs'])}; {size_in_words(expected['bytes'])} on disk at most",
+        f"answer: {', '.join(expected['outputs'])}; {filesize.decimal(expected['bytes'])} on disk at most",
         f"chunks: {chunks['count']:,} of {' x '.join(map(str, chunks['shape']))} solves at most",
-        f"memory: {size_in_words(memory['needed'])} needed, {size_in_words(memory['allowed'])} allowed",
+        f"memory: {filesize.decimal(memory['needed'])} needed, {filesize.decimal(int(memory['allowed']))} allowed",
     ]
     if store is not None:
         there = f"{store['chunks_there']:,} of {chunks['count']:,} chunks are there already"
@@ -281,15 +282,13 @@ def _axis_in_words(axis: Json) -> str:
     return f"{name} {ends}, {axis['count']:,} value{'s' if axis['count'] > 1 else ''}".strip()
 
 
-def _range(output: Json) -> str:
-    """ "5.2 N to 45.1 N", of the components of an output one after the other."""
-    own = [dimension for dimension in output["dims"] if dimension != "point"]
-    found = []
-    for place in np.ndindex(output["min"].shape):
-        labels = filter(None, map(component_label, own, place, output["min"].shape))
-        low, high = (_number(output[end][place], output["unit"] or "") for end in ("min", "max"))
-        found.append(" ".join([*labels, f"{low} to {high}"]))
-    return ", ".join(found)
+def _ranges(outputs: Json) -> Iterator[str]:
+    """ "tip_tension: 5.2 N to 45.1 N", a line for each number of the outputs."""
+    for name, output in outputs.items():
+        own = [dimension for dimension in output["dims"] if dimension != "point"]
+        for place, label in labelled(name, own, np.shape(output["min"])) if output["min"] is not None else ():
+            low, high = (_number(output[end][place], output["unit"] or "") for end in ("min", "max"))
+            yield f"{label}: {low} to {high}"
 
 
 def _number(value: np.ndarray, unit: str | None) -> str:
@@ -307,12 +306,3 @@ def plain_words(name: str) -> str:
 def _duration(seconds: float) -> str:
     """ "2.1 s", from a minute on hours, minutes and seconds: "1:02:03 h"."""
     return f"{seconds:.2g} s" if seconds < 10 else f"{timedelta(seconds=round(seconds))} h"
-
-
-def size_in_words(count: float) -> str:
-    """Bytes with a fitting unit."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 1000:
-            return f"{count:.4g} {unit}"
-        count /= 1000
-    return f"{count:.4g} TB"

@@ -1,6 +1,6 @@
 """Sweeps as NetCDF and CSV files, each written complete or not at all."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -66,20 +66,18 @@ def _output_columns(layout: Layout, block: "xarray.Dataset") -> dict[str, np.nda
     for name, variable in layout.variables.items():
         if not is_short(layout, name) or name in VERDICTS:
             continue
-        values, own = block[name].values, variable.dims[len(layout.shape) :]
-        for place in np.ndindex(values.shape[len(layout.shape) :]):
-            parts = zip(own, place, values.shape[len(layout.shape) :], strict=True)
-            ends = (f".{COMPONENTS[i]}" if d == "component" else of_tendon("", i) for d, i, n in parts if n > 1)
-            label = "".join([name, *ends])
+        values, own = block[name].values, len(layout.shape)
+        for place, label in labelled(name, variable.dims[own:], variable.shape[own:]):
             found[_head(label, variable.attrs)] = values[(..., *place)].ravel()
     return found | {RESULT: np.array(RESULT_NAMES)[block[RESULT].values.ravel()]}
 
 
-def component_label(dimension: str, place: int, size: int) -> str:
-    """What tells the components of an output apart: "X", "tendon 2"; nothing where there is one."""
-    if dimension == "component":
-        return COMPONENTS[place]
-    return f"tendon {place + 1}" if size > 1 else ""
+def labelled(name: str, dims: Sequence[str], shape: Sequence[int]) -> Iterator[tuple[tuple[int, ...], str]]:
+    """The place and the name of each number of an output: "tip_position.X", "tip_tension_2"; just its name for one."""
+    for place in np.ndindex(*shape):
+        parts = zip(dims, place, shape, strict=True)
+        ends = (f".{COMPONENTS[i]}" if d == "component" else of_tendon("", i) for d, i, n in parts if n > 1)
+        yield place, "".join([name, *ends])
 
 
 def _head(name: str, attrs: Mapping[str, object]) -> str:
