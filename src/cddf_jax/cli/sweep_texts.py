@@ -54,8 +54,6 @@ def read_sweep(
     if not axes and not ranges:
         raise InputError(f"nothing varies; give --over {OVER} or --sample")
     count = _num_samples(ranges, sample.size)
-    if given.get("base_tension") is not None and "base_tension" in (*axes, *ranges):
-        raise InputError("base_tension is given by --base-tension and varies too; leave one out")
     names = [name for name in (*axes, *ranges) if name not in OPTIONS]
     draft = Sweep(
         manipulator=manipulator, dimensions=tuple(Axis(name, {name: np.zeros(1)}, {}) for name in names), **given
@@ -146,8 +144,6 @@ def _limits(name: str, text: str, dimension: units.Dimension) -> tuple[float, fl
     if len(ends) != 2:
         raise InputError(f"--sample {name}: write least and largest as in {_example(name, dimension)}, got {text!r}")
     least, largest = (units.quantity(end.strip(), dimension, f"--sample {name}") for end in ends)
-    if not least < largest:
-        raise InputError(f"--sample {name}: the least comes first and is less than the largest, got {text!r}")
     return least, largest
 
 

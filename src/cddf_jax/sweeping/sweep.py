@@ -91,7 +91,6 @@ def sweep(
     Raises:
         InputError: for an unknown axis, output or option, a store of another sweep, or too little memory.
     """
-    _check_kinds(manipulator, base_tension, loads, method, memory, axes)
     work = Sweep(
         manipulator=manipulator,
         dimensions=dimensions_of(axes),
@@ -114,21 +113,6 @@ def _names(what: str, given: Sequence[str]) -> tuple[str, ...]:
     if isinstance(given, str) or not all(isinstance(name, str) for name in given):
         raise InputError(f"sweep: {what} must be a tuple of names, as in {what}=('tip_tension',), got {given!r}")
     return tuple(given)
-
-
-def _check_kinds(
-    manipulator: object, base_tension: object, loads: object, method: object, memory: object, axes: object
-) -> None:
-    if not isinstance(manipulator, Manipulator):
-        raise InputError(f"sweep: manipulator must be a Manipulator, as of read_manipulator, got {manipulator!r}")
-    if loads is not None and not isinstance(loads, Loads):
-        raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {loads!r}")
-    if not isinstance(method, Method) or isinstance(method, type):
-        raise InputError(f"sweep: method must be one such as FixedPoint(), got {method!r}")
-    if memory is not None and not (isinstance(memory, int | float) and memory > 0):
-        raise InputError(f"sweep: memory must be a number of bytes above 0, as in memory=2e9, got {memory!r}")
-    if base_tension is not None and isinstance(axes, Mapping) and "base_tension" in axes:
-        raise InputError("sweep: base_tension is given and an axis; leave one out")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,11 +167,29 @@ class Sweep:
         """The memory that may be used, bytes."""
         return SHARE * needed("psutil").virtual_memory().available if self.memory is None else float(self.memory)
 
+    def _check_kinds(self) -> None:
+        if not isinstance(self.manipulator, Manipulator):
+            raise InputError(
+                f"sweep: manipulator must be a Manipulator, as of read_manipulator, got {self.manipulator!r}"
+            )
+        if self.loads is not None and not isinstance(self.loads, Loads):
+            raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {self.loads!r}")
+        if not isinstance(self.method, Method) or isinstance(self.method, type):
+            raise InputError(f"sweep: method must be one such as FixedPoint(), got {self.method!r}")
+        if self.memory is not None and not (isinstance(self.memory, int | float) and self.memory > 0):
+            raise InputError(f"sweep: memory must be a number of bytes above 0, as in memory=2e9, got {self.memory!r}")
+        if self.chunk_size is not None and (not isinstance(self.chunk_size, int) or self.chunk_size < 1):
+            raise InputError(f"sweep: chunk must be a whole number of 1 or more, got {self.chunk_size!r}")
+        with within("sweep", ValueError):
+            check_nodes(self.nodes)
+
     def _check(self) -> None:
         for name in ("outputs", "sensitivities"):
             if len(set(getattr(self, name))) < len(getattr(self, name)):
                 raise InputError(f"sweep: {name} names something twice; leave one out")
         known = {name for dimension in self.dimensions for name in (dimension.name, *dimension.numbers)}
+        if self.base_tension is not None and "base_tension" in known:
+            raise InputError("sweep: base_tension is given and an axis; leave one out")
         for name in self.outputs:
             if name not in OUTPUTS:
                 raise InputError(f"sweep: {name!r} is no output; there are {', '.join(OUTPUTS)}")
@@ -201,12 +203,8 @@ class Sweep:
                 raise InputError(f"sweep: the observable {name!r} must be a function of an Equilibrium")
         if not self.outputs and not self.observables:
             raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
-        if self.chunk_size is not None and (not isinstance(self.chunk_size, int) or self.chunk_size < 1):
-            raise InputError(f"sweep: chunk must be a whole number of 1 or more, got {self.chunk_size!r}")
         if not all(np.all(np.abs(stated) == 1) for stated in jax.tree.leaves(self.case.direction)):
             raise InputError(f"sweep: direction is 1 for sliding in and -1 for sliding out, got {self.direction!r}")
-        with within("sweep", ValueError):
-            check_nodes(self.nodes)
         wall_is_seen = bool(self.observables) or not {"peak_strain", "peak_strain_at"}.isdisjoint(self.outputs)
         check_names(self.dimensions, self.sensitivities, self.case, wall_is_seen)
 
@@ -219,6 +217,7 @@ class Sweep:
         Raises:
             InputError: where an argument of the sweep is wrong.
         """
+        self._check_kinds()
         self._check()
         variables = self._variables()
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
