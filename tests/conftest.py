@@ -15,6 +15,8 @@ import jax
 import pytest
 from hypothesis import Phase, settings
 
+from cddf_jax.programs.kept import PROGRAMS
+
 # tracing makes many small objects that live: looking for garbage among them took a quarter of its time
 gc.set_threshold(200_000, 50, 50)
 jax.config.update("jax_enable_x64", True)
@@ -46,6 +48,7 @@ def _let_compiled_programs_go():
     """Between the files of a long run, before there are too many."""
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MANY_MAPS:
+        PROGRAMS.clear()
         jax.clear_caches()
         gc.collect()
 

@@ -13,7 +13,7 @@ TESTED_JAXLIB = "0.10."
 
 
 def configure_jax(*, quick_compilation: bool = True) -> None:
-    """Double precision, and compiled code kept in the user's cache folder. Call it before JAX computes anything.
+    """Double precision, and what makes small programs start quickly. Call it before JAX computes anything.
 
     Args:
         quick_compilation: trade the speed of compiled code for that of compiling it; not for large batches.
@@ -22,12 +22,9 @@ def configure_jax(*, quick_compilation: bool = True) -> None:
     if quick_compilation and version("jaxlib").startswith(TESTED_JAXLIB):
         os.environ.setdefault("XLA_FLAGS", QUICK_COMPILATION)
     import jax
-    from platformdirs import user_cache_dir
 
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_cpu_enable_async_dispatch", False)  # another thread would be woken for every small program
-    jax.config.update("jax_compilation_cache_dir", os.path.join(user_cache_dir("cddf_jax"), "compiled"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_traceback_in_locations_limit", 0)  # compiled code need not know the lines it comes from
     gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that live; looking through them takes long
 

@@ -9,6 +9,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int
 
+from ..programs.kept import kept_program
+
 CPU_BATCH = 512  # lanes at once on a core: they stay in its cache
 ACCELERATOR_BATCH = 65536
 CALL = 32  # batches of each device in one call, at most
@@ -49,6 +51,7 @@ class Lanes(Generic[Inputs, Outputs]):
             yield jax.device_put((chosen, lanes), sharding)
 
 
+@kept_program
 @eqx.filter_jit
 def _run(
     function: Callable[[Inputs], Outputs], mesh: Mesh, batch: int, inputs: Inputs, lanes: Int[Array, "lanes"]

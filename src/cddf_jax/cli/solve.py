@@ -55,16 +55,16 @@ def solve(
     from ..files.cross_sections import in_one_line
     from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
     from ..statics.description import result_in_words
-    from ..statics.equilibrium import RESULTS
+    from ..statics.equilibrium import RESULTS, ended_as, on_host
     from ..statics.solve import solve
 
     actuation = read_actuation(base_tension, manipulator)
     loads = read_loads(tip_force, tip_moment, gravity)
     directions = read_directions(direction, manipulator)
-    equilibrium = solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False)
-    if equilibrium.result in (RESULTS.slack, RESULTS.unreachable):
+    equilibrium = on_host(solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False))
+    if ended_as(equilibrium, RESULTS.slack, RESULTS.unreachable):
         raise SolveError(missed_targets_in_words(equilibrium, actuation, base_tension))
-    if equilibrium.result not in (RESULTS.successful, RESULTS.direction_contradicted, RESULTS.unstable):
+    if not ended_as(equilibrium, RESULTS.successful, RESULTS.direction_contradicted, RESULTS.unstable):
         raise SolveError(result_in_words(equilibrium))
     answer = solve_as_dict(equilibrium, actuation, loads)
     text = solve_in_words(equilibrium, actuation, base_tension, loads)
@@ -84,5 +84,5 @@ def solve(
         tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
         write_all(out, figures | tables)
     print_answer(text, answer, as_json=as_json)
-    if equilibrium.result == RESULTS.unstable:
+    if ended_as(equilibrium, RESULTS.unstable):
         stop(RESULTS[equilibrium.result], FAILED)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from ..numerics.constrained import Point
+from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Scalar
 from ..statics.equilibrium import RESULTS, code_of
@@ -195,6 +196,7 @@ def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.n
     return [piece.reshape(np.shape(array)) for piece, array in zip(pieces, like, strict=False)]
 
 
+@kept_program
 @eqx.filter_jit
 def _values_and_slopes(problem: DesignProblem, x: Array) -> tuple[ProgramValues, ProgramValues, DesignEvaluation]:
     def twice(x: Array) -> tuple[ProgramValues, tuple[ProgramValues, DesignEvaluation]]:

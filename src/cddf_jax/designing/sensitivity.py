@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..numerics.constrained import LocalMinimum
+from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, of_tendon
 from .load_cases import LoadCase, case_numbers
@@ -104,6 +105,7 @@ def with_fixed(problem: DesignProblem, numbers: Mapping[FixedNumber, Array]) -> 
     return replace(problem, manipulator=body, cases=tuple(cases), limits=tuple(limits))
 
 
+@kept_program
 @eqx.filter_jit
 def _slopes(problem: DesignProblem, x: Array, fixed: tuple[FixedNumber, ...], numbers: Array) -> ProgramValues:
     """The derivatives of all values by fixed numbers, on the last axis."""

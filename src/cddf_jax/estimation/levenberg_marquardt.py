@@ -12,6 +12,7 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from ..errors import InputError
+from ..programs.kept import kept_program
 from .parameter_space import Numbers, ParameterSpace, Prior, Structure
 from .robust_loss import LOSSES
 
@@ -169,7 +170,7 @@ def minimise_all(
 
 def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     """Cost, residuals and derivatives at z, as of a search that ended there."""
-    return _outcome((*_at(problem, jnp.asarray(z), np.full(len(z), np.nan)), 0, True))
+    return _outcome((*_at(problem, z, np.full(len(z), np.nan)), 0, True))
 
 
 def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
@@ -177,6 +178,8 @@ def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
     return Outcome(*map(np.asarray, found))
 
 
+@kept_program
+@eqx.filter_jit
 def _at(
     problem: LeastSquaresProblem, z: Float[Array, " n"], held: Float[Numbers, " n"]
 ) -> tuple[Float[Numbers, "..."], ...]:
@@ -200,6 +203,7 @@ def _residual_and_slope(
     return jax.vmap(push, out_axes=(None, 1))(jnp.eye(z.shape[0]))
 
 
+@kept_program
 @eqx.filter_jit
 def _descend(
     problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"], tolerance: float
@@ -230,6 +234,7 @@ def _descend(
     return *found, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
 
 
+@kept_program
 @eqx.filter_jit
 def _descend_all(
     problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"], held: Float[Numbers, "searches n"]

@@ -19,6 +19,7 @@ from ..identification.bench import Bench, experiment_of, reading, starting_value
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
+from ..programs.kept import kept_program
 from ..quantities import QUANTITIES, Quantity
 from ..robot.loads import Loads
 from ..robot.manipulator import Kinematics, Manipulator
@@ -265,6 +266,7 @@ class Exploration:
 # --- compiled once for each structure of a case ---------------------------------------------------
 
 
+@kept_program
 @eqx.filter_jit
 def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Array]:
     equilibrium = _solve(case)
@@ -279,6 +281,7 @@ def _solve(case: Case) -> Equilibrium:
     return solve(case.manipulator, case.base_tension, case.loads, direction=case.direction, throw=False)
 
 
+@kept_program
 @eqx.filter_jit
 def _over_tension(case: Case, pulls: Float[ArrayLike, " pulls"]) -> tuple[Array, Array]:
     def at(pull):
@@ -289,6 +292,7 @@ def _over_tension(case: Case, pulls: Float[ArrayLike, " pulls"]) -> tuple[Array,
     return jax.vmap(at)(pulls)
 
 
+@kept_program
 @eqx.filter_jit
 def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     given = _solve(case)
@@ -300,6 +304,7 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     return *_where_good(given, numbers), *_where_good(reached, there)
 
 
+@kept_program
 @eqx.filter_jit
 def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
     equilibrium = rows.solve(body, {}, NODES)

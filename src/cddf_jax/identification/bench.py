@@ -19,6 +19,7 @@ from ..errors import InputError
 from ..measurements.readings import READINGS, columns_of, kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
+from ..programs.kept import kept_program
 from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -193,6 +194,7 @@ def _of_cells(parameters: Parameters, name: str, readings: Array) -> Array:
     return jnp.stack([jnp.asarray(parameters.get(f"{name}_{i}", common)) for i in tendons])
 
 
+@kept_program
 @eqx.filter_jit
 def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Array], nodes: int) -> Evaluation:
     flat, unravel = jax.flatten_util.ravel_pytree(parameters)

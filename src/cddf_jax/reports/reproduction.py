@@ -18,6 +18,7 @@ from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
 from ..figures.geometry import fields_along, stations
 from ..files.artifacts import as_json, markdown_table, picked, plain, write_all
 from ..measurements.table import Measurements
+from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.literal_iteration import IterationHistory, iteration_history
@@ -107,6 +108,7 @@ def _compute(manipulator: Manipulator, load_cells: Measurements) -> PaperResults
     return PaperResults(manipulator, equilibria, history, load_cells, predicted)
 
 
+@kept_program
 @eqx.filter_jit
 def _pull(
     manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]
@@ -116,6 +118,7 @@ def _pull(
     return equilibria, equilibria.result == RESULTS.successful
 
 
+@kept_program
 @eqx.filter_jit
 def _histories(manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]) -> IterationHistory:
     options = {"max_updates": HISTORY_UPDATES, "nodes": 64}

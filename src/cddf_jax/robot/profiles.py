@@ -227,6 +227,7 @@ def shifted(profile: Profile, by: ArrayLike) -> Profile:
     return Constant(profile.value + by) if isinstance(profile, Constant) else Shifted(profile, by)
 
 
-def breakpoints(profile: Profile) -> Float[Array, " n"]:
+def breakpoints(profile: Profile) -> Float[Number, " n"]:
     """The arc lengths (m) at which a profile is not smooth; none unless it names some."""
-    return jnp.asarray(getattr(profile, "breakpoints", np.zeros(0)))
+    own = getattr(profile, "breakpoints", None)
+    return np.zeros(0) if own is None else jnp.asarray(own)

@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import ArrayLike
 
 from ..mechanics.problem import State
+from ..programs.kept import kept_program
 from .equilibrium import Dense, Equilibrium
 
 STATIONS = 401
@@ -61,6 +62,7 @@ def self_contact(equilibrium: Equilibrium) -> Contact | None:
     return Contact(float(s[i[nearest]]), float(s[j[nearest] + 1]), float(distance[nearest]))
 
 
+@kept_program
 @eqx.filter_jit
 def _centre_line(dense: Dense, arc_length: ArrayLike) -> State:
     return jax.vmap(dense.state)(jnp.asarray(arc_length))

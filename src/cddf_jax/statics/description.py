@@ -8,7 +8,7 @@ from jax.core import Tracer
 
 from ..units import shown
 from .contact import self_contact
-from .equilibrium import RESULTS, Equilibrium
+from .equilibrium import RESULTS, Equilibrium, ended_as, on_host
 
 _FAR_TOO_MUCH = 10.0  # offset * curvature, which no change of a body explains, but another unit does
 # results whose numbers are kept and may be wrong; `remarks_on` tells of further ones
@@ -19,10 +19,11 @@ def equilibrium_in_words(equilibrium: Equilibrium) -> str:
     """The answer of one solve; of a batch or under jit the names and shapes of what it holds."""
     if not is_single(equilibrium):
         return eqx.tree_pformat(equilibrium)
+    equilibrium = on_host(equilibrium)
     if not np.isfinite(equilibrium.tip_angle):
         return f"no equilibrium: {result_in_words(equilibrium)}"
     pulled = [f"base tension {tension:.4f} N" for tension in equilibrium.base_tension]
-    doubts = [result_in_words(equilibrium)] if any(equilibrium.result == code for code in _DOUBTED) else []
+    doubts = [result_in_words(equilibrium)] if ended_as(equilibrium, *_DOUBTED) else []
     lines = [tip_line(equilibrium), *tendon_lines(equilibrium, pulled), strain_line(equilibrium)]
     return "\n".join([*lines, *last_lines(equilibrium, doubts)])
 
@@ -80,6 +81,7 @@ def remarks_on(equilibrium: Equilibrium) -> tuple[str, ...]:
         raise ValueError("remarks: needs one equilibrium, not a batch and not traced; take one lane out of it")
     if not np.isfinite(equilibrium.tip_angle):
         return ()
+    equilibrium = on_host(equilibrium)
     told = [] if equilibrium.stable else [RESULTS[RESULTS.unstable]]
     wrong = [str(i) for i, contradicted in enumerate(equilibrium.direction_contradicted, 1) if contradicted]
     told += [f"tendon {i}: {RESULTS[RESULTS.direction_contradicted]}" for i in wrong]

@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..mechanics import bending
 from ..mechanics.problem import State, edge_nudge, guarded_section, moment_rate_of, tension_of
 from ..numerics.quadrature import Panels
+from ..programs.kept import kept_program
 from ..robot.manipulator import CrossSection, Manipulator
 from ..robot.profiles import Number
 
@@ -278,7 +279,7 @@ class Dense(eqx.Module):
         return self.manipulator.outer_strain(arc_length, curvature)
 
 
-_peak_strain = eqx.filter_jit(Dense.peak_strain)
+_peak_strain = kept_program(eqx.filter_jit(Dense.peak_strain))
 
 
 def fields_at(
@@ -305,10 +306,21 @@ def tendons_first(fields: Fields, points_ndim: int) -> Fields:
     return eqx.tree_at(per_tendon, fields, [jnp.moveaxis(x, points_ndim, 0) for x in per_tendon(fields)])
 
 
+@kept_program
 @eqx.filter_jit
 def fields_on(equilibrium: Equilibrium, arc_length: ArrayLike) -> Fields:
     """`equilibrium.at`, compiled once for each number of arc lengths."""
     return equilibrium.at(arc_length)
+
+
+def ended_as(equilibrium: Equilibrium, *results: RESULTS) -> bool:
+    """Whether one solve, whose numbers are known, ended in one of some ways."""
+    return int(code_of(equilibrium.result)) in [int(code_of(result)) for result in results]
+
+
+def on_host(equilibrium: Equilibrium) -> Equilibrium:
+    """The same in NumPy arrays, of which words are made without a program for every operation."""
+    return jax.tree.map(np.asarray, equilibrium)
 
 
 def nan_unless(good: Bool[Array, ""], tree: Tree) -> Tree:

@@ -28,6 +28,7 @@ from ..mechanics.problem import (
     turning_along,
 )
 from ..numerics.quadrature import gauss_rule
+from ..programs.kept import kept_program
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
@@ -103,6 +104,7 @@ def tip_jacobian(
     return _tip_jacobian((manipulator, base_tension, loads), direction, method, nodes)
 
 
+@kept_program
 @eqx.filter_jit
 def _tip_jacobian(arguments: tuple, direction: PyTree, method: Method, nodes: int) -> TipJacobian:
     numbers, rest = eqx.partition(arguments, eqx.is_inexact_array)
@@ -165,6 +167,7 @@ def energy_balance(
     return _energy_balance(Setup(manipulator, direction, loads, method, nodes), tension, end.result, num_steps)
 
 
+@kept_program
 @eqx.filter_jit
 def _energy_balance(setup: Setup, base_tension: PerTendon, result: RESULTS, num_steps: int) -> EnergyBalance:
     rule = gauss_rule(num_steps)

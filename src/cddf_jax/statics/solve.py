@@ -16,6 +16,7 @@ from ..mechanics.friction import unspent
 from ..mechanics.problem import Method, Problem, Solution, guarded_section, line_up, tendon_displacement
 from ..numerics.arrays import largest, zero_as
 from ..numerics.quadrature import panels
+from ..programs.kept import kept_program
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Number
@@ -32,7 +33,18 @@ from .arguments import (
     split_actuation,
 )
 from .description import result_in_words
-from .equilibrium import RESULTS, Dense, Equilibrium, Fields, code_of, fields_at, nan_unless, tendons_first, with_words
+from .equilibrium import (
+    RESULTS,
+    Dense,
+    Equilibrium,
+    Fields,
+    code_of,
+    ended_as,
+    fields_at,
+    nan_unless,
+    tendons_first,
+    with_words,
+)
 from .equilibrium_derivatives import Balance, equilibrate, inside_of_bend
 from .equilibrium_search import Setup
 from .targets import Actuation, Displacement, Target, TipAngle, TipStiffness
@@ -115,7 +127,7 @@ def _raise_if_failed(equilibrium: Equilibrium, targets: tuple[Target | None, ...
     code = code_of(equilibrium.result)
     if isinstance(code, Tracer) or np.ndim(code) > 0:
         return
-    if code in (code_of(RESULTS.successful), code_of(RESULTS.direction_contradicted)):
+    if ended_as(equilibrium, RESULTS.successful, RESULTS.direction_contradicted):
         return
     raise SolveError(result_in_words(equilibrium) + _units_of(targets, float(equilibrium.arc_length[-1])))
 
@@ -130,6 +142,7 @@ def _units_of(targets: tuple[Target | None, ...], length: float) -> str:
     return ""
 
 
+@kept_program
 @partial(jax.jit, static_argnames=("method", "nodes"))
 def _solve(
     manipulator: Manipulator,

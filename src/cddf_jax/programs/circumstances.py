@@ -1,0 +1,98 @@
+"""All that a compiled program depends on beside its function and arguments: versions, source, machine and settings."""
+
+import hashlib
+import logging
+import os
+import platform
+import sys
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import jax
+from jaxlib import xla_client
+
+PACKAGES = ("cddf_jax", "jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy", "scipy", "jaxtyping")
+SOURCE = Path(__file__).parents[1]
+# settings of JAX that change neither what is traced nor what is compiled
+WITHOUT_EFFECT = ("jax_compilation_cache", "jax_persistent_cache", "jax_log", "jax_debug_log", "jax_pprint", "jax_pgle")
+WITHOUT_EFFECT += ("jax_traceback", "jax_include_full_tracebacks", "jax_raise_persistent", "jax_explain")
+# under these a program is traced, run or checked operation by operation; JAX does it
+SPECIAL = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_no_execution", "jax_no_tracing")
+SPECIAL += ("jax_check_tracer_leaks", "jax_default_device")
+LOG = logging.getLogger("cddf_jax.programs")
+
+
+@cache
+def machine_and_versions() -> tuple[str, ...]:
+    """What stays the same while this process runs."""
+    devices = jax.local_devices()
+    kinds = [f"{device.platform} {device.device_kind} {device.client.platform_version}" for device in devices]
+    flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
+    return (*map(_version, PACKAGES), sys.version, _processor(), *kinds, *flags, source())
+
+
+def settings() -> tuple[object, ...]:
+    """JAX's settings, as they hold in this thread now."""
+    return tuple(getattr(jax.config, name) for name in _names())
+
+
+def are_special() -> bool:
+    """Whether a program is to run in a way that only JAX itself knows."""
+    if jax.process_count() > 1 or not jax.sharding.get_abstract_mesh().empty:
+        return True
+    return any(getattr(jax.config, name, None) for name in SPECIAL)
+
+
+def named_settings() -> dict[str, str]:
+    """The settings by their names, in words."""
+    return dict(zip(_names(), map(str, settings()), strict=True))
+
+
+@cache
+def _names() -> tuple[str, ...]:
+    return tuple(n for n in sorted(jax.config.values) if hasattr(jax.config, n) and not n.startswith(WITHOUT_EFFECT))
+
+
+def _version(package: str) -> str:
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return package
+
+
+def _processor() -> str:
+    """The processor with its instructions: code compiled for another one would crash."""
+    told = [platform.machine(), platform.processor(), platform.system()]
+    try:
+        told.append(str(xla_client.get_topology_for_devices(jax.local_devices()).fingerprint()))
+    except Exception as error:  # a backend that does not tell; its name and version are part of the key
+        LOG.debug("no fingerprint of the devices: %s", error)
+    instructions = Path("/proc/cpuinfo")
+    if instructions.exists():
+        lines = instructions.read_text().splitlines()
+        told += sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))})
+    return " ".join(told)
+
+
+def stamp() -> tuple[tuple[str, int, int], ...]:
+    """When each file of the library's source was written, and its size."""
+    found = ((str(path), path.stat()) for path in sorted(SOURCE.rglob("*.py")))
+    return tuple((path, status.st_mtime_ns, status.st_size) for path, status in found)
+
+
+STAMP = stamp()
+
+
+def is_source_unchanged() -> bool:
+    """Whether the source is there, and as it was when this process began to use it."""
+    return bool(STAMP) and stamp() == STAMP
+
+
+@cache
+def source() -> str:
+    """A digest of the library's source."""
+    found = hashlib.sha256()
+    for path in sorted(SOURCE.rglob("*.py")):
+        found.update(path.relative_to(SOURCE).as_posix().encode() + b"\0" + path.read_bytes())
+    return found.hexdigest()

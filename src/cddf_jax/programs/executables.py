@@ -1,0 +1,163 @@
+"""Compiled programs as bytes, and back again.
+
+Everything that is used of jaxlib's client is in this file. JAX has no public function for it that does without pickle.
+Where the client is another one, `UnavailableError` is raised and nothing is kept.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import jax
+import jaxlib.lapack
+import numpy as np
+from jax.core import ShapedArray
+from jax.sharding import Mesh, NamedSharding, PartitionSpec, Sharding, SingleDeviceSharding
+from jaxlib import xla_client
+
+CALLED = ("lapack_", "Sharding", "SPMD", "xla.sdy")  # by name, found by every process; others may be its own
+
+
+class UnavailableError(Exception):
+    """The program cannot be kept, or what was kept cannot be used."""
+
+
+class Signature(NamedTuple):
+    """An array that goes into a program or comes out of it."""
+
+    shape: tuple[int, ...]
+    dtype: str
+    weak: bool = False  # whether JAX takes its type for a Python number's
+    spec: tuple[str | None, ...] | None = None  # how its axes are shared by the devices; None on one device
+
+    @staticmethod
+    def read(shape: Sequence[int], dtype: str, weak: bool, spec: Sequence[str | None] | None) -> "Signature":
+        """From lists, as JSON has them."""
+        return Signature(tuple(shape), dtype, weak, None if spec is None else tuple(spec))
+
+    @property
+    def aval(self) -> ShapedArray:
+        """As JAX has it."""
+        return ShapedArray(self.shape, np.dtype(self.dtype), self.weak)
+
+
+class Interface(NamedTuple):
+    """What goes into a program and comes out of it."""
+
+    inputs: tuple[Signature, ...]
+    outputs: tuple[Signature, ...]
+    mesh: Mesh | None  # its devices, where there are several
+    lapack: bool  # whether it calls LAPACK
+
+
+class Program:
+    """A compiled program with flat lists of arrays in and out.
+
+    Args:
+        executable: of jaxlib's client.
+        interface: its arrays and devices.
+    """
+
+    def __init__(self, executable: Any, interface: Interface):
+        self.interface, self._executable, self._mesh = interface, executable, interface.mesh
+        self._inputs = [(one.aval, self._sharding(one)) for one in interface.inputs]
+        outputs = [(one.aval, self._sharding(one), self._mesh is not None) for one in interface.outputs]
+        with _as_expected():
+            self._results = [xla_client.array_result_handler(*one, _skip_checks=True) for one in outputs]
+
+    def _sharding(self, one: Signature) -> Sharding:
+        if self._mesh is None:
+            return SingleDeviceSharding(jax.local_devices()[0])
+        return NamedSharding(self._mesh, PartitionSpec(*(one.spec or ())))
+
+    def __call__(self, arrays: Sequence[Any]) -> list[jax.Array]:
+        """Run it.
+
+        Raises:
+            UnavailableError: where the arrays do not suit it.
+        """
+        with _as_expected():
+            placed = [self._placed(*pair) for pair in zip(arrays, self._inputs, strict=True)]
+            return self._executable.execute_sharded(placed).consume_with_handlers(self._results)
+
+    def _placed(self, array: Any, wanted: tuple[ShapedArray, Sharding]) -> jax.Array:
+        aval, sharding = wanted
+        if self._mesh is not None:
+            return jax.device_put(array, sharding)
+        if isinstance(array, jax.Array):
+            return array
+        (device,) = sharding.device_set
+        return xla_client.batched_device_put(aval, sharding, [np.asarray(array, aval.dtype)], [device], False)
+
+    def as_bytes(self) -> bytes:
+        """What `loaded` makes the program of again."""
+        with _as_expected():
+            return _client().serialize_executable(self._executable)
+
+
+def compiled(
+    function: Callable[..., Any], arrays: Sequence[Any], inputs: tuple[Signature, ...], mesh: Mesh | None
+) -> Program:
+    """Trace and compile a function of arrays that gives a list of arrays.
+
+    Raises:
+        UnavailableError: for a program that only this process can run, because it calls back into Python.
+    """
+    placed = arrays if mesh is None else _on_mesh(arrays, inputs, mesh)
+    traced = jax.jit(function, keep_unused=True).trace(*placed)
+    lowered = traced.lower()
+    called = set(re.findall(r"custom_call @([\w.]+)", lowered.as_text()))
+    others = sorted(name for name in called if not name.startswith(CALLED))
+    if others or traced.jaxpr.effects:
+        raise UnavailableError(f"it has effects, or calls {others}")
+    done = lowered.compile()
+    found = zip(jax.tree.leaves(lowered.out_info), jax.tree.leaves(done.output_shardings), strict=True)
+    if not all(is_within_reach(sharding) for sharding in jax.tree.leaves(done.output_shardings)):
+        raise UnavailableError("its outputs are elsewhere")
+    outputs = tuple(Signature(one.shape, one.dtype.name, spec=spec_of(sharding)) for one, sharding in found)
+    lapack = any(name.startswith("lapack_") for name in called)
+    return Program(done.runtime_executable(), Interface(inputs, outputs, mesh, lapack))
+
+
+def loaded(content: bytes, interface: Interface) -> Program:
+    """The program of some bytes, from a trusted place: they hold machine code.
+
+    Raises:
+        UnavailableError: where the client does not take them.
+    """
+    with _as_expected():
+        if interface.lapack:  # JAX looks for it while it traces
+            jaxlib.lapack.prepare_lapack_call("potrf_ffi", np.dtype(np.float64))
+        devices = jax.local_devices()[:1] if interface.mesh is None else interface.mesh.devices.ravel().tolist()
+        return Program(_client().deserialize_executable(content, devices), interface)
+
+
+def _on_mesh(arrays: Sequence[Any], inputs: Sequence[Signature], mesh: Mesh) -> list[jax.Array]:
+    pairs = zip(arrays, inputs, strict=True)
+    return [jax.device_put(x, NamedSharding(mesh, PartitionSpec(*(one.spec or ())))) for x, one in pairs]
+
+
+def spec_of(sharding: Sharding) -> tuple[str | None, ...] | None:
+    """How the axes of an array are shared by a mesh of devices; None on one device."""
+    return tuple(sharding.spec) if isinstance(sharding, NamedSharding) else None
+
+
+def is_within_reach(sharding: Sharding) -> bool:
+    """Whether an array lies on the first device of this process, or is shared by a mesh in a simple way."""
+    if isinstance(sharding, NamedSharding):
+        return all(part is None or isinstance(part, str) for part in sharding.spec)
+    return isinstance(sharding, SingleDeviceSharding) and sharding.device_set == {jax.local_devices()[0]}
+
+
+def _client() -> Any:
+    return jax.local_devices()[0].client
+
+
+@contextmanager
+def _as_expected():
+    """Whatever goes wrong between the client and this file makes a program unavailable, and nothing worse."""
+    try:
+        yield
+    except (AttributeError, TypeError, ValueError, RuntimeError) as error:  # RuntimeError: those of the client, too
+        raise UnavailableError(f"{type(error).__name__}: {error}") from error

@@ -1,0 +1,198 @@
+"""`kept_program`: a compiled function whose programs the next process finds on the disk.
+
+Called with traced values, under a user's jit, vmap or grad, it is the compiled function as it is. So it is where
+something of the user's own takes part, a function or a class, and where keeping is switched off.
+"""
+
+import hashlib
+import itertools
+import json
+import logging
+from collections.abc import Callable, Hashable, Sequence
+from functools import wraps
+from typing import Any, NamedTuple, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.sharding import Mesh
+
+from . import folder
+from .circumstances import are_special, is_source_unchanged, machine_and_versions, named_settings, settings
+from .description import NotDescribedError, Place, describe, rebuild
+from .executables import Interface, Program, Signature, UnavailableError, compiled, is_within_reach, loaded, spec_of
+
+MOST = 512  # programs in memory
+LOG = logging.getLogger("cddf_jax.programs")
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
+
+
+class Call(NamedTuple):
+    """A program, and what its outputs are put into."""
+
+    program: Program
+    structure: jax.tree_util.PyTreeDef
+    leaves: tuple[Any, ...]  # of the answer: the number of an output as a `Place`, or a value
+
+    def __call__(self, arrays: Sequence[Any]) -> Any:
+        outputs = self.program(arrays)
+        return self.structure.unflatten([outputs[x.of] if isinstance(x, Place) else x for x in self.leaves])
+
+
+class Question(NamedTuple):
+    """A call to be answered: a function and its arguments, flat."""
+
+    function: Callable[..., Any]  # compiled by JAX
+    structure: jax.tree_util.PyTreeDef  # of (args, kwargs)
+    leaves: tuple[Any, ...]  # a `Signature` in the place of every array
+
+    @property
+    def inputs(self) -> tuple[Signature, ...]:
+        return tuple(leaf for leaf in self.leaves if isinstance(leaf, Signature))
+
+    @property
+    def mesh(self) -> Mesh | None:
+        """The devices, where there are several: an argument."""
+        return next((leaf for leaf in self.leaves if isinstance(leaf, Mesh)), None)
+
+
+PROGRAMS: dict[Hashable, Call | None] = {}  # None: to be left to JAX
+
+
+def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
+    """Keep the programs of a function that `jax.jit` or `eqx.filter_jit` compiles.
+
+    Only for the library's outermost functions: what is kept has no derivative and no `vmap` of its own.
+    Numbers and texts among the arguments are static, arrays are traced.
+    """
+
+    @wraps(function)
+    def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
+        leaves, structure = jax.tree.flatten((args, kwargs))
+        if folder.is_off() or not _can_be_kept(leaves, (*args, *kwargs.values())):
+            return function(*args, **kwargs)
+        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+        question = Question(function, structure, tuple(map(_signature, leaves)))
+        at = (function.__qualname__, *question[1:], *map(type, leaves), settings())  # 1 equals True
+        try:
+            known = PROGRAMS[at] if at in PROGRAMS else _remember(at, _answer_to(question, arrays))
+            if known is not None:
+                return known(arrays)
+        except UnavailableError as error:
+            LOG.debug("%s is left to JAX: %s", function.__qualname__, error)
+            _remember(at, None)
+        return function(*args, **kwargs)
+
+    return call
+
+
+def _can_be_kept(leaves: Sequence[Any], arguments: tuple[Any, ...]) -> bool:
+    """Whether all values are known, where they are looked for, and can be looked up."""
+    if not jax.sharding.get_abstract_mesh().empty or not all(map(_is_known, leaves)):
+        return False
+    numbers = sum(type(leaf) is float for leaf in leaves)  # in a tree, each value of one would make a program
+    return numbers == sum(type(argument) is float for argument in arguments)
+
+
+def _is_known(leaf: Any) -> bool:
+    if isinstance(leaf, jax.Array) and (isinstance(leaf, Tracer) or not is_within_reach(leaf.sharding)):
+        return False
+    if eqx.is_array(leaf):
+        return isinstance(leaf.dtype, np.dtype) and leaf.dtype.kind in "biufc"
+    return isinstance(leaf, Hashable)
+
+
+def _signature(leaf: Any) -> Any:
+    if not eqx.is_array(leaf):
+        return leaf
+    dtype, weak, spec = jax.dtypes.canonicalize_dtype(leaf.dtype).name, False, None
+    if isinstance(leaf, jax.Array):
+        weak, spec = leaf.weak_type, spec_of(leaf.sharding)
+    return Signature(leaf.shape, dtype, weak, spec)
+
+
+def _remember(at: Hashable, call: Call | None) -> Call | None:
+    while len(PROGRAMS) >= MOST:
+        PROGRAMS.pop(next(iter(PROGRAMS)), None)
+    PROGRAMS[at] = call
+    return call
+
+
+def _answer_to(question: Question, arrays: Sequence[Any]) -> Call:
+    """The program from the disk, or else a new one.
+
+    Raises:
+        UnavailableError: where it is none that can be kept.
+    """
+    if are_special() or not is_source_unchanged():
+        raise UnavailableError("special settings of JAX, or a source that was edited")
+    if question.mesh is None and any(one.spec for one in question.inputs):
+        raise UnavailableError("arrays that several devices share")
+    try:
+        key = _key(question)
+    except NotDescribedError as error:
+        raise UnavailableError(f"it involves {error}") from None
+    return _found(key, question, arrays) or _made(key, question, arrays)
+
+
+def _key(question: Question) -> str:
+    """A digest of all that the program depends on.
+
+    Raises:
+        NotDescribedError: where something of a user's takes part.
+    """
+    leaves = [Place(leaf) if isinstance(leaf, Signature) else leaf for leaf in question.leaves]
+    function = f"{question.function.__module__}:{question.function.__qualname__}"
+    parts = [function, describe(question.structure.unflatten(leaves)), machine_and_versions(), named_settings()]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _found(key: str, question: Question, arrays: Sequence[Any]) -> Call | None:
+    """The program of the disk, if it is there, whole, and runs."""
+    entry = folder.read(key)
+    if entry is None:
+        return None
+    try:
+        outputs = tuple(Signature.read(*one) for one in entry.about["outputs"])
+        interface = Interface(question.inputs, outputs, question.mesh, entry.about["lapack"])
+        program = loaded(entry.content, interface)
+        program(arrays)
+        leaves, structure = jax.tree.flatten(rebuild(entry.about["answer"]), is_leaf=lambda x: isinstance(x, Place))
+        return Call(program, structure, tuple(leaves))
+    except (UnavailableError, NotDescribedError, AttributeError, ImportError, KeyError, TypeError) as error:
+        LOG.debug("%s is made anew: %s", key, error)
+        return None
+
+
+def _made(key: str, question: Question, arrays: Sequence[Any]) -> Call:
+    """Trace and compile, and keep what comes out."""
+    answers: list[Any] = []
+
+    def flat(*traced: jax.Array) -> list[jax.Array]:
+        values = iter(traced)
+        leaves = [next(values) if isinstance(leaf, Signature) else leaf for leaf in question.leaves]
+        args, kwargs = question.structure.unflatten(leaves)
+        found, structure = jax.tree.flatten(question.function(*args, **kwargs))
+        count = itertools.count()
+        answers[:] = structure, tuple(Place(next(count)) if eqx.is_array(x) else x for x in found)
+        return [jnp.asarray(x, x.dtype).astype(x.dtype) for x in found if eqx.is_array(x)]  # none typed weakly
+
+    program = compiled(flat, arrays, question.inputs, question.mesh)
+    call = Call(program, *answers)
+    _keep(key, call)
+    return call
+
+
+def _keep(key: str, call: Call) -> None:
+    """Write a program that has not run yet: one that has may no longer be turned into bytes."""
+    if not is_source_unchanged():  # while it was traced
+        return
+    try:
+        answer, interface = describe(call.structure.unflatten(call.leaves)), call.program.interface
+        about = {"outputs": interface.outputs, "lapack": interface.lapack, "answer": answer}
+        folder.write(key, folder.Entry(about, call.program.as_bytes()))
+    except (NotDescribedError, UnavailableError) as error:
+        LOG.debug("%s is not kept: %s", key, error)
