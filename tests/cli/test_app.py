@@ -15,7 +15,7 @@ PAPER, LOAD_CELLS, PULLEY = (
     str(DATA / name) for name in ("smooth_sil_940.toml", "load_cells_simulated.csv", "pulley_simulated.csv")
 )
 PULL = ("-t", "75 N")
-COMMANDS = ("solve", "sweep", "fit", "design", "plan", "reproduce", "explore")
+COMMANDS = ("solve", "sweep", "fit", "design", "plan", "reproduce", "explore", "cache")
 
 
 def separate_process(*arguments, **environment):

@@ -8,7 +8,7 @@ import sys
 import typer
 
 from ..errors import InputError, SolveError
-from . import design, explore, fit, plan, reproduce, solve, sweep
+from . import cache, design, explore, fit, plan, reproduce, solve, sweep
 from .options import BAD_INPUT, FAILED, INTERRUPTED, stop
 
 app = typer.Typer(
@@ -42,3 +42,4 @@ app.command(epilog=fit.EXAMPLE)(fit.fit)
 app.command(epilog=plan.EXAMPLE)(plan.plan)
 app.command(epilog=reproduce.EXAMPLE)(reproduce.reproduce)
 app.command(epilog=explore.EXAMPLE)(explore.explore)
+app.command(epilog=cache.EXAMPLE)(cache.cache)

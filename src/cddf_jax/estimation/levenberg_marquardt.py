@@ -181,7 +181,7 @@ def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
 @kept_program
 @eqx.filter_jit
 def _at(
-    problem: LeastSquaresProblem, z: Float[Array, " n"], held: Float[Numbers, " n"]
+    problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"]
 ) -> tuple[Float[Numbers, "..."], ...]:
     """What an outcome says of a place, from z to the cost."""
     residual, by_z = _residual_and_slope(problem, held, z)

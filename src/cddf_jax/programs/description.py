@@ -26,7 +26,7 @@ class Place(NamedTuple):
     of: Any  # JSON: what matters of an argument, or the number of an output
 
 
-def describe(value: object) -> Any:
+def describe(value: Any) -> Any:
     """A value in JSON; arrays in it must be replaced by a `Place`.
 
     Raises:
@@ -39,7 +39,7 @@ def describe(value: object) -> Any:
     if isinstance(value, Place):
         return {"place": value.of}
     if type(value) in (tuple, list):
-        return {type(value).__name__: list(map(describe, value))}  # pyright: ignore[reportArgumentType]
+        return {type(value).__name__: list(map(describe, value))}
     if type(value) is dict:
         return {"dict": [[describe(key), describe(item)] for key, item in value.items()]}
     if isinstance(value, np.dtype):

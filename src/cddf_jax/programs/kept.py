@@ -34,7 +34,7 @@ class Call(NamedTuple):
     """A program, and what its outputs are put into."""
 
     program: Program
-    structure: jax.tree_util.PyTreeDef
+    structure: Any  # as `jax.tree.structure` has it
     leaves: tuple[Any, ...]  # of the answer: the number of an output as a `Place`, or a value
 
     def __call__(self, arrays: Sequence[Any]) -> Any:
@@ -46,7 +46,7 @@ class Question(NamedTuple):
     """A call to be answered: a function and its arguments, flat."""
 
     function: Callable[..., Any]  # compiled by JAX
-    structure: jax.tree_util.PyTreeDef  # of (args, kwargs)
+    structure: Any  # of (args, kwargs), as `jax.tree.structure` has it
     leaves: tuple[Any, ...]  # a `Signature` in the place of every array
 
     @property
@@ -60,6 +60,7 @@ class Question(NamedTuple):
 
 
 PROGRAMS: dict[Hashable, Call | None] = {}  # None: to be left to JAX
+UNKNOWN: Any = object()
 
 
 def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
@@ -76,9 +77,10 @@ def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, A
             return function(*args, **kwargs)
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         question = Question(function, structure, tuple(map(_signature, leaves)))
-        at = (function.__qualname__, *question[1:], *map(type, leaves), settings())  # 1 equals True
+        at = (call, *question[1:], *map(type, leaves), settings())  # the types, because 1 equals True
         try:
-            known = PROGRAMS[at] if at in PROGRAMS else _remember(at, _answer_to(question, arrays))
+            known = PROGRAMS.get(at, UNKNOWN)
+            known = _remember(at, _answer_to(question, arrays)) if known is UNKNOWN else known
             if known is not None:
                 return known(arrays)
         except UnavailableError as error:
@@ -102,7 +104,7 @@ def _is_known(leaf: Any) -> bool:
         return False
     if eqx.is_array(leaf):
         return isinstance(leaf.dtype, np.dtype) and leaf.dtype.kind in "biufc"
-    return isinstance(leaf, Hashable)
+    return type(leaf).__hash__ is not None
 
 
 def _signature(leaf: Any) -> Any:
@@ -135,7 +137,7 @@ def _answer_to(question: Question, arrays: Sequence[Any]) -> Call:
         key = _key(question)
     except NotDescribedError as error:
         raise UnavailableError(f"it involves {error}") from None
-    return _found(key, question, arrays) or _made(key, question, arrays)
+    return _found(key, question) or _made(key, question, arrays)
 
 
 def _key(question: Question) -> str:
@@ -150,18 +152,16 @@ def _key(question: Question) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _found(key: str, question: Question, arrays: Sequence[Any]) -> Call | None:
-    """The program of the disk, if it is there, whole, and runs."""
+def _found(key: str, question: Question) -> Call | None:
+    """The program of the disk, if it is there and whole."""
     entry = folder.read(key)
     if entry is None:
         return None
     try:
         outputs = tuple(Signature.read(*one) for one in entry.about["outputs"])
         interface = Interface(question.inputs, outputs, question.mesh, entry.about["lapack"])
-        program = loaded(entry.content, interface)
-        program(arrays)
         leaves, structure = jax.tree.flatten(rebuild(entry.about["answer"]), is_leaf=lambda x: isinstance(x, Place))
-        return Call(program, structure, tuple(leaves))
+        return Call(loaded(entry.content, interface), structure, tuple(leaves))
     except (UnavailableError, NotDescribedError, AttributeError, ImportError, KeyError, TypeError) as error:
         LOG.debug("%s is made anew: %s", key, error)
         return None

@@ -41,7 +41,7 @@ class Function(eqx.Module):
         return self.function(arc_length)
 
     @property
-    def breakpoints(self) -> Float[Array, " n"]:
+    def breakpoints(self) -> Float[Number, " n"]:
         return breakpoints(self.function)
 
 
@@ -215,7 +215,7 @@ class Shifted(eqx.Module):
     by: Scalar = eqx.field(converter=as_number)
 
     @property
-    def breakpoints(self) -> Float[Array, " n"]:
+    def breakpoints(self) -> Float[Number, " n"]:
         return breakpoints(self.profile)
 
     def __call__(self, arc_length: Points) -> Float[Array, "*points"]:

@@ -139,7 +139,7 @@ def _stations(manipulator: Manipulator) -> np.ndarray:
     return np.sort(np.concatenate([np.linspace(0.0, length, _POINTS), *_sides(_breakpoints(manipulator), length)]))
 
 
-def _sides(breakpoints: Array, end: float) -> tuple[np.ndarray, np.ndarray]:
+def _sides(breakpoints: Number, end: float) -> tuple[np.ndarray, np.ndarray]:
     """Just before and just behind each breakpoint; those not between base and `end` have both sides in one place."""
     joints, nudge = np.sort(np.asarray(breakpoints, float)), 1e-9 * end
     return np.clip(joints - nudge, 0.0, end - nudge), np.clip(joints + nudge, 0.0, end - nudge)
