@@ -32,7 +32,7 @@ def describe(value: Any) -> Any:
     Raises:
         NotDescribedError: for what only this process knows, and for an array.
     """
-    if value is None or (isinstance(value, bool | int | str) and type(value) in (bool, int, str)):
+    if value is None or type(value) in (bool, int, str):
         return value
     if type(value) is float:
         return {"float": value.hex()}
