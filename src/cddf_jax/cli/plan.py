@@ -59,7 +59,7 @@ def plan(
     from ..identification.fit import fit
     from ..reports.plan_report import plan_as_dict, plan_as_markdown
     from ..units import quantity
-    from .candidate_file import read_candidates
+    from .fit_texts import read_candidates
 
     names = tuple(free) if free else None
     largest = quantity(tension, "force", "--tension")
