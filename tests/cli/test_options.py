@@ -63,7 +63,7 @@ WRONG_TARGETS = [
     ("tip_angle=45", "--base-tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
     ("tip_angle=", "--base-tension tip_angle is not a number, got ''; write for example '12.5 deg'"),
     ("tip_angle=45 N", "--base-tension tip_angle needs a unit of angle, got '45 N'; write for example '12.5 deg'"),
-    ("tip_angle 45 deg", "--base-tension 'tip_angle 45 deg': write a target with = as in 'tip_angle=45 deg'"),
+    ("tip_angle 45 deg", "--base-tension 'tip_angle 45 deg': write a target with = as in 'tip_angle=12 deg'"),
     ("tip-angle=45 deg", "--base-tension 'tip-angle=45 deg': unknown target 'tip-angle'; did you mean tip_angle?"),
     (
         "mu=0.4",
@@ -76,7 +76,7 @@ WRONG_TARGETS = [
     ("tip_stiffness=0 N/m", "--base-tension 'tip_stiffness=0 N/m': a stiffness is positive; give more than 0 N/m"),
     (
         "curvature=8 1/m",
-        "--base-tension 'curvature=8 1/m': say where the curvature is wanted as in 'curvature=8 1/m at 70 mm'",
+        "--base-tension 'curvature=8 1/m': say where the curvature is wanted as in 'curvature=12 1/m at 70 mm'",
     ),
     (
         "curvature=8 at 70 mm",

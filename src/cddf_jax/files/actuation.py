@@ -9,19 +9,11 @@ from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.targets import CurvatureAt, Displacement, Target, TipAngle, TipStiffness, TipTension, TotalTension
-from ..units import quantity, shown, vector
+from ..units import preferred, quantity, shown, vector
 
 Entry = TypeVar("Entry")
 TARGETS: dict[str, Callable[..., object]] = {
     kind.quantity: kind for kind in (Displacement, TipAngle, TipTension, CurvatureAt, TotalTension, TipStiffness)
-}
-_EXAMPLES = {
-    "displacement": "displacement=12 mm",
-    "tip_angle": "tip_angle=45 deg",
-    "tip_tension": "tip_tension=40 N",
-    "curvature": "curvature=8 1/m at 70 mm",
-    "total_tension": "total_tension=100 N",
-    "tip_stiffness": "tip_stiffness=350 N/m",
 }
 
 
@@ -82,7 +74,7 @@ def _entry(name: str, text: str, manipulator: Manipulator) -> float | Target:
     if equals:
         entry = _target(name, where, kind, value, manipulator)
     elif first in TARGETS:
-        raise InputError(f"write a target with = as in {_EXAMPLES[first]!r}", where=where)
+        raise InputError(f"write a target with = as in {_example(first)!r}", where=where)
     else:
         kind, entry = "base_tension", quantity(text, "force", name)
     wanted = entry.value if isinstance(entry, Target) else entry
@@ -91,6 +83,11 @@ def _entry(name: str, text: str, manipulator: Manipulator) -> float | Target:
     if kind == "tip_stiffness" and wanted <= 0:
         raise InputError("a stiffness is positive; give more than 0 N/m", where=where)
     return entry
+
+
+def _example(kind: str) -> str:
+    place = " at 70 mm" if kind == "curvature" else ""
+    return f"{kind}=12 {preferred(dimension_of(kind))[1]}{place}"
 
 
 def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulator) -> Target:
@@ -102,7 +99,7 @@ def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulat
         return cast(Target, TARGETS[kind](quantity(value, dimension_of(kind), f"{name} {kind}")))
     curvature, at, place = (part.strip() for part in value.partition(" at "))
     if not at:
-        raise InputError(f"say where the curvature is wanted as in {_EXAMPLES[kind]!r}", where=where)
+        raise InputError(f"say where the curvature is wanted as in {_example(kind)!r}", where=where)
     arc_length = quantity(place, "length", f"{name} curvature at")
     if not 0 <= arc_length <= float(manipulator.length):
         remedy = f"give an arc length from 0 mm to {shown(manipulator.length, 'length')}"

@@ -58,18 +58,15 @@ class ModelFreeFriction:
 
     table: Measurements
     estimate: np.ndarray  # NaN where a tension or the angle is 0
-    row_standard_error: np.ndarray  # inf there
-    weight: np.ndarray  # the share of each row in the pooled value; sums to 1
     value: float  # pooled
     standard_error: float  # inf where a single row determines the value, so that its noise cannot be estimated
     confidence_interval: tuple[float, float]  # 95 %, t-statistics
-    scatter: float  # standard deviation of ln(T_base / T_tip) over all rows; inf of a single row
     constancy: Constancy
 
     @property
     def verdict(self) -> tuple[str, ...]:
         """In words: the value, and what speaks for and against one mu in all rows."""
-        rows, used = len(self.estimate), int(np.count_nonzero(self.weight))
+        rows, used = len(self.estimate), np.count_nonzero(np.isfinite(self.estimate))
         low, high = self.confidence_interval
         angle, columns = self.table["tip_angle"], self.table.columns.items()
         lines = [
@@ -126,24 +123,16 @@ def model_free_friction(table: Measurements) -> ModelFreeFriction:
     loss, labels = direction * np.log(base / tip), _independent(table, usable)
     value = float(np.sum(angle * loss) / np.sum(angle**2))
     residual = loss - value * angle
-    scatter = float(np.sqrt(np.sum(residual**2) / (angle.size - 1))) if angle.size > 1 else np.inf
     error = float(_jackknife(angle[:, None], residual, labels)[0])
     half_width = float(stats.t.ppf(0.975, max(labels.max(), 1))) * error
-
-    def by_row(values: np.ndarray, other: float) -> np.ndarray:
-        rows = np.full(len(table), other)
-        rows[usable] = values
-        return rows
-
+    estimate = np.full(len(table), np.nan)
+    estimate[usable] = loss / angle
     return ModelFreeFriction(
         table=table,
-        estimate=by_row(loss / angle, np.nan),
-        row_standard_error=by_row(scatter / angle, np.inf),
-        weight=by_row(angle**2 / np.sum(angle**2), 0.0),
+        estimate=estimate,
         value=value,
         standard_error=error,
         confidence_interval=(value - half_width, value + half_width),
-        scatter=scatter,
         constancy=_constancy(base, angle, residual, labels),
     )
 
