@@ -188,7 +188,7 @@ def _refit_all(
 
     def refit(layout: Layout, index: Index) -> dict[str, np.ndarray]:
         z = np.broadcast_to(best.z, (layout.count(index), best.z.size))
-        found = minimise_all(problem, z, data=draw(layout, index))
+        found = minimise_all(problem, z, draw(layout, index))
         pressed = np.any(problem.space.at_bound(found.parameters), axis=1)  # there a search has always a step left
         good = (found.solved | pressed) & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
         return {"estimate": np.where(good[:, None], found.parameters, np.nan), "ended": good}

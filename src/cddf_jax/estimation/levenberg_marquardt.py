@@ -149,23 +149,19 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
     return _outcome(_descend(problem, z, held, TOLERANCE))
 
 
-def minimise_all(
-    problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | None = None, data: Data | None = None
-) -> Outcome:
+def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:
     """Many searches at once.
 
     Args:
         problem: of all of them.
         z: (searches, n), where they start.
-        held: (searches, n), NaN for parameters that are free; None for all free.
         data: in place of the problem's; arrays that have a leading axis hold those of each search.
     """
 
     def one_each(x: Numbers, own: Numbers) -> np.ndarray:
         return np.broadcast_to(x, (len(z), *np.shape(own)))
 
-    each = jax.tree.map(one_each, problem.data if data is None else data, problem.data)
-    return _outcome(_descend_all(problem, each, z, np.full(z.shape, np.nan) if held is None else held))
+    return _outcome(_descend_all(problem, jax.tree.map(one_each, data, problem.data), z))
 
 
 def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
@@ -236,10 +232,10 @@ def _descend(
 
 @kept_program
 @eqx.filter_jit
-def _descend_all(
-    problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"], held: Float[Numbers, "searches n"]
-) -> tuple[ArrayLike, ...]:
-    def one(data, z, held):
-        return _descend(replace(problem, data=data), z, held, BATCH_TOLERANCE)
+def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> tuple[ArrayLike, ...]:
+    free = jnp.full(z.shape[1], jnp.nan)
 
-    return jax.vmap(one)(data, z, held)
+    def one(data, z):
+        return _descend(replace(problem, data=data), z, free, BATCH_TOLERANCE)
+
+    return jax.vmap(one)(data, z)

@@ -74,7 +74,7 @@ def cross_validation(fit: Fit, noise: Sequence[Numbers] | None = None) -> float:
     folds = _folds(fit)
     kept = problem.data._replace(times=tuple(np.where(out, 0.0, 1.0) for out in folds))
     count = folds[0].shape[0]
-    found = minimise_all(problem, np.broadcast_to(best.z, (count, best.z.size)), data=kept)
+    found = minimise_all(problem, np.broadcast_to(best.z, (count, best.z.size)), kept)
     over = zip(problem.data.noise, problem.data.noise if noise is None else noise, strict=True)
     errors = found.residual[:, : problem.num_data] * np.concatenate([own / other for own, other in over])
     left_out = np.concatenate(folds, axis=1)
