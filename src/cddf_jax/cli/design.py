@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError
-from .options import FAILED, AsJson, note, print_answer, stop
+from .options import FAILED, AsJson, Out, note, print_answer, stop
 
 if TYPE_CHECKING:
     from ..designing.results import Design
@@ -19,22 +19,17 @@ Answer = tuple[dict[str, object], str, bool]  # for JSON, in words, and whether 
 
 def design(
     task: Annotated[
-        Path | None,
-        typer.Argument(help="TOML file of the task; --template prints one with every key."),
+        Path | None, typer.Argument(help="TOML file of the task; --template prints one with every key.")
     ] = None,
     template: Annotated[
         bool,
         typer.Option("--template", help="Print a task file with every key and the names of all quantities, and end."),
     ] = False,
     pareto: Annotated[
-        int | None,
-        typer.Option(help="Trade-off between the two objectives of the task: so many designs.", min=3),
+        int | None, typer.Option(help="Trade-off between the two objectives of the task: so many designs.", min=3)
     ] = None,
     as_json: AsJson = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for the new manipulator, its profile for CAD, figures and report."),
-    ] = None,
+    out: Out = None,
 ) -> None:
     """The body that meets an objective best, within what can be made.
 

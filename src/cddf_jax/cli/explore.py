@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
-from .options import Column, KinematicsOption, OptionalData, read_data, read_robot
+from .options import Column, Data, KinematicsOption, read_data, read_robot
 
 EXAMPLE = "Example: cddf explore data/smooth_sil_940.toml data/tip_angle_simulated.csv"
 
@@ -16,7 +16,7 @@ def explore(
         Path | None,
         typer.Argument(help="TOML file of the manipulator; without it that of the paper."),
     ] = None,
-    data: OptionalData = None,
+    data: Data = None,
     column: Column = None,
     kinematics: KinematicsOption = None,
     port: Annotated[
@@ -45,7 +45,7 @@ def explore(
     paper = paper if kinematics is None else replace(paper, kinematics=kinematics)
     server.serve(
         paper if read is None else read.manipulator,
-        read_data(data or [], column),
+        read_data(data, column),
         server.PAPER if robot is None else str(robot),
         () if read is None else read.columns,
         port=port,

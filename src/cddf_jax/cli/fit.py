@@ -1,7 +1,6 @@
 """`cddf fit`: friction and modulus from measurements."""
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -12,8 +11,10 @@ from .options import (
     AverageHolds,
     Column,
     Data,
+    Free,
     KinematicsOption,
     Nodes,
+    Out,
     Robot,
     print_answer,
     read_all,
@@ -31,13 +32,6 @@ LEAST_TRIALS = 3  # to draw from with replacement
 
 
 LossName = Literal["linear", "soft_l1", "huber", "cauchy"]
-Free = Annotated[
-    list[str] | None,
-    typer.Option(
-        help='A parameter to fit, "friction_coefficient". Repeat it for more of them.',
-        show_default="friction and modulus",
-    ),
-]
 PriorOption = Annotated[
     list[str] | None,
     typer.Option(help='Gaussian, "youngs_modulus=1.4 MPa +- 0.1 MPa", or uniform, "friction_coefficient=0.1..0.6".'),
@@ -79,10 +73,7 @@ def fit(
     kinematics: KinematicsOption = None,
     nodes: Nodes = 16,
     as_json: AsJson = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for the report with profiles and figures, out/fit."),
-    ] = None,
+    out: Out = None,
 ) -> None:
     """Friction and modulus from measurements, and what the measurements cannot tell."""
     from .. import application

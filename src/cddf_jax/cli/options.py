@@ -20,7 +20,7 @@ Robot = Annotated[Path, typer.Argument(help="TOML file of the manipulator, data/
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object in SI units and nothing else.")]
 Out = Annotated[
     Path | None,
-    typer.Option(help="Folder for the figures and results, out/run_1. It is made if missing."),
+    typer.Option(help="Folder for report, figures and files, out/run_1. It is made if missing."),
 ]
 KinematicsOption = Annotated[Kinematics | None, typer.Option(help="Kinematics of the tendons, instead of the file's.")]
 Nodes = Annotated[int, typer.Option(help="Gauss nodes in each smooth piece of the body, 4 or more.", min=4)]
@@ -42,15 +42,18 @@ Gravity = Annotated[
     typer.Option(help='Acceleration (X, Y), "0, -9.81 m/s^2". The body needs a mass.'),
 ]
 Data = Annotated[
-    list[Path],
+    list[Path] | None,
     typer.Argument(
         help="CSV or .xlsx files with the units in the header, bench.csv. Files of the same columns are the trials of "
         "one experiment."
     ),
 ]
-OptionalData = Annotated[
-    list[Path] | None,
-    typer.Argument(help="CSV or .xlsx files of measurements with the units in the header, bench.csv."),
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='A parameter to fit, "friction_coefficient". Repeat it for more of them.',
+        show_default="friction and modulus",
+    ),
 ]
 Column = Annotated[
     list[str] | None,
@@ -116,13 +119,13 @@ def read_robot(
 
 
 def read_data(
-    paths: Sequence[Path], column: Sequence[str] | None, *, holds_averaged: bool = False
+    paths: Sequence[Path] | None, column: Sequence[str] | None, *, holds_averaged: bool = False
 ) -> "tuple[Measurements, ...]":
     """The measurements in files; what was done to read them is noted on standard error."""
     from ..measurements.holds import average_holds
     from ..measurements.trials import read_tables
 
-    tables = read_tables(paths, read_all(column, read_column, "--column"))
+    tables = read_tables(paths or (), read_all(column, read_column, "--column"))
     note(line for table in tables for line in table.read_as)
     return tuple(map(average_holds, tables)) if holds_averaged else tables
 

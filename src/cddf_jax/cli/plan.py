@@ -10,8 +10,9 @@ from .options import (
     AsJson,
     AverageHolds,
     Column,
+    Data,
+    Free,
     KinematicsOption,
-    OptionalData,
     Out,
     Robot,
     print_answer,
@@ -24,7 +25,7 @@ EXAMPLE = "Example: cddf plan data/smooth_sil_940.toml data/load_cells_simulated
 
 def plan(
     robot: Robot,
-    data: OptionalData = None,
+    data: Data = None,
     column: Column = None,
     average_holds: AverageHolds = False,
     candidates: Annotated[
@@ -38,13 +39,7 @@ def plan(
     tension: Annotated[
         str, typer.Option(help="Largest base tension of the default candidates, with its unit.")
     ] = "85 N",
-    free: Annotated[
-        list[str] | None,
-        typer.Option(
-            help='A parameter that is wanted, "friction_coefficient". Repeat it for more of them.',
-            show_default="friction and modulus",
-        ),
-    ] = None,
+    free: Free = None,
     criterion: Annotated[
         str, typer.Option(help="D for all parameters together, or the one to be known best, youngs_modulus.")
     ] = "D",
@@ -66,7 +61,7 @@ def plan(
     if not largest > 0:
         raise InputError(f"--tension {tension}: give a tension above 0 N")
     choices = standard_candidates(manipulator, largest) if candidates is None else read_candidates(candidates)
-    tables = read_data(data or [], column, holds_averaged=average_holds)
+    tables = read_data(data, column, holds_averaged=average_holds)
     known = fit(manipulator, tables, names) if tables else manipulator
     found = plan(known, choices, names, criterion=criterion, num=num)
     text, answer = plan_as_markdown(found), plan_as_dict(found)
