@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError
-from .options import FAILED, AsJson, Out, note, print_answer, stop
+from . import options
 
 if TYPE_CHECKING:
     from ..designing.results import Design
@@ -28,8 +28,8 @@ def design(
     pareto: Annotated[
         int | None, typer.Option(help="Trade-off between the two objectives of the task: so many designs.", min=3)
     ] = None,
-    as_json: AsJson = False,
-    out: Out = None,
+    as_json: options.AsJson = False,
+    out: options.Out = None,
 ) -> None:
     """The body that meets an objective best, within what can be made.
 
@@ -48,11 +48,11 @@ def design(
     from ..designing.task_file import read_task
 
     read = read_task(task, progress=sys.stderr.isatty())
-    note(read.read_as)
+    options.note(read.read_as)
     answer, text, success = run_design(read, out) if pareto is None else trade_off(read, pareto, out)
-    print_answer(text, answer, as_json=as_json)
+    options.print_answer(text, answer, as_json=as_json)
     if not success:
-        stop(f"the design is not done: {answer['result']}", FAILED)
+        options.stop(f"the design is not done: {answer['result']}", options.FAILED)
 
 
 def run_design(task: "DesignTask", out: Path | None) -> Answer:

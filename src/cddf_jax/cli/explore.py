@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
-from .options import Column, Data, KinematicsOption, read_data, read_robot
+from . import options
 
 EXAMPLE = "Example: cddf explore data/smooth_sil_940.toml data/tip_angle_simulated.csv"
 
@@ -16,9 +16,9 @@ def explore(
         Path | None,
         typer.Argument(help="TOML file of the manipulator; without it that of the paper."),
     ] = None,
-    data: Data = None,
-    column: Column = None,
-    kinematics: KinematicsOption = None,
+    data: options.Data = None,
+    column: options.Column = None,
+    kinematics: options.KinematicsOption = None,
     port: Annotated[
         int, typer.Option(help="Port on this machine, 5006.", min=0, max=65535, show_default="a free one")
     ] = 0,
@@ -28,7 +28,7 @@ def explore(
 
     It is served on this machine alone and needs no network. Ctrl-C ends it.
     """
-    read = None if robot is None else read_robot(robot, kinematics)
+    read = None if robot is None else options.read_robot(robot, kinematics)
     from dataclasses import replace
 
     from .. import application
@@ -45,7 +45,7 @@ def explore(
     paper = paper if kinematics is None else replace(paper, kinematics=kinematics)
     server.serve(
         paper if read is None else read.manipulator,
-        read_data(data, column),
+        options.read_data(data, column),
         server.PAPER if robot is None else str(robot),
         () if read is None else read.columns,
         port=port,

@@ -5,23 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .options import (
-    FAILED,
-    AsJson,
-    AverageHolds,
-    Column,
-    Data,
-    Free,
-    KinematicsOption,
-    Nodes,
-    Out,
-    Robot,
-    print_answer,
-    read_all,
-    read_data,
-    read_robot,
-    stop,
-)
+from . import options
 
 if TYPE_CHECKING:
     from ..estimation.bootstrap import Bootstrap
@@ -54,10 +38,10 @@ NoiseOption = Annotated[
 
 
 def fit(
-    robot: Robot,
-    data: Data,
-    column: Column = None,
-    free: Free = None,
+    robot: options.Robot,
+    data: options.Data,
+    column: options.Column = None,
+    free: options.Free = None,
     prior: PriorOption = None,
     bound: Bound = None,
     noise: NoiseOption = None,
@@ -68,18 +52,18 @@ def fit(
     ] = None,
     seed: Annotated[int, typer.Option(help="Random seed of further starts and of the bootstrap.", min=0)] = 0,
     per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
-    average_holds: AverageHolds = False,
+    average_holds: options.AverageHolds = False,
     bootstrap: Annotated[int, typer.Option(help="Number of refits to data drawn anew, 200; 0 for none.", min=0)] = 0,
-    kinematics: KinematicsOption = None,
-    nodes: Nodes = 16,
-    as_json: AsJson = False,
-    out: Out = None,
+    kinematics: options.KinematicsOption = None,
+    nodes: options.Nodes = 16,
+    as_json: options.AsJson = False,
+    out: options.Out = None,
 ) -> None:
     """Friction and modulus from measurements, and what the measurements cannot tell."""
     from .. import application
 
     # code that is compiled quickly makes refits slow
-    manipulator = read_robot(
+    manipulator = options.read_robot(
         robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap)
     ).manipulator
     from ..identification.fit import fit
@@ -87,13 +71,13 @@ def fit(
     from ..reports.fit_results import fit_as_dict, make_report
     from .fit_texts import read_bound, read_noise, read_prior
 
-    known_noise = read_all(noise, read_noise, "--noise")
+    known_noise = options.read_all(noise, read_noise, "--noise")
     found = fit(
         manipulator,
-        read_data(data, column, holds_averaged=average_holds),
+        options.read_data(data, column, holds_averaged=average_holds),
         free or None,
-        read_all(prior, read_prior, "--prior"),
-        bounds=read_all(bound, read_bound, "--bound"),
+        options.read_all(prior, read_prior, "--prior"),
+        bounds=options.read_all(bound, read_bound, "--bound"),
         noise=known_noise,
         per_trial=per_trial,
         loss=loss,
@@ -102,13 +86,12 @@ def fit(
         nodes=nodes,
     )
     bootstraps = _bootstraps(found, bootstrap, seed, show_progress=sys.stderr.isatty() and not as_json)
-    options = {"noise": known_noise}
-    report = make_report(found, options=options, bootstraps=bootstraps, with_profiles=out is not None)
+    report = make_report(found, options={"noise": known_noise}, bootstraps=bootstraps, with_profiles=out is not None)
     if out is not None:
         write_report(report, out)
-    print_answer(fit_in_words(report), fit_as_dict(report), as_json=as_json)
+    options.print_answer(fit_in_words(report), fit_as_dict(report), as_json=as_json)
     if not found.success:
-        stop(f"the fit failed: {found.result}", FAILED)
+        options.stop(f"the fit failed: {found.result}", options.FAILED)
 
 
 def _bootstraps(found: "Fit", replicates: int, seed: int, *, show_progress: bool) -> "list[Bootstrap]":

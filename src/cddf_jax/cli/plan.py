@@ -6,28 +6,16 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
-from .options import (
-    AsJson,
-    AverageHolds,
-    Column,
-    Data,
-    Free,
-    KinematicsOption,
-    Out,
-    Robot,
-    print_answer,
-    read_data,
-    read_robot,
-)
+from . import options
 
 EXAMPLE = "Example: cddf plan data/smooth_sil_940.toml data/load_cells_simulated.csv --num 1"
 
 
 def plan(
-    robot: Robot,
-    data: Data = None,
-    column: Column = None,
-    average_holds: AverageHolds = False,
+    robot: options.Robot,
+    data: options.Data = None,
+    column: options.Column = None,
+    average_holds: options.AverageHolds = False,
     candidates: Annotated[
         Path | None,
         typer.Option(
@@ -39,17 +27,17 @@ def plan(
     tension: Annotated[
         str, typer.Option(help="Largest base tension of the default candidates, with its unit.")
     ] = "85 N",
-    free: Free = None,
+    free: options.Free = None,
     criterion: Annotated[
         str, typer.Option(help="D for all parameters together, or the one to be known best, youngs_modulus.")
     ] = "D",
     num: Annotated[int, typer.Option(help="How many measurements to choose, one after the other.", min=1)] = 3,
-    kinematics: KinematicsOption = None,
-    as_json: AsJson = False,
-    out: Out = None,
+    kinematics: options.KinematicsOption = None,
+    as_json: options.AsJson = False,
+    out: options.Out = None,
 ) -> None:
     """Which measurement next: what each candidate would add to what is known."""
-    manipulator = read_robot(robot, kinematics).manipulator
+    manipulator = options.read_robot(robot, kinematics).manipulator
     from ..identification.experiment_design import plan, standard_candidates
     from ..identification.fit import fit
     from ..reports.plan_report import plan_as_dict, plan_as_markdown
@@ -61,7 +49,7 @@ def plan(
     if not largest > 0:
         raise InputError(f"--tension {tension}: give a tension above 0 N")
     choices = standard_candidates(manipulator, largest) if candidates is None else read_candidates(candidates)
-    tables = read_data(data, column, holds_averaged=average_holds)
+    tables = options.read_data(data, column, holds_averaged=average_holds)
     known = fit(manipulator, tables, names) if tables else manipulator
     found = plan(known, choices, names, criterion=criterion, num=num)
     text, answer = plan_as_markdown(found), plan_as_dict(found)
@@ -71,4 +59,4 @@ def plan(
         from ..files.artifacts import as_json as json_text, write_all
 
         write_all(out, {"plan.md": text, "plan.json": json_text(answer)} | render(figure_of(draw_plan(found)), "plan"))
-    print_answer(text, answer, as_json=as_json)
+    options.print_answer(text, answer, as_json=as_json)

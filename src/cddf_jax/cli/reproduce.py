@@ -5,21 +5,21 @@ from typing import Annotated
 
 import typer
 
-from .options import AsJson, Column, Robot, print_answer, read_data, read_robot
+from . import options
 
 EXAMPLE = "Example: cddf reproduce data/smooth_sil_940.toml data/load_cells_simulated.csv"
 
 
 def reproduce(
-    robot: Robot,
+    robot: options.Robot,
     load_cells: Annotated[Path, typer.Argument(help="CSV of the load-cell trials, data/load_cells_simulated.csv.")],
-    column: Column = None,
-    as_json: AsJson = False,
+    column: options.Column = None,
+    as_json: options.AsJson = False,
     out: Annotated[Path, typer.Option(help="Folder for the figures and the table.")] = Path("out/reproduce"),
 ) -> None:
     """The figures of Liu et al. (2020), and a table of its numbers beside ours."""
-    manipulator = read_robot(robot, None).manipulator
+    manipulator = options.read_robot(robot, None).manipulator
     from ..reports.reproduction import reproduce
 
-    answer = reproduce(manipulator, read_data([load_cells], column)[0], out)
-    print_answer((out / "reproduction.md").read_text(encoding="utf-8"), answer, as_json=as_json)
+    answer = reproduce(manipulator, options.read_data([load_cells], column)[0], out)
+    options.print_answer((out / "reproduction.md").read_text(encoding="utf-8"), answer, as_json=as_json)

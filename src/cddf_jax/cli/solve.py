@@ -5,21 +5,7 @@ from typing import Annotated
 import typer
 
 from ..errors import SolveError
-from .options import (
-    FAILED,
-    AsJson,
-    Direction,
-    Gravity,
-    KinematicsOption,
-    Nodes,
-    Out,
-    Robot,
-    TipForce,
-    TipMoment,
-    print_answer,
-    read_robot,
-    stop,
-)
+from . import options
 
 EXAMPLE = 'Example: cddf solve data/smooth_sil_940.toml -t "75 N" --tip-force "0 N, -5 N"'
 BaseTension = Annotated[
@@ -35,22 +21,22 @@ BaseTension = Annotated[
 
 
 def solve(
-    robot: Robot,
+    robot: options.Robot,
     base_tension: BaseTension,
-    direction: Direction = None,
-    tip_force: TipForce = None,
-    tip_moment: TipMoment = None,
-    gravity: Gravity = None,
-    kinematics: KinematicsOption = None,
-    nodes: Nodes = 16,
-    as_json: AsJson = False,
-    out: Out = None,
+    direction: options.Direction = None,
+    tip_force: options.TipForce = None,
+    tip_moment: options.TipMoment = None,
+    gravity: options.Gravity = None,
+    kinematics: options.KinematicsOption = None,
+    nodes: options.Nodes = 16,
+    as_json: options.AsJson = False,
+    out: options.Out = None,
 ) -> None:
     """Shape, tension and friction of a manipulator under tensions and dead loads.
 
     X runs along the straight body from its base, Y to the side of a tendon with side = 1.
     """
-    manipulator, columns, _ = read_robot(robot, kinematics, note_columns=False)
+    manipulator, columns, _ = options.read_robot(robot, kinematics, note_columns=False)
     from ..files.actuation import read_actuation, read_directions, read_loads
     from ..files.cross_sections import in_one_line
     from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
@@ -83,6 +69,6 @@ def solve(
             figures |= render(sections_figure(columns), "cross_sections")
         tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
         write_all(out, figures | tables)
-    print_answer(text, answer, as_json=as_json)
+    options.print_answer(text, answer, as_json=as_json)
     if ended_as(equilibrium, RESULTS.unstable):
-        stop(RESULTS[equilibrium.result], FAILED)
+        options.stop(RESULTS[equilibrium.result], options.FAILED)

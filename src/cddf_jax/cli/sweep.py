@@ -8,21 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from ..errors import InputError, within
-from .options import (
-    FAILED,
-    INTERRUPTED,
-    AsJson,
-    Direction,
-    Gravity,
-    KinematicsOption,
-    Nodes,
-    Robot,
-    TipForce,
-    TipMoment,
-    print_answer,
-    read_robot,
-    stop,
-)
+from . import options
 
 EXAMPLE = (
     "Example: cddf sweep data/smooth_sil_940.toml --over base_tension=5N:85N:17 "
@@ -42,10 +28,10 @@ def read_sweep_task(context: typer.Context, path: Path | None) -> Path | None:
 
     with within(path):
         task = read_toml(path, 'out = "out/sweep"')
-    options = [str(option.name) for option in context.command.params if option.name not in ("task", "help")]
+    known = [str(option.name) for option in context.command.params if option.name not in ("task", "help")]
     for name, value in task.items():
-        if name not in options:
-            raise InputError(f"{path}: there is no option {name!r}; there are {', '.join(options)}")
+        if name not in known:
+            raise InputError(f"{path}: there is no option {name!r}; there are {', '.join(known)}")
         if name in ("over", "sample") and isinstance(value, dict):
             lists = {key: each if isinstance(each, list) else [each] for key, each in value.items()}
             task[name] = [f"{key}={','.join(map(str, each))}" for key, each in lists.items()]
@@ -122,7 +108,7 @@ Out = Annotated[
 
 def sweep(
     context: typer.Context,
-    robot: Robot,
+    robot: options.Robot,
     task: Task = None,
     over: Over = None,
     together: Together = None,
@@ -131,12 +117,12 @@ def sweep(
     sampler: Sampler = "latin_hypercube",
     seed: Annotated[int, typer.Option(help="Seed of the samples.", min=0)] = 0,
     base_tension: BaseTension = None,
-    direction: Direction = None,
-    tip_force: TipForce = None,
-    tip_moment: TipMoment = None,
-    gravity: Gravity = None,
-    kinematics: KinematicsOption = None,
-    nodes: Nodes = 16,
+    direction: options.Direction = None,
+    tip_force: options.TipForce = None,
+    tip_moment: options.TipMoment = None,
+    gravity: options.Gravity = None,
+    kinematics: options.KinematicsOption = None,
+    nodes: options.Nodes = 16,
     output: Output = "tip_tension,tip_position,tip_angle",
     sensitivity: Sensitivity = None,
     precision: Precision = "float64",
@@ -149,7 +135,7 @@ def sweep(
     num_processes: NumProcesses = None,
     process_id: ProcessId = None,
     distributed: Distributed = False,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
     out: Out = None,
 ) -> None:
     """A solve for every combination of what varies, on all cores, into a store that survives a stop.
@@ -160,18 +146,18 @@ def sweep(
         raise InputError("kinematics is given by --kinematics and varies too; leave one out")
 
     processes = coordinator, num_processes, process_id
-    manipulator = read_robot(robot, kinematics, lambda: _configure(*processes, distributed=distributed)).manipulator
+    read = options.read_robot(robot, kinematics, lambda: _configure(*processes, distributed=distributed))
     from ..files.actuation import read_directions, read_loads
     from . import sweep_run, sweep_texts
 
     work = sweep_texts.read_sweep(
-        manipulator,
+        read.manipulator,
         over or [],
         together or [],
         sweep_texts.Samples(sample or [], samples, sampler, seed),
-        base_tension=sweep_texts.read_base_tension(base_tension or [], manipulator),
+        base_tension=sweep_texts.read_base_tension(base_tension or [], read.manipulator),
         loads=read_loads(tip_force, tip_moment, gravity),
-        direction=read_directions(direction, manipulator),
+        direction=read_directions(direction, read.manipulator),
         outputs=tuple(dict.fromkeys(name.strip() for name in output.split(","))),
         sensitivities=tuple(sensitivity or ()),
         nodes=nodes,
@@ -182,17 +168,18 @@ def sweep(
     if dry_run:
         expected = sweep_run.rehearse(work, None if out is None else sweep_run.read_places(out, netcdf, csv))
         if sweep_run.is_first_process():
-            print_answer(sweep_run.rehearsal_in_words(expected), expected, as_json=as_json)
+            options.print_answer(sweep_run.rehearsal_in_words(expected), expected, as_json=as_json)
         return
     places = sweep_run.read_places(out, netcdf, csv)
     try:
         summary = sweep_run.run_sweep(work, places, context.params, progress=sys.stderr.isatty())
     except KeyboardInterrupt:
-        stop("interrupted; what is in the store stays there, start the same command again and it goes on", INTERRUPTED)
+        remedy = "what is in the store stays there, start the same command again and it goes on"
+        options.stop(f"interrupted; {remedy}", options.INTERRUPTED)
     if summary is not None:
-        print_answer(sweep_run.summary_in_words(summary), summary, as_json=as_json)
+        options.print_answer(sweep_run.summary_in_words(summary), summary, as_json=as_json)
         if "successful" not in summary["results"]:
-            stop("no solve was successful; see the results", FAILED)
+            options.stop("no solve was successful; see the results", options.FAILED)
 
 
 def _configure(

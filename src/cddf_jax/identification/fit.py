@@ -15,18 +15,7 @@ from ..estimation.parameter_space import Bounds, Priors
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
-from .bench import (
-    TRIALS,
-    BenchModel,
-    Group,
-    experiment_of,
-    free_parameters,
-    groups_of,
-    parameter_named,
-    starting_value,
-    stiffness_parameter,
-    with_parameters,
-)
+from . import bench
 from .predictions import Numbers, Prediction, beyond_the_data, predicted_rows
 from .random_effects import fit_trials
 from .verdict import Look, doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
@@ -47,7 +36,7 @@ class Fit(LeastSquaresFit):
 
     manipulator: Manipulator  # with the estimates; where a parameter is not identified, one of many that fit
     tables: tuple[Measurements, ...]  # the data
-    model: BenchModel  # of the bench: parameters to readings
+    model: bench.BenchModel  # of the bench: parameters to readings
     alone: dict[str, Determination]  # what each table by itself, without priors, would have determined
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty unless asked for
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 where there is none, NaN where not asked for
@@ -64,9 +53,9 @@ class Fit(LeastSquaresFit):
         return tuple(fit_warnings(self))
 
     @property
-    def groups(self) -> list[Group]:
+    def groups(self) -> list[bench.Group]:
         """The groups of data, in the order of the tables and their columns."""
-        return groups_of(self.tables, self.model)
+        return bench.groups_of(self.tables, self.model)
 
     @property
     def mean_relative_error(self) -> float:
@@ -110,12 +99,12 @@ class Fit(LeastSquaresFit):
         Raises:
             InputError: for another column, or conditions of other shapes.
         """
-        bench = predicted_rows(base_tension, tip_force, direction, self.manipulator.num_tendons)
-        shown = bench.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
+        wanted = predicted_rows(base_tension, tip_force, direction, self.manipulator.num_tendons)
+        shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is no reading; there are {', '.join(shown.readings)}")
         band = self.band(shown.derivatives[column])
-        return Prediction(shown.readings[column], band, beyond_the_data(bench, self.model))
+        return Prediction(shown.readings[column], band, beyond_the_data(wanted, self.model))
 
     def place(self, group: str, k: int) -> str:
         """In words, by the row of the file (1, 2, ... where there is none)."""
@@ -190,7 +179,7 @@ def fit(
         raise TypeError(f"fit: the first argument must be a Manipulator, got {type(manipulator).__name__}")
     tables = (data,) if isinstance(data, Measurements) else tuple(data)
     with within("fit"):
-        free = free_parameters(manipulator, free)
+        free = bench.free_parameters(manipulator, free)
     if not all(isinstance(table, Measurements) for table in tables):
         raise InputError("fit: data must be tables as read_measurements gives them, one or several")
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
@@ -198,12 +187,14 @@ def fit(
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
-    kinds = {name: parameter_named(name) for name in free}
+    kinds = {name: bench.parameter_named(name) for name in free}
     before = np.cumsum([0, *(len(_trials(table)) for table in tables)])
-    experiments = (experiment_of(table, manipulator, int(first)) for table, first in zip(tables, before, strict=False))
-    model = BenchModel(manipulator, tuple(experiments), nodes)
-    groups = groups_of(tables, model)
-    start = {name: starting_value(manipulator, name) for name in free}
+    experiments = (
+        bench.experiment_of(table, manipulator, int(first)) for table, first in zip(tables, before, strict=False)
+    )
+    model = bench.BenchModel(manipulator, tuple(experiments), nodes)
+    groups = bench.groups_of(tables, model)
+    start = {name: bench.starting_value(manipulator, name) for name in free}
     bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive} | dict(bounds or {})
     scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
     data_of = {"observed": {group.label: group.observed for group in groups}, "sigma": noise_of(groups, noise or {})}
@@ -223,7 +214,9 @@ def _trials(table: Measurements) -> tuple[str, ...]:
     return () if "pulling_tension" in table else table.trial_labels
 
 
-def noise_of(groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise]) -> dict[str, ArrayLike | Noise | None]:
+def noise_of(
+    groups: Sequence[bench.Group], noise: Mapping[str, ArrayLike | Noise]
+) -> dict[str, ArrayLike | Noise | None]:
     """By group, the noise of its column as it was given; of one number per row, those of the rows that were read.
 
     Raises:
@@ -242,16 +235,16 @@ def noise_of(groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise]) ->
 
 
 def _conclude(
-    statistics: LeastSquaresFit, tables: tuple[Measurements, ...], model: BenchModel, trial_spread: float
+    statistics: LeastSquaresFit, tables: tuple[Measurements, ...], model: bench.BenchModel, trial_spread: float
 ) -> Fit:
     """The fit of a manipulator from the statistics: the estimates in its place, and a look at each table's solves."""
     body = model.manipulator
     looks = tuple(looks_at(statistics.parameters, tables, model))
     if statistics.success and (reason := next(filter(None, map(doubt, looks)), "")):
         statistics = statistics.doubted(reason)
-    both = "friction_coefficient", stiffness_parameter(body)
-    fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
-    own = [name for name in statistics.names if not name.startswith(TRIALS)]
+    both = "friction_coefficient", bench.stiffness_parameter(body)
+    fixed = {n: bench.starting_value(body, n) for n in both if n not in statistics.names}
+    own = [name for name in statistics.names if not name.startswith(bench.TRIALS)]
     of_fixed = {
         "value": fixed,
         "standard_error": dict.fromkeys(fixed, 0.0),
@@ -259,14 +252,14 @@ def _conclude(
         "status": dict.fromkeys(fixed, FIXED),
     }
     found = vars(statistics)
-    labels = {name: [g.label for g in groups_of(tables, model) if g.name == name] for name in model.names}
+    labels = {name: [g.label for g in bench.groups_of(tables, model) if g.name == name] for name in model.names}
     trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in _trials(table)]
     spread = np.sqrt(np.diag(statistics.covariance))
     effects = [Estimate(statistics.value[n], float(spread[i])) for i, n in enumerate(statistics.names) if n not in own]
     kept = [name for name in statistics.names if name not in own]
     return Fit(
         **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
-        manipulator=with_parameters(body, statistics.parameters),
+        manipulator=bench.with_parameters(body, statistics.parameters),
         tables=tables,
         model=model,
         alone={n: Alone(**vars(statistics.told_by(*labels[n], with_priors_of=kept))) for n in model.names},
