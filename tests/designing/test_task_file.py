@@ -87,7 +87,9 @@ def test_a_profile_of_an_unknown_kind():
     odd = replace(paper_body("exact"), outer_radius=Shifted(cddf.Linear(0.02, 0.013, 0.14), 1e-3))
     refused_design("outer_radius is not one number; name a number of it: outer_radius.profile.base,", odd)
     inside = replace(paper_body("exact"), outer_radius=cddf.Piecewise([0.07], [odd.outer_radius, 0.015]))
-    refused_design("a profile of type Shifted has no free values; name a number of it", inside)
+    refused_design(
+        "outer_radius is not one number; name a number of it: outer_radius.ends.0, outer_radius.pieces", inside
+    )
     refused("a profile of type Shifted cannot follow the length; hold the length", stretched, odd, 0.15)
 
 

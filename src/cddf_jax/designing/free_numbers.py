@@ -1,7 +1,7 @@
 """The free numbers of a design: their names, their bounds, and the bodies that they make."""
 
+import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,9 +12,10 @@ from jaxtyping import Array, Float
 from ..errors import InputError
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, stem_and_tendon
-from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline
 from .load_cases import LoadCase
 
+VALUE = re.compile(r"(pieces\.\d+\.?)*(base|tip|values\.\d+|\d+)?")  # a part of a profile
+PLACE = re.compile(r"\.(ends\.\d+|arc_length\.\d+|length|end)$")  # where such a part holds, or where a tendon ends
 WIDE = 10.0  # bounds unless given: a tenth of the start value, and ten times it
 Vector = Float[Array | np.ndarray, " n"]
 Bounds = Mapping[str, tuple[float, float]]  # (lower, upper) by name, SI
@@ -122,30 +123,11 @@ def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:
 
 
 def _within(case: Case, name: str) -> list[str]:
-    node: Any = case.manipulator
-    for step in name.split("."):
-        inside = isinstance(node, tuple) and step.isdigit() and int(step) < len(node)
-        node = node[int(step)] if inside else getattr(node, step, None)
-    if isinstance(node, Linear | Polyline | Spline | Piecewise):
-        return [f"{name}.{inner}" for inner in _values_of(node)]
-    if isinstance(node, np.ndarray | jax.Array) and np.ndim(node) == 1:
-        return [f"{name}.{i}" for i in range(len(node))]
+    """The numbers that a name stands for: of a profile its values, not the places where they hold."""
+    inside = [other for other in case.numbers if other.startswith(f"{name}.") and not PLACE.search(other)]
+    if inside and all(VALUE.fullmatch(other.removeprefix(f"{name}.")) for other in inside):
+        return inside
     number = case.number(name)
     if not isinstance(number, float | np.ndarray | jax.Array) or np.ndim(number) != 0:
         raise InputError(f"design: {name!r} has no number of its own here; give the start one, or name a part of it")
     return [name]
-
-
-def _values_of(profile: Profile) -> list[str]:
-    """The names of a profile's own values, not of the places where they hold."""
-    match profile:
-        case Constant():
-            return ["value"]
-        case Linear():
-            return ["base", "tip"]
-        case Polyline() | Spline():
-            return [f"values.{i}" for i in range(len(profile.values))]
-        case Piecewise():
-            pieces = enumerate(profile.pieces)
-            return [f"pieces.{i}.{inner}" for i, piece in pieces for inner in _values_of(piece)]
-    raise InputError(f"design: a profile of type {type(profile).__name__} has no free values; name a number of it")

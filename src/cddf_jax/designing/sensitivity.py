@@ -12,9 +12,9 @@ from jaxtyping import Array
 
 from ..numerics.constrained import LocalMinimum
 from ..programs.kept import kept_program
-from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, of_tendon
-from .load_cases import LoadCase, case_numbers
+from ..robot.named_numbers import Case
+from .free_numbers import PLACE
+from .load_cases import case_numbers
 from .problem import DesignProblem, ProgramValues
 
 KINK = 1e-5  # relative: multipliers that differ by less are the same
@@ -48,15 +48,13 @@ def fixed_numbers(problem: DesignProblem) -> dict[FixedNumber, float]:
     free = {name for names in problem.free.names for name in names}
     body = problem.manipulator
     set_by_cases = {name for case in problem.cases for name in case.numbers}
-    found = {
-        FixedNumber("body", 0, name): value
-        for name, value in _numbers(case_numbers(body), _names_of_body(body)).items()
-        if name not in free | set_by_cases
-    }
+    of_body = _numbers(case_numbers(body))
+    found = {FixedNumber("body", 0, name): x for name, x in of_body.items() if name not in free | set_by_cases}
     for i, case in enumerate(problem.cases):
         if len(case.numbers) == 0 or len(problem.cases) == 1:
-            acting = _numbers(case.of(body), _names_of_case(body, case))
-            found |= {FixedNumber("case", i, name): value for name, value in acting.items() if name not in free}
+            acting = _numbers(replace(case, direction=None).of(body))
+            own = [name for name in acting if name not in {*of_body, *free}]
+            found |= {FixedNumber("case", i, name): acting[name] for name in own}
     for i, limit in enumerate(problem.limits):
         sides = {side: getattr(limit, side) for side in ("least", "most", "equal")}
         found |= {
@@ -67,30 +65,9 @@ def fixed_numbers(problem: DesignProblem) -> dict[FixedNumber, float]:
     return found
 
 
-def _names_of_body(body: Manipulator) -> list[str]:
-    names = ["length", "youngs_modulus", "friction_coefficient", *(["density"] if np.any(body.density) else [])]
-    names += [name for name in ("drag", "stiffness_factor") if getattr(body, name) is not None]
-    names += [f"point_masses.{i}.{part}" for i in range(len(body.point_masses)) for part in ("mass", "arc_length")]
-    return names + [f"{profile}{end}" for profile in body.profiles for end in ("", ".base", ".tip")]
-
-
-def _names_of_case(body: Manipulator, case: LoadCase) -> list[str]:
-    actuated = ["base_tension", *(of_tendon("base_tension", i) for i in range(body.num_tendons))]
-    names = [name + part for name in actuated for part in ("", ".value")]
-    return names + (["loads.tip_force.0", "loads.tip_force.1", "loads.tip_moment"] if case.loads is not None else [])
-
-
-def _numbers(case: Case, names: list[str]) -> dict[str, float]:
-    """Those of the names that stand for one number here."""
-    found = {}
-    for name in names:
-        try:
-            number = case.number(name)
-        except ValueError:
-            continue
-        if isinstance(number, float | np.ndarray | jax.Array) and np.ndim(number) == 0:
-            found[name] = float(np.asarray(number))
-    return found
+def _numbers(case: Case) -> dict[str, float]:
+    """The single numbers of a case by name, without places along profiles."""
+    return {name: float(np.asarray(number)) for name, number in case.numbers.items() if not PLACE.search(name)}
 
 
 def with_fixed(problem: DesignProblem, numbers: Mapping[FixedNumber, Array]) -> DesignProblem:

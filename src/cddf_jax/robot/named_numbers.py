@@ -61,6 +61,13 @@ class Case(eqx.Module):
             leaves[leaf] = jnp.asarray(leaves[leaf]).at[index].set(number) if index else number
         return jax.tree.unflatten(structure, leaves)
 
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """Every single number by its name."""
+        leaves, places, _ = self._flat()
+        there = {name: place for name, place in places.items() if leaves[place[0]] is not None}
+        return {name: leaves[leaf][index] if index else leaves[leaf] for name, (leaf, index) in there.items()}
+
     def unit(self, name: str) -> str:
         """The SI unit of a number, "1" for none."""
         self.number(name)
