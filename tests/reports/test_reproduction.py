@@ -130,8 +130,7 @@ def test_markdown_holds_every_row(reproduced):
 
 def test_measured_trials_are_not_called_simulated(load_cells):
     measured = Measurements.from_columns("bench", **load_cells.columns)
-    results = reproduction.PaperResults(paper_body(), *[None] * 2, load_cells=measured, predicted=np.zeros(0))  # type: ignore[arg-type]
-    assert results.trials == "trials"
+    assert reproduction.computed(paper_body(), measured).trials == "trials"
 
 
 def test_a_failure_midway_leaves_nothing(load_cells, tmp_path, monkeypatch):

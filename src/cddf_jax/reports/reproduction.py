@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from ..errors import InputError
@@ -35,24 +35,17 @@ class PaperResults(NamedTuple):
     """Everything that is drawn and tabulated, as NumPy arrays in SI units."""
 
     manipulator: Manipulator
-    equilibria: Equilibrium  # base tensions first, `PULLS` and then the load cells'
+    equilibria: Equilibrium  # base tensions first, `PULLS`
     history: IterationHistory  # base tensions `HISTORY_PULLS` first
-    load_cells: Measurements
-    predicted: np.ndarray  # tip tension by the model at the load cells' base tensions
-
-    @property
-    def base_tension_read(self) -> np.ndarray:
-        """Where the tip tension was read too."""
-        return self.load_cells["base_tension"][self.load_cells.has("tip_tension")]
-
-    @property
-    def trials(self) -> str:
-        return "simulated trials" if self.load_cells.simulated else "trials"
+    trials: str  # in words
+    base_tension: np.ndarray  # of the trials, where the tip tension was read too
+    observed: np.ndarray  # tip tension of the trials
+    predicted: np.ndarray  # the same by the model
 
     @property
     def tip_tension(self) -> np.ndarray:
         """At `PULLS`."""
-        return np.asarray(self.equilibria.tip_tension)[: len(PULLS), 0]
+        return self.equilibria.tip_tension[:, 0]
 
     def at_pull(self, base_tension: float) -> Equilibrium:
         return jax.tree.map(lambda x: x[np.searchsorted(PULLS, base_tension)], self.equilibria)
@@ -80,7 +73,7 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
         raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; leave one")
     if "tip_tension" not in load_cells:
         raise InputError(f"{load_cells.name}: the column tip_tension is missing; Fig. 8 shows it over base_tension")
-    results = _compute(manipulator, load_cells)
+    results = computed(manipulator, load_cells)
     figures = {
         "fig3_tip_error": tip_error_figure(results),
         "fig4_iterations": iterations_figure(results),
@@ -98,24 +91,24 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
     return answer
 
 
-def _compute(manipulator: Manipulator, load_cells: Measurements) -> PaperResults:
-    pulls = np.concatenate([PULLS, load_cells["base_tension"][load_cells.has("tip_tension")]])
-    equilibria, good = jax.tree.map(np.asarray, _pull(manipulator, pulls))
+def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults:
+    """All of it, for a manipulator and trials as of `reproduce`."""
+    base, observed = load_cells["base_tension"][load_cells.has("tip_tension")], load_cells.read("tip_tension")
+    pulls = np.concatenate([PULLS, base])
+    equilibria = jax.tree.map(np.asarray, _pull(manipulator, pulls))
+    good = equilibria.result == RESULTS.successful
     if not np.all(good):
         solve(manipulator, pulls[np.argmin(good)])  # raises and says why
+    curve, predicted = jax.tree.map(lambda x: x[: len(PULLS)], equilibria), equilibria.tip_tension[len(PULLS) :, 0]
     history = jax.tree.map(np.asarray, _histories(manipulator, HISTORY_PULLS))
-    predicted = np.asarray(equilibria.tip_tension)[len(PULLS) :, 0]
-    return PaperResults(manipulator, equilibria, history, load_cells, predicted)
+    trials = "simulated trials" if load_cells.simulated else "trials"
+    return PaperResults(manipulator, curve, history, trials, base, observed, predicted)
 
 
 @kept_program
 @eqx.filter_jit
-def _pull(
-    manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]
-) -> tuple[Equilibrium, Bool[Array, " pulls"]]:
-    """The equilibrium at each base tension, and whether all is well."""
-    equilibria = jax.vmap(lambda pull: solve(manipulator, pull, throw=False))(base_tension)
-    return equilibria, equilibria.result == RESULTS.successful
+def _pull(manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]) -> Equilibrium:
+    return jax.vmap(lambda pull: solve(manipulator, pull, throw=False))(base_tension)
 
 
 @kept_program
@@ -132,9 +125,7 @@ def tip_error_figure(results: PaperResults) -> Figure:
     """Fig. 3: how far each update of the paper's algorithm moves the tip."""
     history = results.history
     updates = np.arange(1, HISTORY_UPDATES + 1)
-    with draw.house_style():
-        figure = draw.new_figure(draw.SINGLE_COLUMN, 2.5)
-        axes = figure.subplots()
+    with draw.axes_or_new(None, 2.5) as axes:
         for pull, error, curve in zip(HISTORY_PULLS, history.tip_error, draw.CURVES, strict=True):
             axes.semilogy(updates, 1e3 * error, label=f"{pull:g} N", **curve)
         threshold = 1e3 * history.tip_tolerance
@@ -143,16 +134,14 @@ def tip_error_figure(results: PaperResults) -> Figure:
         axes.text(HISTORY_UPDATES, 1.1 * threshold, label, ha="right", va="bottom")
         axes.set(xlabel="Update", ylabel="Tip error $e_\\mathrm{tip}$ (mm)", ylim=(1e-5, 1e2), xticks=updates)
         axes.legend(title="$T_\\mathrm{base}$", ncols=2)
-    return figure
+    return draw.figure_of(axes)
 
 
 def iterations_figure(results: PaperResults) -> Figure:
     """Fig. 4: the midline at each iteration, from the frictionless start."""
     history = results.history_at_pull()
     midlines = 1e3 * history.position[: int(history.num_updates) + 1]
-    with draw.house_style():
-        figure = draw.new_figure(draw.SINGLE_COLUMN, 2.45)
-        axes = figure.subplots()
+    with draw.axes_or_new(None, 2.45) as axes:
         near_tip = axes.inset_axes((0.09, 0.42, 0.48, 0.56))
         axes.plot(*midlines[0].T, color=draw.BLACK, linestyle="--", label="start, no friction")
         for k, curve in zip(range(1, len(midlines)), itertools.cycle(draw.CURVES)):
@@ -165,8 +154,8 @@ def iterations_figure(results: PaperResults) -> Figure:
         near_tip.spines[:].set_visible(True)
         axes.indicate_inset_zoom(near_tip, edgecolor=draw.GREY, linewidth=0.5)
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)", aspect="equal")
-        figure.legend(loc="outside lower center", ncols=3)
-    return figure
+        draw.figure_of(axes).legend(loc="outside lower center", ncols=3)
+    return draw.figure_of(axes)
 
 
 def distributed_forces_figure(results: PaperResults) -> Figure:
@@ -199,7 +188,7 @@ def shapes_figure(results: PaperResults) -> Figure:
 
 def tip_tension_figure(results: PaperResults) -> Figure:
     """Fig. 8: tip over base tension, the model's line and the simulated trials, with what lies between them below."""
-    base, tip = results.base_tension_read, results.load_cells.read("tip_tension")
+    base, tip = results.base_tension, results.observed
     trials, left = by_level(base, tip), by_level(base, tip - results.predicted)
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 3.6)
@@ -258,9 +247,9 @@ def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
     """The numbers of section IV that the paper prints, and those that its figures only show."""
     fields = fields_along(results.at_pull(PULL), stations(results.manipulator))
     history = results.history_at_pull()
-    base, observed = results.base_tension_read, results.load_cells.read("tip_tension")
     tip, updates = results.tip_tension[np.searchsorted(PULLS, PULL)], int(history.num_updates)
-    levels = len(by_level(base, observed).x)
+    observed = results.observed
+    levels = len(by_level(results.base_tension, observed).x)
     error = float(np.mean(np.abs(results.predicted - observed)[observed > 0] / observed[observed > 0]))
     strongest = [np.max(np.linalg.norm(force[0], axis=-1)) for force in (fields.normal_force, fields.friction_force)]
     x, y = map(float, fields.position[-1])
