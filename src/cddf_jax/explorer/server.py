@@ -20,33 +20,13 @@ from ..measurements.table import Measurements
 from ..measurements.trials import read_tables
 from ..robot.manipulator import Manipulator, conical
 from .model import Exploration
-from .view import ExplorerView, Threads
+from .view import STYLES, ExplorerView, Threads, column
 
 T = TypeVar("T")
 
 ADDRESS = "127.0.0.1"  # this machine alone
 TITLE = "cddf explorer"
 PAPER = "the manipulator of Liu et al. (2020), as no file was given"
-PAGE = """
-:host { display: grid !important; gap: 0 16px; grid-template-columns: 290px minmax(0, 1.6fr) minmax(0, 1fr);
-  grid-template-rows: auto auto auto 1fr;
-  grid-template-areas: "side body tension" "side numbers tension" "side along along" "side rest rest"; }
-.body { grid-area: body; } .numbers { grid-area: numbers; } .side { grid-area: side; }
-.tension { grid-area: tension; } .along { grid-area: along; } .rest { grid-area: rest; }
-@media (max-width: 1000px) { :host { grid-template-columns: 260px minmax(0, 1fr); grid-template-rows: none;
-  grid-template-areas: "side body" "side numbers" "side tension" "along along" "rest rest"; } }
-@media (max-width: 640px) { :host { grid-template-columns: minmax(0, 1fr); grid-template-rows: none;
-  grid-template-areas: "body" "numbers" "side" "tension" "along" "rest"; }
-  .body { position: sticky !important; top: 0; z-index: 5; background: white; } }
-"""
-ROOT = ".notice { position: sticky !important; top: 0; z-index: 10; }"
-TITLED = "h2 { font-size: 16px; margin: 8px 0 0; }"
-HEAD = "h1 { font-size: 20px; margin: 4px 0 0; } p { margin: 2px 0; }"
-NOTICE = """
-p { margin: 0; padding: 6px 10px; border-left: 5px solid; font-size: 14px; overflow-wrap: anywhere; }
-p.error { border-color: #d55e00; background: #fdf1e7; }
-p.busy { border-color: #0072b2; background: #eaf4fb; }
-"""
 
 
 def papers_manipulator() -> Manipulator:
@@ -76,8 +56,8 @@ class Page:
 
     def __init__(self, content: PageContent):
         self.content = content
-        self.notice = pn.pane.HTML("", stylesheets=[NOTICE], sizing_mode="stretch_width", css_classes=["notice"])
-        self.head = pn.pane.HTML("", stylesheets=[HEAD], margin=(0, 8))
+        self.notice = pn.pane.HTML("", stylesheets=STYLES, sizing_mode="stretch_width", css_classes=["notice"])
+        self.head = pn.pane.HTML("", stylesheets=STYLES, margin=(0, 8))
         self.robot_file = pn.widgets.FileInput(accept=".toml", name="Manipulator (TOML)", width=175, margin=(0, 4))
         self.data_files = pn.widgets.FileInput(
             accept=".csv,.tsv,.txt,.lvm,.xlsx", name="Data (CSV or .xlsx, one or several)", multiple=True, width=185
@@ -85,14 +65,14 @@ class Page:
         self.robot_file.param.watch(lambda _: self._load(self._read_robot), "value")
         self.data_files.param.watch(lambda _: self._load(self._read_data), "value")
         self.view: ExplorerView | None = None
-        self.place = pn.Column(stylesheets=[PAGE], sizing_mode="stretch_width", margin=0)
+        self.place = column(css_classes=["places"])
         self._renew()
 
     @property
     def layout(self) -> pn.Column:
         """The whole page."""
         head = pn.FlexBox(self.head, self.robot_file, self.data_files, align_items="center", gap="4px 12px")
-        return pn.Column(head, self.notice, self.place, stylesheets=[ROOT], sizing_mode="stretch_width")
+        return column(head, self.notice, self.place, css_classes=["whole"])
 
     def say(self, text: str, kind: str) -> None:
         """One line at the head of the page, or none."""
@@ -145,7 +125,7 @@ def sections_as_read(columns: Sequence[SectionColumn]) -> pn.Column:
     )
     lines = "".join(f"<p>{_escaped(str(column))}</p>" for column in columns)
     return pn.Column(
-        pn.pane.HTML("<h2>Cross-sections as read</h2>" + lines, stylesheets=[HEAD + TITLED]), picture, max_width=800
+        pn.pane.HTML("<h2>Cross-sections as read</h2>" + lines, stylesheets=STYLES), picture, max_width=800
     )
 
 

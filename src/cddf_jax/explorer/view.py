@@ -2,10 +2,11 @@
 
 import io
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 from typing import TypeAlias
 
 import jax
@@ -30,31 +31,7 @@ from .words import lines_html, numbers_html, tapers_html
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 COMPILED: set[tuple[object, int]] = set()  # structures of cases with the number of arc lengths
 COMPILING = "Compiling for this kind of body and load, some seconds ..."
-WORDS = """
-:host { font-size: 14px; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th { text-align: left; font-weight: normal; color: #595959; }
-td:not(:first-child) { white-space: nowrap; }
-td, th { padding: 2px 8px 2px 0; border-bottom: 1px solid #e8e8e8; }
-.tiles { display: flex; flex-wrap: wrap; gap: 4px 22px; margin-bottom: 6px; font-variant-numeric: tabular-nums; }
-.tile span { display: block; color: #595959; font-size: 12px; }
-.tile b, td b { font-weight: 600; }
-p { margin: 4px 0; overflow-wrap: anywhere; }
-p.known { border-left: 4px solid #009e73; padding-left: 8px; }
-p.lost { border-left: 4px solid #d55e00; padding-left: 8px; }
-"""
-GRID = """
-:host { display: grid !important; gap: 4px 16px; }
-:host { grid-template-columns: repeat(auto-fit, minmax(min(100%%, %dpx), 1fr)); }
-"""
-# no picture is good (stale); a newer one is being computed, which is said where it takes more than a moment
-MARKS = """
-:host(.stale) { opacity: 0.35; filter: grayscale(1); }
-:host(.computing)::after { content: "computing ..."; position: absolute; top: 0; right: 8px; z-index: 4;
-  padding: 1px 8px; background: #eaf4fb; color: #0072b2; font-size: 13px; animation: appear 0.2s 0.3s both; }
-@keyframes appear { from { opacity: 0; } to { opacity: 1; } }
-"""
-UNSEEN = "label { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }"
+STYLES = [Path(__file__).with_name("page.css").read_text(encoding="utf-8")]  # of every part of the page
 
 Part: TypeAlias = pn.viewable.Viewable
 Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "error", "busy" or "" for none
@@ -62,16 +39,17 @@ Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "err
 
 def grid(*parts: Part, least: int) -> pn.Column:
     """Side by side while each has so many pixels, below each other where not."""
-    return column(*parts, stylesheets=[GRID % least])
+    return column(*parts, css_classes=["side-by-side"], styles={"--least": f"{least}px"})
 
 
-def column(*parts: Part, stylesheets: Sequence[str] = ()) -> pn.Column:
+def column(*parts: Part, **look: list[str] | dict[str, str]) -> pn.Column:
     """Parts below each other, as wide as the page."""
-    return pn.Column(*parts, sizing_mode="stretch_width", margin=0, stylesheets=list(stylesheets))
+    return pn.Column(*parts, sizing_mode="stretch_width", margin=0, stylesheets=STYLES, **look)
 
 
 def words(name: str) -> pn.pane.HTML:
-    return pn.pane.HTML("", stylesheets=[WORDS], sizing_mode="stretch_width", margin=(4, 8), css_classes=[name])
+    classes = ["words", name]
+    return pn.pane.HTML("", stylesheets=STYLES, sizing_mode="stretch_width", margin=(4, 8), css_classes=classes)
 
 
 class Threads(ExitStack):
@@ -116,7 +94,7 @@ class ExplorerView:
             "tension": grid(*map(plot, self.tension.figures.values()), least=330),
             "what_if": self.what_if,
         }
-        self.drawn = {name: column(part, stylesheets=[MARKS]) for name, part in parts.items()}
+        self.drawn = {name: column(part) for name, part in parts.items()}
         self.closed = False
         pn.state.on_session_destroyed(lambda _: self.close())
         pn.state.onload(self.change)
@@ -357,9 +335,10 @@ def _slider(control: Control) -> pn.widgets.EditableFloatSlider:
         margin=(4, 12),
     )
     for field in slider.select(pn.widgets.FloatInput):  # a label of its own, for those who do not see the slider's
-        field.name, field.stylesheets = slider.name, [*field.stylesheets, UNSEEN]
+        field.name, field.stylesheets = slider.name, [*field.stylesheets, *STYLES]
+        field.css_classes = [*field.css_classes, "unseen"]
     return slider
 
 
 def _title(text: str) -> pn.pane.HTML:
-    return pn.pane.HTML(f"<h2>{text}</h2>", stylesheets=["h2 { font-size: 16px; margin: 8px 0 0; }"], margin=(0, 8))
+    return pn.pane.HTML(f"<h2>{text}</h2>", stylesheets=STYLES, margin=(0, 8))
