@@ -1,4 +1,4 @@
-"""Design tasks in TOML files with units; `TEMPLATE` holds every key."""
+"""Design tasks in TOML files with units; `template.toml` holds every key."""
 
 import re
 import textwrap
@@ -30,56 +30,7 @@ from .results import Design
 Table = Mapping[str, object]
 Item = TypeVar("Item")
 
-
-TEMPLATE = """\
-# A task of cddf design. Take the # away from the lines that you need.
-
-robot = "smooth_sil_940.toml"                # required: the start, the file of a manipulator, beside this one
-# kinematics = "exact"                       # instead of the robot's
-# starts = 64                                # points within the bounds that are tried; 1 unless given
-# seed = 0                                   # of these points
-# max_iterations = 300                       # of each search
-# nodes = 16                                 # of the solver
-# worst = true                               # optimise the worst case, and not the weighted mean of all
-# offsets_outside_wall = true                # allow tendons in the bore or outside; unless given as in the robot's file
-
-[free]                                       # by name, as in cddf sweep: length, youngs_modulus, "tendons.*.offset"
-outer_radius = { bounds = ["8 mm", "25 mm"] }  # unless given a tenth of the start value and ten times it
-# outer_radius = { taper = true }            # a straight taper, in place of the robot's own form
-# outer_radius = { knots = 9 }               # a spline through so many points, in place of the robot's own form
-# outer_radius = { choices = ["12 mm", "15 mm"] }  # one of a few values; no other key beside it
-
-[[case]]                                     # a way to use the body; one table for each
-base_tension = "tip_angle=90 deg"            # required: as in cddf solve; a list for several tendons
-# name = "bent"                              # in the report
-# direction = 1                              # 1: the tendon slides in, -1: it slides out; a list for several tendons
-# tip_force = "0 N, -1 N"                    # dead load (X, Y) on the tip
-# tip_moment = "0.1 N m"                     # on the tip, positive from X to Y
-# gravity = "0, -9.81 m/s^2"                 # acceleration (X, Y); the body needs a mass
-# weight = 2.0                               # in the mean over all cases; 1 unless given
-# numbers = { youngs_modulus = "1.5 MPa" }   # of the body, other ones in this case
-
-# [uncertain]                                # every case with bodies drawn from what a fit of data leaves uncertain
-# data = ["load_cells.csv"]                  # required: files of measurements, beside this one
-# columns = { Tbase_N = "base_tension [N]" }  # as --column of cddf fit
-# num = 16                                   # bodies for each case, a power of 2; 16 unless given
-# seed = 0                                   # of the draws
-
-[[objective]]                                # one table for each; several count relative to their sizes at the start
-least = "base_tension"                       # this quantity as small as possible; or one of the next three
-# most = "tip_stiffness"                     # as large as possible
-# even = "curvature"                         # as even along the body as possible
-# near = "position"                          # near a value
-# value = [["60 mm", "10 mm"]]               # with near: the value
-# at = ["70 mm"]                             # with near: the arc lengths at which it is wanted
-# weight = 1.0                               # of this objective
-
-[[limit]]                                    # one table for each; kept everywhere along the body and for every tendon
-quantity = "wall_thickness"                  # required: what is limited
-least = "2 mm"                               # with or without most
-# most = "5 mm"                              # with or without least
-# equal = "2 mm"                             # instead of least and most
-"""
+TEMPLATE = Path(__file__).with_name("template.toml").read_text(encoding="utf-8")
 _HEADER = re.compile(r"(?:# )?\[+(\w+)\]+ +# ")
 _KEY = re.compile(r"(?:# )?(?:outer_radius = { )?(\w+) = .+? +# (required: )?")
 
@@ -101,7 +52,7 @@ _OPTIONS = [field.name for field in fields(DesignOptions)]
 
 
 def template() -> str:
-    """`TEMPLATE`, and behind it the quantities that an objective or a limit can name."""
+    """A task with every key, and behind it the quantities that an objective or a limit can name."""
     names = "Quantities of an objective or a limit: " + ", ".join(BODY_QUANTITIES) + "."
     return f"{TEMPLATE}\n{textwrap.fill(names, 110, initial_indent='# ', subsequent_indent='# ')}\n"
 
