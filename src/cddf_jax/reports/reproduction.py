@@ -45,7 +45,7 @@ class PaperResults(NamedTuple):
     @property
     def tip_tension(self) -> np.ndarray:
         """At `PULLS`."""
-        return self.equilibria.tip_tension[:, 0]
+        return np.asarray(self.equilibria.tip_tension)[:, 0]
 
     def at_pull(self, base_tension: float) -> Equilibrium:
         return jax.tree.map(lambda x: x[np.searchsorted(PULLS, base_tension)], self.equilibria)
@@ -99,7 +99,8 @@ def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults
     good = equilibria.result == RESULTS.successful
     if not np.all(good):
         solve(manipulator, pulls[np.argmin(good)])  # raises and says why
-    curve, predicted = jax.tree.map(lambda x: x[: len(PULLS)], equilibria), equilibria.tip_tension[len(PULLS) :, 0]
+    curve = jax.tree.map(lambda x: x[: len(PULLS)], equilibria)
+    predicted = np.asarray(equilibria.tip_tension)[len(PULLS) :, 0]
     history = jax.tree.map(np.asarray, _histories(manipulator, HISTORY_PULLS))
     trials = "simulated trials" if load_cells.simulated else "trials"
     return PaperResults(manipulator, curve, history, trials, base, observed, predicted)
