@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
 import matplotlib as mpl
-import matplotlib.style
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -20,6 +19,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.style import context
 
 from ..errors import InputError
 from ..files.artifacts import write_all
@@ -64,7 +64,7 @@ STYLE = Path(__file__).with_name("house.mplstyle")
 @contextmanager
 def house_style() -> Iterator[None]:
     """The house style within the block, nothing changed outside it."""
-    with mpl.style.context([STYLE, FILES], after_reset=True):
+    with context([STYLE, FILES], after_reset=True):
         yield
 
 
