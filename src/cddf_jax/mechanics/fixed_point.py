@@ -156,7 +156,7 @@ class FixedPoint(eqx.Module):
     def _improve(self, problem: Problem, guess: Nodal) -> tuple["_Pass", Solution]:
         along, tip = _pass(problem, guess)
         better, guess = without_derivative((along.nodes.values, guess))  # their change needs no derivative
-        change = relative_size(minus(better, guess), better)
+        change = relative_size(jax.tree.map(problem.panels.without_empty, minus(better, guess)), better)
         positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
         still = change <= self._tolerance(problem)
         return along, _solution(

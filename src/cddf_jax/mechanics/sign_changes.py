@@ -20,6 +20,7 @@ from .problem import (
     Number,
     Problem,
     Solution,
+    State,
     curvature_along,
     edge_nudge,
     moment_rate_of,
@@ -80,12 +81,16 @@ def unsplit(manipulator: Manipulator, loads: Loads | None) -> Splits:
 Turning = Float[Array, "P p owners"]
 
 
-def signed_turning(problem: Problem, solution: Solution) -> Turning:
+def signed_turning(problem: Problem, state: State) -> Turning:
     """What may change sign, at the nodes, 1/m: kappa, or psi' of every tendon.
 
     And with drag what it leaves of the base tension of every tendon, over the moment scale.
+
+    Args:
+        problem: the body.
+        state: at its nodes.
     """
-    section, state = problem.nodes, solution.nodes
+    section = problem.nodes
     tension = tension_of(section, problem.base_tension, state.pull)
     kappa = curvature_along(section, tension, state.moment)
     turning = kappa[..., None]
@@ -103,9 +108,9 @@ def at_starts_and_ends(cut: Panels, turning: Turning) -> Float[Array, "2 P owner
     return jnp.moveaxis(jnp.moveaxis(turning, 1, -1) @ cut.constant("ends").T, -1, 0)
 
 
-def locate(problem: Problem, solution: Solution) -> Splits:
+def locate(problem: Problem, state: State) -> Splits:
     """The first sign changes from the base, between neighbouring nodes and on the polynomials through them."""
-    turning = signed_turning(problem, solution)
+    turning = signed_turning(problem, state)
     starts, ends = at_starts_and_ends(problem.panels, turning)
     points = jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)  # it may change beside an end
     both, least = _has_both_signs(problem, points)
@@ -190,7 +195,7 @@ def _refine(cut: Panels, turning: Float[Array, " p"], panel: UInt[Array, ""], br
 def turning_at_splits(problem: Problem, solution: Solution, splits: Splits) -> Float[Array, " splits"]:
     """The turning that should vanish at each split; for one that is not needed, its distance from the tip, m."""
     edges = problem.panels.edges
-    starts = at_starts_and_ends(problem.panels, signed_turning(problem, solution))[0]
+    starts = at_starts_and_ends(problem.panels, signed_turning(problem, solution.nodes))[0]
     panel = jnp.argmin(jnp.abs(edges[:-1] - splits.arc_length[:, None]), axis=1)
     turning = starts[panel, jnp.maximum(splits.owner, 0)]
     return jnp.where(splits.owner >= 0, turning, splits.arc_length - edges[-1])

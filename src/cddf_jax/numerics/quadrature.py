@@ -85,6 +85,15 @@ class Panels(eqx.Module):
     def _width_for(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *_"]:
         return self.width.reshape((-1, *[1] * (rate.ndim - 2)))
 
+    def without_empty(self, values: Float[Array, "P p *k"]) -> Float[Array, "P p *k"]:
+        """The values, zero at the nodes of panels without width."""
+        return jnp.where(self._width_for(values)[:, None] > 0, values, 0.0)
+
+    def with_empty(self, values: Float[Array, "P p *k"], count: int) -> Float[Array, "Q p *k"]:
+        """The values at the nodes of these panels and of panels without width at the tip."""
+        tip = jnp.tensordot(self.constant("ends")[1], values[-1], 1)
+        return jnp.concatenate([values, jnp.broadcast_to(tip, (count, *values.shape[1:]))])
+
     def gain(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *k"]:
         """The integral of `rate` over each panel."""
         return self._width_for(rate) * (jnp.moveaxis(rate, 1, -1) @ self.constant("weights"))
@@ -148,6 +157,12 @@ class Panels(eqx.Module):
         apart = place - self.constant("nodes")
         terms = self.constant("barycentric") / jnp.where(apart == 0, jnp.finfo(apart.dtype).tiny ** 0.5, apart)
         return terms / jnp.sum(terms)
+
+    def shifted(self, values: Float[Array, "P p *k"], new: "Panels") -> Float[Array, "P p *k"]:
+        """Values at the nodes of panels whose edges lie a little further on, to second order in how far."""
+        shift = (new.nodes - self.nodes).reshape((*self.nodes.shape, *[1] * (values.ndim - 2)))
+        rate = self.differentiate(values)
+        return values + shift * (rate + shift / 2 * self.differentiate(rate))
 
     def weights_on(self, new: "Panels") -> Float[Array, "points nodes"]:
         """The weights of these nodes in their polynomials at the nodes of other panels of the body, in one row each."""

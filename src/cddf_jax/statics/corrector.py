@@ -19,6 +19,7 @@ from ..mechanics.problem import (
     Number,
     Problem,
     Solution,
+    State,
     loaded_to,
     moments_of,
     nodal,
@@ -98,7 +99,7 @@ class LoadedBody(NamedTuple):
         here = loaded_to(self.problem, fraction, moment * self.problem.moment_scale)
         return eqx.tree_at(lambda problem: problem.base_tension, here, pull * here.base_tension)
 
-    def correct(self, trial: Trial, fraction: Number, by_loads: Flag) -> tuple[Trial, Solution]:
+    def correct(self, trial: Trial, fraction: Number, by_loads: Flag) -> Trial:
         """One pass with its slopes, then one Newton step of M_ext(0), along whose slopes everything else follows.
 
         Args:
@@ -147,9 +148,9 @@ class LoadedBody(NamedTuple):
             sane=jnp.where(trial.num_passes == 0, sane, trial.sane),
             num_passes=trial.num_passes + 1.0,
             change=solution.residual,
-        ), solution
+        )
 
-    def _improve(self, trial: Trial) -> tuple[Trial, Solution]:
+    def _improve(self, trial: Trial) -> Trial:
         """One pass without loads."""
         solution = self.method.improve(self.problem, trial.nodal)
         sane = jnp.isfinite(solution.residual) & ~solution.locked
@@ -161,7 +162,14 @@ class LoadedBody(NamedTuple):
             lost=~sane | (trial.num_passes + 1 >= self.method.max_passes),
             num_passes=trial.num_passes + 1.0,
             change=solution.residual,
-        ), solution
+        )
+
+    def state(self, trial: Trial, fraction: Number) -> State:
+        """At the nodes."""
+        problem = self.problem if trial.moment is None else self.at(trial.moment, fraction, jnp.ones_like(trial.moment))
+        moment = moments_of(problem, trial.nodal)
+        heading = jnp.zeros_like(moment) if trial.heading is None else trial.heading.nodes
+        return State(pull_at_nodes(problem, trial.nodal), heading, moment, problem.outboard.nodes)
 
     def travel(self, trial: Trial, fraction: Number) -> PerTendon:
         """How far tendons slide in, m; under loads the rate at which they do while all base tensions rise together."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
@@ -37,6 +37,7 @@ from .load_path import LoadPath, follow_loads
 MAX_ROUNDS = 6
 MAX_MOVES = 12  # of panels that follow the sign changes from pass to pass; then MAX_ROUNDS more of settled bodies
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
+FAR = 1e-3  # of the length: values at the nodes of panels that move less follow to second order in how far
 SETTLED = 1e-7  # of the length: a kink that lies so far off the end of a panel costs 1e-14
 
 
@@ -136,11 +137,9 @@ class _Following(NamedTuple):
 
     trial: Trial
     travel: PerTendon
-    splits: Splits  # the sign changes
-    ends: Splits  # where the panels end on which they were found
-    edges: Float[Array, " edges"]  # of these panels, m
-    moved: Number  # the distance between the two, of the length
+    ends: Splits  # where the panels end
     num_moves: Number
+    over: Flag
 
 
 def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
@@ -156,17 +155,12 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
         problem = setup.lay_out(base_tension, None)
         guess = everywhere(problem.panels, at_base(problem))
         found, near = follow_loads(LoadedBody(problem, setup.method), guess, zero)
-        more = trial.nodal.ratio.shape[0] - guess.ratio.shape[0]  # empty panels at the tip
-        trial = _moved(near, lambda x: jnp.concatenate([x, *[jnp.broadcast_to(x[-1:, -1:], (1, *x.shape[1:]))] * more]))
+        count = trial.nodal.ratio.shape[0] - guess.ratio.shape[0]
+        trial = _moved(near, partial(problem.panels.with_empty, count=count))
 
-    def goes_on(state: _Following) -> Flag:
-        in_place = (state.moved <= _in_place(zero)) | (state.num_moves >= MAX_MOVES + MAX_ROUNDS)
-        return found.converged & ~state.trial.lost & ~(state.trial.settled & in_place)
-
-    edges = _cut(setup, blank.splits).edges
-    start = _Following(trial, blank.travel, blank.splits, blank.splits, edges, zero + jnp.inf, zero)
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
-    end = jax.lax.while_loop(goes_on, follow, start)
+    start = _Following(trial, blank.travel, blank.splits, zero, ~found.converged | trial.lost)
+    end = jax.lax.while_loop(lambda state: ~state.over, follow, start)
     trial = end.trial
     found = found._replace(
         base_moment=zero if trial.moment is None else trial.moment,
@@ -178,32 +172,52 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
 
 
 def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number, state: _Following) -> _Following:
-    """Move the panels to the sign changes if it is time, make one pass, and locate the sign changes again.
+    """Make one pass unless the body has settled, locate the sign changes, and move the panels there if it is time.
 
     Panels follow at once where the passes are calm. Where sign changes come and go, the panels follow only from one
     settled body to the next.
     """
-    calm = (state.num_moves < MAX_MOVES) & (state.trial.change <= ROUGHLY)
-    known = jnp.isfinite(state.moved)  # where they are; not before the first pass
-    move = known & (state.moved > _in_place(fraction)) & (state.trial.settled | calm)
-    ends = jax.tree.map(lambda a, b: jnp.where(move, a, b), state.splits, state.ends)
-    num_moves = state.num_moves + jnp.where(move, 1.0, 0.0)
+    ends, num_moves = state.ends, state.num_moves
     problem = setup.lay_out(base_tension, ends)
-
-    def moved(zero: Number) -> Trial:
-        weights = Panels.between(state.edges + zero, problem.panels.order).weights_on(problem.panels)
-        return _moved(state.trial, lambda x: (weights @ x.reshape(weights.shape[1], -1)).reshape(x.shape))
-
-    start = only_if(move, moved, state.trial)
-    start = start._replace(num_passes=jnp.where(move, 0.0, start.num_passes))
     body = LoadedBody(problem, setup.method)
-    trial, solution = body.correct(start, fraction, fraction < 0)
-    splits = locate(problem, solution)
-    travel = travel_under_tension(problem, pull_at_nodes(problem, trial.nodal), body.travel(trial, fraction))
+
+    def corrected(zero: Number) -> Trial:
+        start = jax.tree.map(lambda x: x + zero if eqx.is_inexact_array(x) else x, state.trial)
+        trial = body.correct(start, fraction, fraction < 0)
+        kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), start, trial)
+        return kept._replace(lost=trial.lost, locked=trial.locked)
+
+    trial = only_if(~state.trial.settled, corrected, state.trial)
+    splits = locate(problem, body.state(trial, fraction))
     distance = largest_size(splits.arc_length - ends.arc_length) / problem.panels.edges[-1]
-    kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), start, trial)
-    kept = kept._replace(lost=trial.lost, locked=trial.locked)
-    return _Following(kept, travel, splits, ends, problem.panels.edges, distance, num_moves)
+    calm = (num_moves < MAX_MOVES) & (trial.change <= ROUGHLY)
+    move = (distance > _in_place(fraction)) & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
+    over = trial.lost | (trial.settled & ~move)
+
+    def travelled(zero: Number) -> PerTendon:
+        here = body.travel(trial, fraction + zero)
+        return travel_under_tension(problem, pull_at_nodes(problem, trial.nodal), here)
+
+    new = _cut(setup, jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends))
+
+    def moved_far(zero: Number) -> Trial:
+        weights = problem.panels.weights_on(Panels.between(new.edges + zero, new.order))
+        return _moved(trial, lambda x: (weights @ x.reshape(weights.shape[1], -1)).reshape(x.shape))
+
+    def moved(_: Number) -> Trial:
+        near = _moved(trial, lambda x: problem.panels.shifted(x, new))
+        return only_if(distance > FAR, moved_far, near)
+
+    travel = only_if(over, travelled, state.travel)
+    trial = only_if(move, moved, trial)
+    num_passes = jnp.where(move, 0.0, trial.num_passes)
+    return _Following(
+        trial=trial._replace(settled=trial.settled & ~move, num_passes=num_passes),
+        travel=travel,
+        ends=jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends),
+        num_moves=num_moves + jnp.where(move, 1.0, 0.0),
+        over=over,
+    )
 
 
 def _in_place(number: Number) -> float:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ..mechanics.problem import Nodal, Number
+from ..mechanics.sign_changes import only_if
 from ..numerics.arrays import computed_once, largest_size, largest_sizes
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, start_from
 
@@ -19,7 +20,7 @@ LARGEST_MISS = 0.2  # rad, by which any cross-section may miss its predicted hea
 LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: where stability changes in a longer step, it may have reached another branch
 MAX_TRIES = 200
-MAX_SETTLING = 16  # passes at the full loads; where the tendons' turning changes its sign, they need not settle
+MAX_SETTLING = 16  # passes of a step, and at the full loads, where they need not settle if turning changes its sign
 
 
 class LoadPath(NamedTuple):
@@ -59,7 +60,8 @@ class _Walk(NamedTuple):
 
     @property
     def over(self) -> Flag:
-        return self.arrived | self.ended
+        trial = self.trial
+        return self.ended | (self.arrived & (trial.settled | trial.lost | (trial.num_passes >= MAX_SETTLING)))
 
 
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
@@ -81,16 +83,10 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
 
     def advance(walk: _Walk) -> _Walk:
         # in a batch this runs for all lanes, also for those that are over
-        full = walk.fraction >= 1.0
-
-        def done(trial: Trial) -> Flag:
-            enough = trial.settled | ~full | (trial.num_passes >= MAX_SETTLING)
-            return (trial.near & enough) | trial.lost | walk.over
-
-        trial = jax.lax.while_loop(
-            lambda trial: ~done(trial), lambda trial: body.correct(trial, walk.fraction, ~full)[0], walk.trial
-        )
-        return _decide(walk._replace(trial=trial))
+        walk = walk._replace(trial=body.correct(walk.trial, walk.fraction, walk.fraction < 1.0))
+        hopeless = walk.trial.lost | ((walk.num_steps > 0) & (walk.trial.num_passes >= MAX_SETTLING))
+        tried = ~walk.arrived & (walk.trial.near | hopeless)
+        return only_if(tried, lambda zero: _decide(walk._replace(fraction=walk.fraction + zero)), walk)
 
     walk = jax.lax.while_loop(lambda walk: ~walk.over, advance, _first_walk(guess, zero))
     place = walk.place
@@ -166,9 +162,10 @@ def _decide(walk: _Walk) -> _Walk:
     tries = walk.num_tries + 1.0
     arrived = accepted & (place.fraction >= 1.0)
     ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
+    predicted = _predict(place, jnp.where(ended, 0.0, step), trial)
     return _Walk(
         place,
-        _predict(place, jnp.where(ended, 0.0, step), trial)._replace(settled=trial.settled & arrived),
+        jax.tree.map(lambda trial, predicted: jnp.where(arrived, trial, predicted), _counted_anew(trial), predicted),
         step,
         fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
         num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
@@ -198,14 +195,18 @@ def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_p
 
 def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
     """The next trial, by an Euler step along the path; the slopes of the last trial are about right for it."""
-    false = trial.lost & False
     assert trial.slopes is not None
     slopes = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.slopes.nodal)
-    return trial._replace(
+    false = trial.lost & False
+    return _counted_anew(trial)._replace(
         moment=place.moment + step * place.moment_slope,
         nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
         slopes=trial.slopes._replace(nodal=slopes),
         near=false,
-        lost=false,
-        num_passes=jnp.zeros_like(place.moment),
+        settled=false,
     )
+
+
+def _counted_anew(trial: Trial) -> Trial:
+    """The trial with all its passes before it."""
+    return trial._replace(lost=trial.lost & False, num_passes=jnp.zeros_like(trial.num_passes))
