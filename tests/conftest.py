@@ -15,6 +15,7 @@ import jax
 import pytest
 from hypothesis import Phase, settings
 
+from cddf_jax import progress
 from cddf_jax.programs.kept import PROGRAMS
 
 # tracing makes many small objects that live: looking for garbage among them took a quarter of its time
@@ -54,6 +55,26 @@ def _let_compiled_programs_go():
 
 
 @pytest.fixture
+def said(monkeypatch):
+    """Every stage that work says to those who asked, in order, but compiling, which is kept; nothing is shown."""
+    every = []
+
+    class Recording(list):
+        def append(self, stage):
+            every.extend([stage] if stage.what != "compiling" else [])
+            super().append(stage)
+
+    class Recorded(progress.Stages):
+        def __init__(self, screen):
+            super().__init__(screen)
+            self.now = Recording()
+
+    monkeypatch.setattr(progress, "PATIENCE", float("inf"))
+    monkeypatch.setattr(progress, "Stages", Recorded)
+    return every
+
+
+@pytest.fixture
 def cddf_command(monkeypatch, capsys):
     """Run `cddf` with some arguments in this process, set up by the tests; exit code, standard output and error."""
 
@@ -62,6 +83,7 @@ def cddf_command(monkeypatch, capsys):
         from cddf_jax.cli import app as cli
 
         monkeypatch.setattr(application, "configure_jax", lambda **_: None)
+        monkeypatch.setattr(progress, "PATIENCE", float("inf"))  # however long it takes
         monkeypatch.setattr(sys, "argv", ["cddf", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
             cli.main()

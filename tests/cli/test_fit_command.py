@@ -36,12 +36,23 @@ def test_fit_in_words_says_what_is_not_known(cddf_command):
     assert "simulated data: pulley_simulated.csv" in out
 
 
+def test_a_fit_says_what_it_is_doing(cddf_command, said):
+    code, out, err = cddf_command("fit", PAPER, PULLEY, "--free", "friction_coefficient", "--bootstrap", "3")
+    assert (code, err) == (0, "")  # on standard output is the answer alone, and what is quick is not shown
+    assert [stage.what for stage in said] == [
+        *("loading", "loading", "searching"),
+        *("bootstrap", "refitting") * 2,  # of data, and of trials
+    ]
+    assert out.startswith("friction_coefficient = ")
+
+
 @pytest.mark.slow
-def test_fit_of_two_tables_in_json_and_files(answer_of, tmp_path):
+def test_fit_of_two_tables_in_json_and_files(answer_of, tmp_path, said):
     answer = answer_of("fit", PAPER, PULLEY, LOAD_CELLS, "--out", tmp_path)
     tables = [cddf.read_measurements(path) for path in (PULLEY, LOAD_CELLS)]
     assert_the_fit(answer, cddf.fit(cddf.read_manipulator(PAPER), tables))
     assert answer["status"] == dict.fromkeys(BOTH, "identified")
+    assert {(stage.what, stage.done, stage.total) for stage in said} >= {("profile", 1, 2), ("figure", 4, 5)}
     stems = ("fit_pulley_simulated", "fit_load_cells_simulated", "residuals", "profiles", "correlation")
     figures = {f"{stem}.{suffix}" for stem in stems for suffix in ("pdf", "png")}
     assert {path.name for path in tmp_path.iterdir()} == {"results.json", "report.md", *figures}

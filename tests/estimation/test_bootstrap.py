@@ -18,6 +18,7 @@ from straight_line import (
     without_a_number,
 )
 
+import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.bootstrap import Bootstrap
 from cddf_jax.estimation.least_squares import least_squares_fit
@@ -211,12 +212,13 @@ def test_refits_that_fail_are_counted():
     assert np.all(np.isnan(found.confidence_interval["a"]))
 
 
-def test_progress_is_shown(known, capsys, monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
-    known.bootstrap(replicates=3)
-    assert capsys.readouterr().err == ""
-    known.bootstrap(replicates=3, progress=True)
-    assert "3/3" in capsys.readouterr().err
+def test_how_far_it_is(known, said):
+    with cddf.show_progress():
+        known.bootstrap(replicates=300)  # of which 250 are refitted at once
+    assert [(stage.what, stage.done, stage.total) for stage in said] == [
+        ("bootstrap", 0, None),
+        ("refitting", 300, 300),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,14 @@
 """Work in chunks, shared by all processes, its answer in a store: a sweep, a bootstrap."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from ..errors import InputError
+from ..progress import stage
 from .chunks import Index, Layout
 from .store import Memory, ZarrStore
 
@@ -18,21 +18,19 @@ COPIES = 3  # of a chunk in memory: as it is computed, gathered, written
 class Work(NamedTuple):
     """Work whose chunks do not depend on each other; a chunk that is computed again gives the same numbers."""
 
+    what: str  # in words, "solving"
     layout: Layout  # of the answer
     identity: Callable[[], Mapping[str, object]]  # all that the answer depends on, JSON; computed for a store only
     chunk: Callable[[Layout, Index], Mapping[str, np.ndarray]]  # the answer in the region of one chunk
 
 
-def carry_out(
-    work: Work, out: str | os.PathLike[str] | None = None, allowed: float = np.inf, *, progress: bool = False
-) -> Memory | ZarrStore:
+def carry_out(work: Work, out: str | os.PathLike[str] | None = None, allowed: float = np.inf) -> Memory | ZarrStore:
     """Compute the chunks that are missing, each process its share; return when all processes are done.
 
     Args:
         work: to be done.
         out: path of a Zarr store; None for memory.
         allowed: memory, bytes.
-        progress: show a bar with the rate and the time that is left.
 
     Raises:
         InputError: for a store of other work, too little memory, several processes without a store.
@@ -44,10 +42,10 @@ def carry_out(
     total, left = (sum(layout.count(index) for index in some) for some in (mine, missing))
     done = False
     try:
-        with _bar(total, left, progress and rank == 0) as advance:
+        with stage(work.what, total, total - left) as now:
             for index in missing:
                 store.write(index, work.chunk(layout, index))
-                advance(layout.count(index))
+                now.done += layout.count(index)
         done = True
     finally:
         all_done = _all_say("done", done)
@@ -93,24 +91,3 @@ def _all_say(what: str, good: bool) -> bool:
 
     multihost_utils.sync_global_devices(f"cddf_jax: {what}")
     return bool(np.all(multihost_utils.process_allgather(np.array(good))))
-
-
-@contextmanager
-def _bar(total: int, left: int, shown: bool) -> Iterator[Callable[[int], None]]:
-    """A bar of progress; yields a function to call with the number of items that were done since."""
-    if not shown:
-        yield lambda count: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=total, completed=total - left, rate="")
-
-        def advance(count: int) -> None:
-            bar.advance(task, count)
-            speed = bar.tasks[0].speed
-            bar.update(task, rate="" if speed is None else f"{speed:,.0f}/s")
-
-        yield advance

@@ -8,6 +8,7 @@ import sys
 import typer
 
 from ..errors import InputError, SolveError
+from ..progress import show_progress
 from . import cache, design, explore, fit, plan, reproduce, solve, sweep
 from .options import BAD_INPUT, FAILED, INTERRUPTED, stop
 
@@ -21,7 +22,8 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; a failure is one line on standard error and an exit code."""
     try:
-        code = app(standalone_mode=False)
+        with show_progress():
+            code = app(standalone_mode=False)
     except InputError as error:
         stop(str(error), BAD_INPUT)
     except typer.TyperException as error:  # wrong usage

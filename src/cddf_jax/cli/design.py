@@ -1,12 +1,12 @@
 """`cddf design`: the body that meets an objective best, from a task in a file."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..errors import InputError
+from ..progress import stage
 from . import options
 
 if TYPE_CHECKING:
@@ -44,10 +44,11 @@ def design(
         raise InputError("give a task file; cddf design --template prints one with every key")
     from .. import application
 
-    application.configure_jax()
-    from ..designing.task_file import read_task
+    with stage("loading"):
+        application.configure_jax()
+        from ..designing.task_file import read_task
 
-    read = read_task(task, progress=sys.stderr.isatty())
+    read = read_task(task)
     options.note(read.read_as)
     answer, text, success = run_design(read, out) if pareto is None else trade_off(read, pareto, out)
     options.print_answer(text, answer, as_json=as_json)

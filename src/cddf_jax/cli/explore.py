@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
+from ..progress import stage
 from . import options
 
 EXAMPLE = "Example: cddf explore data/smooth_sil_940.toml data/tip_angle_simulated.csv"
@@ -35,7 +36,8 @@ def explore(
 
     application.configure_jax()
     try:
-        from ..explorer import server
+        with stage("loading"):
+            from ..explorer import server
     except ModuleNotFoundError as error:
         if error.name not in ("panel", "bokeh"):
             raise

@@ -1,10 +1,10 @@
 """`cddf fit`: friction and modulus from measurements."""
 
-import sys
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from ..progress import stage
 from . import options
 
 if TYPE_CHECKING:
@@ -66,10 +66,11 @@ def fit(
     manipulator = options.read_robot(
         robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap)
     ).manipulator
-    from ..identification.fit import fit
-    from ..reports.fit_report import fit_in_words, write_report
-    from ..reports.fit_results import fit_as_dict, make_report
-    from .fit_texts import read_bound, read_noise, read_prior
+    with stage("loading"):
+        from ..identification.fit import fit
+        from ..reports.fit_report import fit_in_words, write_report
+        from ..reports.fit_results import fit_as_dict, make_report
+        from .fit_texts import read_bound, read_noise, read_prior
 
     known_noise = options.read_all(noise, read_noise, "--noise")
     found = fit(
@@ -85,7 +86,7 @@ def fit(
         seed=seed,
         nodes=nodes,
     )
-    bootstraps = _bootstraps(found, bootstrap, seed, show_progress=sys.stderr.isatty() and not as_json)
+    bootstraps = _bootstraps(found, bootstrap, seed)
     report = make_report(found, options={"noise": known_noise}, bootstraps=bootstraps, with_profiles=out is not None)
     if out is not None:
         write_report(report, out)
@@ -94,14 +95,10 @@ def fit(
         options.stop(f"the fit failed: {found.result}", options.FAILED)
 
 
-def _bootstraps(found: "Fit", replicates: int, seed: int, *, show_progress: bool) -> "list[Bootstrap]":
+def _bootstraps(found: "Fit", replicates: int, seed: int) -> "list[Bootstrap]":
     """A parametric bootstrap, and one over whole trials where there are enough of them; none of a fit that failed."""
     if not replicates or not found.success:
         return []
-    if show_progress:
-        import rich
-
-        rich.reconfigure(stderr=True)  # results go to standard output
     trials = sum(len(table.trial_labels) for table in found.tables)
     kinds = ["parametric", "cases"] if trials >= LEAST_TRIALS else ["parametric"]
-    return [found.bootstrap(kind, replicates, seed=seed, progress=show_progress) for kind in kinds]
+    return [found.bootstrap(kind, replicates, seed=seed) for kind in kinds]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, TypeVar
 import typer
 
 from ..errors import InputError
+from ..progress import stage
 
 if TYPE_CHECKING:
     from ..files.manipulator_file import RobotFile
@@ -107,9 +108,10 @@ def read_robot(
 
     from .. import application
 
-    (configure or application.configure_jax)()
-    from ..files.cross_sections import in_one_line
-    from ..files.manipulator_file import read_robot_file
+    with stage("loading"):
+        (configure or application.configure_jax)()
+        from ..files.cross_sections import in_one_line
+        from ..files.manipulator_file import read_robot_file
 
     read = read_robot_file(robot)
     if note_columns and read.columns:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
+from ..progress import stage
 from . import options
 
 EXAMPLE = "Example: cddf plan data/smooth_sil_940.toml data/load_cells_simulated.csv --num 1"
@@ -38,11 +39,12 @@ def plan(
 ) -> None:
     """Which measurement next: what each candidate would add to what is known."""
     manipulator = options.read_robot(robot, kinematics).manipulator
-    from ..identification.experiment_design import plan, standard_candidates
-    from ..identification.fit import fit
-    from ..reports.plan_report import plan_as_dict, plan_as_markdown
-    from ..units import quantity
-    from .fit_texts import read_candidates
+    with stage("loading"):
+        from ..identification.experiment_design import plan, standard_candidates
+        from ..identification.fit import fit
+        from ..reports.plan_report import plan_as_dict, plan_as_markdown
+        from ..units import quantity
+        from .fit_texts import read_candidates
 
     names = tuple(free) if free else None
     largest = quantity(tension, "force", "--tension")

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from ..progress import stage
 from . import options
 
 EXAMPLE = "Example: cddf reproduce data/smooth_sil_940.toml data/load_cells_simulated.csv"
@@ -19,7 +20,8 @@ def reproduce(
 ) -> None:
     """The figures of Liu et al. (2020), and a table of its numbers beside ours."""
     manipulator = options.read_robot(robot, None).manipulator
-    from ..reports.reproduction import reproduce
+    with stage("loading"):
+        from ..reports.reproduction import reproduce
 
     answer = reproduce(manipulator, options.read_data([load_cells], column)[0], out)
     options.print_answer((out / "reproduction.md").read_text(encoding="utf-8"), answer, as_json=as_json)

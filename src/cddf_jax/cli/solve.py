@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from ..errors import SolveError
+from ..progress import stage
 from . import options
 
 EXAMPLE = 'Example: cddf solve data/smooth_sil_940.toml -t "75 N" --tip-force "0 N, -5 N"'
@@ -37,17 +38,19 @@ def solve(
     X runs along the straight body from its base, Y to the side of a tendon with side = 1.
     """
     manipulator, columns, _ = options.read_robot(robot, kinematics, note_columns=False)
-    from ..files.actuation import read_actuation, read_directions, read_loads
-    from ..files.cross_sections import in_one_line
-    from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
-    from ..statics.description import result_in_words
-    from ..statics.equilibrium import RESULTS, ended_as, on_host
-    from ..statics.solve import solve
+    with stage("loading"):
+        from ..files.actuation import read_actuation, read_directions, read_loads
+        from ..files.cross_sections import in_one_line
+        from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
+        from ..statics.description import result_in_words
+        from ..statics.equilibrium import RESULTS, ended_as, on_host
+        from ..statics.solve import solve
 
     actuation = read_actuation(base_tension, manipulator)
     loads = read_loads(tip_force, tip_moment, gravity)
     directions = read_directions(direction, manipulator)
-    equilibrium = on_host(solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False))
+    with stage("solving"):
+        equilibrium = on_host(solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False))
     if ended_as(equilibrium, RESULTS.slack, RESULTS.unreachable):
         raise SolveError(missed_targets_in_words(equilibrium, actuation, base_tension))
     if not ended_as(equilibrium, RESULTS.successful, RESULTS.direction_contradicted, RESULTS.unstable):

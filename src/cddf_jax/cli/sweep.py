@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from ..errors import InputError, within
+from ..progress import SHOWN, stage
 from . import options
 
 EXAMPLE = (
@@ -147,8 +148,11 @@ def sweep(
 
     processes = coordinator, num_processes, process_id
     read = options.read_robot(robot, kinematics, lambda: _configure(*processes, distributed=distributed))
-    from ..files.actuation import read_directions, read_loads
-    from . import sweep_run, sweep_texts
+    with stage("loading"):
+        from ..files.actuation import read_directions, read_loads
+        from . import sweep_run, sweep_texts
+    if not sweep_run.is_first_process():
+        SHOWN.set(None)  # the first speaks for all
 
     work = sweep_texts.read_sweep(
         read.manipulator,
@@ -172,7 +176,7 @@ def sweep(
         return
     places = sweep_run.read_places(out, netcdf, csv)
     try:
-        summary = sweep_run.run_sweep(work, places, context.params, progress=sys.stderr.isatty())
+        summary = sweep_run.run_sweep(work, places, context.params)
     except KeyboardInterrupt:
         remedy = "what is in the store stays there, start the same command again and it goes on"
         options.stop(f"interrupted; {remedy}", options.INTERRUPTED)

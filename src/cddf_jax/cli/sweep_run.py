@@ -17,6 +17,7 @@ from .. import units
 from ..batch.store import ZarrStore
 from ..batch.work import COPIES
 from ..errors import InputError
+from ..progress import stage
 from ..statics.equilibrium import RESULTS
 from ..statics.targets import Target
 from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
@@ -91,14 +92,13 @@ def is_first_process() -> bool:
     return jax.process_index() == 0
 
 
-def run_sweep(work: Sweep, places: Places, options: Mapping[str, object], *, progress: bool = False) -> Json | None:
+def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Json | None:
     """Run the sweep, and write what goes beside the store.
 
     Args:
         work: the sweep.
         places: where everything goes.
         options: of the command line, which go into the JSON.
-        progress: show a bar.
 
     Returns:
         What is to be said; None for all processes but the first.
@@ -109,7 +109,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object], *, pro
     _check_places(places, work)
     before, _ = _there_already(work, places.store)
     start = time.perf_counter()
-    answer = work.run(places.store, progress=progress)
+    answer = work.run(places.store)
     seconds = time.perf_counter() - start
     if not is_first_process():
         return None
@@ -139,6 +139,7 @@ def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
     return sum(map(opened.layout.count, there)), len(there)
 
 
+@stage("writing")
 def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> Json:
     """Write exports, figures and the JSON; where they are, and what has no place in them."""
     from ..figures.style import render

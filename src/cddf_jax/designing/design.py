@@ -1,7 +1,6 @@
 """`design`: the body that meets an objective best, within what can be made."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from itertools import product
 
@@ -22,7 +21,7 @@ from .load_cases import LoadCase, case_numbers
 from .objectives import Least, Objective
 from .problem import USABLE, DesignEvaluation, DesignProblem, Term
 from .results import Design, design_of, displayed
-from .search import WANDERING, DesignSearch, ShowProgress
+from .search import WANDERING, DesignSearch
 
 STATIONS = 33  # even places at which limits along the body are evaluated
 CROSSING = 0.99  # kappa d at most, short of 1 where fibres cross
@@ -42,7 +41,6 @@ class DesignOptions:
         nodes: of the solver.
         worst: optimise the worst load case, and not the weighted mean over all.
         offsets_outside_wall: allow tendons in the bore or outside the body.
-        progress: show it on standard error.
 
     Raises:
         InputError: names an option with a wrong value.
@@ -54,7 +52,6 @@ class DesignOptions:
     nodes: int = 16
     worst: bool = False
     offsets_outside_wall: bool = False
-    progress: bool = False
 
     def __post_init__(self):
         smallest = {"starts": 1, "seed": 0, "max_iterations": 1, "nodes": 4}
@@ -104,15 +101,14 @@ def design(
     """
     options = DesignOptions() if options is None else options
     objectives, found = weighted(objective), []
-    with progress_shown(options) as show:
-        for chosen in _combinations(manipulator, choices or {}, free):
-            numbers = {name: np.asarray(number) for name, number in chosen.items()}
-            body = case_numbers(manipulator).with_numbers(numbers).manipulator
-            problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, options)
-            if found:  # one scale for all, so that they can be compared
-                problem = problem.over_the_sizes_of(found[0][1])
-            search = DesignSearch(problem, options.max_iterations, show)
-            found.append((chosen, problem, search.from_starts(options.starts, options.seed)))
+    for chosen in _combinations(manipulator, choices or {}, free):
+        numbers = {name: np.asarray(number) for name, number in chosen.items()}
+        body = case_numbers(manipulator).with_numbers(numbers).manipulator
+        problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, options)
+        if found:  # one scale for all, so that they can be compared
+            problem = problem.over_the_sizes_of(found[0][1])
+        search = DesignSearch(problem, options.max_iterations)
+        found.append((chosen, problem, search.from_starts(options.starts, options.seed)))
     chosen, problem, best = min(found, key=lambda each: each[2].rank)
     tried = tuple((each, displayed(problem, result.value)) for each, _, result in found) if choices else ()
     return design_of(best, manipulator, tried, chosen)
@@ -155,18 +151,6 @@ def _combinations(
         lists.append([quantity(value, "dimensionless", f"design: a choice of {name!r}") for value in values])
     for numbers in product(*lists):
         yield dict(zip(choices, numbers, strict=True))
-
-
-@contextmanager
-def progress_shown(options: DesignOptions) -> Iterator[ShowProgress]:
-    """A line on standard error; yields the function that writes it."""
-    if not options.progress:
-        yield lambda text: None
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status("compiling") as status:
-        yield status.update
 
 
 # --- the problem, checked ----------------------------------------------------------------------------

@@ -10,13 +10,13 @@ import numpy as np
 from ..errors import InputError
 from ..robot.manipulator import Manipulator
 from ..units import Dimension
-from .design import FAR, Aim, DesignOptions, problem_of, progress_shown, weighted
+from .design import FAR, Aim, DesignOptions, problem_of, weighted
 from .free_numbers import Bounds
 from .limits import Limit
 from .load_cases import LoadCase
 from .problem import DesignProblem
 from .results import Design, design_of
-from .search import DesignSearch, SearchResult, ShowProgress
+from .search import DesignSearch, SearchResult
 
 SECOND = 1e-4  # weight of the other objective beside the one that is made small, so that it is not given away
 SAME = 1e-3  # relative: ends that differ by less in both objectives are one body
@@ -79,17 +79,16 @@ def pareto_front(
         raise InputError(f"pareto_front: starts must be 1, got {options.starts}; a front has one start")
     pairs = weighted([(1.0, aim) for aim in objectives])
     problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, options, capped=True)
-    with progress_shown(options) as show:
-        found = _searched(problem, num, options.max_iterations, show)
+    found = _searched(problem, num, options.max_iterations)
     return _front(problem, found, manipulator, num)
 
 
-def _searched(problem: DesignProblem, num: int, max_iterations: int, show: ShowProgress) -> list[SearchResult]:
+def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[SearchResult]:
     """Search results from one end of the front to the other; where none is feasible, a gap is given up."""
 
     def search(small: int, level: float, starts: Sequence[np.ndarray]) -> SearchResult:
         """Make one objective small under a level of the other; the best from some starts."""
-        searches = DesignSearch(_at(problem, small, level), max_iterations, show)
+        searches = DesignSearch(_at(problem, small, level), max_iterations)
         return min((searches.from_start(z) for z in starts), key=lambda each: each.rank)
 
     start = np.asarray(problem.free.scaled_start)

@@ -1,6 +1,5 @@
 """Searches for the best body: from one start or many, and again where limits are broken between the stations."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,6 +16,7 @@ from ..numerics.constrained import (
     minimise_constrained,
     optimality,
 )
+from ..progress import each, stage
 from .problem import DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # stations at the end, moved to where limits are broken between the others
@@ -31,7 +31,6 @@ AWAY = tuple(0.25**k for k in range(1, 7))  # of its range, how far such a numbe
 GAIN = 10 * TOLERANCE  # of the objective: a body is better only by more than this
 ROUNDING = 1e-12  # of the objective at the start
 
-ShowProgress = Callable[[str], None]
 History = list[tuple[float, float]]
 
 
@@ -84,11 +83,10 @@ class DesignSearch:
     Args:
         problem: its last `WANDERING` stations are moved.
         max_iterations: of every search.
-        show: is given a line of text on how it goes.
     """
 
-    def __init__(self, problem: DesignProblem, max_iterations: int, show: ShowProgress):
-        self.problem, self.max_iterations, self.show = problem, max_iterations, show
+    def __init__(self, problem: DesignProblem, max_iterations: int):
+        self.problem, self.max_iterations = problem, max_iterations
         free = problem.free
         heights = np.full(len(problem.peaks), np.inf)
         self.ranges = np.asarray((free.upper - free.lower) / free.size)  # of the scaled free numbers, from 0
@@ -97,7 +95,7 @@ class DesignSearch:
     def from_starts(self, starts: int, seed: int) -> SearchResult:
         """The best from the start, and from the best of some points within the bounds."""
         points = [self.problem.free.scaled_start, *self._screened(starts, seed)]
-        found = [self.from_start(z) for z in points]
+        found = [self.from_start(z) for z in each("search from start", points)]
         best = min(found, key=lambda each: each.rank)
         evaluations = sum(each.evaluations for each in found)
         return best._replace(starts=tuple(each.value for each in found), evaluations=evaluations)
@@ -106,10 +104,9 @@ class DesignSearch:
         """The most promising of `starts` - 1 points: the objective, and a price for the largest violation."""
         if starts <= 1:
             return []
-        self.show(f"trying {starts - 1} starts")
         sobol = qmc.Sobol(self.ranges.size, rng=np.random.default_rng(seed))
         points = sobol.random(2 ** int(np.ceil(np.log2(starts))))[: starts - 1] * self.ranges
-        there = [self.problem(self.with_heights(z)) for z in points]
+        there = [self.problem(self.with_heights(z)) for z in each("trying start", list(points))]
         merit = [point.objective + BROKEN * point.violation if point.usable else np.inf for point in there]
         return [points[i] for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i])]
 
@@ -183,12 +180,13 @@ class DesignSearch:
     def _search(self, problem: DesignProblem, x: np.ndarray, history: History) -> tuple[LocalMinimum, tuple[str, ...]]:
         """One search; if it ends where limits are broken, another one from the point that breaks them least."""
 
-        def after(count: int, point: Point) -> None:
-            history.append((point.objective, point.violation))
-            self.show(f"iteration {len(history)}: objective {point.objective:.6g}, violation {point.violation:.2g}")
-
         def minimum(x: np.ndarray) -> LocalMinimum:
-            return minimise_constrained(problem, x, *self.bounds, max_iterations=self.max_iterations, after=after)
+            def after(count: int, point: Point) -> None:
+                history.append((point.objective, point.violation))
+                now.what = f"iteration {len(history)}: objective {point.objective:.6g}, violation {point.violation:.2g}"
+
+            with stage("searching") as now:
+                return minimise_constrained(problem, x, *self.bounds, max_iterations=self.max_iterations, after=after)
 
         local = minimum(x)
         if local.feasible:

@@ -86,17 +86,17 @@ class DesignTask:
             return pareto_front(*task, cases=self.cases, num=num, options=self.options)
 
 
-def read_task(path: Path, *, progress: bool = False) -> DesignTask:
+def read_task(path: Path) -> DesignTask:
     """The task in a TOML file; `template` shows the keys.
 
     Raises:
         InputError: names the file, the key, the value and the remedy.
     """
     with within(path, ValueError):
-        return _task(read_toml(path, 'least = "2 mm"'), path, progress=progress)
+        return _task(read_toml(path, 'least = "2 mm"'), path)
 
 
-def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
+def _task(table: Table, path: Path) -> DesignTask:
     options = [key for key, required in KEYS[""].items() if not required]
     check_keys("", table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
     body, columns, outside = read_robot_file(path.parent / _text(table, "robot"))
@@ -110,8 +110,7 @@ def _task(table: Table, path: Path, *, progress: bool) -> DesignTask:
     if "uncertain" in table:
         cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent)
         read_as += notes
-    given = {"offsets_outside_wall": outside, "progress": progress}
-    given |= {key: table[key] for key in _OPTIONS if key in table}
+    given = {"offsets_outside_wall": outside} | {key: table[key] for key in _OPTIONS if key in table}
     return DesignTask(
         path=path,
         manipulator=body,

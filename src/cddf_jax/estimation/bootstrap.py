@@ -17,6 +17,7 @@ from ..batch.chunks import Coordinate, Index, Layout, Variable, even_chunks
 from ..batch.fingerprint import digest, numbers_of
 from ..batch.work import Work, carry_out
 from ..errors import InputError
+from ..progress import stage
 from .levenberg_marquardt import Data, Minimum, minimise_all
 
 CHUNK = 250  # refits at once: bounds the memory, and shows progress
@@ -96,6 +97,7 @@ class Bootstrap(NamedTuple):
         return self.estimates if len(self.estimates) > 1 else np.full((2, len(self.names)), np.nan)
 
 
+@stage("bootstrap")
 def bootstrap(
     minimum: Minimum,
     kind: str,
@@ -103,8 +105,6 @@ def bootstrap(
     clusters: Clusters,
     noise_freedom: float,
     seed: int,
-    *,
-    progress: bool,
     out: Path | None,
 ) -> Bootstrap:
     """See `LeastSquaresFit.bootstrap`; `noise_freedom`: with how many degrees of freedom the noise was estimated."""
@@ -123,7 +123,7 @@ def bootstrap(
         return _draw(np.random.default_rng([seed, *index]), layout.count(index), minimum, kind, sources)
 
     of_draws = {"kind": kind, "seed": seed}
-    found = _refit_all(minimum, draw, "replicate", replicates, of_draws, clusters, progress=progress, out=out)
+    found = _refit_all(minimum, draw, "replicate", replicates, of_draws, clusters, out)
     kept, failed = found.estimates[found.ended], int(np.sum(~found.ended))
     num_cases = min(map(len, _cases(sources).values())) if kind == "cases" else 0
     return Bootstrap(kind, found.names, kept, minimum.outcome.parameters, failed, seed, num_cases, noise_freedom)
@@ -137,7 +137,7 @@ class Refits(NamedTuple):
     ended: np.ndarray  # (benches,), at a minimum; the estimates of others are NaN
 
 
-def refits(minimum: Minimum, observed: Mapping[str, ArrayLike], *, progress: bool, out: Path | None) -> Refits:
+def refits(minimum: Minimum, observed: Mapping[str, ArrayLike], out: Path | None) -> Refits:
     """Fit the data of many benches from the estimate on; see `LeastSquaresFit.refits`."""
     own, groups = minimum.problem.data, minimum.problem.groups
     data = {name: np.asarray(values, float) for name, values in observed.items()}
@@ -161,7 +161,7 @@ def refits(minimum: Minimum, observed: Mapping[str, ArrayLike], *, progress: boo
         pairs = zip(groups, own.values, strict=True)
         return own._replace(values=tuple(data[name][places] if name in data else v for name, v in pairs))
 
-    return _refit_all(minimum, draw, "bench", counts.pop(), {}, data, progress=progress, out=out)
+    return _refit_all(minimum, draw, "bench", counts.pop(), {}, data, out)
 
 
 def _refit_all(
@@ -171,8 +171,6 @@ def _refit_all(
     count: int,
     of_draws: Mapping[str, object],
     drawn_from: object,
-    *,
-    progress: bool,
     out: Path | None,
 ) -> Refits:
     """All the refits, chunk by chunk; what is drawn, and from what, tells a store of other work apart."""
@@ -197,7 +195,7 @@ def _refit_all(
         data_and_model = digest(json.dumps(numbers_of((problem, best.z, drawn_from))))
         return {**of_draws, "data and model": data_and_model, dimension: count, "parameters": list(names)}
 
-    found = carry_out(Work(layout, identity, refit), out, progress=progress).values()
+    found = carry_out(Work("refitting", layout, identity, refit), out).values()
     return Refits(names, found["estimate"], found["ended"])
 
 

@@ -112,7 +112,6 @@ class LeastSquaresFit(Determination):
         *,
         clusters: Clusters | None = None,
         seed: int = 0,
-        progress: bool = False,
         out: Path | None = None,
     ) -> Bootstrap:
         """Draw data anew and fit them from the estimate on, the weights of the data held.
@@ -125,7 +124,6 @@ class LeastSquaresFit(Determination):
             clusters: for "cases", by group, the name of what is drawn from and one label per datum: data of one label
                 are drawn together, also across groups that draw from the same. None for those of the fit.
             seed: of NumPy's generator.
-            progress: show a bar.
             out: path of a Zarr store for the estimates; a bootstrap that was stopped goes on where it was, and several
                 processes share the work.
 
@@ -135,20 +133,19 @@ class LeastSquaresFit(Determination):
         if clusters is None:
             clusters = self.clusters if kind == "cases" else {}
         freedom = float(self.degrees_of_freedom) if self.noise_estimated else np.inf
-        return bootstrap(self.minimum, kind, replicates, clusters, freedom, seed, progress=progress, out=out)
+        return bootstrap(self.minimum, kind, replicates, clusters, freedom, seed, out)
 
-    def refits(self, observed: Mapping[str, ArrayLike], *, progress: bool = False, out: Path | None = None) -> Refits:
+    def refits(self, observed: Mapping[str, ArrayLike], *, out: Path | None = None) -> Refits:
         """The same fit to the data of many benches, from this estimate on, with its weights.
 
         Args:
             observed: by group of data, (benches, *its shape); a group that is left out keeps its data.
-            progress: show a bar.
             out: path of a Zarr store, as for `bootstrap`.
 
         Raises:
             InputError: for an unknown group, data of another shape, a store of other work.
         """
-        return refits(self.minimum, observed, progress=progress, out=out)
+        return refits(self.minimum, observed, out)
 
     def doubted(self, reason: str) -> "LeastSquaresFit":
         """The same as a failed fit, for a reason that is not in its sum of squares."""

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import root_scalar
 
+from ..progress import stage
 from .levenberg_marquardt import Minimum, hold_one
 from .parameter_space import TINY
 from .robust_loss import LOSSES
@@ -33,6 +34,7 @@ class Profile(NamedTuple):
     model_ends: tuple[bool, bool]  # below, above: the model has no solution beyond, and the data did not close before
 
 
+@stage("searching")
 def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quantile: float) -> Profile:
     """Profile one parameter, out to where its 95 % interval closes, or to its bounds.
 

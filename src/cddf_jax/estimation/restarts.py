@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
+from ..progress import each, stage
 from .determination import NOT_IDENTIFIED
 from .levenberg_marquardt import LeastSquaresProblem, Outcome, minimise
 from .remarks import UNEXPLAINED
@@ -34,6 +35,7 @@ class Searched(NamedTuple):
     remark: str = ""  # why there were several starts though none were asked for, and what came of them
 
 
+@stage("searching")
 def search(task: FitTask, starts: int | None, seed: int) -> Searched:
     """The best of so many searches, the first from the given start.
 
@@ -136,7 +138,7 @@ def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int) -> list[Ou
     draws = qmc.Sobol(len(space.names), rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(count))))
     decades = np.repeat(DECADES, [*ROUNDS[:-1], count])
     found = []
-    for draw, reach in zip(draws[which], decades[which], strict=True):
+    for draw, reach in each("start", list(zip(draws[which], decades[which], strict=True))):
         moved, z = space.elsewhere(np.clip(draw, 1e-6, 1 - 1e-6), reach)
         end = minimise(replace(problem, space=moved), z)
         found.append(end._replace(z=space.seen_from(moved, end.z)))

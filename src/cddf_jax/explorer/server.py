@@ -18,6 +18,7 @@ from ..files.cross_sections import SectionColumn
 from ..files.manipulator_file import read_manipulator
 from ..measurements.table import Measurements
 from ..measurements.trials import read_tables
+from ..progress import stage
 from ..robot.manipulator import Manipulator, conical
 from .model import Exploration
 from .view import STYLES, ExplorerView, Threads, column
@@ -174,7 +175,8 @@ def serve(
     exploration = Exploration(manipulator, tuple(tables))
     pn.extension(respect_explicit_sizing=True)
     with Threads() as threads:
-        content = PageContent(exploration, source, tuple(columns), threads)
+        with stage("preparing the page"):
+            content = PageContent(exploration, source, tuple(columns), threads)
         try:
             server = get_server(lambda: Page(content).layout, port=port, address=ADDRESS, title=TITLE)
         except OSError as error:

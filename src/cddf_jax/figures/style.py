@@ -23,6 +23,7 @@ from matplotlib.style import context
 
 from ..errors import InputError
 from ..files.artifacts import write_all
+from ..progress import stage
 from .geometry import Body
 
 Item = TypeVar("Item")
@@ -154,6 +155,7 @@ def to_scale(axes: Axes) -> None:
     axes.set_aspect("equal", adjustable="box" if shared else "datalim")
 
 
+@stage("drawing")
 def render(figure: Figure, name: str) -> dict[str, bytes]:
     """The figure as PDF and PNG (300 dpi) by file name; the same bytes for figures made alike."""
     return {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}

@@ -20,6 +20,7 @@ from ..measurements.readings import READINGS, columns_of, kind_of, of_tendons, t
 from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from ..programs.kept import kept_program
+from ..progress import stage
 from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -183,7 +184,8 @@ class Bench(eqx.Module):
         fill = -rows % LANES
         arrays = self.base_tension, self.direction, self.tip_force, self.trial
         padded = jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
-        answer = _evaluate(Bench(*padded), manipulator, jax.tree.map(np.asarray, parameters), nodes)
+        with stage(f"solving {rows} rows"):
+            answer = _evaluate(Bench(*padded), manipulator, jax.tree.map(np.asarray, parameters), nodes)
         return jax.tree.map(lambda x: np.asarray(x)[:rows], answer)
 
 

@@ -20,6 +20,7 @@ from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
+from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
 from .bench import Bench, Parameters, Pulley, experiment_of, free_parameters, parameter_named, starting_value
@@ -128,7 +129,7 @@ def plan(
     if criterion != "D" and criterion not in evidence.space.names:
         raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.space.names)}")
     evidence = replace(evidence, noise_estimated=dict.fromkeys(evidence.rows, False))
-    rows = [_rows(body, parameters, candidate, evidence.size, nodes) for candidate in candidates]
+    rows = [_rows(body, parameters, candidate, evidence.size, nodes) for candidate in each("candidate", candidates)]
     ranking = tuple(ranked for ranked, _ in _rank(evidence, candidates, rows, criterion))
     chosen, so_far = [], evidence
     for _ in range(num):

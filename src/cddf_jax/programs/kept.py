@@ -19,6 +19,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.sharding import Mesh
 
+from ..progress import stage
 from . import folder
 from .circumstances import are_special, is_source_unchanged, machine_and_versions, named_settings, settings
 from .description import NotDescribedError, Place, describe, rebuild
@@ -167,6 +168,7 @@ def _found(key: str, question: Question) -> Call | None:
         return None
 
 
+@stage("compiling")
 def _made(key: str, question: Question, arrays: Sequence[Any]) -> Call:
     """Trace and compile, and keep what comes out."""
     answers: list[Any] = []

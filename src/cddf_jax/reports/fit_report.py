@@ -19,6 +19,7 @@ from ..identification.fit import Fit
 from ..identification.fit_diagnostics import moving_names, tables_without_numbers
 from ..identification.verdict import parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
+from ..progress import each, stage
 from ..units import preferred
 from .fit_results import Report, fit_as_dict, make_report
 
@@ -46,12 +47,13 @@ def write_report(report: Report, folder: str | Path) -> None:
     """Write all of it, or nothing."""
     contents: dict[str, str | bytes] = {}
     figures = report_figures(report)
-    for name, figure in figures.items():
-        contents |= draw.render(figure, name)
+    for name in each("figure", list(figures)):
+        contents |= draw.render(figures[name], name)
     contents |= {"report.md": fit_as_markdown(report, tuple(figures)), "results.json": as_json(fit_as_dict(report))}
     write_all(folder, contents)
 
 
+@stage("drawing")
 def report_figures(report: Report) -> dict[str, Figure]:
     """The figures by file name; `left_out` says why others are missing."""
     fit, missing = report.fit, left_out(report)

@@ -18,6 +18,7 @@ from ..identification.bench import unit_of
 from ..identification.fit import Fit
 from ..identification.fit_diagnostics import Normality, normality, own_names
 from ..measurements.table import Measurements
+from ..progress import each
 from ..robot.manipulator import Manipulator
 
 if TYPE_CHECKING:
@@ -67,7 +68,9 @@ def make_report(
     with_profiles: bool = True,
 ) -> Report:
     """Gather all that a report says; profiles take some seconds."""
-    profiles = {name: fit.profile(name) for name in own_names(fit)} if fit.success and with_profiles else {}
+    profiles = (
+        {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
+    )
     return Report(
         fit, _options(fit) | dict(options or {}), profiles, tuple(bootstraps), normality(fit), _model_free(fit)
     )

@@ -19,6 +19,7 @@ from ..figures.geometry import fields_along, stations
 from ..files.artifacts import as_json, markdown_table, picked, plain, write_all
 from ..measurements.table import Measurements
 from ..programs.kept import kept_program
+from ..progress import each, stage
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.literal_iteration import IterationHistory, iteration_history
@@ -82,8 +83,8 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
         "fig8_tip_tension": tip_tension_figure(results),
     }
     contents: dict[str, str | bytes] = {}
-    for name, figure in figures.items():
-        contents |= draw.render(figure, name)
+    for name in each("figure", list(figures)):
+        contents |= draw.render(figures[name], name)
     rows = compared_numbers(results)
     contents["reproduction.md"] = reproduction_as_markdown(rows)
     answer = {"table": plain([row.as_dict() for row in rows]), "files": [*contents, "reproduction.json"]}
@@ -91,6 +92,7 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
     return answer
 
 
+@stage("solving")
 def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults:
     """All of it, for a manipulator and trials as of `reproduce`."""
     base, observed = load_cells["base_tension"][load_cells.has("tip_tension")], load_cells.read("tip_tension")

@@ -55,7 +55,6 @@ def sweep(
     out: str | os.PathLike[str] | None = None,
     memory: float | None = None,
     chunk: int | None = None,
-    progress: bool = False,
 ) -> "xarray.Dataset":
     """Solve for every combination of the values along the axes, on all devices and processes there are.
 
@@ -76,7 +75,6 @@ def sweep(
             again. A store of another sweep is refused. Several processes (`jax.distributed`) share the work.
         memory: that may be used, bytes; a quarter of what is free unless given.
         chunk: solves between two writes; sized for speed and memory unless given.
-        progress: show a bar with the rate and the time that is left.
 
     Returns:
         The outputs with the dimensions of the axes first, then "tendon", "point" (along the body), "component" (X, Y).
@@ -106,7 +104,7 @@ def sweep(
         memory=memory,
         chunk_size=chunk,
     )
-    return work.run(out, progress=progress)
+    return work.run(out)
 
 
 def _names(what: str, given: Sequence[str]) -> tuple[str, ...]:
@@ -296,10 +294,10 @@ class Sweep:
 
     # --- running ------------------------------------------------------------------------------------
 
-    def run(self, out: str | os.PathLike[str] | None = None, *, progress: bool = False) -> "xarray.Dataset":
+    def run(self, out: str | os.PathLike[str] | None = None) -> "xarray.Dataset":
         """Compute the chunks that the store does not have yet, and return the whole answer."""
-        work = Work(self.layout, lambda: self.identity, self.chunk)
-        return carry_out(work, out, self.allowed, progress=progress).dataset()
+        work = Work("solving", self.layout, lambda: self.identity, self.chunk)
+        return carry_out(work, out, self.allowed).dataset()
 
     def chunk(self, layout: Layout, index: Index) -> dict[str, np.ndarray]:
         """The outputs of one chunk, in the shape of its region."""

@@ -1,0 +1,169 @@
+"""What long work says of itself: in order, after 2 s, on standard error, and only to those who ask.
+
+The clock is the tests' own.
+"""
+
+import subprocess
+import sys
+
+import pytest
+
+import cddf_jax as cddf
+from cddf_jax import progress
+from cddf_jax.progress import SHOWN, Bar, Log, Stages, each, stage
+
+
+class Clock:
+    """Stands still until it is set."""
+
+    def __init__(self):
+        self.time = 100.0
+
+    def __call__(self):
+        return self.time
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def lines():
+    return []
+
+
+@pytest.fixture
+def shown(clock, lines):
+    """Stages shown as lines of a log."""
+    stages = Stages(Log(lines.append), clock)
+    before = SHOWN.set(stages)
+    yield stages
+    SHOWN.reset(before)
+
+
+def at(shown, seconds):
+    """What is seen so many seconds after the beginning."""
+    shown.clock.time = 100.0 + seconds
+    shown.look()
+
+
+def test_quick_work_is_silent(shown, lines):
+    with stage("searching"):
+        at(shown, 1.9)
+    at(shown, 30.0)  # nothing goes on
+    assert lines == []
+
+
+def test_stages_in_order(shown, lines):
+    with stage("loading"):
+        at(shown, 2.0)
+        at(shown, 3.0)  # said already
+    with stage("searching"):
+        at(shown, 3.9)  # too soon after the last line
+        at(shown, 4.0)
+        with stage("compiling"):
+            at(shown, 7.0)
+        at(shown, 11.0)
+    assert lines == ["2 s: loading\n", "4 s: searching\n", "7 s: searching: compiling\n", "11 s: searching\n"]
+
+
+def test_what_is_counted_has_a_rate_and_an_end(shown, lines):
+    """A store holds 400 of 1,000 solves; 200 more take 4 s: 50 a second, and 8 s for the other 400."""
+    with stage("solving", 1000, 400) as now:
+        at(shown, 2.0)
+        now.done = 600
+        at(shown, 4.0)
+    assert lines == ["2 s: solving 401 of 1,000\n", "4 s: solving 601 of 1,000, 50/s, 0:00:08 left\n"]
+
+
+def test_one_after_the_other(shown, lines):
+    """Two of five take 10 s, so that the others take 15 s."""
+    seen = []
+    for name in each("profile", list("abcde")):
+        seen.append(name)
+        at(shown, 5.0 * len(seen) - 5.0)
+    assert seen == list("abcde")
+    assert lines[1] == "10 s: profile 3 of 5, 0:00:15 left\n"
+
+
+def test_what_is_one_is_not_counted(shown, lines):
+    for _ in each("search from start", ["here"]):
+        at(shown, 2.0)
+    assert lines == ["2 s: search from start\n"]
+
+
+def test_lines_come_ever_more_rarely(shown, lines):
+    """By a quarter of the time so far: four lines in 8 s, and 27 more in an hour, as 8 s * 1.25^27 is one."""
+    with stage("solving", 10_000) as now:
+        for now.done in range(3601):
+            at(shown, float(now.done))
+    assert 28 <= len(lines) <= 32
+
+
+def test_a_failure_ends_its_stages(shown):
+    with pytest.raises(ZeroDivisionError), stage("solving"), stage("compiling"):
+        raise ZeroDivisionError
+    assert shown.now == []
+
+
+def test_a_decorator(shown):
+    @stage("drawing")
+    def draw():
+        """Draw."""
+        return [one.what for one in shown.now]
+
+    assert (draw(), draw(), draw.__doc__) == (["drawing"], ["drawing"], "Draw.")
+
+
+def test_a_bar_on_a_terminal(capfd, clock, monkeypatch):
+    """It comes after 2 s, says the same, goes with the last stage, and leaves standard output alone."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    shown = Stages(Bar(), clock)
+    before = SHOWN.set(shown)
+    with stage("solving", 10) as now:
+        at(shown, 1.0)
+        assert capfd.readouterr() == ("", "")
+        now.done = 3
+        at(shown, 3.0)
+        out, err = capfd.readouterr()
+        assert out == ""
+        assert "solving 4 of 10, 0:00:07 left, 3 s" in err
+        with stage("compiling"):
+            at(shown, 4.0)
+            assert "compiling" in capfd.readouterr().err
+    SHOWN.reset(before)
+    assert shown.screen.bar is None
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "\x1b[2K" in err  # ANSI: the line of the bar is erased
+
+
+def test_progress_goes_to_standard_error():
+    """In a process of its own, which has no patience; without asking there is no word."""
+    program = (
+        "import time, cddf_jax as cddf\n"
+        "from cddf_jax import progress\n"
+        "progress.PATIENCE, progress.TICK = 0.0, 0.001\n"
+        "def work():\n"
+        "    for what in ('loading', 'searching'):\n"
+        "        shown = progress.SHOWN.get()\n"
+        "        with progress.stage(what):\n"
+        "            while shown and shown.screen.last != what:\n"
+        "                time.sleep(0.001)\n"
+        "work()\n"
+        "with cddf.show_progress(): work()\n"
+        "print('the answer')"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "the answer\n"
+    assert done.stderr == "0 s: loading\n0 s: searching\n"
+
+
+def test_silent_unless_asked(capfd):
+    with stage("solving", 2) as now:
+        now.done += 1
+    assert progress.SHOWN.get() is None
+    assert capfd.readouterr() == ("", "")
+    assert cddf.show_progress is progress.show_progress
