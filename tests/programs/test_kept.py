@@ -15,6 +15,7 @@ import pytest
 import cddf_jax as cddf
 from cddf_jax.programs import circumstances, folder
 from cddf_jax.programs.kept import PROGRAMS, kept_program
+from cddf_jax.progress import SHOWN
 
 PAPER = {"length": 0.14, "outer_radius": (0.02, 0.013), "inner_radius": 0.007, "tendon_offset": 0.01}
 BODY = cddf.conical(**PAPER, youngs_modulus=1.4e6, friction_coefficient=0.42)
@@ -34,6 +35,13 @@ def raised(numbers, power=2, extra=None):
 def inverse(x, n):
     TRACED.append(x)
     return jnp.linalg.inv(x) * n
+
+
+@kept_program
+@eqx.filter_jit
+def watched(numbers):
+    TRACED.append([stage.what for stage in SHOWN.get().now])
+    return numbers
 
 
 @pytest.fixture(autouse=True)
@@ -70,6 +78,12 @@ def test_neither_does_the_second_call():
     raised(x(1.0))
     raised(x(2.0))
     assert len(TRACED) == 1
+
+
+def test_it_is_said_that_one_is_made():
+    with cddf.show_progress():
+        watched(x(1.0))
+    assert TRACED == [["compiling"]]
 
 
 @pytest.mark.parametrize(
