@@ -5,8 +5,8 @@ import pytest
 from bodies import paper_body
 
 import cddf_jax as cddf
-from cddf_jax.cli.fit_texts import read_bound, read_noise, read_prior
-from cddf_jax.cli.options import read_all, read_column, read_data
+from cddf_jax.cli.fit_texts import read_bounds, read_noise, read_priors
+from cddf_jax.cli.options import read_data
 from cddf_jax.estimation.observations import Noise
 from cddf_jax.estimation.parameter_space import Prior, Uniform
 from cddf_jax.files.actuation import read_actuation, read_directions, read_loads
@@ -167,48 +167,50 @@ def test_wrong_loads(option, text, message):
 
 def test_priors_noise_and_bounds():
     for sign in ("+-", "±"):
-        assert read_prior(f"youngs_modulus = 1.4 MPa {sign} 100 kPa") == ("youngs_modulus", Prior(1.4e6, 1e5))
-    assert read_prior("friction_coefficient = uniform 0.1 .. 0.6") == ("friction_coefficient", Uniform(0.1, 0.6))
-    assert read_noise("tip_tension=0.0005 kN") == ("tip_tension", 0.5)
-    assert read_noise("tip_tension=0.2 N + 1 %") == ("tip_tension", Noise(0.2, 0.01))
-    assert read_noise("tip_tension=1 %") == ("tip_tension", Noise(0.0, 0.01))
-    assert read_bound("pretension=0 N:2 N") == ("pretension", (0.0, 2.0))
-    assert read_bound("friction_coefficient=0.2:") == ("friction_coefficient", (0.2, None))
-    assert read_column("Tbase_N=base_tension [N]") == ("Tbase_N", "base_tension [N]")
-    assert read_column("t=") == ("t", "")
+        assert read_priors([f"youngs_modulus = 1.4 MPa {sign} 100 kPa"]) == {"youngs_modulus": Prior(1.4e6, 1e5)}
+    assert read_priors(["friction_coefficient = uniform 0.1 .. 0.6"]) == {"friction_coefficient": Uniform(0.1, 0.6)}
+    assert read_noise(["tip_tension=0.0005 kN"]) == {"tip_tension": 0.5}
+    assert read_noise(["tip_tension=0.2 N + 1 %"]) == {"tip_tension": Noise(0.2, 0.01)}
+    assert read_noise(["tip_tension=1 %"]) == {"tip_tension": Noise(0.0, 0.01)}
+    assert read_bounds(["pretension=0 N:2 N"]) == {"pretension": (0.0, 2.0)}
+    assert read_bounds(["friction_coefficient=0.2:"]) == {"friction_coefficient": (0.2, None)}
 
 
 @pytest.mark.parametrize(
     ("read", "text", "message"),
     [
-        (read_prior, "youngs_modulus", "--prior 'youngs_modulus': write a parameter, mean and deviation as in"),
-        (read_prior, "youngs_modulus=1.4 MPa", "--prior 'youngs_modulus=1.4 MPa': write a parameter, mean and devia"),
-        (read_prior, "mu=0.4 +- 0.1", "'mu' is no parameter that can be fitted; there are friction_coefficient, young"),
-        (read_prior, "friction_coefficient=0.1..", "--prior friction_coefficient is not a number, got ''"),
-        (read_prior, "youngs_modulus=1.4 N +- 1 N", "--prior youngs_modulus needs a unit of pressure, got '1.4 N'"),
-        (read_prior, "youngs_modulus=1.4 MPa +- 0.1", "--prior youngs_modulus needs a unit of pressure, got '0.1'"),
-        (read_prior, "friction_coefficient=0.4 N +- 0.1", "--prior friction_coefficient is a plain number, got '0.4"),
-        (read_noise, "tip_tension", "--noise 'tip_tension': write a column and a standard deviation as in"),
+        (read_priors, "youngs_modulus", "--prior 'youngs_modulus': write for example "),
+        (read_priors, "youngs_modulus=1.4 MPa", "--prior youngs_modulus: write for example "),
+        (
+            read_priors,
+            "mu=0.4 +- 0.1",
+            "'mu' is no parameter that can be fitted; there are friction_coefficient, young",
+        ),
+        (read_priors, "friction_coefficient=0.1..", "--prior friction_coefficient is not a number, got ''"),
+        (read_priors, "youngs_modulus=1.4 N +- 1 N", "--prior youngs_modulus needs a unit of pressure, got '1.4 N'"),
+        (read_priors, "youngs_modulus=1.4 MPa +- 0.1", "--prior youngs_modulus needs a unit of pressure, got '0.1'"),
+        (read_priors, "friction_coefficient=0.4 N +- 0.1", "--prior friction_coefficient is a plain number, got '0.4"),
+        (read_noise, "tip_tension", "--noise 'tip_tension': write for example "),
         (read_noise, "tip_tension=loud", "--noise tip_tension is not a number, got 'loud'"),
         (read_noise, "tip_tension=0.5 mm", "--noise tip_tension needs a unit of force, got '0.5 mm'"),
         (read_noise, "tip_tension=0.5", "--noise tip_tension needs a unit of force, got '0.5'"),
         (read_noise, "tip_angle=1 N", "--noise tip_angle needs a unit of angle, got '1 N'"),
         (read_noise, "tip_tension=0.1 N + 0.2 N", "--noise tip_tension: the part that grows with the reading is in %"),
         (read_noise, "tip_tension=0.1 N + x %", "--noise tip_tension is not a number, got 'x'"),
-        (read_bound, "friction_coefficient", "--bound 'friction_coefficient': write a parameter and its limits as in"),
-        (read_bound, "friction_coefficient=:", "--bound 'friction_coefficient=:': write a parameter and its limits as"),
-        (read_bound, "mu=0:1", "'mu' is no parameter that can be fitted"),
-        (read_bound, "youngs_modulus=1:2 MPa", "--bound youngs_modulus needs a unit of pressure, got '1'"),
-        (read_column, "wrap_angle", "--column 'wrap_angle': write the head of a column and what it is, as in"),
+        (read_bounds, "friction_coefficient", "--bound 'friction_coefficient': write for example "),
+        (read_bounds, "friction_coefficient=:", "--bound friction_coefficient: write for example "),
+        (read_bounds, "mu=0:1", "'mu' is no parameter that can be fitted"),
+        (read_bounds, "youngs_modulus=1:2 MPa", "--bound youngs_modulus needs a unit of pressure, got '1'"),
     ],
 )
 def test_what_a_fit_cannot_read(read, text, message):
-    assert refused(read, text).startswith(message)
+    assert refused(read, [text]).startswith(message)
 
 
-def test_what_is_given_twice():
+def test_names_of_columns():
     twice = ["a=trial", "a=weight [N]"]
-    assert refused(read_all, twice, read_column, "--column") == "--column a is given twice; leave one out"
+    assert refused(read_data, [], twice) == "--column a is given twice; leave one out"
+    assert refused(read_data, [], ["wrap_angle"]).startswith("--column 'wrap_angle': write for example ")
 
 
 def test_averaged_holds(tmp_path):

@@ -68,10 +68,10 @@ def tip_tension(tension, friction):
     return float(cddf.closed_form_tension(replace(paper_body(), friction_coefficient=friction), tension, LENGTH))
 
 
-def read(*over, base_tension=None, together=(), sample=sweep_options.Samples(), body=None):
+def read(*over, base_tension=None, body=None, **asked):
     body = body or paper_body(density=1070.0)
     actuation = sweep_options.read_base_tension(base_tension or [], body)
-    return sweep_options.read_sweep(body, over, together, sample, base_tension=actuation)
+    return sweep_options.read_sweep(body, over, base_tension=actuation, **asked)
 
 
 # --- running -------------------------------------------------------------------------------------
@@ -388,8 +388,8 @@ def test_a_sweep_over_axes_that_are_one(run):
 
 
 def test_samples_are_those_of_the_library():
-    sample = sweep_options.Samples(["youngs_modulus=1.2MPa:1.6MPa", "friction_coefficient=0.1:0.6"], 50, seed=7)
-    *_, axis = read("base_tension=5N,10N", sample=sample).dimensions
+    sample = ["youngs_modulus=1.2MPa:1.6MPa", "friction_coefficient=0.1:0.6"]
+    *_, axis = read("base_tension=5N,10N", sample=sample, samples=50, seed=7).dimensions
     expected = cddf.latin_hypercube({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 50, 7)
     assert axis.name == "sample"
     for name, values in expected.items():

@@ -70,15 +70,15 @@ def fit(
         from ..identification.fit import fit
         from ..reports.fit_report import fit_in_words, write_report
         from ..reports.fit_results import fit_as_dict, make_report
-        from .fit_texts import read_bound, read_noise, read_prior
+        from .fit_texts import read_bounds, read_noise, read_priors
 
-    known_noise = options.read_all(noise, read_noise, "--noise")
+    known_noise = read_noise(noise)
     found = fit(
         manipulator,
         options.read_data(data, column, holds_averaged=average_holds),
         free or None,
-        options.read_all(prior, read_prior, "--prior"),
-        bounds=options.read_all(bound, read_bound, "--bound"),
+        read_priors(prior),
+        bounds=read_bounds(bound),
         noise=known_noise,
         per_trial=per_trial,
         loss=loss,

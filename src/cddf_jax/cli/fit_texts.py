@@ -1,6 +1,7 @@
 """What `cddf fit` and `cddf plan` are told: priors, bounds, noise, and a file of candidates for the next experiment."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,45 +14,47 @@ from ..identification.bench import parameter_named
 from ..identification.experiment_design import Candidate
 from ..measurements.columns import column_dimension
 from ..units import quantity
+from .options import read_all
+
+PRIOR = '"youngs_modulus=1.4 MPa +- 0.1 MPa" or "friction_coefficient=0.1..0.6"'
+BOUND = '"pretension=0 N:2 N"'
+NOISE = '"tip_tension=0.5 N" or "tip_tension=0.2 N + 1 %"'
 
 
-def read_prior(text: str) -> tuple[str, Prior | Uniform]:
+def read_priors(texts: Sequence[str] | None) -> dict[str, Prior | Uniform]:
     """ "youngs_modulus=1.4 MPa +- 0.1 MPa" is a Gaussian, "friction_coefficient=0.1..0.6" uniform."""
-    name, _, numbers = (part.strip() for part in text.partition("="))
-    numbers = numbers.replace("±", "+-").removeprefix("uniform")
+    return read_all(texts, "--prior", PRIOR, _prior)
+
+
+def _prior(name: str, text: str) -> Prior | Uniform:
+    numbers = text.replace("±", "+-").removeprefix("uniform")
     kind, mark = (Uniform, "..") if ".." in numbers else (Prior, "+-")
     first, found, second = numbers.partition(mark)
     if not found:
-        raise InputError(
-            f'--prior {text!r}: write a parameter, mean and deviation as in "youngs_modulus=1.4 MPa +- 0.1 MPa", '
-            'or a range as in "friction_coefficient=0.1..0.6"'
-        )
-    return name, kind(*(_of_parameter(name, part, "--prior") for part in (first, second)))
+        raise InputError(f"--prior {name}: write for example {PRIOR}, got {text!r}")
+    return kind(*(_of_parameter(name, part, "--prior") for part in (first, second)))
 
 
-def read_bound(text: str) -> tuple[str, tuple[float | None, float | None]]:
+def read_bounds(texts: Sequence[str] | None) -> dict[str, tuple[float | None, float | None]]:
     """ "pretension=0 N:2 N"; either side may be left empty."""
-    name, _, numbers = (part.strip() for part in text.partition("="))
-    low, colon, high = (part.strip() for part in numbers.partition(":"))
+    return read_all(texts, "--bound", BOUND, _bound)
+
+
+def _bound(name: str, text: str) -> tuple[float | None, float | None]:
+    low, colon, high = (part.strip() for part in text.partition(":"))
     if not colon or not (low or high):
-        raise InputError(f'--bound {text!r}: write a parameter and its limits as in "pretension=0 N:2 N"')
+        raise InputError(f"--bound {name}: write for example {BOUND}, got {text!r}")
     lower, upper = (_of_parameter(name, end, "--bound") if end else None for end in (low, high))
-    return name, (lower, upper)
+    return lower, upper
 
 
 def _of_parameter(name: str, text: str, option: str) -> float:
     return quantity(text.strip(), parameter_named(name).dimension, f"{option} {name}")
 
 
-def read_noise(text: str) -> tuple[str, float | Noise]:
+def read_noise(texts: Sequence[str] | None) -> dict[str, float | Noise]:
     """ "tip_tension=0.5 N", or with a part that grows with the reading "tip_tension=0.2 N + 1 %"."""
-    column, equals, numbers = (part.strip() for part in text.partition("="))
-    if not equals:
-        raise InputError(
-            f'--noise {text!r}: write a column and a standard deviation as in "tip_tension=0.5 N" or '
-            '"tip_tension=0.2 N + 1 %"'
-        )
-    return column, noise_from_text(column, numbers, f"--noise {column}")
+    return read_all(texts, "--noise", NOISE, lambda column, text: noise_from_text(column, text, f"--noise {column}"))
 
 
 def noise_from_text(column: str, numbers: str, what: str) -> float | Noise:

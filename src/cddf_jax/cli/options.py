@@ -127,31 +127,24 @@ def read_data(
     from ..measurements.holds import average_holds
     from ..measurements.trials import read_tables
 
-    tables = read_tables(paths or (), read_all(column, read_column, "--column"))
+    columns = read_all(column, "--column", '"Tbase_N=base_tension [N]"', lambda name, meant: meant)
+    tables = read_tables(paths or (), columns)
     note(line for table in tables for line in table.read_as)
     return tuple(map(average_holds, tables)) if holds_averaged else tables
 
 
-def read_column(text: str) -> tuple[str, str]:
-    """ "Tbase_N=base_tension [N]": the head of a column in a file, and what it is; nothing to leave it out."""
-    name, equals, meant = text.rpartition("=")
-    if not equals or not name.strip():
-        raise InputError(
-            f'--column {text!r}: write the head of a column and what it is, as in "Tbase_N=base_tension [N]"'
-        )
-    return name.strip(), meant.strip()
-
-
-def read_all(texts: Sequence[str] | None, read: Callable[[str], tuple[str, T]], option: str) -> dict[str, T]:
-    """What an option that may be repeated says, by name.
+def read_all(texts: Sequence[str] | None, option: str, example: str, read: Callable[[str, str], T]) -> dict[str, T]:
+    """What an option that may be repeated says, by name: what `read` makes of the name and the text behind its "=".
 
     Raises:
-        InputError: for a name that is given twice.
+        InputError: for a text without a name and "=", and for a name that is given twice.
     """
     found: dict[str, T] = {}
     for text in texts or ():
-        name, value = read(text)
+        name, equals, value = (part.strip() for part in text.rpartition("="))
+        if not name or not equals:
+            raise InputError(f"{option} {text!r}: write for example {example}")
         if name in found:
             raise InputError(f"{option} {name} is given twice; leave one out")
-        found[name] = value
+        found[name] = read(name, value)
     return found

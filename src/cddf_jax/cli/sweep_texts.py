@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,17 +25,15 @@ SAMPLERS = {"latin_hypercube": latin_hypercube, "sobol": sobol}
 BYTES = {"B": 1, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40}
 
 
-class Samples(NamedTuple):
-    """What varies together along the dimension "sample"."""
-
-    ranges: Sequence[str] = ()
-    size: int | None = None
-    sampler: str = "latin_hypercube"
-    seed: int = 0
-
-
 def read_sweep(
-    manipulator: Manipulator, over: Sequence[str], together: Sequence[str], sample: Samples, **given: Any
+    manipulator: Manipulator,
+    over: Sequence[str],
+    together: Sequence[str] = (),
+    sample: Sequence[str] = (),
+    samples: int | None = None,
+    sampler: str = "latin_hypercube",
+    seed: int = 0,
+    **given: Any,
 ) -> Sweep:
     """The sweep over axes such as "base_tension=5N:85N:17" and samples such as "youngs_modulus=1.2MPa:1.6MPa".
 
@@ -43,17 +41,18 @@ def read_sweep(
         manipulator: the body.
         over: one axis each, in the order of the dimensions.
         together: names of axes such as "friction_coefficient,youngs_modulus" that are one.
-        sample: what varies together along one more dimension.
+        sample: what varies together along one more dimension, "sample".
+        samples, sampler, seed: how many samples, how they are spread, and the seed.
         given: other fields of `Sweep`.
 
     Raises:
         InputError: names the option, the text and the remedy.
     """
-    axes = read_all(over, lambda text: _name_and_values(text, "--over", OVER), "--over")
-    ranges = read_all(sample.ranges, lambda text: _name_and_values(text, "--sample", SAMPLE), "--sample")
+    axes = read_all(over, "--over", OVER, lambda name, text: text)
+    ranges = read_all(sample, "--sample", SAMPLE, lambda name, text: text)
     if not axes and not ranges:
         raise InputError(f"nothing varies; give --over {OVER} or --sample")
-    count = _num_samples(ranges, sample.size)
+    count = _num_samples(ranges, samples)
     names = [name for name in (*axes, *ranges) if name not in OPTIONS]
     draft = Sweep(
         manipulator=manipulator, dimensions=tuple(Axis(name, {name: np.zeros(1)}, {}) for name in names), **given
@@ -66,15 +65,8 @@ def read_sweep(
     joined = _joined(values, together)
     if ranges:
         limits = {name: _limits(name, text, dimension_of[name]) for name, text in ranges.items()}
-        joined["sample"] = SAMPLERS[sample.sampler](limits, count, sample.seed)
+        joined["sample"] = SAMPLERS[sampler](limits, count, seed)
     return replace(draft, dimensions=dimensions_of(joined))
-
-
-def _name_and_values(text: str, option: str, example: str) -> tuple[str, str]:
-    name, _, values = (part.strip() for part in text.partition("="))
-    if not name or not values:
-        raise InputError(f"{option} {text!r}: write for example {example}")
-    return name, values
 
 
 def _joined(values: Mapping[str, object], together: Sequence[str]) -> dict[str, object]:
