@@ -75,25 +75,25 @@ class Bootstrap(NamedTuple):
 
     @property
     def covariance(self) -> np.ndarray:
-        return np.cov(self._told, rowvar=False).reshape(len(self.names), len(self.names))
+        return np.cov(self._refitted, rowvar=False).reshape(len(self.names), len(self.names))
 
     @property
     def correlation(self) -> np.ndarray:
-        return np.corrcoef(self._told, rowvar=False).reshape(len(self.names), len(self.names))
+        return np.corrcoef(self._refitted, rowvar=False).reshape(len(self.names), len(self.names))
 
     @property
     def bias(self) -> dict[str, float]:
         """Mean of the estimates less the estimate."""
-        return dict(zip(self.names, (np.mean(self._told, axis=0) - self.estimate).tolist(), strict=True))
+        return dict(zip(self.names, (np.mean(self._refitted, axis=0) - self.estimate).tolist(), strict=True))
 
     @property
     def confidence_interval(self) -> dict[str, tuple[float, float]]:
         """Percentiles 2.5 and 97.5."""
-        low, high = np.percentile(self._told, [2.5, 97.5], axis=0).tolist()
+        low, high = np.percentile(self._refitted, [2.5, 97.5], axis=0).tolist()
         return dict(zip(self.names, zip(low, high, strict=True), strict=True))
 
     @property
-    def _told(self) -> np.ndarray:
+    def _refitted(self) -> np.ndarray:
         return self.estimates if len(self.estimates) > 1 else np.full((2, len(self.names)), np.nan)
 
 

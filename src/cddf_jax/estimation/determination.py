@@ -159,8 +159,8 @@ def determine(evidence: Evidence) -> Determination:
     rank = int(spectrum.determined.sum())
     freedom = jacobian.shape[0] - rank
     error = spectrum.relative_error * size
-    noise_told = freedom > 0 or not any(evidence.noise_estimated.values())
-    error = error if noise_told else np.full_like(error, np.inf)
+    noise_known = freedom > 0 or not any(evidence.noise_estimated.values())
+    error = error if noise_known else np.full_like(error, np.inf)
     quantile = quantiles(evidence, np.eye(len(names)))
 
     status = _statuses(evidence, error, quantile)
@@ -173,7 +173,7 @@ def determine(evidence: Evidence) -> Determination:
     spread = np.sqrt(np.diag(spectrum.covariance))
     sloppy = spectrum.directions[-1] / max(np.abs(spectrum.directions[-1]).max(), TINY)
     sloppy = sloppy * np.sign(sloppy[np.argmax(np.abs(sloppy) > NEGLIGIBLE_POWER)])  # the first that matters: positive
-    powers_told = evidence.products and noise_told and not evidence.failed
+    with_products = evidence.products and noise_known and not evidence.failed
 
     def by_name(values: Iterable[T]) -> dict[str, T]:
         return dict(zip(names, values, strict=True))
@@ -184,7 +184,7 @@ def determine(evidence: Evidence) -> Determination:
         standard_error=by_name(np.where(open_ended, np.inf, error).tolist()),
         confidence_interval=by_name(zip(low.tolist(), high.tolist(), strict=True)),
         status=by_name(status),
-        combinations=_combinations(names, value, lost, jacobian) if powers_told else {},
+        combinations=_combinations(names, value, lost, jacobian) if with_products else {},
         covariance=spectrum.covariance * np.outer(size, size),
         correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), TINY),
         singular_values=spectrum.values,
@@ -226,10 +226,10 @@ def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> li
         of_prior[i] = np.abs(row[0, i])
     # the data alone do not determine it, and with the prior its standard error is that of the prior
     prior_only = ~(data_error < np.inf) & (error * of_prior > ALL_OF_PRIOR * evidence.size)
-    told = known & closed & (not evidence.failed)
-    told[list(evidence.open_profile)] = False
+    identified = known & closed & (not evidence.failed)
+    identified[list(evidence.open_profile)] = False
     words = [AT_BOUND, PRIOR_ONLY, IDENTIFIED]
-    return np.select([evidence.at_bound, prior_only, told], words, NOT_IDENTIFIED).tolist()
+    return np.select([evidence.at_bound, prior_only, identified], words, NOT_IDENTIFIED).tolist()
 
 
 def _combinations(

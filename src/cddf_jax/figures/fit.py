@@ -11,16 +11,9 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from ..errors import InputError
+from ..identification import fit_diagnostics as diagnostics
 from ..identification.bench import Group, parameter_named
 from ..identification.fit import Fit
-from ..identification.fit_diagnostics import (
-    ModelCurve,
-    half_width,
-    has_numbers,
-    model_curve,
-    normality_of,
-    tables_without_numbers,
-)
 from ..measurements.readings import kind_of
 from ..quantities import QUANTITIES, dimension_of
 from ..units import preferred
@@ -103,7 +96,7 @@ def table_figures(fit: Fit) -> dict[str, Figure]:
 
     There is none where the model gave no numbers: `tables_without_numbers`.
     """
-    lost = tables_without_numbers(fit)
+    lost = diagnostics.tables_without_numbers(fit)
     return {
         "fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_"): _table_figure(fit, name)
         for name in fit.alone
@@ -138,7 +131,7 @@ class _Panel(NamedTuple):
     x: np.ndarray
     observed: np.ndarray
     residual: np.ndarray  # observed - predicted
-    curve: ModelCurve | None  # None where no single one holds the rows
+    curve: diagnostics.ModelCurve | None  # None where no single one holds the rows
     half_width: np.ndarray | float  # of the 95 % interval of the predictions, where there is no curve
     x_label: str
     y_label: str
@@ -152,9 +145,9 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     groups = _groups(fit, name)
     column = _the_one(who, "column", column, list(groups))
     group = groups[column]
-    if not has_numbers(fit, group):
+    if not diagnostics.has_numbers(fit, group):
         raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
-    rows, curve = group.table, model_curve(fit, group)
+    rows, curve = group.table, diagnostics.model_curve(fit, group)
     there, observed, residual = group.there, group.observed, fit.residuals[group.label]
     label = ("simulated data" if rows.simulated else "data") + (", mean ± sd" if curve is not None else "")
     if column == "pulling_tension" and curve is not None:
@@ -166,10 +159,10 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     number = column.removeprefix(kind).replace("_", " ")  # " 2" of tendon 2
     words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
     if curve is not None:
-        curve = ModelCurve(curve.grid, scale * curve.value, scale * curve.half_width)
+        curve = diagnostics.ModelCurve(curve.grid, scale * curve.value, scale * curve.half_width)
         base = rows["base_tension"][there]
         return _Panel(base, observed, residual, curve, np.nan, "Base tension (N)", words, unit, label)
-    half, words = scale * half_width(fit, group), words[0].lower() + words[1:]
+    half, words = scale * diagnostics.half_width(fit, group), words[0].lower() + words[1:]
     labels = f"Predicted {words}", f"Measured {words}"
     return _Panel(observed - residual, observed, residual, None, half, *labels, unit, label)
 
@@ -215,7 +208,7 @@ def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
     draw_band(axes, quantile, lower, upper, label="95 % of normal draws")
     axes.plot(quantile, quantile, color=draw.BLUE, label="normal")
     axes.plot(quantile, np.sort(residual), "o", color=draw.BLACK, markerfacecolor="none", markersize=2.8, label="data")
-    p_value = normality_of(residual).p_value
+    p_value = diagnostics.normality_of(residual).p_value
     text = f"{count} residuals" + (f"\nShapiro-Wilk p = {p_value:.2g}" if np.isfinite(p_value) else "")
     axes.text(0.04, 0.96, text, transform=axes.transAxes, va="top")
     axes.set(xlabel="Normal quantile", ylabel="Residual / noise", title=fill(name, 44))

@@ -140,10 +140,10 @@ def shown_unit(name: str) -> tuple[float, str]:
     return scale, f" {unit}" if unit else ""
 
 
-def parameter_shown(told: Determination, name: str) -> tuple[float, float, float, float, str]:
+def parameter_shown(found: Determination, name: str) -> tuple[float, float, float, float, str]:
     """Value, standard error and interval of a parameter in the unit in which engineers write it, and that unit."""
     scale, unit = shown_unit(name)
-    numbers = told.value[name], told.standard_error[name], *told.confidence_interval[name]
+    numbers = found.value[name], found.standard_error[name], *found.confidence_interval[name]
     value, error, low, high = (scale * number for number in numbers)
     return value, error, low, high, unit
 
@@ -158,13 +158,13 @@ def verdict_of(fit: "Fit") -> list[str]:
     return lines + [_advice(fit, lost)] * bool(lost and fit.success)
 
 
-def estimates_in_words(told: Determination, bounded_above: Sequence[str] = ()) -> list[str]:
+def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) -> list[str]:
     """A line for each parameter and combination, in the unit in which engineers write it."""
     lines = []
-    for name, status in told.status.items():
+    for name, status in found.status.items():
         if name.startswith(TRIALS):
             continue
-        value, error, low, high, unit = parameter_shown(told, name)
+        value, error, low, high, unit = parameter_shown(found, name)
         if status == IDENTIFIED:
             lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
         elif status != NOT_IDENTIFIED:
@@ -174,7 +174,7 @@ def estimates_in_words(told: Determination, bounded_above: Sequence[str] = ()) -
             lines.append(f"{name}: at the lower bound {low:.4g}{unit}, at most {high:.4g}{unit} (95 %): not identified")
         else:
             lines.append(f"{name}: not identified")
-    for name, (value, error) in told.combinations.items():
+    for name, (value, error) in found.combinations.items():
         lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, although its factors are not")
     return lines
 

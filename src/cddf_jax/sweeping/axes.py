@@ -59,8 +59,8 @@ def _dimension(name: object, values: object) -> Dimension:
     numbers = {key: _numbers(key, given) for key, given in together.items() if key not in OPTIONS}
     sizes = {key: len(given) for key, given in (numbers | options).items()}
     if len(set(sizes.values())) > 1:
-        told = ", ".join(f"{key} {size}" for key, size in sizes.items())
-        raise InputError(f"sweep: what varies together along {name!r} must have one length, got {told}")
+        got = ", ".join(f"{key} {size}" for key, size in sizes.items())
+        raise InputError(f"sweep: what varies together along {name!r} must have one length, got {got}")
     return Dimension(name, numbers, options)
 
 
