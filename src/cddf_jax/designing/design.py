@@ -106,7 +106,7 @@ def design(
         body = case_numbers(manipulator).with_numbers(numbers).manipulator
         problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, options)
         if found:  # one scale for all, so that they can be compared
-            problem = problem.over_the_sizes_of(found[0][1])
+            problem = replace(problem, terms=found[0][1].terms)
         search = DesignSearch(problem, options.max_iterations)
         found.append((chosen, problem, search.from_starts(options.starts, options.seed)))
     chosen, problem, best = min(found, key=lambda each: each[2].rank)

@@ -95,7 +95,7 @@ def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[Sea
     first = search(0, np.inf, [start])
     found = [first, search(1, np.inf, [first.z, start])]
     while len(found) < num:
-        raw = np.array([[_raw(each, k) for k in (0, 1)] for each in found])
+        raw = np.array([[problem.over_the_cases(k, each.evaluation.aims[k]) for k in (0, 1)] for each in found])
         size = np.maximum(np.abs(raw[0] - raw[-1]), 1e-12 * np.abs(raw[0]) + 1e-300)
         gaps = [i for i, pair in enumerate(pairwise(found)) if all(each.feasible for each in pair)]
         if not gaps or np.all(np.abs(raw[0] - raw[-1]) <= SAME * np.abs(raw[0])):
@@ -115,11 +115,6 @@ def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
     other = terms[1 - small]
     terms[1 - small] = replace(other, most=jnp.minimum(jnp.asarray(level, float), FAR * other.reference))
     return replace(problem, terms=tuple(terms))
-
-
-def _raw(result: SearchResult, i: int) -> float:
-    """An objective as the optimiser has it."""
-    return float(result.problem.over_the_cases(i, result.evaluation.aims[i]))
 
 
 def _rate(result: SearchResult) -> float:

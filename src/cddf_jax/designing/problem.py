@@ -1,7 +1,6 @@
 """A design as a nonlinear program: an objective to be made small, margins that may not be negative, zeros."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
 import equinox as eqx
@@ -183,11 +182,6 @@ class DesignProblem(eqx.Module):
         """Over the cases by their weights."""
         aim = jnp.asarray(aim)
         return aim[0] if aim.shape[0] == 1 else self.shares @ aim
-
-    def over_the_sizes_of(self, other: "DesignProblem") -> "DesignProblem":
-        """The same with every objective over its size at the start of another problem."""
-        pairs = zip(self.terms, other.terms, strict=True)
-        return replace(self, terms=tuple(replace(own, reference=term.reference) for own, term in pairs))
 
 
 def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.ndarray]:

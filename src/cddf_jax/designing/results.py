@@ -204,14 +204,12 @@ def free_numbers(problem: DesignProblem, local: LocalMinimum, unit: float) -> di
 
 def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignEvaluation) -> tuple[Achieved, ...]:
     """Each objective at the start and at the end."""
-
-    def value(i: int, found: DesignEvaluation) -> float:
-        return problem.terms[i].objective.displayed(float(problem.over_the_cases(i, found.aims[i])))
-
-    return tuple(
-        Achieved(str(aim), value(i, at_start), value(i, at_end), float(term.weight), aim.dimension)
-        for i, (term, aim) in enumerate((term, term.objective) for term in problem.terms)
-    )
+    found = []
+    for i, term in enumerate(problem.terms):
+        aim, values = term.objective, (problem.over_the_cases(i, each.aims[i]) for each in (at_start, at_end))
+        start, end = (aim.displayed(float(value)) for value in values)
+        found.append(Achieved(str(aim), start, end, float(term.weight), aim.dimension))
+    return tuple(found)
 
 
 def limit_reports(problem: DesignProblem, local: LocalMinimum, unit: float) -> tuple[LimitReport, ...]:

@@ -26,18 +26,13 @@ def _size(vectors: ArrayLike) -> np.ndarray:
     return np.linalg.norm(vectors, axis=-1)
 
 
-def _strain(manipulator: Manipulator, along: Fields) -> np.ndarray:
-    """Of the outer wall, per cent."""
-    return 100 * np.abs(manipulator.outer_strain(along.arc_length, along.curvature))
-
-
 # values in the unit of their label, (points,) or (tendons, points)
 ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
     "tension": lambda _, along: along.tension,
     "curvature": lambda _, along: along.curvature,
     "normal_force": lambda _, along: _size(along.normal_force),
     "friction_force": lambda _, along: _size(along.friction_force),
-    "strain": _strain,
+    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, along.curvature)),
     "heading": lambda _, along: np.degrees(along.heading),
 }
 

@@ -74,7 +74,9 @@ def draw_shape(
     along = fields_along(equilibrium, s)
     body, straight = bent_body(manipulator, along), straight_body(manipulator, s)
     tension = np.where(reached(manipulator, s), along.tension, np.nan)
-    given, norm, around = axes, _tension_range(tension), 0.05 * 1e3 * s[-1]
+    low, high = float(np.nanmin(tension)), float(np.nanmax(tension))
+    norm = Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)  # from 0 where tensions hardly differ
+    given, around = axes, 0.05 * 1e3 * s[-1]
     with draw.axes_or_new(axes, HEIGHT) as axes:
         axes.plot(*straight.outline.T, color=draw.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
         draw.draw_clamp(axes, body.outer_radius[0] + around, around)
@@ -100,12 +102,6 @@ def _fitting_height(axes: Axes, width: float) -> float:
     """Of a figure whose axes for the body are so wide, in."""
     across, up = axes.dataLim.size
     return float(np.clip(width * up / across + 0.7, 2.4, 4.2))
-
-
-def _tension_range(tension: np.ndarray) -> Normalize:
-    """From the smallest tension to the largest; from zero where they hardly differ."""
-    low, high = float(np.nanmin(tension)), float(np.nanmax(tension))
-    return Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)
 
 
 def _number_tendons(axes: Axes, heights: np.ndarray, length: float) -> None:

@@ -50,17 +50,13 @@ def draw_correlation(fit: Fit, axes: Axes | None = None) -> Axes:
     width = float(np.clip(1.5 + 0.6 * len(names), draw.SINGLE_COLUMN, draw.DOUBLE_COLUMN))
     with draw.axes_or_new(axes, 0.8 * width, width) as axes:
         image = axes.imshow(matrix, cmap=CORRELATION_COLOURS, vmin=-1, vmax=1)
-        _write_numbers(axes, matrix)
+        for (i, k), number in np.ndenumerate(matrix):
+            digits = 2 if abs(number) < 0.995 or i == k else 4
+            text = f"{round(number, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+            axes.text(k, i, text, ha="center", va="center", color="white" if abs(number) > 0.8 else "black")
         _name_rows(axes, [fill(shown_scale(name)[1].partition(" (")[0], 14) for name in names])
         draw.figure_of(axes).colorbar(image, ax=axes, label="Correlation", shrink=0.9, ticks=[-1, -0.5, 0, 0.5, 1])
     return axes
-
-
-def _write_numbers(axes: Axes, matrix: np.ndarray) -> None:
-    for (i, k), number in np.ndenumerate(matrix):
-        digits = 2 if abs(number) < 0.995 or i == k else 4
-        text = f"{round(number, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
-        axes.text(k, i, text, ha="center", va="center", color="white" if abs(number) > 0.8 else "black")
 
 
 def _name_rows(axes: Axes, labels: list[str]) -> None:

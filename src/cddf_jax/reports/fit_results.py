@@ -36,6 +36,7 @@ OF_DETERMINATION = (
     *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "correlation", "rank"),
     *("condition_number", "sloppy_direction"),
 )
+OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
 OF_BOOTSTRAP = (
     *("kind", "seed", "num_failed", "num_cases", "coverage", "remark", "names", "standard_error"),
     *("confidence_interval", "bias", "correlation", "estimates"),
@@ -112,7 +113,10 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         "cost_from_each_start": fit.starts,
         "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
         "bootstraps": [_bootstrap_as_dict(bootstrap) for bootstrap in report.bootstraps],
-        "model_free_friction": {name: _model_free_as_dict(found) for name, found in report.model_free.items()},
+        "model_free_friction": {
+            name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"disagreement": found.disagreement}
+            for name, found in report.model_free.items()
+        },
         "data": [_table_as_dict(table) for table in fit.tables],
         "manipulator": _as_toml(fit.model.manipulator),
         "kinematics": fit.manipulator.kinematics,
@@ -142,12 +146,6 @@ def _bootstrap_as_dict(bootstrap: Bootstrap) -> dict[str, object]:
     replicates = len(bootstrap.estimates) + bootstrap.num_failed
     units = {name: unit_of(name) for name in bootstrap.names}
     return picked(bootstrap, OF_BOOTSTRAP) | {"replicates": replicates, "unit": units}
-
-
-def _model_free_as_dict(found: ModelFree) -> dict[str, object]:
-    friction, compared = found
-    names = ("value", "standard_error", "confidence_interval", "verdict")
-    return {"unit": "1"} | picked(friction, names) | {"disagreement": compared}
 
 
 def _options(fit: Fit) -> dict[str, object]:
