@@ -45,8 +45,8 @@ def built(tmp_path_factory):
 def test_the_wheel_holds_the_package_and_nothing_else(built):
     with zipfile.ZipFile(built[0]) as wheel:
         names = wheel.namelist()
-    modules = {path.relative_to(ROOT / "src").as_posix() for path in (ROOT / "src/cddf_jax").rglob("*.py")}
-    assert modules <= set(names)
+    files = [path for path in (ROOT / "src/cddf_jax").rglob("*.*") if path.suffix != ".pyc"]
+    assert {path.relative_to(ROOT / "src").as_posix() for path in files} <= set(names)
     assert {name.split("/")[0] for name in names} == {"cddf_jax", f"cddf_jax-{cddf_jax.__version__}.dist-info"}
 
 
