@@ -263,9 +263,9 @@ def test_what_was_read_is_said_by_column_and_in_one_line(stepped_robot):
 
 @pytest.mark.slow
 def test_solve_says_what_was_read_and_draws_it(tmp_path, cddf_command, stepped_robot):
-    code, out, _ = cddf_command("solve", str(stepped_robot), "-t", "20 N", "--out", str(tmp_path / "out"))
+    code, out, err = cddf_command("solve", str(stepped_robot), "-t", "20 N", "--out", str(tmp_path / "out"))
     assert (code, "78.415 deg" in out) == (0, True)
-    assert in_one_line(read_robot_file(stepped_robot).columns) in out.splitlines()
+    assert f"note: {in_one_line(read_robot_file(stepped_robot).columns)}" in err.splitlines()
     assert {"cross_sections.pdf", "cross_sections.png"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 

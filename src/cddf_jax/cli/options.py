@@ -89,20 +89,13 @@ def print_answer(text: str, answer: object, *, as_json: bool) -> None:
     typer.echo(text)
 
 
-def read_robot(
-    robot: Path,
-    kinematics: Kinematics | None,
-    configure: Callable[[], None] | None = None,
-    *,
-    note_columns: bool = True,
-) -> "RobotFile":
-    """Set JAX up and read the manipulator's file.
+def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[], None] | None = None) -> "RobotFile":
+    """Set JAX up and read the manipulator's file; how a table of cross-sections was read is noted on standard error.
 
     Args:
         robot: the TOML file.
         kinematics: instead of those of the file; None for these.
         configure: sets JAX up; None for `application.configure_jax`.
-        note_columns: whether to note on standard error how a table of cross-sections was read.
     """
     from dataclasses import replace
 
@@ -114,7 +107,7 @@ def read_robot(
         from ..files.manipulator_file import read_robot_file
 
     read = read_robot_file(robot)
-    if note_columns and read.columns:
+    if read.columns:
         note([in_one_line(read.columns)])
     other = read.manipulator if kinematics is None else replace(read.manipulator, kinematics=kinematics)
     return read._replace(manipulator=other)

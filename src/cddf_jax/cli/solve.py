@@ -37,10 +37,9 @@ def solve(
 
     X runs along the straight body from its base, Y to the side of a tendon with side = 1.
     """
-    manipulator, columns, _ = options.read_robot(robot, kinematics, note_columns=False)
+    manipulator, columns, _ = options.read_robot(robot, kinematics)
     with stage("loading"):
         from ..files.actuation import read_actuation, read_directions, read_loads
-        from ..files.cross_sections import in_one_line
         from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
         from ..statics.description import result_in_words
         from ..statics.equilibrium import RESULTS, ended_as, on_host
@@ -59,7 +58,6 @@ def solve(
     text = solve_in_words(equilibrium, actuation, base_tension, loads)
     if columns:
         answer["cross_sections"] = {column.name: column.words for column in columns}
-        text += f"\n{in_one_line(columns)}"
     if out is not None:
         from ..figures.along import sections_figure
         from ..figures.body import equilibrium_figure
