@@ -109,11 +109,7 @@ def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulat
 
 
 def read_loads(
-    tip_force: str | None,
-    tip_moment: str | None,
-    gravity: str | None,
-    *,
-    called: Callable[[str], str] = as_option,
+    tip_force: str | None, tip_moment: str | None, gravity: str | None, *, called: Callable[[str], str] = as_option
 ) -> Loads | None:
     """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where no text is given.
 
