@@ -190,6 +190,19 @@ print(*{name.split('.')[0] for name in sys.modules})
     assert not loaded & (HEAVY - {"scipy"})
 
 
+def test_what_takes_long_to_load_is_loaded_when_it_is_used():
+    """Drawing, tables, units, statistics, and the optimisers of SciPy, which designs alone begin with."""
+    program = """
+import sys, cddf_jax as cddf
+cddf.solve, cddf.fit, cddf.sweep, cddf.plan, cddf.read_manipulator, cddf.read_measurements
+print(*sys.modules)
+"""
+    loaded = set(run(program))
+    assert {"jax", "optimistix"} <= loaded
+    assert not loaded & {"matplotlib", "pandas", "xarray", "zarr", "pint", "rich"}
+    assert not loaded & {"scipy.stats", "scipy.interpolate", "scipy.optimize"}
+
+
 def test_every_public_name_is_there_and_no_module_bears_it():
     """A lazily exported function named like its module turns into the module on second access, design.md section 6."""
     modules = {path.stem for path in SOURCE.iterdir()}

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from ..errors import InputError
 from ..estimation.determination import IDENTIFIED, PRIOR_ONLY
@@ -102,7 +102,9 @@ def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) ->
         raise InputError(f"uncertain_cases: num must be a power of 2 such as 16, got {num!r}")
     places, centre = [fit.names.index(name) for name in own], np.array([fit.value[name] for name in own])
     logarithmic = np.log1p(fit.covariance[np.ix_(places, places)] / np.outer(centre, centre))
-    points = norm.ppf(qmc.Sobol(len(own), rng=seed).random(num))
+    from scipy.stats import qmc
+
+    points = ndtri(qmc.Sobol(len(own), rng=seed).random(num))
     values = centre * np.exp(points @ np.linalg.cholesky(logarithmic).T - np.diag(logarithmic) / 2)
     label, weight = case.name or "case", float(case.weight) / num
     drawn = [{**case.numbers, **dict(zip(own, row, strict=True))} for row in values]

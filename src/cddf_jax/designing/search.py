@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
 
 from ..numerics.constrained import (
     ACTIVE,
@@ -102,6 +101,8 @@ class DesignSearch:
 
     def _screened(self, starts: int, seed: int) -> list[np.ndarray]:
         """The most promising of `starts` - 1 points: the objective, and a price for the largest violation."""
+        from scipy.stats import qmc
+
         if starts <= 1:
             return []
         sobol = qmc.Sobol(self.ranges.size, rng=np.random.default_rng(seed))

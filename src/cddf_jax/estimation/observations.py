@@ -7,7 +7,6 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import PyTree
-from scipy.optimize import minimize, nnls
 
 from ..errors import InputError
 from .determination import spectrum_of, without_nan
@@ -109,6 +108,8 @@ def _parts(
     Restricted likelihood (Patterson and Thompson 1971): sum of (square - (1 - leverage) variance) / variance^2 times
     1 and predicted^2 is zero, or the part is.
     """
+    from scipy.optimize import nnls
+
     design = np.stack([np.ones_like(predicted), predicted**2], axis=1)
     known = np.array([part is not None for part in sigma])
     given = np.array([0.0 if part is None else part**2 for part in sigma])
@@ -127,6 +128,8 @@ def _most_likely(
     design: np.ndarray, rest: np.ndarray, squares: np.ndarray, weight: np.ndarray, first: np.ndarray
 ) -> np.ndarray:
     """The least of the sum of weight * (log v + square / v), v = design @ u + rest, over u of 0 or more."""
+    from scipy.optimize import minimize
+
     unit = float(np.mean(squares + rest))
 
     def height(u: np.ndarray) -> tuple[float, np.ndarray]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import root_scalar
 
 from ..progress import stage
 from .levenberg_marquardt import Minimum, hold_one
@@ -145,6 +144,8 @@ class _Side:
 
         It is the bound where the likelihood does not close the interval.
         """
+        from scipy.optimize import root_scalar
+
         k = self.crossed
         if k is None:
             return self.bound, False, False

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtr, stdtr
-from scipy.stats import spearmanr
 
 from .determination import Evidence, spectrum_of, without_nan
 from .levenberg_marquardt import MAX_STEPS, Minimum, minimise
@@ -107,6 +106,8 @@ def _uneven(name: str, residual: np.ndarray, values: np.ndarray) -> list[str]:
     """Whether the residuals grow with the reading, by ranks."""
     if values.size < LEAST_FOR_RANKS or np.ptp(np.abs(values)) == 0 or np.ptp(np.abs(residual)) == 0:
         return []
+    from scipy.stats import spearmanr
+
     chance = np.asarray(spearmanr(np.abs(values), np.abs(residual), alternative="greater"))[1]
     grown = f'{name}: residuals grow with the reading; let the noise do so, Noise() for it or "0.1 N + 1 %"'
     return [grown] if chance < GROWTH_CHANCE else []

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
 
 from ..progress import each, stage
 from .determination import NOT_IDENTIFIED
@@ -135,6 +134,8 @@ def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int) -> list[Ou
     """Searches from some of the further starts, which a scrambled Sobol sequence spreads; nothing is compiled anew."""
     space = problem.space
     count = max(which.stop, sum(ROUNDS))
+    from scipy.stats import qmc
+
     draws = qmc.Sobol(len(space.names), rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(count))))
     decades = np.repeat(DECADES, [*ROUNDS[:-1], count])
     found = []

@@ -4,14 +4,16 @@ Nothing is made up between two points: straight lines, unless a smooth curve tha
 """
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BSpline, PPoly, make_lsq_spline
 
 from ..errors import InputError
 from ..robot.profiles import Constant, Linear, Piecewise, Profile, Spline
 from ..units import shown
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 MOST_KNOTS = 64  # of a spline
 MOST_LINES = 1000
@@ -108,6 +110,8 @@ def _corners(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[int]:
 
 def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> tuple[Spline | None, str]:
     """The least-squares spline of the fewest evenly spaced knots that will do; None and the reason if none does."""
+    from scipy.interpolate import make_lsq_spline
+
     if len(s) < 4:
         return None, "a smooth curve needs four points"
     limit = min(MOST_KNOTS, len(s))
@@ -128,12 +132,14 @@ def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> t
     return None, reason
 
 
-def _strays(curve: BSpline, s: np.ndarray, values: np.ndarray, tolerance: float) -> str:
+def _strays(curve: "BSpline", s: np.ndarray, values: np.ndarray, tolerance: float) -> str:
     """What a cubic spline does between the points though they give no reason for it, "" for nothing.
 
     It is at an end of an interval, where it is near enough, or level where it is highest and lowest there: these
     places are the roots of a quadratic in each piece, so that nothing is missed between two stations.
     """
+    from scipy.interpolate import PPoly
+
     level = PPoly.from_spline(curve).derivative().roots(discontinuity=False, extrapolate=False)
     level = np.sort(np.concatenate([level, curve.t]))  # a piece may be level all along, from knot to knot
     level = level[np.isfinite(level) & (level > s[0]) & (level < s[-1])]

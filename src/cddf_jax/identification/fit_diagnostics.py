@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from ..estimation.determination import AT_BOUND
 from ..mechanics.capstan import pulling_tension
@@ -41,9 +40,11 @@ def normality(fit: Fit) -> dict[str, Normality]:
 
 def normality_of(residual: np.ndarray) -> Normality:
     """The test of Shapiro and Wilk; not of few, very many, equal or infinite residuals."""
+    from scipy.stats import shapiro
+
     low, high = SHAPIRO_ROWS
     fit_for_it = low <= residual.size <= high and np.all(np.isfinite(residual)) and np.ptp(residual) > 0
-    return Normality(residual.size, float(stats.shapiro(residual).pvalue) if fit_for_it else float("nan"))
+    return Normality(residual.size, float(shapiro(residual).pvalue) if fit_for_it else float("nan"))
 
 
 # --- the model beside the rows -------------------------------------------------------------------

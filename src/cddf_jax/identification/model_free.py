@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtr, stdtrit
 
 from ..errors import InputError
 from ..measurements.table import Measurements
@@ -124,7 +124,7 @@ def model_free_friction(table: Measurements) -> ModelFreeFriction:
     value = float(np.sum(angle * loss) / np.sum(angle**2))
     residual = loss - value * angle
     error = float(_jackknife(angle[:, None], residual, labels)[0])
-    half_width = float(stats.t.ppf(0.975, max(labels.max(), 1))) * error
+    half_width = float(stdtrit(max(labels.max(), 1), 0.975)) * error
     estimate = np.full(len(table), np.nan)
     estimate[usable] = loss / angle
     return ModelFreeFriction(
@@ -179,7 +179,7 @@ def _constancy(base: np.ndarray, angle: np.ndarray, residual: np.ndarray, labels
     columns = np.stack([angle, regressor], axis=1)
     error = float(_jackknife(columns, residual - slope * regressor, labels)[1])
     t = slope / error if 0 < error < np.inf else np.nan
-    return Constancy(slope, error, t, float(2 * stats.t.sf(abs(t), freedom)), freedom)
+    return Constancy(slope, error, t, float(2 * stdtr(freedom, -abs(t))), freedom)
 
 
 def _jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> np.ndarray:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize
 
 from ..estimation.determination import determine
 from ..estimation.least_squares import LeastSquaresFit
@@ -60,6 +59,8 @@ def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> f
 
     Patterson and Thompson (1971), Biometrika 58, 545; Harville (1977), JASA 72, 320, in its mixed-model equations.
     """
+    from scipy.optimize import minimize_scalar
+
     evidence, (problem, outcome) = statistics.evidence, statistics.minimum
     priors = [i for i in evidence.prior_rows if i not in random]
     jacobian = np.concatenate([*evidence.rows.values(), *(evidence.prior_rows[i] for i in priors)])
@@ -77,5 +78,5 @@ def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> f
         whole[diagonal, diagonal] += np.exp(-2 * logarithm)
         return np.linalg.slogdet(whole)[1] + 2 * len(random) * logarithm - pull @ np.linalg.solve(whole, pull)
 
-    found = optimize.minimize_scalar(minus_twice, bounds=np.log(SPREADS), method="bounded", options={"xatol": 1e-5})
+    found = minimize_scalar(minus_twice, bounds=np.log(SPREADS), method="bounded", options={"xatol": 1e-5})
     return float(np.exp(found.x))

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.stats import f_oneway
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
@@ -131,6 +130,8 @@ def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
     exact = np.max(np.abs(residual), initial=0.0) <= EXACT * size  # what is left is rounding
     if exact or len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
         return False
+    from scipy.stats import f_oneway
+
     return bool(f_oneway(*groups).pvalue < CHANCE)
 
 

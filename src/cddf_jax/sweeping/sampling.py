@@ -1,11 +1,14 @@
 """Samples of several quantities at once, for the axis of a sweep along which they vary together."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import qmc
 
 from ..errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.stats.qmc import QMCEngine
 
 Ranges = Mapping[str, tuple[float, float]]
 
@@ -24,6 +27,8 @@ def latin_hypercube(ranges: Ranges, count: int, seed: int = 0) -> dict[str, np.n
     Raises:
         InputError: for an empty range, or no samples.
     """
+    from scipy.stats import qmc
+
     return _spread(ranges, count, qmc.LatinHypercube(max(len(ranges), 1), rng=np.random.default_rng(seed)))
 
 
@@ -35,10 +40,12 @@ def sobol(ranges: Ranges, count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """
     if count < 1 or count & (count - 1):
         raise InputError(f"sobol: count must be a power of 2 such as {2 ** max(count, 1).bit_length()}, got {count}")
+    from scipy.stats import qmc
+
     return _spread(ranges, count, qmc.Sobol(max(len(ranges), 1), rng=np.random.default_rng(seed)))
 
 
-def _spread(ranges: Ranges, count: int, sampler: qmc.QMCEngine) -> dict[str, np.ndarray]:
+def _spread(ranges: Ranges, count: int, sampler: "QMCEngine") -> dict[str, np.ndarray]:
     if not ranges or count < 1:
         raise InputError(f"samples: give one range or more and a count of 1 or more, got {len(ranges)} and {count}")
     for name, limits in ranges.items():
