@@ -4,7 +4,7 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.estimation.observations import Noise
-from cddf_jax.estimation.parameter_space import Prior
+from cddf_jax.estimation.parameter_space import Prior, Uniform
 
 
 def repeated(results, folder):
@@ -15,5 +15,5 @@ def repeated(results, folder):
     assert [table.checksum for table in tables] == [table["sha256"] for table in results["data"]]
     options = dict(results["options"])
     options["noise"] = {k: Noise(**v) if isinstance(v, dict) else v for k, v in options["noise"].items()}
-    options["priors"] = {k: Prior(**v) for k, v in options["priors"].items()}
+    options["priors"] = {k: (Prior if "mean" in v else Uniform)(**v) for k, v in options["priors"].items()}
     return cddf.fit(cddf.read_manipulator(robot), tables, **options)

@@ -87,8 +87,8 @@ def test_options_of_a_fit(answer_of):
     assert_the_fit(answer, fit)
     assert answer["options"] == {
         "free": ["friction_coefficient"],
-        "priors": {},
-        "bounds": {"friction_coefficient": [0.2, 0.6]},
+        "priors": {"friction_coefficient": {"low": 0.1, "high": 0.6}},
+        "bounds": {"friction_coefficient": [0.2, None]},
         "noise": {"pulling_tension": {"floor": 0.1, "fraction": 0.01}},
         "per_trial": False,
         "loss": "huber",

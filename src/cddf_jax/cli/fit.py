@@ -72,14 +72,13 @@ def fit(
         from ..reports.fit_results import fit_as_dict, make_report
         from .fit_texts import read_bounds, read_noise, read_priors
 
-    known_noise = read_noise(noise)
     found = fit(
         manipulator,
         options.read_data(data, column, holds_averaged=average_holds),
         free or None,
         read_priors(prior),
         bounds=read_bounds(bound),
-        noise=known_noise,
+        noise=read_noise(noise),
         per_trial=per_trial,
         loss=loss,
         starts=starts,
@@ -87,7 +86,7 @@ def fit(
         nodes=nodes,
     )
     bootstraps = _bootstraps(found, bootstrap, seed)
-    report = make_report(found, options={"noise": known_noise}, bootstraps=bootstraps, with_profiles=out is not None)
+    report = make_report(found, bootstraps=bootstraps, with_profiles=out is not None)
     if out is not None:
         write_report(report, out)
     options.print_answer(fit_in_words(report), fit_as_dict(report), as_json=as_json)

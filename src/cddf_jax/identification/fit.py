@@ -41,6 +41,7 @@ class Fit(LeastSquaresFit):
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty unless asked for
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 where there is none, NaN where not asked for
     looks: tuple[Look, ...]  # at the solves of each table of the manipulator
+    options: dict[str, object]  # the arguments of `fit` beside body and data; with the names of what was free
 
     @property
     def verdict(self) -> tuple[str, ...]:
@@ -187,6 +188,10 @@ def fit(
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
+    options: dict[str, object] = {
+        **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
+        **{"per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed, "nodes": nodes},
+    }
     kinds = {name: bench.parameter_named(name) for name in free}
     before = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     experiments = (
@@ -201,12 +206,12 @@ def fit(
     search = partial(least_squares_fit, model, **data_of, bounds=bounds, loss=loss, seed=seed, prefer_start=True)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        return _conclude(statistics, tables, model, float("nan"))
+        return _conclude(statistics, tables, model, float("nan"), options)
     if "friction_coefficient" not in free or before[-1] < 2:
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(before[-1]), start, priors or {}, scales, starts)
-    return _conclude(statistics, tables, model, spread)
+    return _conclude(statistics, tables, model, spread, options)
 
 
 def _trials(table: Measurements) -> tuple[str, ...]:
@@ -235,7 +240,11 @@ def noise_of(
 
 
 def _conclude(
-    statistics: LeastSquaresFit, tables: tuple[Measurements, ...], model: bench.BenchModel, trial_spread: float
+    statistics: LeastSquaresFit,
+    tables: tuple[Measurements, ...],
+    model: bench.BenchModel,
+    trial_spread: float,
+    options: dict[str, object],
 ) -> Fit:
     """The fit of a manipulator from the statistics: the estimates in its place, and a look at each table's solves."""
     body = model.manipulator
@@ -266,4 +275,5 @@ def _conclude(
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
         looks=looks,
+        options=options,
     )

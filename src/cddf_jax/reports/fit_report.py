@@ -1,6 +1,6 @@
 """A fit as people read it: report.md with its figures, and results.json beside it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -24,23 +24,15 @@ from ..units import preferred
 from .fit_results import Report, fit_as_dict, make_report
 
 
-def write_fit(
-    fit: Fit,
-    folder: str | Path,
-    *,
-    options: Mapping[str, object] | None = None,
-    bootstraps: Sequence[Bootstrap] = (),
-) -> None:
+def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] = ()) -> None:
     """Write report.md, results.json and the figures (PDF and PNG) into a folder, all of them or none.
 
     Args:
         fit: of `fit`.
         folder: made if it is missing.
-        options: arguments that were given to `fit` and that the fit does not remember: `noise` of which only one part
-            was given. The others need not be named.
         bootstraps: of `fit.bootstrap`, to be reported with it.
     """
-    write_report(make_report(fit, options=options, bootstraps=bootstraps), folder)
+    write_report(make_report(fit, bootstraps=bootstraps), folder)
 
 
 def write_report(report: Report, folder: str | Path) -> None:
@@ -276,7 +268,7 @@ def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
 def _repeat_section(report: Report) -> list[str]:
     fit = report.fit
     rows = [[table.name, str(len(table)), f"`{table.checksum[:16]}`"] for table in fit.tables]
-    starts, seed, nodes = (report.options[name] for name in ("starts", "seed", "nodes"))
+    starts, seed, nodes = (fit.options[name] for name in ("starts", "seed", "nodes"))
     starts = "as needed" if starts is None else starts
     text = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
     text += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""

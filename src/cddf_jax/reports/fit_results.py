@@ -1,7 +1,7 @@
 """All that is found around a fit, and the dictionary of it from which the fit can be repeated."""
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple
@@ -54,27 +54,18 @@ class Report(NamedTuple):
     """A fit and what was found around it."""
 
     fit: Fit
-    options: dict[str, object]  # arguments of `fit`
     profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
     bootstraps: tuple[Bootstrap, ...]
     normality: dict[str, Normality]
     model_free: dict[str, ModelFree]  # by table
 
 
-def make_report(
-    fit: Fit,
-    *,
-    options: Mapping[str, object] | None = None,
-    bootstraps: Sequence[Bootstrap] = (),
-    with_profiles: bool = True,
-) -> Report:
+def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> Report:
     """Gather all that a report says; profiles take some seconds."""
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
-    return Report(
-        fit, _options(fit) | dict(options or {}), profiles, tuple(bootstraps), normality(fit), _model_free(fit)
-    )
+    return Report(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit))
 
 
 def _model_free(fit: Fit) -> dict[str, ModelFree]:
@@ -120,7 +111,7 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         "data": [_table_as_dict(table) for table in fit.tables],
         "manipulator": _as_toml(fit.model.manipulator),
         "kinematics": fit.manipulator.kinematics,
-        "options": report.options,
+        "options": fit.options,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
     }
 
@@ -146,36 +137,6 @@ def _bootstrap_as_dict(bootstrap: Bootstrap) -> dict[str, object]:
     replicates = len(bootstrap.estimates) + bootstrap.num_failed
     units = {name: unit_of(name) for name in bootstrap.names}
     return picked(bootstrap, OF_BOOTSTRAP) | {"replicates": replicates, "unit": units}
-
-
-def _options(fit: Fit) -> dict[str, object]:
-    """The arguments of `fit` as far as the fit remembers them; uniform priors are among the bounds."""
-    problem = fit.minimum.problem
-    own = {name: fit.names.index(name) for name in own_names(fit)}
-    limits = zip(np.asarray(problem.space.lower).tolist(), np.asarray(problem.space.upper).tolist(), strict=True)
-    bounds = [tuple(end if np.isfinite(end) else None for end in pair) for pair in limits]
-    return {
-        "free": list(own),
-        "priors": {name: problem.data.prior[i] for name, i in own.items() if i in problem.data.prior},
-        "bounds": {name: bounds[i] for name, i in own.items() if bounds[i] != (None, None)},
-        "noise": _given_noise(fit),
-        "per_trial": not np.isnan(fit.trial_spread),
-        "loss": fit.loss,
-        "starts": len(fit.starts) if len(fit.starts) and not fit.restarted else None,
-        "seed": fit.seed,
-        "nodes": fit.model.nodes,
-    }
-
-
-def _given_noise(fit: Fit) -> dict[str, object]:
-    """By column, the noise that was given in full."""
-    noise = {}
-    for label, deviation in zip(fit.evidence.rows, fit.minimum.problem.data.noise, strict=True):
-        if not fit.evidence.noise_estimated[label]:
-            known = np.ravel(deviation)
-            one_for_all = float(known[0]) if np.ptp(known) == 0 else known.tolist()
-            noise[label.rpartition(": ")[2]] = fit.noise_model.get(label) or one_for_all
-    return noise
 
 
 def _as_toml(manipulator: Manipulator) -> str | None:
