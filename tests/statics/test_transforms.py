@@ -8,6 +8,7 @@ from bodies import code, codes, lane, paper_body, paper_plain, replaced, stack, 
 from jax.sharding import AxisType, PartitionSpec
 
 import cddf_jax as cddf
+from cddf_jax.statics.equilibrium import code_of
 
 SAME = 1e-12  # the same operations, in an order that the compiler may change
 R = cddf.RESULTS
@@ -30,6 +31,16 @@ def solve_pair(body, tension):
     return cddf.solve(body, tension, direction=(+1, -1), throw=False)
 
 
+# the paper's body with antagonists, in SI units
+PAIR = {
+    "length": 0.14,
+    "outer_radius": (0.020, 0.013),
+    "inner_radius": 0.007,
+    "tendon_offset": (0.010, 0.010),
+    "friction_coefficient": 0.42,
+    "drag": 20.0,
+    "num_tendons": 2,
+}
 solve_pairs = jax.jit(jax.vmap(solve_pair))
 TENSIONS = jnp.array([[75.0, 20.0], [30.0, 5.0], [60.0, 0.0], [40.0, 39.0]])
 
@@ -40,6 +51,30 @@ def test_vmap_over_the_leaves_of_pairs_is_a_loop():
     batch = solve_pairs(stack(bodies), TENSIONS)
     for i, body in enumerate(bodies):
         assert_same(lane(batch, i), solve_pair(body, TENSIONS[i]), 1e-10)  # the passes of a batch end together
+
+
+@pytest.mark.slow
+def test_hard_lanes_are_what_they_are_alone():
+    """Stiff pulls against strong loads and drag: the path takes back steps, curvature changes its sign, some fail."""
+    rng = np.random.default_rng(20261123)
+    count = 160
+    tensions, directions = rng.uniform(0, 90, (count, 2)), rng.choice([1.0, -1.0], (count, 2))
+    forces, moduli = rng.uniform(-12, 12, (count, 2)), rng.uniform(1e6, 3e6, count)
+
+    def solved(tension, direction, force, modulus):
+        body = cddf.conical(**{**PAIR, "youngs_modulus": modulus})
+        found = cddf.solve(body, tension, cddf.Loads(tip_force=force), direction=direction, throw=False)
+        return code_of(found.result), found.load_fraction, found.tip_angle, found.tip_tension
+
+    lanes = tensions, directions, forces, moduli
+    together = jax.jit(jax.vmap(solved))(*lanes)
+    alone = jax.jit(lambda lanes: jax.lax.map(lambda lane: solved(*lane), lanes))(lanes)
+    np.testing.assert_array_equal(together[0], alone[0])
+    assert np.unique(alone[0]).size > 2
+    ended = alone[1] < 1.0  # a limit load is narrowed down, not solved for
+    np.testing.assert_allclose(together[1], alone[1], atol=2e-5)
+    for a, b in zip(together[2:], alone[2:], strict=True):
+        np.testing.assert_allclose(np.asarray(a)[~ended], np.asarray(b)[~ended], rtol=1e-9, atol=1e-9)
 
 
 def test_jit_is_eager():
