@@ -160,7 +160,7 @@ class ExplorerView:
 
     @property
     def parts(self) -> dict[str, pn.Column]:
-        """What stands where on the page, by the names of `explorer.PAGE`."""
+        """What stands where on the page, by the names in page.css."""
         compared = column(_title("What if the taper were another"), self.angle, self.drawn["what_if"])
         buttons = pn.FlexBox(self.fit_button, self.take_over)
         fit = column(_title("What the data tell"), buttons, self.verdict)

@@ -141,7 +141,7 @@ def sweep_figure(
         count = f"{len(kinds.numbers)} axes{' and options' if kinds.options else ''}"
         return f"{count} are too many for one; choose with xarray"
     varied = varied or {name: name_in_words(name) for name in _lists(answer)}
-    shown, swept = _shown(_thinned(answer, _room(answer, kinds)), varied), answer[RESULT].dims
+    shown, swept = _shown(_thinned(answer, kinds.room), varied), answer[RESULT].dims
     each = (part for name in names for _, part in _parts_of(shown[name], swept, PANELS))
     arrays = list(islice(each, PANELS))
     if kinds.sampled:
@@ -155,7 +155,7 @@ def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list
     """What the figure of a sweep has no room for, in words."""
     names = [name for name in outputs if "point" not in answer[name].dims]
     short = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
-    kinds, sizes, room = _kinds(short), short.sizes, _room(short, _kinds(short))
+    kinds, sizes = _kinds(short), short.sizes
     varied = [name for name in short.coords if name not in (*OPTIONS, *PARTS)]
     components = sum(short[name].size // short[RESULT].size for name in names)
     combinations = int(np.prod([sizes[name] for name in kinds.options]))
@@ -164,7 +164,7 @@ def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list
     counts += [(combinations, LINES if lines else COLUMNS, "combinations of options")]
     counts += [(sizes[name], COLUMNS, f"values of {name}") for name in kinds.numbers[:-2]]
     counts += [(len(varied), DOT_COLUMNS, "numbers that vary")] if kinds.sampled else []
-    counts += [(sizes[name], room[name], "samples") for name in kinds.sampled]
+    counts += [(sizes[name], kinds.room[name], "samples") for name in kinds.sampled]
     along = [f"{name}, which runs along the body" for name in outputs if name not in names]
     return along + [f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room]
 
@@ -175,19 +175,17 @@ class _Kinds(NamedTuple):
     sampled: list[str]  # several numbers together
     options: list[str]
     numbers: list[str]
+    room: dict[str, int]  # how many places along each number, and how many samples, can be seen
 
 
 def _kinds(answer: "xarray.Dataset") -> _Kinds:
     dimensions = [str(dimension) for dimension in answer[RESULT].dims]
     sampled = [dimension for dimension in dimensions if dimension not in answer.coords]
     options = [dimension for dimension in dimensions if dimension in OPTIONS]
-    return _Kinds(sampled, options, [name for name in dimensions if name not in (*sampled, *options)])
-
-
-def _room(answer: "xarray.Dataset", kinds: _Kinds) -> dict[str, int]:
-    """How many places along each number, and how many samples, can be seen."""
-    places = int(np.prod([min(answer.sizes[name], VALUES) for name in kinds.numbers]))
-    return dict.fromkeys(kinds.numbers, VALUES) | dict.fromkeys(kinds.sampled, max(SAMPLES // places, 1))
+    numbers = [dimension for dimension in dimensions if dimension not in (*sampled, *options)]
+    places = int(np.prod([min(answer.sizes[name], VALUES) for name in numbers]))
+    room = dict.fromkeys(numbers, VALUES) | dict.fromkeys(sampled, max(SAMPLES // places, 1))
+    return _Kinds(sampled, options, numbers, room)
 
 
 def _thinned(answer: "xarray.Dataset", room: Mapping[str, int]) -> "xarray.Dataset":
