@@ -9,7 +9,7 @@ import itertools
 import json
 import logging
 from collections.abc import Callable, Hashable, Sequence
-from functools import wraps
+from functools import cache, wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import equinox as eqx
@@ -111,10 +111,17 @@ def _is_known(leaf: Any) -> bool:
 def _signature(leaf: Any) -> Any:
     if not eqx.is_array(leaf):
         return leaf
-    dtype, weak, spec = jax.dtypes.canonicalize_dtype(leaf.dtype).name, False, None
+    double: bool = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+    dtype, weak, spec = _name_of(leaf.dtype, double), False, None
     if isinstance(leaf, jax.Array):
         weak, spec = leaf.weak_type, spec_of(leaf.sharding)
     return Signature(leaf.shape, dtype, weak, spec)
+
+
+@cache
+def _name_of(dtype: np.dtype, double: bool) -> str:
+    """Of a type as JAX has it in this precision; NumPy takes long to say it."""
+    return jax.dtypes.canonicalize_dtype(dtype).name
 
 
 def _remember(at: Hashable, call: Call | None) -> Call | None:
