@@ -19,6 +19,7 @@ from ..identification.bench import Bench, experiment_of, reading, starting_value
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
+from ..programs.evaluated import evaluated
 from ..programs.kept import kept_program
 from ..quantities import QUANTITIES, Quantity
 from ..robot.loads import Loads
@@ -26,7 +27,7 @@ from ..robot.manipulator import Kinematics, Manipulator
 from ..robot.named_numbers import Case, of_tendon
 from ..robot.reshape import tapered
 from ..statics.description import result_in_words, wall_remarks
-from ..statics.equilibrium import RESULTS, Equilibrium, Fields
+from ..statics.equilibrium import RESULTS, Equilibrium, Fields, ended_as
 from ..statics.solve import solve
 from ..statics.targets import TipAngle
 from ..units import round_number
@@ -81,7 +82,7 @@ class Picture(NamedTuple):
     @property
     def good(self) -> bool:
         """Whether there is something to show; other results keep no number, or one to be doubted."""
-        return self.equilibrium.result in GOOD
+        return ended_as(self.equilibrium, *GOOD)
 
     @property
     def message(self) -> str:
@@ -143,7 +144,8 @@ class Exploration:
     def _tensions(self) -> list[Control]:
         body = self.manipulator
         s, length = self.arc_length, float(body.length)
-        stiffness, offset = np.asarray(body.stiffness(s)), np.maximum(np.asarray(body.offset(s)), 1e-3 * length)
+        offset = np.maximum(evaluated(Manipulator.offset, body, s), 1e-3 * length)
+        stiffness = evaluated(Manipulator.stiffness, body, s)
         turn = np.max(np.trapezoid(offset / stiffness, s))  # of the tip per tension, without friction
         most = min(2.0 / turn, 0.3 * float(np.min(stiffness / offset**2)))
         measured = [float(table["base_tension"].max()) for table in self.tables if "base_tension" in table]
@@ -159,14 +161,15 @@ class Exploration:
         radius = self.manipulator.outer_radius
         if radius is None or not self.manipulator.stiffened_by_radii:
             return []
-        ends = [from_si(radius(s), QUANTITIES["outer_radius"]) for s in (0.0, self.manipulator.length)]
+        ends = evaluated(radius, np.array([0.0, self.manipulator.length]))
+        ends = [from_si(end, QUANTITIES["outer_radius"]) for end in ends]
         which = (" at the base", " at the tip")
         return [Control(n, r, 0.5 * r, 1.5 * r, 0.0, text) for n, r, text in zip(RADII, ends, which, strict=True)]
 
     @cached_property
     def _loads(self) -> list[Control]:
         body, length = self.manipulator, float(self.manipulator.length)
-        stiffness = float(np.median(np.asarray(body.stiffness(self.arc_length))))
+        stiffness = float(np.median(evaluated(Manipulator.stiffness, body, self.arc_length)))
         force, moment = _above(0.6 * stiffness / length**2), _above(0.3 * stiffness / length)
         found = [Control(f"tip_force.{i}", 0.0, -force, force, which=f" {axis}") for i, axis in enumerate("XY")]
         found.append(Control("tip_moment", 0.0, -moment, moment))

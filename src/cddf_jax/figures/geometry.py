@@ -7,8 +7,10 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError
+from ..programs.evaluated import evaluated
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
+from ..robot.validation import joints
 from ..statics.equilibrium import Equilibrium, Fields, fields_on
 
 GREATEST_MOMENT_ARC = np.radians(190.0)  # it stays clear of the body behind the tip
@@ -43,7 +45,7 @@ class Body(NamedTuple):
 
 def stations(manipulator: Manipulator) -> np.ndarray:
     """Arc lengths, m: a grid, joints of the body and ends of tendons, and points close to both sides of each."""
-    return with_joints(np.linspace(0.0, float(manipulator.length), 201), manipulator.breakpoints)
+    return with_joints(np.linspace(0.0, float(manipulator.length), 201), evaluated(joints, manipulator))
 
 
 def with_joints(grid: np.ndarray, joints: ArrayLike) -> np.ndarray:
@@ -85,7 +87,7 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
 def tendon_paths(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> np.ndarray:
     """The line of each tendon in the plane of a drawn body, mm, (tendons, points, 2); NaN beyond its anchor."""
     side = np.asarray([tendon.side for tendon in manipulator.tendons])[:, None]
-    distance = side * 1e3 * np.asarray(manipulator.offset(arc_length))
+    distance = side * 1e3 * evaluated(Manipulator.offset, manipulator, arc_length)
     distance = np.where(reached(manipulator, arc_length), distance, np.nan)
     return np.stack([body.at_distance(d) for d in distance])
 
@@ -115,8 +117,8 @@ def tip_moment_line(body: Body, loads: Loads, length: float) -> np.ndarray:
 def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:
     """From m; a body without radii is drawn with the offset of its outermost tendon, solid."""
     if manipulator.has_radii:
-        outer, inner = map(np.asarray, manipulator.radii(arc_length))
+        outer, inner = evaluated(Manipulator.radii, manipulator, arc_length)
     else:
-        outer = np.max(np.asarray(manipulator.offset(arc_length)), axis=0)
+        outer = np.max(evaluated(Manipulator.offset, manipulator, arc_length), axis=0)
         inner = 0.0 * outer
     return Body(1e3 * midline, heading, 1e3 * outer, 1e3 * inner)

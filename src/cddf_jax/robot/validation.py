@@ -3,15 +3,13 @@
 import re
 from collections.abc import Callable, Iterator
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
 from ..errors import InputError
-from ..programs.kept import kept_program
+from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES
 from .loads import Loads
 from .manipulator import Manipulator, PointMass, Tendon
@@ -136,7 +134,12 @@ def _parts(profile: Profile) -> Iterator[Profile]:
 def _stations(manipulator: Manipulator) -> np.ndarray:
     """Arc lengths at which to look: a dense grid and both sides of every breakpoint."""
     length = float(manipulator.length)
-    return np.sort(np.concatenate([np.linspace(0.0, length, _POINTS), *_sides(_breakpoints(manipulator), length)]))
+    return np.sort(np.concatenate([np.linspace(0.0, length, _POINTS), *_sides(evaluated(joints, manipulator), length)]))
+
+
+def joints(manipulator: Manipulator) -> Array:
+    """`Manipulator.breakpoints`, as a function that has a name."""
+    return manipulator.breakpoints
 
 
 def _sides(breakpoints: Number, end: float) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +173,7 @@ def _check_tendon(name: str, manipulator: Manipulator, tendon: Tendon, s: np.nda
     _check_jumps(name, tendon, reach)
     if outside_wall or not manipulator.has_radii:
         return
-    outer, inner = map(np.asarray, _radii(manipulator, s))
+    outer, inner = evaluated(Manipulator.radii, manipulator, s)
     slack = _SLACK * float(manipulator.length)
     inside = (offset >= inner - slack) & (offset <= outer + slack)
     rule, remedy = f"{name}: offset must lie inside the wall", "move the tendon, or allow it with offsets_outside_wall"
@@ -202,25 +205,7 @@ def _values(name: str, profile: Profile, s: np.ndarray, unused: np.ndarray | boo
 
 
 def _at(profile: Profile, s: np.ndarray) -> np.ndarray:
-    return np.asarray(_evaluated(profile, s))
-
-
-@kept_program
-@eqx.filter_jit
-def _evaluated(profile: Profile, s: np.ndarray) -> Array:
-    return profile(jnp.asarray(s))
-
-
-@kept_program
-@eqx.filter_jit
-def _breakpoints(manipulator: Manipulator) -> Array:
-    return manipulator.breakpoints
-
-
-@kept_program
-@eqx.filter_jit
-def _radii(manipulator: Manipulator, s: np.ndarray) -> tuple[Array, Array]:
-    return manipulator.radii(jnp.asarray(s))
+    return evaluated(profile, s)
 
 
 def _demand(good: np.ndarray, s: np.ndarray, rule: str, found: Callable[[int], str], remedy: str) -> None:

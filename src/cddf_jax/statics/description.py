@@ -116,15 +116,14 @@ def _on_contact(equilibrium: Equilibrium) -> list[str]:
 
 def result_in_words(equilibrium: Equilibrium) -> str:
     """How a single solve ended, in words; empty if it was successful."""
-    code = equilibrium.result
-    message = RESULTS[code]
-    if code == RESULTS.crossing:
+    message = RESULTS[equilibrium.result]
+    if ended_as(equilibrium, RESULTS.crossing):
         message = f"{describe_crossing(equilibrium)}. {message}"
-    if code == RESULTS.load_limit:
+    if ended_as(equilibrium, RESULTS.load_limit):
         message = (
             f"An equilibrium was found up to {100 * float(equilibrium.load_fraction):.3g} % of the loads. {message}"
         )
-    if code == RESULTS.slack or code == RESULTS.unreachable:
+    if ended_as(equilibrium, RESULTS.slack, RESULTS.unreachable):
         missed = ", ".join(f"{miss:.4g}" for miss in np.asarray(equilibrium.target_miss))
         message = f"The nearest that can be reached misses the targets by {missed} (SI). {message}"
     return message

@@ -1,0 +1,26 @@
+"""A few numbers of a body on the host, by one program that is kept, and not by one for every operation."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from .kept import kept_program
+
+
+def evaluated(function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function gives, with NumPy arrays in the place of those of JAX.
+
+    Args:
+        function: a function of the library, such as `Manipulator.stiffness`, or a callable pytree, such as a profile.
+        arguments: its arguments; arrays must be arrays, as every Python number makes another program.
+    """
+    return jax.tree.map(np.asarray, _called(function, *arguments))
+
+
+@kept_program
+@eqx.filter_jit
+def _called(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
