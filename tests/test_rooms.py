@@ -19,6 +19,7 @@ ROOMS = (
     "robot",
     "mechanics",
     "statics",
+    "history",
     "batch",
     "sweeping",
     "estimation",

@@ -147,7 +147,7 @@ def _first_changes(problem: Problem, turning: Float[Array, "P q owners"], least:
     bracket = jnp.stack([arc_length[before], arc_length[point]])
     # between two panels the sign changes in a jump, unless they end at a sign change or next to one
     jumps = _is_joint(problem, edge) & (point % per_panel == 0) & (before % per_panel == per_panel - 1)
-    refined = jax.vmap(lambda *at: _refine(cut, turning[at[0], :, at[1]], at[0], at[2]))(panel, owner, bracket.T)
+    refined = jax.vmap(lambda *at: refined_zero(cut, turning[at[0], :, at[1]], at[0], at[2]))(panel, owner, bracket.T)
     place, found = jnp.where(inside, refined, edge), found & ~jumps
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner.astype(none.owner.dtype), -1))
 
@@ -173,7 +173,9 @@ def _first_of(holds: Bool[Array, " entries"], count: int) -> Int[Array, " count"
     return jnp.stack(order)
 
 
-def _refine(cut: Panels, turning: Float[Array, " p"], panel: UInt[Array, ""], bracket: Float[Array, "2"]) -> Number:
+def refined_zero(
+    cut: Panels, turning: Float[Array, " p"], panel: UInt[Array, ""], bracket: Float[Array, "2"]
+) -> Number:
     """The zero of the polynomial of one panel between two arc lengths, by the Illinois rule."""
     start, width = cut.edges[panel], jnp.where(cut.width[panel] > 0, cut.width[panel], 1.0)
 

@@ -1,0 +1,1 @@
+"""Tendons with a history: pulled, released and pulled again."""

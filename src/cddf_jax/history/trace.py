@@ -1,0 +1,290 @@
+"""What a single tendon leaves of its history in tension and shape: a play operator with an exact answer.
+
+Without loads the curvature follows from the tension at the same place. So where the tendon rests the body keeps its
+curvature, and where it slides the tension is that of `solve` with the direction in which it slides. Between the
+fronts of its open turns the body is therefore congruent to a part of one of these equilibria, and the traced body is
+put together of such parts: one equilibrium for each step, turned and moved.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from ..errors import SolveError
+from ..mechanics.fixed_point import FixedPoint
+from ..mechanics.friction import Pull
+from ..mechanics.problem import lay_out
+from ..mechanics.sign_changes import at_starts_and_ends, refined_zero
+from ..numerics.arrays import cos_sin
+from ..numerics.quadrature import Panels
+from ..programs.kept import kept_program
+from ..robot.manipulator import Manipulator
+from ..statics.arguments import check_nodes, one_precision
+from ..statics.equilibrium import RESULTS, Dense, Fields, code_of, nan_unless, tendons_first, with_words
+from ..statics.solve import solve
+from .turns import NOBODY, Turns, open_turns
+
+Number = Float[Array, ""]
+
+
+class _Branch(NamedTuple):
+    """The equilibrium of one step, from the base to its front, as if all of the tendon slid in its direction."""
+
+    dense: Dense
+    error: Number
+    result: RESULTS
+
+
+class _Part(NamedTuple):
+    """A part of a traced body, and how the equilibrium that it is part of is turned and moved."""
+
+    start: Number  # s, m
+    end: Number
+    branch: Int[Array, ""]  # the step whose equilibrium it is part of
+    turned: Number  # rad
+    moved: Float[Array, "2"]  # m, after it was turned about the base
+    wrapped: Float[Array, " tendons"]  # rad, more than in that equilibrium
+
+
+class History(eqx.Module):
+    """The states through which a base tension went, step first.
+
+    NaN where a step failed, and `result` says why.
+    """
+
+    base_tension: Float[Array, " steps"]  # N
+    tip_tension: Float[Array, " steps"]  # N
+    tip_angle: Float[Array, " steps"]  # phi(L), rad
+    tip_position: Float[Array, "steps 2"]  # u(L), m
+    direction: Float[Array, " steps"]  # of the sliding tendon: +1 in, -1 out
+    front: Float[Array, " steps"]  # s, m, up to which the tendon slid last; beyond it rests, unless that is the tip
+    num_turns: Int[Array, " steps"]  # how many turns are still felt
+    error_estimate: Float[Array, " steps"]  # of tip tension (relative), tip position (per length), tip angle (rad)
+    result: RESULTS  # how each step ended
+    _branches: _Branch
+    _parts: _Part
+
+    def sliding(self, arc_length: ArrayLike) -> Float[Array, "steps *points"]:
+        """+1 where the tendon slid in last, -1 where it slid out, 0 where it rests, at arc lengths (m)."""
+        s = jnp.asarray(arc_length, self.front.dtype)
+        steps = (-1, *[1] * s.ndim)
+        return jnp.where(s <= self.front.reshape(steps), self.direction.reshape(steps), 0.0)
+
+    def at(self, arc_length: ArrayLike) -> Fields:
+        """What varies along the body, after each step, as `Equilibrium.at` has it; step first.
+
+        Args:
+            arc_length: s, m, a number or an array of any shape; NaN comes back outside 0 to L.
+        """
+        s = jnp.asarray(arc_length, self.front.dtype)
+        at_point = jax.vmap(_fields_at, in_axes=(None, None, 0))
+        fields = jax.vmap(at_point, in_axes=(None, 0, None))(self._branches, self._parts, s.ravel())
+        fields = jax.tree.map(lambda x: x.reshape(x.shape[0], *s.shape, *x.shape[2:]), fields)
+        return jax.vmap(lambda step: tendons_first(step, s.ndim))(fields)
+
+
+def trace(
+    manipulator: Manipulator, base_tension: ArrayLike, *, nodes: int = 16, max_turns: int = 16, throw: bool = True
+) -> History:
+    """Pull and release a manipulator with one tendon, without loads, from rest.
+
+    Works under jit, vmap, grad and scan. Derivatives are continuous where fronts move; at a turn they are those of the
+    direction in which the step went.
+
+    Args:
+        manipulator: a body with one tendon.
+        base_tension: T_base >= 0, N, after each step, in the order in time; between steps it goes straight from one
+            to the next. Before the first step the body is straight and the tendon without tension.
+        nodes: Gauss nodes in each smooth piece of the body, 4 or more; static.
+        max_turns: how many turns may be felt at once, 1 or more; static. Where there are more, the step is
+            `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
+        throw: raise where the values are known and a step failed.
+
+    Raises:
+        SolveError: with `throw`, when a step failed; it names the step.
+        ValueError: for a body with several tendons, tensions that are not a list of numbers, nodes below 4 or
+            max_turns below 1.
+        TypeError: if an argument has the wrong type.
+    """
+    if not isinstance(manipulator, Manipulator):
+        raise TypeError(f"trace: the first argument must be a Manipulator, got {type(manipulator).__name__}")
+    if manipulator.num_tendons != 1:
+        raise ValueError(
+            f"trace: the body has {manipulator.num_tendons} tendons, and the history of several is not known here; "
+            "solve() has each of them slide one way"
+        )
+    check_nodes(nodes)
+    if isinstance(max_turns, bool) or not isinstance(max_turns, int) or max_turns < 1:
+        raise ValueError(f"trace: max_turns must be a whole number of 1 or more, got {max_turns!r}")
+    if np.ndim(base_tension) != 1 or np.size(base_tension) == 0:
+        shape = np.shape(base_tension)
+        raise ValueError(f"trace: base_tension must be a list of tensions, N, one for each step, got the shape {shape}")
+    tensions = jnp.asarray(base_tension, jnp.result_type(float, jnp.asarray(base_tension)))
+    history = _trace(manipulator, tensions, nodes, max_turns)
+    if throw:
+        _raise_if_failed(history)
+    return history
+
+
+def _raise_if_failed(history: History) -> None:
+    codes = code_of(history.result)
+    if isinstance(codes, Tracer) or np.ndim(codes) != 1 or not np.any(codes):
+        return
+    step = int(np.argmax(np.asarray(codes) != 0))
+    words = RESULTS[jax.tree.map(lambda code: code[step], history.result)]
+    raise SolveError(f"step {step} of the trace, {float(history.base_tension[step]):g} N: {words}")
+
+
+@kept_program
+@partial(jax.jit, static_argnames=("nodes", "max_turns"))
+def _trace(manipulator: Manipulator, base_tension: Array, nodes: int, max_turns: int) -> History:
+    # the masses of a body without loads do nothing, and may lie beyond a front
+    body = eqx.tree_at(lambda body: body.point_masses, manipulator, ())
+    body, _, _, tensions = one_precision(body, 0.0, 1.0, base_tension)
+    turns = open_turns(tensions, max_turns)
+    front = _fronts(body, tensions, turns, nodes)
+
+    def branch(tension: Number, direction: Number, front: Number) -> _Branch:
+        part = eqx.tree_at(lambda body: body.length, body, front)
+        found = solve(part, tension, direction=direction, nodes=nodes, throw=False)
+        return _Branch(found._dense, found.error_estimate, found.result)
+
+    branches = jax.vmap(branch)(tensions, turns.direction, front)
+    tip, parts = jax.vmap(partial(_assembled, branches))(turns)
+    good = ~turns.too_many
+    return History(
+        base_tension=tensions,
+        tip_tension=nan_unless(good, tip.tension[:, 0]),
+        tip_angle=nan_unless(good, tip.heading),
+        tip_position=jnp.where(good[:, None], tip.position, jnp.nan),
+        direction=turns.direction,
+        front=front,
+        num_turns=jnp.sum(turns.open != NOBODY, axis=1),
+        error_estimate=nan_unless(good, tip.error),
+        result=tip.result,
+        _branches=branches,
+        _parts=parts,
+    )
+
+
+def _fronts(body: Manipulator, tensions: Float[Array, " steps"], turns: Turns, nodes: int) -> Float[Array, " steps"]:
+    """Where, in each step, the tension in the direction of the motion meets that at which the motion turned, s in m.
+
+    In T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock.
+    """
+    constant = jax.lax.stop_gradient((body, tensions))
+
+    def pull(tension: Number, direction: Number) -> tuple[Panels, Pull]:
+        problem = lay_out(constant[0], tension[None], direction[None], nodes)
+        return problem.panels, FixedPoint()(problem).nodes.pull
+
+    cuts, pulls = jax.vmap(pull)(constant[1], turns.direction)
+
+    def front(step: Int[Array, ""], before: Int[Array, ""], direction: Number) -> Number:
+        def left(step):
+            tension, pull = constant[1][step], jax.tree.map(lambda x: x[step], pulls)
+            spent = 0.0 if pull.spent is None else pull.spent
+            return tension - spent, pull.ratio
+
+        cut = jax.tree.map(lambda x: x[step], cuts)
+        (here, ratio), (there, other) = left(step), left(before)
+        return _first_zero(cut, (direction * (here * other - there * ratio))[..., 0])
+
+    steps = jnp.arange(tensions.shape[0])
+    found = jax.vmap(front)(steps, turns.before, turns.direction)
+    length = constant[0].length + 0.0 * found
+    found = jnp.where(turns.before == NOBODY, length, found)
+    return jnp.clip(found, 1e-9 * length, length)  # a step of rounding errors moves next to nothing
+
+
+def _first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
+    """The first place, m, where polynomials that are positive at the base fall below zero; the tip if none is."""
+    starts, ends = at_starts_and_ends(cut, values[..., None])
+    points = jnp.concatenate([starts, values, ends], axis=1)
+    places = jnp.concatenate([cut.edges[:-1, None], cut.nodes, cut.edges[1:, None]], axis=1)
+    below = (points < 0).ravel()
+    first = jnp.argmax(below)
+    panel, before = first // points.shape[1], jnp.maximum(first - 1, 0)
+    bracket = jnp.stack([places.ravel()[before], places.ravel()[first]])
+    place = jnp.where(first % points.shape[1] > 0, refined_zero(cut, values[panel], panel, bracket), bracket[1])
+    return jnp.where(jnp.any(below), place, cut.edges[-1])
+
+
+class _Body(NamedTuple):
+    """A traced body as far as it is put together."""
+
+    end: Number  # s, m
+    heading: Number
+    position: Float[Array, "2"]
+    wrap_angle: Float[Array, " tendons"]
+    tension: Float[Array, " tendons"]
+    error: Number
+    result: RESULTS
+
+
+def _assembled(branches: _Branch, turns: Turns) -> tuple[_Body, _Part]:
+    """The body after one step, put together from the base on: the newest turn first."""
+    zero = 0.0 * branches.error[0]
+    result = with_words(RESULTS.where(zero > 1, RESULTS.locked, RESULTS.successful))
+    start = _Body(zero, zero, jnp.zeros(2) + zero, zero[None], zero[None], zero, result)
+
+    def add(body: _Body, step: Int[Array, ""]) -> tuple[_Body, _Part]:
+        index = jnp.maximum(step, 0)
+        of = jax.tree.map(lambda x: x[index], branches)
+        end = of.dense.edges[-1]
+        covers = (step != NOBODY) & (end > body.end)
+        joint = of.dense.state(jnp.minimum(body.end, end))
+        turned = body.heading - joint.heading
+        moved = body.position - _rotated(joint.position, turned)
+        part = _Part(
+            body.end, jnp.where(covers, end, body.end), index, turned, moved, body.wrap_angle - joint.wrap_angle
+        )
+        there = _placed(part, of.dense(end))
+        failed = (code_of(of.result) != 0) & (code_of(of.result) != code_of(RESULTS.direction_contradicted))
+        failed = failed & (code_of(body.result) == 0)
+        further = _Body(
+            end,
+            there.heading,
+            there.position,
+            there.wrap_angle,
+            there.tension,
+            jnp.maximum(body.error, of.error),
+            with_words(RESULTS.where(failed, of.result, body.result)),
+        )
+        return jax.tree.map(lambda new, old: jnp.where(covers, new, old), further, body), part
+
+    body, parts = jax.lax.scan(add, start, turns.open[::-1])
+    result = with_words(RESULTS.where(turns.too_many, RESULTS.too_many_turns, body.result))
+    return body._replace(result=result), parts
+
+
+def _rotated(vector: Float[Array, "*points 2"], angle: Number) -> Float[Array, "*points 2"]:
+    cosine, sine = cos_sin(angle)
+    x, y = vector[..., 0], vector[..., 1]
+    return jnp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+
+def _placed(part: _Part, fields: Fields) -> Fields:
+    """What varies along a part, where it lies in the traced body; of its equilibrium."""
+    return Fields(
+        arc_length=fields.arc_length,
+        curvature=fields.curvature,
+        heading=fields.heading + part.turned,
+        position=part.moved + _rotated(fields.position, part.turned),
+        tension=fields.tension,
+        wrap_angle=fields.wrap_angle + part.wrapped,
+        normal_force=_rotated(fields.normal_force, part.turned),
+        friction_force=_rotated(fields.friction_force, part.turned),
+    )
+
+
+def _fields_at(branches: _Branch, parts: _Part, arc_length: Number) -> Fields:
+    """The fields at one arc length, tendons last, of a body of several parts; NaN off the body."""
+    part = jax.tree.map(lambda x: x[jnp.argmax((parts.end > parts.start) & (arc_length <= parts.end))], parts)
+    return _placed(part, jax.tree.map(lambda x: x[part.branch], branches.dense)(arc_length))
