@@ -14,14 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import SolveError
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import Pull
-from ..mechanics.problem import lay_out
+from ..mechanics.problem import displacement_rate, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import at_starts_and_ends, refined_zero
-from ..numerics.arrays import cos_sin
+from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.quadrature import Panels
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
@@ -37,6 +37,7 @@ class _Branch(NamedTuple):
     """The equilibrium of one step, from the base to its front, as if all of the tendon slid in its direction."""
 
     dense: Dense
+    pulled_in: tuple[Float[Array, " P"], Float[Array, "P p"]]  # m, up to the starts and the nodes of its panels
     error: Number
     result: RESULTS
 
@@ -65,8 +66,10 @@ class History(eqx.Module):
     direction: Float[Array, " steps"]  # of the sliding tendon: +1 in, -1 out
     front: Float[Array, " steps"]  # s, m, up to which the tendon slid last; beyond it rests, unless that is the tip
     num_turns: Int[Array, " steps"]  # how many turns are still felt
+    tendon_displacement: Float[Array, " steps"]  # m, pulled in at the base since the straight body
     error_estimate: Float[Array, " steps"]  # of tip tension (relative), tip position (per length), tip angle (rad)
     result: RESULTS  # how each step ended
+    _open_tension: Float[Array, " turns"]  # N, of the turns that are felt at the end, then the last tension
     _branches: _Branch
     _parts: _Part
 
@@ -90,7 +93,13 @@ class History(eqx.Module):
 
 
 def trace(
-    manipulator: Manipulator, base_tension: ArrayLike, *, nodes: int = 16, max_turns: int = 16, throw: bool = True
+    manipulator: Manipulator,
+    base_tension: ArrayLike,
+    *,
+    start: History | None = None,
+    nodes: int = 16,
+    max_turns: int = 16,
+    throw: bool = True,
 ) -> History:
     """Pull and release a manipulator with one tendon, without loads, from rest.
 
@@ -100,7 +109,9 @@ def trace(
     Args:
         manipulator: a body with one tendon.
         base_tension: T_base >= 0, N, after each step, in the order in time; between steps it goes straight from one
-            to the next. Before the first step the body is straight and the tendon without tension.
+            to the next.
+        start: the history of the same body that goes on. None for a body that is straight, with a tendon that never
+            had a tension.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static.
         max_turns: how many turns may be felt at once, 1 or more; static. Where there are more, the step is
             `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
@@ -126,7 +137,9 @@ def trace(
         shape = np.shape(base_tension)
         raise ValueError(f"trace: base_tension must be a list of tensions, N, one for each step, got the shape {shape}")
     tensions = jnp.asarray(base_tension, jnp.result_type(float, jnp.asarray(base_tension)))
-    history = _trace(manipulator, tensions, nodes, max_turns)
+    if start is not None and not isinstance(start, History):
+        raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
+    history = _trace(manipulator, tensions, None if start is None else start._open_tension, nodes, max_turns)
     if throw:
         _raise_if_failed(history)
     return history
@@ -143,21 +156,26 @@ def _raise_if_failed(history: History) -> None:
 
 @kept_program
 @partial(jax.jit, static_argnames=("nodes", "max_turns"))
-def _trace(manipulator: Manipulator, base_tension: Array, nodes: int, max_turns: int) -> History:
+def _trace(manipulator: Manipulator, base_tension: Array, before: Array | None, nodes: int, max_turns: int) -> History:
     # the masses of a body without loads do nothing, and may lie beyond a front
     body = eqx.tree_at(lambda body: body.point_masses, manipulator, ())
-    body, _, _, tensions = one_precision(body, 0.0, 1.0, base_tension)
+    num_steps = base_tension.shape[0]
+    path = base_tension if before is None else jnp.concatenate([before, base_tension])
+    body, _, _, tensions = one_precision(body, 0.0, 1.0, path)
     turns = open_turns(tensions, max_turns)
     front = _fronts(body, tensions, turns, nodes)
 
     def branch(tension: Number, direction: Number, front: Number) -> _Branch:
         part = eqx.tree_at(lambda body: body.length, body, front)
         found = solve(part, tension, direction=direction, nodes=nodes, throw=False)
-        return _Branch(found._dense, found.error_estimate, found.result)
+        return _Branch(found._dense, _pulled_in(found._dense), found.error_estimate, found.result)
 
     branches = jax.vmap(branch)(tensions, turns.direction, front)
+    turns, tensions, front = jax.tree.map(lambda x: x[-num_steps:], (turns, tensions, front))
     tip, parts = jax.vmap(partial(_assembled, branches))(turns)
-    good = ~turns.too_many
+    good = ~turns.too_many & tip.solved
+    outside = tensions * body.tendon_compliance * body.tendon_free_length
+    still_open = turns.open[-1]
     return History(
         base_tension=tensions,
         tip_tension=nan_unless(good, tip.tension[:, 0]),
@@ -166,11 +184,22 @@ def _trace(manipulator: Manipulator, base_tension: Array, nodes: int, max_turns:
         direction=turns.direction,
         front=front,
         num_turns=jnp.sum(turns.open != NOBODY, axis=1),
+        tendon_displacement=nan_unless(good, tip.pulled_in + outside),
         error_estimate=nan_unless(good, tip.error),
         result=tip.result,
+        _open_tension=jnp.where(still_open == NOBODY, path[-1], path[still_open]),
         _branches=branches,
         _parts=parts,
     )
+
+
+def _pulled_in(dense: Dense) -> tuple[Float[Array, " P"], Float[Array, "P p"]]:
+    """How much of the tendon is pulled in between the base and the starts and nodes of the panels, m."""
+    body, cut = dense.manipulator, dense.panels
+    section = jax.vmap(jax.vmap(partial(guarded_section, body)))(cut.nodes)
+    tension = tension_of(section, dense.base_tension, dense.nodes.pull)
+    edges, nodes = cut.integrate(displacement_rate(body, section, tension, dense.nodes.moment)[..., 0])
+    return edges[:-1], nodes
 
 
 def _fronts(body: Manipulator, tensions: Float[Array, " steps"], turns: Turns, nodes: int) -> Float[Array, " steps"]:
@@ -198,8 +227,8 @@ def _fronts(body: Manipulator, tensions: Float[Array, " steps"], turns: Turns, n
 
     steps = jnp.arange(tensions.shape[0])
     found = jax.vmap(front)(steps, turns.before, turns.direction)
-    length = constant[0].length + 0.0 * found
-    found = jnp.where(turns.before == NOBODY, length, found)
+    length = jnp.broadcast_to(constant[0].length, found.shape)
+    found = jnp.where((turns.before == NOBODY) | jnp.isnan(found), length, found)
     return jnp.clip(found, 1e-9 * length, length)  # a step of rounding errors moves next to nothing
 
 
@@ -224,15 +253,17 @@ class _Body(NamedTuple):
     position: Float[Array, "2"]
     wrap_angle: Float[Array, " tendons"]
     tension: Float[Array, " tendons"]
+    pulled_in: Number  # m, of the tendon within it
     error: Number
+    solved: Bool[Array, ""]
     result: RESULTS
 
 
 def _assembled(branches: _Branch, turns: Turns) -> tuple[_Body, _Part]:
     """The body after one step, put together from the base on: the newest turn first."""
-    zero = 0.0 * branches.error[0]
+    zero = zero_as(branches.error)
     result = with_words(RESULTS.where(zero > 1, RESULTS.locked, RESULTS.successful))
-    start = _Body(zero, zero, jnp.zeros(2) + zero, zero[None], zero[None], zero, result)
+    start = _Body(zero, zero, jnp.zeros(2) + zero, zero[None], zero[None], zero, zero, zero == 0, result)
 
     def add(body: _Body, step: Int[Array, ""]) -> tuple[_Body, _Part]:
         index = jnp.maximum(step, 0)
@@ -245,23 +276,32 @@ def _assembled(branches: _Branch, turns: Turns) -> tuple[_Body, _Part]:
         part = _Part(
             body.end, jnp.where(covers, end, body.end), index, turned, moved, body.wrap_angle - joint.wrap_angle
         )
-        there = _placed(part, of.dense(end))
+        there = of.dense.state(end)
+        section = guarded_section(of.dense.manipulator, end)
         failed = (code_of(of.result) != 0) & (code_of(of.result) != code_of(RESULTS.direction_contradicted))
-        failed = failed & (code_of(body.result) == 0)
+        failed = failed & (step != NOBODY) & (code_of(body.result) == 0)
+        body = body._replace(result=with_words(RESULTS.where(failed, of.result, body.result)))
         further = _Body(
             end,
-            there.heading,
-            there.position,
-            there.wrap_angle,
-            there.tension,
+            turned + there.heading,
+            moved + _rotated(there.position, turned),
+            part.wrapped + there.wrap_angle,
+            tension_of(section, of.dense.base_tension, there.pull),
+            body.pulled_in + _on_panels(of, end) - _on_panels(of, body.end),
             jnp.maximum(body.error, of.error),
-            with_words(RESULTS.where(failed, of.result, body.result)),
+            body.solved & of.dense.solved,
+            body.result,
         )
         return jax.tree.map(lambda new, old: jnp.where(covers, new, old), further, body), part
 
     body, parts = jax.lax.scan(add, start, turns.open[::-1])
     result = with_words(RESULTS.where(turns.too_many, RESULTS.too_many_turns, body.result))
     return body._replace(result=result), parts
+
+
+def _on_panels(branch: _Branch, arc_length: Number) -> Number:
+    """How much of the tendon is pulled in between the base and an arc length, m."""
+    return branch.dense.panels.interpolate(*branch.pulled_in, arc_length)
 
 
 def _rotated(vector: Float[Array, "*points 2"], angle: Number) -> Float[Array, "*points 2"]:

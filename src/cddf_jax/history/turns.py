@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..numerics.arrays import zero_as
+
 NOBODY = -1  # in the place of a step
 
 
@@ -38,7 +40,7 @@ def open_turns(base_tension: Float[Array, " steps"], max_turns: int) -> Turns:
         max_turns: how many open turns there is room for; static.
     """
     slots = jnp.arange(max_turns)
-    zero = 0.0 * base_tension[0]
+    zero = zero_as(base_tension)
 
     def advance(state: _Open, given: tuple[Float[Array, ""], Int[Array, ""]]) -> tuple[_Open, Turns]:
         tension, step = given

@@ -355,20 +355,23 @@ def tendon_displacement(problem: Problem, pull: Pull, moment: Float[Array, "P p"
     body = problem.manipulator
     outside = problem.base_tension * body.tendon_compliance * body.tendon_free_length
     tension = tension_of(problem.nodes, problem.base_tension, pull)
-    return jnp.sum(problem.panels.gain(displacement_rate(problem, tension, moment)), axis=0) + outside
+    rate = displacement_rate(body, problem.nodes, tension, moment)
+    return jnp.sum(problem.panels.gain(rate), axis=0) + outside
 
 
 def displacement_rate(
-    problem: Problem, tension: Float[Array, "P p tendons"], moment: Float[Array, "P p"]
+    manipulator: Manipulator,
+    section: CrossSection,
+    tension: Float[Array, "P p tendons"],
+    moment: Float[Array, "P p"],
 ) -> Float[Array, "P p tendons"]:
-    """By how much a tendon's path shortens and the tendon stretches, per arc length.
+    """By how much a tendon's path shortens and the tendon stretches, per arc length, at the nodes.
 
     The path shortens by sqrt(1 + d'^2) - |u_c'|; the tendon stretches by T sqrt(1 + d'^2) / (E A).
     """
-    section = problem.nodes
     kappa = curvature_along(section, tension, moment)[..., None]
     # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
     bend, slope = section.side * section.offset * kappa, section.offset_slope
     straight = jnp.sqrt(1.0 + slope**2)
     rate = bend * (2.0 - bend) / (straight + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
-    return jnp.where(section.present, rate, 0.0) + tension * straight * problem.manipulator.tendon_compliance
+    return jnp.where(section.present, rate, 0.0) + tension * straight * manipulator.tendon_compliance

@@ -206,7 +206,7 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     problem, solution, cut = there.problem, there.solution, there.problem.panels
     section = problem.nodes
     tension = tension_of(section, base_tension, solution.nodes.pull)
-    reel = displacement_rate(problem, tension, solution.nodes.moment)
+    reel = displacement_rate(problem.manipulator, problem.nodes, tension, solution.nodes.moment)
     edges, inner = cut.integrate(reel)
     kappa = curvature_along(section, tension, solution.nodes.moment)
     moment_rate = moment_rate_of(solution.nodes.heading, solution.nodes.force)

@@ -1,0 +1,249 @@
+"""Pull and release of one tendon, against closed forms, a play operator in NumPy, and laws.
+
+On the paper's body in the exact kinematics 1/T is a play of 1/T_base: clipped between 1/T_base -+ g(s) with
+g(s) = (mu/E) int_0^s d/J, and mu phi is the integral of T over g.
+"""
+
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, code, codes, paper_body
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
+
+import cddf_jax as cddf
+
+LENGTH, OFFSET, MU, MODULUS = PAPER["length"], PAPER["tendon_offset"], PAPER["friction_coefficient"], 1.4e6
+BODY = paper_body("exact")
+R = cddf.RESULTS
+
+
+def stiffness(s):
+    outer = 0.020 - 0.007 * s / LENGTH
+    return MODULUS * np.pi / 4 * (outer**4 - 0.007**4)
+
+
+def g(s):
+    return quad(lambda s: MU * OFFSET / stiffness(s), 0, s, epsabs=0, epsrel=1e-13)[0]
+
+
+END = g(LENGTH)
+
+
+def play(path, at):
+    """T at a place where g has the value `at`, after a path of base tensions from rest."""
+    y = np.inf
+    for tension in path:
+        turned = np.inf if tension == 0 else 1 / tension
+        y = np.clip(y, turned - at, turned + at)
+    return 1 / y
+
+
+def angle(path):
+    """phi(L): the integral of T over g, cut wherever two of the tensions meet, over mu."""
+    inverse = [1 / tension for tension in path if tension > 0]
+    cuts = sorted({abs(a - b) / 2 for a in inverse for b in inverse})
+    cuts = [0.0, *[cut for cut in cuts if 0 < cut < END], END]
+    pieces = [quad(lambda at: play(path, at), a, b, epsabs=0, epsrel=1e-12)[0] for a, b in pairwise(cuts)]
+    return sum(pieces) / MU
+
+
+def test_a_loop_of_the_paper():
+    """Tip tension, angle and front of a loop as an independent derivation gives them: 8 digits."""
+    path = [75.0, 60.0, 40.0, 20.0, 5.0, 0.0, 50.0, 75.0]
+    tips = [45.122927, 45.122927, 45.122927, 24.288558, 5.230901, 0.0, 34.688077, 45.122927]
+    angles = [69.313929, 67.619267, 56.053731, 26.502447, 6.158703, 0.0, 49.878294, 69.313929]
+    fronts = [140.0, 51.564, 115.089, 140.0, 140.0, 140.0, 140.0, 140.0]
+    history = cddf.trace(BODY, path)
+    np.testing.assert_allclose(history.tip_tension, tips, atol=6e-7)
+    np.testing.assert_allclose(np.degrees(history.tip_angle), angles, atol=6e-7)
+    np.testing.assert_allclose(1e3 * history.front, fronts, atol=6e-4)
+    np.testing.assert_allclose(history.at(LENGTH / 2).tension[:3, 0], [62.977492, 62.977492, 44.534217], atol=6e-7)
+    np.testing.assert_array_equal(history.num_turns, [1, 2, 2, 2, 2, 2, 3, 1])
+
+
+def test_random_paths_against_the_play():
+    """Also far above 113 N, where a tendon that is let out would lock, were all of it to slide."""
+    rng = np.random.default_rng(21)
+    for largest in (80.0, 200.0):
+        path = rng.uniform(0, largest, 12)
+        history = cddf.trace(BODY, path)
+        for step in range(len(path)):
+            np.testing.assert_allclose(history.tip_tension[step], play(path[: step + 1], END), rtol=1e-11)
+            np.testing.assert_allclose(history.tip_angle[step], angle(path[: step + 1]), rtol=1e-10)
+        np.testing.assert_allclose(history.tendon_displacement, OFFSET * history.tip_angle, rtol=1e-11)
+        assert np.max(history.error_estimate) < 1e-9
+
+
+def test_the_shape_is_the_integral_of_its_heading():
+    history, s = cddf.trace(BODY, [75.0, 40.0, 60.0, 50.0]), np.linspace(0, LENGTH, 20001)
+    along = history.at(s)
+    heading = np.asarray(along.heading)
+    for component, function in enumerate((np.cos, np.sin)):
+        found = np.trapezoid(function(heading), s, axis=1)
+        np.testing.assert_allclose(history.tip_position[:, component], found, atol=1e-10)
+    np.testing.assert_allclose(along.position[:, -1], history.tip_position, atol=1e-15)
+    np.testing.assert_allclose(along.heading[:, -1], history.tip_angle, rtol=1e-14)
+    np.testing.assert_allclose(np.trapezoid(along.curvature, s, axis=1), history.tip_angle, rtol=1e-8)
+    slip = np.gradient(np.asarray(along.tension[-1, 0]), s)  # friction along the tendon is what its tension loses
+    force = np.linalg.norm(along.friction_force[-1, 0], axis=-1)
+    far = np.min(np.abs(s[:, None] - np.asarray(history.front)), axis=1) > 1e-4
+    np.testing.assert_allclose(force[far][1:-1], np.abs(slip[far][1:-1]), rtol=1e-5)
+
+
+def test_with_drag_against_an_integration():
+    """What 5 N/m leave after full release: 0.702123 N and 0.544432 degrees, by an independent simulation.
+
+    And T by SciPy's solve_ivp along both directions, joined where they meet.
+    """
+    drag = 8.0
+    left = cddf.trace(paper_body("exact", drag=5.0), [75.0, 0.0])
+    np.testing.assert_allclose([left.tip_tension[1], np.degrees(left.tip_angle[1])], [0.702123, 0.544432], atol=6e-7)
+
+    def branch(tension, direction):
+        def rate(s, T):
+            return -direction * (MU * OFFSET / stiffness(s) * T**2 + drag)
+
+        return solve_ivp(rate, (0, LENGTH), [tension], rtol=1e-12, atol=1e-12, dense_output=True).sol
+
+    pulled, released = branch(70.0, 1), branch(45.0, -1)
+    front = brentq(lambda s: pulled(s)[0] - released(s)[0], 0, LENGTH, xtol=1e-15)
+    history = cddf.trace(paper_body("exact", drag=drag), [70.0, 45.0])
+    np.testing.assert_allclose(history.front[1], front, rtol=1e-9)
+    s = np.linspace(0, LENGTH, 41)
+    expected = np.where(s < front, released(s)[0], pulled(s)[0])
+    np.testing.assert_allclose(history.at(s).tension[1, 0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"tendon_offset": (0.012, 0.007)}, {"kinematics": "published"}, {"tendon_offset": (0.012, 0.008), "drag": 8.0}],
+)
+def test_other_bodies_by_their_branches(changes):
+    """T is clipped by the two branches of `solve`; the shape is the integral of the curvature."""
+    body = paper_body(**{"kinematics": "exact", **changes})
+    path, s = [70.0, 30.0, 55.0, 40.0, 50.0, 10.0, 35.0], np.linspace(0, LENGTH, 4001)
+    tension, now = np.zeros_like(s), 0.0
+    for value in path:
+        pulled = value > now
+        branch = cddf.solve(body, value, direction=1 if pulled else -1, throw=False).at(s).tension[0]
+        tension, now = np.maximum(tension, branch) if pulled else np.minimum(tension, branch), value
+    history = cddf.trace(body, path)
+    last = jax.tree.map(lambda x: x[-1], history.at(s))
+    np.testing.assert_allclose(last.tension[0], tension, rtol=1e-10)
+    np.testing.assert_allclose(np.trapezoid(last.curvature, s), history.tip_angle[-1], atol=3e-8)
+
+
+def test_a_pull_alone_is_a_solve():
+    history, s = cddf.trace(BODY, [10.0, 40.0, 75.0]), jnp.linspace(0.0, LENGTH, 9)
+    for step, tension in enumerate((10.0, 40.0, 75.0)):
+        found = cddf.solve(BODY, tension)
+        jax.tree.map(
+            lambda a, b, step=step: np.testing.assert_allclose(a[step], b, rtol=1e-11, atol=1e-11),
+            history.at(s),
+            found.at(s),
+        )
+        np.testing.assert_allclose(history.tendon_displacement[step], found.tendon_displacement[0], rtol=1e-12)
+
+
+def test_return_point_memory():
+    """Random loops within loops close: what is passed is forgotten, and splitting a motion changes nothing."""
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        top, bottom = np.sort(rng.uniform(5, 100, 2))[::-1]
+        inner = np.clip(bottom + (top - bottom) * rng.uniform(0, 1, 5), bottom, top)
+        direct = cddf.trace(BODY, [top, bottom])
+        detour = cddf.trace(BODY, [top / 2, top, *inner, bottom])
+        for name in ("tip_tension", "tip_angle", "front"):
+            np.testing.assert_allclose(getattr(detour, name)[-1], getattr(direct, name)[-1], rtol=1e-12)
+        assert detour.num_turns[-1] == 2
+
+
+def test_a_history_goes_on():
+    path = [75.0, 40.0, 60.0, 50.0, 55.0, 30.0]
+    whole, first = cddf.trace(BODY, path), cddf.trace(BODY, path[:4])
+    rest = cddf.trace(BODY, path[4:], start=first)
+    for name in ("tip_tension", "tip_angle", "tip_position", "tendon_displacement", "front", "num_turns"):
+        np.testing.assert_allclose(getattr(rest, name), getattr(whole, name)[4:], rtol=1e-13)
+
+
+def test_where_it_slides():
+    history = cddf.trace(BODY, [75.0, 60.0])
+    np.testing.assert_array_equal(history.sliding([0.02, 0.1]), [[1, 1], [-1, 0]])
+
+
+def traced_angles(tensions, mu, throw=False):
+    return cddf.trace(paper_body("exact", friction_coefficient=mu), tensions, throw=throw).tip_angle
+
+
+PATH = jnp.array([75.0, 60.0, 40.0, 50.0, 45.0])
+
+
+def test_derivatives_in_both_modes_are_those_of_the_closed_form():
+    """A release with its front inside has mu phi = ln[y (y_0 + g) / ((y + y_0) / 2)^2], y = 1/T; differences by mu."""
+    forward, reverse = (jax.jit(mode(traced_angles, (0, 1)))(PATH, MU) for mode in (jax.jacfwd, jax.jacrev))
+    for a, b in zip(forward, reverse, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-14)
+    y, y0 = 1 / 60.0, 1 / 75.0
+    by_tension = (1 / y - 2 / (y + y0)) * -(y**2) / MU
+    np.testing.assert_allclose(forward[0][1, 1], by_tension, rtol=1e-10)
+    step = 1e-5
+    difference = (traced_angles(PATH, MU + step) - traced_angles(PATH, MU - step)) / (2 * step)
+    np.testing.assert_allclose(forward[1], difference, rtol=1e-7)
+
+
+def test_lanes_and_single_precision():
+    lanes = jax.jit(jax.vmap(lambda mu: cddf.trace(paper_body("exact", friction_coefficient=mu), PATH, throw=False)))(
+        jnp.array([MU, -1.0, 0.2])
+    )
+    np.testing.assert_allclose(lanes.tip_angle[0], traced_angles(PATH, MU), rtol=1e-12)
+    assert codes(lanes.result) == [code(R.successful)] * 5 + [code(R.unphysical)] * 5 + [code(R.successful)] * 5
+    assert np.all(np.isnan(lanes.tip_angle[1]))
+
+    def total(scale):
+        angles = jax.vmap(lambda mu: traced_angles(scale * PATH, mu))(jnp.array([MU, -1.0, 0.2]))
+        return jnp.nansum(angles)
+
+    good = sum(jax.grad(lambda x, mu=mu: jnp.sum(traced_angles(x * PATH, mu)))(1.0) for mu in (MU, 0.2))
+    np.testing.assert_allclose(jax.grad(total)(1.0), good, rtol=1e-11)  # the lane that fails leaves it alone
+    single = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), BODY)
+    found = cddf.trace(single, np.asarray(PATH, np.float32))
+    assert found.tip_angle.dtype == jnp.float32
+    np.testing.assert_allclose(found.tip_angle, lanes.tip_angle[0], rtol=1e-5)
+
+
+def test_more_turns_than_there_is_room_for():
+    path = [75.0, 20.0, 70.0, 25.0]
+    history = cddf.trace(BODY, path, max_turns=3, throw=False)
+    assert codes(history.result) == [code(R.successful)] * 3 + [code(R.too_many_turns)]
+    assert np.isnan(history.tip_angle[3])
+    with pytest.raises(cddf.SolveError, match=r"step 3 of the trace, 25 N: More turns .* Raise max_turns="):
+        cddf.trace(BODY, path, max_turns=3)
+
+
+@pytest.mark.parametrize(
+    ("body", "path", "options", "words"),
+    [
+        (paper_body("exact", num_tendons=2), [1.0], {}, "the body has 2 tendons"),
+        (BODY, 75.0, {}, r"must be a list of tensions, N, one for each step, got the shape \(\)"),
+        (BODY, [[75.0]], {}, r"got the shape \(1, 1\)"),
+        (BODY, [], {}, r"got the shape \(0,\)"),
+        (BODY, [75.0], {"max_turns": 0}, "max_turns must be a whole number of 1 or more, got 0"),
+        (BODY, [75.0], {"nodes": 3}, "nodes must be a whole number of 4 or more"),
+    ],
+)
+def test_what_is_refused(body, path, options, words):
+    with pytest.raises(ValueError, match=words):
+        cddf.trace(body, path, **options)
+
+
+def test_wrong_types_and_numbers():
+    with pytest.raises(TypeError, match="the first argument must be a Manipulator"):
+        cddf.trace("robot.toml", [75.0])  # pyright: ignore[reportArgumentType]
+    with pytest.raises(TypeError, match="start must be a History"):
+        cddf.trace(BODY, [75.0], start=75.0)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(cddf.SolveError, match="step 1 of the trace, -5 N: The body or its load is not physical"):
+        cddf.trace(BODY, [75.0, -5.0])
