@@ -161,7 +161,7 @@ def _trace(manipulator: Manipulator, base_tension: Array, before: Array | None, 
     body = eqx.tree_at(lambda body: body.point_masses, manipulator, ())
     num_steps = base_tension.shape[0]
     path = base_tension if before is None else jnp.concatenate([before, base_tension])
-    body, _, _, tensions = one_precision(body, 0.0, 1.0, path)
+    body, _, _, tensions = one_precision(body, path[0], jnp.ones_like(path[0]), path)
     turns = open_turns(tensions, max_turns)
     front = _fronts(body, tensions, turns, nodes)
 

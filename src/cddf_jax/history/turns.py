@@ -28,7 +28,7 @@ class Turns(NamedTuple):
 class _Open(NamedTuple):
     tension: Float[Array, " turns"]  # N, in turn a largest and a smallest one
     step: Int[Array, " turns"]
-    count: Int[Array, ""]
+    num_open: Int[Array, ""]
     too_many: Bool[Array, ""]
 
 
@@ -44,21 +44,21 @@ def open_turns(base_tension: Float[Array, " steps"], max_turns: int) -> Turns:
 
     def advance(state: _Open, given: tuple[Float[Array, ""], Int[Array, ""]]) -> tuple[_Open, Turns]:
         tension, step = given
-        last = jnp.maximum(state.count - 1, 0)
-        now = jnp.where(state.count > 0, state.tension[last], 0.0)
+        last = jnp.maximum(state.num_open - 1, 0)
+        now = jnp.where(state.num_open > 0, state.tension[last], 0.0)
         stays, pulled_last = tension == now, last % 2 == 0
-        pulled = jnp.where(stays & (state.count > 0), pulled_last, tension >= now)
+        pulled = jnp.where(stays & (state.num_open > 0), pulled_last, tension >= now)
         direction = jnp.where(pulled, 1.0, -1.0).astype(tension.dtype)
         alike = (slots % 2 == 0) == pulled  # a largest tension is passed by a pull, a smallest one by a release
-        passed = (slots < state.count) & alike & ((tension - state.tension) * direction >= 0)
-        place = jnp.where(jnp.any(passed), jnp.argmax(passed), state.count)
+        passed = (slots < state.num_open) & alike & ((tension - state.tension) * direction >= 0)
+        place = jnp.where(jnp.any(passed), jnp.argmax(passed), state.num_open)
         too_many = state.too_many | (place >= max_turns)
         place = jnp.minimum(place, max_turns - 1)
         here = slots == place
         new = _Open(
             tension=jnp.where(here, tension, state.tension),
             step=jnp.where(here, step, jnp.where(slots < place, state.step, NOBODY)),
-            count=place + 1,
+            num_open=place + 1,
             too_many=too_many,
         )
         before = jnp.where(place > 0, new.step[jnp.maximum(place - 1, 0)], NOBODY)
