@@ -87,6 +87,7 @@ def test_the_shape_is_the_integral_of_its_heading():
         np.testing.assert_allclose(history.tip_position[:, component], found, atol=1e-10)
     np.testing.assert_allclose(along.position[:, -1], history.tip_position, atol=1e-15)
     np.testing.assert_allclose(along.heading[:, -1], history.tip_angle, rtol=1e-14)
+    assert np.all(np.isnan(history.at([-1e-3, 1.01 * LENGTH]).tension))
     np.testing.assert_allclose(np.trapezoid(along.curvature, s, axis=1), history.tip_angle, rtol=1e-8)
     slip = np.gradient(np.asarray(along.tension[-1, 0]), s)  # friction along the tendon is what its tension loses
     force = np.linalg.norm(along.friction_force[-1, 0], axis=-1)
@@ -220,6 +221,7 @@ def test_more_turns_than_there_is_room_for():
     history = cddf.trace(BODY, path, max_turns=3, throw=False)
     assert codes(history.result) == [code(R.successful)] * 3 + [code(R.too_many_turns)]
     assert np.isnan(history.tip_angle[3])
+    np.testing.assert_array_equal(np.isnan(history.at(0.05).tension[:, 0]), [False, False, False, True])
     with pytest.raises(cddf.SolveError, match=r"step 3 of the trace, 25 N: More turns .* Raise max_turns="):
         cddf.trace(BODY, path, max_turns=3)
 

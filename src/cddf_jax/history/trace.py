@@ -88,6 +88,7 @@ class History(eqx.Module):
         s = jnp.asarray(arc_length, self.front.dtype)
         at_point = jax.vmap(_fields_at, in_axes=(None, None, 0))
         fields = jax.vmap(at_point, in_axes=(None, 0, None))(self._branches, self._parts, s.ravel())
+        fields = jax.vmap(nan_unless)(~jnp.isnan(self.tip_angle), fields)
         fields = jax.tree.map(lambda x: x.reshape(x.shape[0], *s.shape, *x.shape[2:]), fields)
         return jax.vmap(lambda step: tendons_first(step, s.ndim))(fields)
 
