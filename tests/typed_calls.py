@@ -56,6 +56,10 @@ def statics():
     cddf.tip_compliance(robot, 20.0, nodes=8)
     cddf.tip_jacobian(robot, 20.0, nodes=8)
     cddf.self_contact(eq)
+    history = cddf.trace(robot, [20.0, 10.0], nodes=8)
+    with cddf.show_progress():
+        cddf.trace(robot, np.array([15.0]), start=history, nodes=8, max_turns=4)
+    print(history.at(np.array([0.0, 0.07])).tension, history.sliding(0.07), file=sys.stderr)
 
 
 def sweeping():

@@ -121,7 +121,11 @@ def test_with_drag_against_an_integration():
 
 @pytest.mark.parametrize(
     "changes",
-    [{"tendon_offset": (0.012, 0.007)}, {"kinematics": "published"}, {"tendon_offset": (0.012, 0.008), "drag": 8.0}],
+    [
+        pytest.param({"tendon_offset": (0.012, 0.007)}, marks=pytest.mark.slow),
+        {"kinematics": "published"},
+        {"tendon_offset": (0.012, 0.008), "drag": 8.0},
+    ],
 )
 def test_other_bodies_by_their_branches(changes):
     """T is clipped by the two branches of `solve`; the shape is the integral of the curvature."""

@@ -6,6 +6,7 @@ fronts of its open turns the body is therefore congruent to a part of one of the
 put together of such parts: one equilibrium for each step, turned and moved.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -95,7 +96,7 @@ class History(eqx.Module):
 
 def trace(
     manipulator: Manipulator,
-    base_tension: ArrayLike,
+    base_tension: ArrayLike | Sequence[float],
     *,
     start: History | None = None,
     nodes: int = 16,
@@ -177,16 +178,19 @@ def _trace(manipulator: Manipulator, base_tension: Array, before: Array | None, 
     good = ~turns.too_many & tip.solved
     outside = tensions * body.tendon_compliance * body.tendon_free_length
     still_open = turns.open[-1]
+    pulled_in = tip.pulled_in + outside
+    numbers = tip.tension[:, 0], tip.heading, tip.position, pulled_in, tip.error
+    tension, angle, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
     return History(
         base_tension=tensions,
-        tip_tension=nan_unless(good, tip.tension[:, 0]),
-        tip_angle=nan_unless(good, tip.heading),
-        tip_position=jnp.where(good[:, None], tip.position, jnp.nan),
+        tip_tension=tension,
+        tip_angle=angle,
+        tip_position=position,
         direction=turns.direction,
         front=front,
         num_turns=jnp.sum(turns.open != NOBODY, axis=1),
-        tendon_displacement=nan_unless(good, tip.pulled_in + outside),
-        error_estimate=nan_unless(good, tip.error),
+        tendon_displacement=pulled_in,
+        error_estimate=error,
         result=tip.result,
         _open_tension=jnp.where(still_open == NOBODY, path[-1], path[still_open]),
         _branches=branches,
@@ -240,7 +244,8 @@ def _first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
     places = jnp.concatenate([cut.edges[:-1, None], cut.nodes, cut.edges[1:, None]], axis=1)
     below = (points < 0).ravel()
     first = jnp.argmax(below)
-    panel, before = first // points.shape[1], jnp.maximum(first - 1, 0)
+    first = first.astype(jnp.uint32)  # not read from the end
+    panel, before = first // points.shape[1], jnp.maximum(first, 1) - 1
     bracket = jnp.stack([places.ravel()[before], places.ravel()[first]])
     place = jnp.where(first % points.shape[1] > 0, refined_zero(cut, values[panel], panel, bracket), bracket[1])
     return jnp.where(jnp.any(below), place, cut.edges[-1])
