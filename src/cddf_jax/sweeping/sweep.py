@@ -19,7 +19,6 @@ from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.problem import Method
-from ..programs.evaluated import evaluated
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, of_tendon
@@ -270,9 +269,8 @@ class Sweep:
             **numbers_of(self.case),
             **axes,
             "order of axes": [dimension.name for dimension in self.dimensions],
-            "radii and offsets": recorded(
-                np.stack([np.asarray(evaluated(profile, along), float) for profile in profiles])
-            ),
+            # operation by operation: compiled together, the last digits would depend on the compiler's options
+            "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
             "kinematics": self.manipulator.kinematics,
             "nodes": self.nodes,
             "method": recorded(self.method),
