@@ -3,6 +3,7 @@
 `python typed_calls.py FOLDER` prints the public names that it called; a wrong annotation or shape ends it.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from places import DATA
 
 jax.config.update("jax_enable_x64", True)
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(strategy=beartype.BeartypeStrategy.On))"
+os.environ["CDDF_PROGRAMS"] = "off"  # the description of a kept program has places where the annotations say arrays
 with install_import_hook("cddf_jax", CHECKER):
     import cddf_jax as cddf
 
