@@ -50,7 +50,7 @@ def test_double_precision(fresh):
 
 def test_the_compilation_cache_of_jax_is_left_alone(fresh):
     assert fresh[0]["cache"] is None
-    assert not (fresh[1] / "cddf_jax").exists()  # JAX compiled a function that is none of the library's
+    assert not (fresh[1] / "cddf_jax").exists()  # JAX compiled a function of the user, which the library does not keep
 
 
 def test_quick_compilation(fresh):

@@ -95,6 +95,27 @@ def test_the_shape_is_the_integral_of_its_heading():
     np.testing.assert_allclose(force[far][1:-1], np.abs(slip[far][1:-1]), rtol=1e-5)
 
 
+@pytest.mark.parametrize("path", [(150.0, 120.0), (200.0, 150.0)])
+def test_a_front_with_drag_where_the_tendon_would_lock(path):
+    """Were all of it to slide out, it would lock; SciPy's solve_ivp ends where the tension is that of the pull."""
+    drag = 60.0
+
+    def growth(s, T):
+        return MU * OFFSET / stiffness(s) * T**2 + drag
+
+    exact = {"rtol": 1e-12, "atol": 1e-12}
+    pulled = solve_ivp(lambda s, T: -growth(s, T), (0, LENGTH), path[:1], dense_output=True, **exact).sol
+
+    def meets(s, T):
+        return T[0] - pulled(s)[0]
+
+    meets.terminal, meets.direction = True, 1
+    front = solve_ivp(growth, (0, LENGTH), path[1:], events=meets, **exact).t_events[0][0]
+    history = cddf.trace(paper_body("exact", drag=drag), path)
+    np.testing.assert_allclose(history.front[1], front, rtol=1e-9)
+    assert history.error_estimate[1] < 1e-10
+
+
 def test_with_drag_against_an_integration():
     """What 5 N/m leave after full release: 0.702123 N and 0.544432 degrees, by an independent simulation.
 
@@ -226,6 +247,9 @@ def test_more_turns_than_there_is_room_for():
     assert codes(history.result) == [code(R.successful)] * 3 + [code(R.too_many_turns)]
     assert np.isnan(history.tip_angle[3])
     np.testing.assert_array_equal(np.isnan(history.at(0.05).tension[:, 0]), [False, False, False, True])
+    on = cddf.trace(BODY, [60.0], start=history, throw=False)  # what it remembers is not known
+    assert codes(on.result) == [code(R.unphysical)]
+    assert np.isnan(on.tip_angle[0])
     with pytest.raises(cddf.SolveError, match=r"step 3 of the trace, 25 N: More turns .* Raise max_turns="):
         cddf.trace(BODY, path, max_turns=3)
 

@@ -32,6 +32,7 @@ from ..statics.solve import solve
 from .turns import NOBODY, Turns, open_turns
 
 Number = Float[Array, ""]
+REFINEMENTS = 3  # of fronts, by Newton's method
 
 
 class _Branch(NamedTuple):
@@ -172,6 +173,16 @@ def _trace(manipulator: Manipulator, base_tension: Array, before: Array | None, 
         found = solve(part, tension, direction=direction, nodes=nodes, throw=False)
         return _Branch(found._dense, _pulled_in(found._dense), found.error_estimate, found.result)
 
+    if body.tendon_drag is not None or body.slanted:  # else r is a polynomial, and the front right at once
+        again = jax.lax.stop_gradient((tensions, turns.direction))
+
+        def nearer(_: Int[Array, ""], front: Float[Array, " steps"]) -> Float[Array, " steps"]:
+            branches = jax.lax.stop_gradient(jax.vmap(branch)(*again, front))
+            return jax.vmap(partial(_nearer_front, jnp.asarray(body.length), branches, front))(
+                jnp.arange(front.size), turns.before
+            )
+
+        front = jax.lax.stop_gradient(jax.lax.fori_loop(0, REFINEMENTS, nearer, front))
     branches = jax.vmap(branch)(tensions, turns.direction, front)
     turns, tensions, front = jax.tree.map(lambda x: x[-num_steps:], (turns, tensions, front))
     tip, parts = jax.vmap(partial(_assembled, branches))(turns)
@@ -192,7 +203,7 @@ def _trace(manipulator: Manipulator, base_tension: Array, before: Array | None, 
         tendon_displacement=pulled_in,
         error_estimate=error,
         result=tip.result,
-        _open_tension=jnp.where(still_open == NOBODY, path[-1], path[still_open]),
+        _open_tension=nan_unless(good[-1], jnp.where(still_open == NOBODY, path[-1], path[still_open])),
         _branches=branches,
         _parts=parts,
     )
@@ -210,7 +221,8 @@ def _pulled_in(dense: Dense) -> tuple[Float[Array, " P"], Float[Array, "P p"]]:
 def _fronts(body: Manipulator, tensions: Float[Array, " steps"], turns: Turns, nodes: int) -> Float[Array, " steps"]:
     """Where, in each step, the tension in the direction of the motion meets that at which the motion turned, s in m.
 
-    In T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock.
+    In T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock. With a
+    drag the passes do not settle there, and the front is only near.
     """
     constant = jax.lax.stop_gradient((body, tensions))
 
@@ -235,6 +247,32 @@ def _fronts(body: Manipulator, tensions: Float[Array, " steps"], turns: Turns, n
     length = jnp.broadcast_to(constant[0].length, found.shape)
     found = jnp.where((turns.before == NOBODY) | jnp.isnan(found), length, found)
     return jnp.clip(found, 1e-9 * length, length)  # a step of rounding errors moves next to nothing
+
+
+def _nearer_front(
+    length: Number,
+    branches: _Branch,
+    fronts: Float[Array, " steps"],
+    step: Int[Array, ""],
+    before: Int[Array, ""],
+) -> Number:
+    """A step of Newton's method to the place, m, where the tensions of two steps meet."""
+    front = fronts[step]
+    inside = front * (1 - 64 * jnp.finfo(front.dtype).eps)  # the last panel may have no width, and no slope
+
+    def gap(arc_length: Number) -> Number:
+        here, there = (_tension(jax.tree.map(lambda x, i=i: x[i], branches.dense), arc_length) for i in (step, before))
+        return (here - there)[0]
+
+    value, slope = jax.jvp(gap, (inside,), (jnp.ones_like(front),))
+    found = jnp.clip(inside - value / slope, 1e-9 * length, length)
+    return jnp.where((before == NOBODY) | ~jnp.isfinite(found), front, found)
+
+
+def _tension(dense: Dense, arc_length: Number) -> Float[Array, " tendons"]:
+    """T, N, at one arc length."""
+    section = guarded_section(dense.manipulator, arc_length)
+    return tension_of(section, dense.base_tension, dense.state(arc_length).pull)
 
 
 def _first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
@@ -283,19 +321,23 @@ def _assembled(branches: _Branch, turns: Turns) -> tuple[_Body, _Part]:
             body.end, jnp.where(covers, end, body.end), index, turned, moved, body.wrap_angle - joint.wrap_angle
         )
         there = of.dense.state(end)
-        section = guarded_section(of.dense.manipulator, end)
+        meets = jnp.max(jnp.abs(_tension(of.dense, jnp.minimum(body.end, end)) - body.tension) / _scale(body.tension))
+        missed = jnp.where(body.end > 0, meets, 0.0)  # the two tensions are the same at a front
         failed = (code_of(of.result) != 0) & (code_of(of.result) != code_of(RESULTS.direction_contradicted))
         failed = failed & (step != NOBODY) & (code_of(body.result) == 0)
-        body = body._replace(result=with_words(RESULTS.where(failed, of.result, body.result)))
+        body = body._replace(  # whatever is felt must be known
+            solved=body.solved & (of.dense.solved | (step == NOBODY)),
+            result=with_words(RESULTS.where(failed, of.result, body.result)),
+        )
         further = _Body(
             end,
             turned + there.heading,
             moved + _rotated(there.position, turned),
             part.wrapped + there.wrap_angle,
-            tension_of(section, of.dense.base_tension, there.pull),
+            _tension(of.dense, end),
             body.pulled_in + _on_panels(of, end) - _on_panels(of, body.end),
-            jnp.maximum(body.error, of.error),
-            body.solved & of.dense.solved,
+            jnp.maximum(jnp.maximum(body.error, of.error), missed),
+            body.solved,
             body.result,
         )
         return jax.tree.map(lambda new, old: jnp.where(covers, new, old), further, body), part
@@ -303,6 +345,10 @@ def _assembled(branches: _Branch, turns: Turns) -> tuple[_Body, _Part]:
     body, parts = jax.lax.scan(add, start, turns.open[::-1])
     result = with_words(RESULTS.where(turns.too_many, RESULTS.too_many_turns, body.result))
     return body._replace(result=result), parts
+
+
+def _scale(tension: Float[Array, " tendons"]) -> Float[Array, " tendons"]:
+    return jnp.where(tension > 0, tension, 1.0)
 
 
 def _on_panels(branch: _Branch, arc_length: Number) -> Number:
