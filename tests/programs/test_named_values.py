@@ -7,20 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bodies import paper_body
 
 import cddf_jax as cddf
 from cddf_jax.programs.description import NotDescribedError, Place, describe, rebuild
 from cddf_jax.robot.profiles import Linear
 from cddf_jax.statics.equilibrium import RESULTS
 
-BODY = cddf.conical(
-    length=0.14,
-    outer_radius=(0.02, 0.013),
-    inner_radius=0.007,
-    tendon_offset=0.01,
-    youngs_modulus=1.4e6,
-    friction_coefficient=0.42,
-)
+BODY = paper_body("exact")
 
 
 def without_arrays(tree):

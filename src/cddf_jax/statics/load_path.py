@@ -20,7 +20,7 @@ LARGEST_MISS = 0.2  # rad, by which any cross-section may miss its predicted hea
 LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: where stability changes in a longer step, it may have reached another branch
 MAX_TRIES = 200
-MAX_SETTLING = 16  # passes of a step, and at the full loads, where they need not settle if turning changes its sign
+MAX_SETTLING = 16  # passes of one try, and once more at the full loads; before the sign changes they need not settle
 
 
 class LoadPath(NamedTuple):
@@ -67,9 +67,9 @@ class _Walk(NamedTuple):
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
     """Walk along the path of equilibria until all loads act.
 
-    The steps are Euler steps, each of them corrected. A step is taken back and shortened where the correction does not
-    settle, where the body turns or misses its prediction by more than is allowed on one path, or where the stability
-    changes in a step that is not small.
+    The steps are Euler steps, each of them corrected. A step is taken back and shortened where a few passes do not bring
+    the trial near to an equilibrium, where the body turns or misses its prediction by more than is allowed on one path,
+    or where the stability changes in a step that is not small.
 
     Args:
         body: its problem is that under its full loads.
