@@ -67,7 +67,7 @@ class _Walk(NamedTuple):
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
     """Walk along the path of equilibria until all loads act.
 
-    The steps are Euler steps, each of them corrected. A step is taken back and shortened where a few passes do not bring
+    Each step is an Euler step that is corrected. It is taken back and shortened where a few passes do not bring
     the trial near to an equilibrium, where the body turns or misses its prediction by more than is allowed on one path,
     or where the stability changes in a step that is not small.
 
