@@ -85,6 +85,7 @@ _ALL = (
     Quantity("displacement", "length"),
     Quantity("tendon_displacement", "length"),
     Quantity("tip_angle", "angle", "heading of the tip"),
+    Quantity("hysteresis", "angle", "tip angle on the way down less that on the way up, in a loop of the base tension"),
     Quantity("tip_position", "length", "position of the tip"),
     Quantity("tip_x", "length", title="Tip position X"),
     Quantity("tip_y", "length", title="Tip position Y"),

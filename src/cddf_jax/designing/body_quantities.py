@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError
+from ..history.trace import trace
 from ..numerics.quadrature import Panels, panels
 from ..quantities import dimension_of
 from ..robot.loads import Loads
@@ -194,6 +195,18 @@ def _across(found: Equilibrium) -> Array:
     return jnp.stack([-jnp.sin(found.tip_angle), jnp.cos(found.tip_angle)])
 
 
+def _hysteresis(view: BodyView) -> Array:
+    """How much further the tip is bent at a tension on the way down than on the way up, in a loop that repeats."""
+    case = view.case
+    assert case is not None
+    assert case.loop is not None
+    (low, high), at = jnp.asarray(case.loop), view.equilibrium.base_tension[0]
+    path = jnp.stack([high, at, low, at])
+    angle = trace(view.body, path, nodes=view.nodes, max_turns=3, throw=False).tip_angle
+    inside = (low < at) & (at < high)
+    return jnp.where(inside, view.body.tendons[0].side * (angle[1] - angle[3]), jnp.nan)
+
+
 BODY_QUANTITIES: dict[str, BodyQuantity] = {
     quantity.name: quantity
     for quantity in (
@@ -217,6 +230,7 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("tension_loss", lambda v: v.equilibrium.tension_loss, per_tendon=True),
         BodyQuantity("tendon_displacement", lambda v: v.equilibrium.tendon_displacement, per_tendon=True),
         BodyQuantity("tip_angle", lambda v: v.equilibrium.tip_angle),
+        BodyQuantity("hysteresis", _hysteresis),
         BodyQuantity("tip_position", lambda v: v.equilibrium.tip_position),
         BodyQuantity("tip_x", lambda v: v.equilibrium.tip_position[0]),
         BodyQuantity("tip_y", lambda v: v.equilibrium.tip_position[1]),

@@ -251,6 +251,8 @@ def _check(
         if at is not None and (np.min(at) < 0 or np.max(at) > length * (1 + 1e-9)):
             raise InputError(f"design: {part} is compared at {np.max(at):g} m, off a body of {length:g} m; change at")
     for case in cases:
+        if any(part.quantity == "hysteresis" for part in parts):
+            case.check_loop(body)
         for name in case.numbers:
             if name in free:
                 raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")

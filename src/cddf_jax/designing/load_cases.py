@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Array, Float, PyTree
 from scipy.special import ndtri
 
 from ..errors import InputError
@@ -20,6 +20,7 @@ from ..robot.named_numbers import Case
 from ..robot.profiles import Scalar, as_number
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
+from ..statics.targets import Target
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
@@ -38,6 +39,8 @@ class LoadCase(eqx.Module):
         numbers: numbers of the body that have other values in this case, by name, e.g. {"youngs_modulus": 1.5e6}.
         weight: of this case in means over the cases, above 0.
         name: in tables and messages.
+        loop: (low, high), N, between which the base tension goes up and down, for the quantity "hysteresis"; for one
+            tendon without loads. It is told at `base_tension`, which lies between them.
     """
 
     base_tension: PyTree = eqx.field(converter=lambda given: jax.tree.map(as_number, given))
@@ -48,8 +51,13 @@ class LoadCase(eqx.Module):
     )
     weight: Scalar = eqx.field(default=1.0, converter=as_number)
     name: str = eqx.field(default="", static=True)
+    loop: Float[Array | np.ndarray, "2"] | None = eqx.field(
+        default=None, converter=lambda given: None if given is None else as_number(given)
+    )
 
     def __check_init__(self):
+        if isinstance(self.loop, np.ndarray) and not (np.shape(self.loop) == (2,) and 0 <= self.loop[0] < self.loop[1]):
+            raise InputError(f"LoadCase: loop must be two tensions (low, high), N, got {self.loop.tolist()}")
         if isinstance(self.weight, np.ndarray) and not (np.isfinite(self.weight) and self.weight > 0):
             raise InputError(f"LoadCase: the weight must be above 0, got {self.weight:g}")
 
@@ -74,6 +82,25 @@ class LoadCase(eqx.Module):
         """The equilibrium of the body in this case; look at its `result`."""
         body = self.body(manipulator)
         return solve(body, self.base_tension, self.loads, direction=self.direction, nodes=nodes, throw=False)
+
+    def check_loop(self, manipulator: Manipulator) -> None:
+        """Refuse what has no hysteresis that is known.
+
+        Raises:
+            InputError: names what is missing, or what there is too much of.
+        """
+        own = self.name or "the load case"
+        if self.loop is None:
+            raise InputError(f"design: 'hysteresis' needs a loop of {own}, as in LoadCase(40.0, loop=(5.0, 75.0))")
+        if manipulator.num_tendons != 1 or self.loads is not None:
+            raise InputError(f"design: 'hysteresis' is known of one tendon without loads; change {own}")
+        entries = jax.tree.leaves(self.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
+        if isinstance(entries[0], Target):
+            raise InputError(f"design: 'hysteresis' needs a tension of {own} in place of a target; give one in N")
+        low, high, tension = *np.asarray(self.loop), float(np.ravel(entries[0])[0])
+        if not low < tension < high:
+            inside = f"must lie inside its loop, {low:g} to {high:g} N"
+            raise InputError(f"design: the base tension of {own}, {tension:g} N, {inside}")
 
 
 def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) -> tuple[LoadCase, ...]:

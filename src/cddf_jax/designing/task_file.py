@@ -48,6 +48,7 @@ def _keys() -> dict[str, dict[str, bool]]:
 
 KEYS = _keys()
 _AIMS: dict[str, type[Objective]] = {"least": Least, "most": Most, "even": Even, "near": Near}
+EXAMPLES = {"bounds": '["8 mm", "25 mm"]', "loop": '["5 N", "75 N"]'}  # of pairs
 _OPTIONS = [field.name for field in fields(DesignOptions)]
 
 
@@ -143,7 +144,7 @@ def _free(
             if "knots" in entry or "taper" in entry:
                 body = _formed(body, name, entry)
             if "bounds" in entry:
-                bounds[name] = _pair(entry["bounds"], dimension)
+                bounds[name] = _pair(entry["bounds"], dimension, "bounds")
             if "choices" in entry:
                 given = entry["choices"]
                 if not isinstance(given, list) or not given or len(entry) > 1:
@@ -185,6 +186,7 @@ def _case(table: Table, body: Manipulator) -> LoadCase:
         _case_numbers(_entries(table, "numbers"), body) if "numbers" in table else {},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),
+        _pair(table["loop"], "force", "loop") if "loop" in table else None,
     )
 
 
@@ -252,10 +254,10 @@ def _nested(value: object, dimension: Dimension, what: str) -> float | np.ndarra
     return np.array(items)
 
 
-def _pair(value: object, dimension: Dimension) -> tuple[float, float]:
+def _pair(value: object, dimension: Dimension, key: str) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
-        raise InputError(f'bounds must be two values, as in bounds = ["8 mm", "25 mm"], got {value!r}')
-    low, high = (quantity(item, dimension, "bounds") for item in value)
+        raise InputError(f"{key} must be two values, as in {key} = {EXAMPLES[key]}, got {value!r}")
+    low, high = (quantity(item, dimension, key) for item in value)
     return low, high
 
 

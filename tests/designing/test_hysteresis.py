@@ -1,0 +1,134 @@
+"""The width of the loop of the tip angle, against closed forms (hysteresis.md section 2).
+
+Exact kinematics, constant d, one tendon, g = mu d H / E with H = int_0^L ds / J. Pulled up from a low tension, and all
+slid in, mu phi = ln(1 + g T). On the way down from T_max, with the front inside,
+mu phi = ln[y (y_0 + g) / ((y + y_0) / 2)^2] with y = 1/T and y_0 = 1/T_max.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, both_modes, paper_body, paper_plain, replaced
+from scipy.integrate import quad
+
+import cddf_jax as cddf
+from cddf_jax.designing.body_quantities import BODY_QUANTITIES, BodyView
+from cddf_jax.designing.task_file import read_task
+from cddf_jax.errors import InputError
+
+L, OFFSET, MU = (PAPER[name] for name in ("length", "tendon_offset", "friction_coefficient"))
+LOW, AT, HIGH = 5.0, 40.0, 75.0
+CASE = cddf.LoadCase(AT, loop=(LOW, HIGH))
+TASK = """
+robot = "robot.toml"
+nodes = 8
+[free]
+youngs_modulus = { bounds = ["0.5 MPa", "5 MPa"] }
+[[case]]
+base_tension = "40 N"
+loop = ["5 N", "75 N"]
+[[objective]]
+least = "hysteresis"
+[[limit]]
+quantity = "tip_angle"
+least = "0.9 rad"
+"""
+
+
+def closed(g, mu, low=LOW, at=AT, high=HIGH):
+    """The width, rad."""
+    y, before = 1 / at, 1 / high
+    assert (y - before) / 2 < g < (1 / low - y) / 2
+    return np.log(y * (before + g) / ((y + before) / 2) ** 2 / (1 + g * at)) / mu
+
+
+def of_angle(angle, mu):
+    """The width where a pull to the middle tension bends the tip so far: whatever the body."""
+    return closed(np.expm1(mu * angle) / AT, mu)
+
+
+def difference(function, x, h):
+    return (function(x + h) - function(x - h)) / (2 * h)
+
+
+FLOW = quad(lambda s: OFFSET / paper_plain("exact").second_moment(s), 0, L, epsabs=0, epsrel=1e-12)[0]  # d H, 1/m^2
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """The modulus of least width among those that bend to 0.9 rad at 40 N, from a task in a file."""
+    folder = tmp_path_factory.mktemp("task")
+    cddf.write_manipulator(paper_body("exact"), folder / "robot.toml")
+    (folder / "task.toml").write_text(TASK)
+    return read_task(folder / "task.toml").design()
+
+
+def test_a_design_of_least_hysteresis_has_the_width_of_the_closed_form(found):
+    assert found.success
+    assert found.objectives[0].start == pytest.approx(closed(MU * FLOW / 1.4e6, MU), rel=1e-7)
+    assert found.objective == pytest.approx(of_angle(0.9, MU), rel=1e-6)
+    assert found.value["youngs_modulus"] == pytest.approx(MU * FLOW * AT / np.expm1(0.9 * MU), rel=1e-6)
+    assert "- least hysteresis: 14.798 deg -> 19.927 deg" in str(found)
+
+
+def test_what_more_bend_and_more_friction_cost(found):
+    """By multiplier and sensitivity, against differences of the closed form; 8 nodes are right to 3e-5 here."""
+    (angle,) = (limit for limit in found.limits if limit.name == "tip_angle")
+    assert angle.multiplier == pytest.approx(difference(lambda a: of_angle(a, MU), 0.9, 1e-4), rel=1e-5)
+    slope = found.sensitivity["friction_coefficient"]
+    assert slope == pytest.approx(difference(lambda mu: of_angle(0.9, mu), MU, 1e-4), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_the_width_of_a_body_and_its_slopes_in_both_modes():
+    """By modulus, friction and tensions of the loop, against differences of the closed form, right to 1e-8."""
+
+    def width(p):
+        body = replaced(paper_body("exact"), youngs_modulus=p[0] * 1e6, friction_coefficient=p[1])
+        case = cddf.LoadCase(p[3], loop=jnp.stack([p[2], p[4]]))
+        there = BodyView(body, jnp.zeros(1), case, case.solve(body))
+        return BODY_QUANTITIES["hysteresis"].of(there)
+
+    def plain(p):
+        return closed(p[1] * FLOW / (p[0] * 1e6), *p[1:])
+
+    at = np.array([1.2, 0.42, LOW, AT, HIGH])
+    value, forward, reverse = both_modes(width)(at)
+    slopes = [
+        difference(lambda x, i=i: plain(np.where(np.arange(5) == i, x, at)), at[i], 1e-4 * at[i]) for i in range(5)
+    ]
+    assert value == pytest.approx(plain(at), rel=1e-9)
+    assert forward == pytest.approx(slopes, rel=1e-6, abs=1e-9)
+    assert reverse == pytest.approx(np.asarray(forward), rel=1e-9, abs=1e-12)
+    assert np.isnan(jax.jit(width)(at[[0, 1, 3, 2, 4]]))  # a tension below the loop has no width
+
+
+@pytest.mark.parametrize(
+    ("body", "case", "message"),
+    [
+        (paper_body(), cddf.LoadCase(AT), "'hysteresis' needs a loop of the load case, as in LoadCase(40.0, loop="),
+        (
+            paper_body(),
+            cddf.LoadCase(cddf.TipAngle(1.0), loop=(LOW, HIGH), name="grip"),
+            "'hysteresis' needs a tension of grip in place of a target; give one in N",
+        ),
+        (
+            paper_body(),
+            cddf.LoadCase(80.0, loop=(LOW, HIGH)),
+            "the base tension of the load case, 80 N, must lie inside its loop, 5 to 75 N",
+        ),
+        (paper_body(num_tendons=2), CASE, "'hysteresis' is known of one tendon without loads; change the load case"),
+        (paper_body(), cddf.LoadCase(AT, cddf.Loads((0.0, 1.0)), loop=(LOW, HIGH)), "of one tendon without loads"),
+    ],
+)
+def test_what_has_no_width(body, case, message):
+    with pytest.raises(InputError) as caught:
+        cddf.design(body, cddf.Least("hysteresis"), ("youngs_modulus",), cases=case)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("loop", [(75.0, 5.0), (5.0,), (-1.0, 75.0), (5.0, np.nan)])
+def test_what_is_no_loop(loop):
+    with pytest.raises(InputError, match="loop must be two tensions"):
+        cddf.LoadCase(AT, loop=loop)
