@@ -15,7 +15,8 @@ from .estimation.parameter_space import Uniform as Uniform
 from .estimation.profile_likelihood import Profile as Profile
 from .files.cross_sections import read_cross_sections as read_cross_sections, section_columns as section_columns
 from .files.manipulator_file import read_manipulator as read_manipulator, write_manipulator as write_manipulator
-from .history.trace import History as History, trace as trace
+from .history.history import History as History
+from .history.trace import trace as trace
 from .identification.comparison import (
     Comparison as Comparison,
     compare as compare,

@@ -172,6 +172,11 @@ def test_a_pull_alone_is_a_solve():
             history.at(s),
             found.at(s),
         )
+        jax.tree.map(
+            lambda a, b, step=step: np.testing.assert_allclose(a[step], b, rtol=1e-11, atol=1e-11),
+            history.equilibria,
+            found.along,
+        )
         np.testing.assert_allclose(history.tendon_displacement[step], found.tendon_displacement[0], rtol=1e-12)
 
 

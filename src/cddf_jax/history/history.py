@@ -1,0 +1,69 @@
+"""What `trace` returns: the states through which a manipulator went, step first."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from ..statics.equilibrium import RESULTS, Fields, nan_unless, tendons_first
+
+
+class States(eqx.Module):
+    """What a method knows of the body after each step; one class for each method."""
+
+    @property
+    @abstractmethod
+    def arc_length(self) -> Float[Array, " points"]:
+        """Base, nodes and tip, m."""
+
+    @abstractmethod
+    def fields(self, arc_length: Float[Array, " points"]) -> Fields:
+        """The fields after each step, tendons last: (steps, points, ...); NaN off the body."""
+
+    @abstractmethod
+    def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps *tendons points"]:
+        """+1 where a tendon slid in last, -1 where it slid out, 0 where it rests."""
+
+
+class History(eqx.Module):
+    """The states through which a manipulator went, step first.
+
+    One tendon has its numbers as (steps,), several have theirs as (steps, tendons).
+    NaN where a step failed, and `result` says why.
+    """
+
+    base_tension: Float[Array, "steps *tendons"]  # N
+    tip_tension: Float[Array, "steps *tendons"]  # N
+    tip_angle: Float[Array, " steps"]  # phi(L), rad
+    tip_position: Float[Array, "steps 2"]  # u(L), m
+    direction: Float[Array, "steps *tendons"]  # of the sliding tendon: +1 in, -1 out
+    front: Float[Array, "steps *tendons"]  # s, m, up to which the tendon slid last; it rests beyond, if not the tip
+    num_turns: Int[Array, " steps"]  # how many turns are still felt
+    tendon_displacement: Float[Array, "steps *tendons"]  # m, pulled in at the base since the straight body
+    error_estimate: Float[Array, " steps"]  # of tip tension (relative), tip position (per length), tip angle (rad)
+    result: RESULTS  # how each step ended
+    _states: States
+
+    def sliding(self, arc_length: ArrayLike) -> Float[Array, "steps *tendons_and_points"]:
+        """+1 where the tendon slid in last, -1 where it slid out, 0 where it rests, at arc lengths (m)."""
+        s = jnp.asarray(arc_length, self.front.dtype)
+        found = self._states.sliding(s.ravel())
+        return found.reshape(*found.shape[:-1], *s.shape)
+
+    @property
+    def equilibria(self) -> Fields:
+        """What varies along the body, after each step, at the base, the Gauss nodes and the tip."""
+        return self.at(self._states.arc_length)
+
+    def at(self, arc_length: ArrayLike) -> Fields:
+        """What varies along the body, after each step, as `Equilibrium.at` has it; step first.
+
+        Args:
+            arc_length: s, m, a number or an array of any shape; NaN comes back outside 0 to L.
+        """
+        s = jnp.asarray(arc_length, self.front.dtype)
+        fields = jax.vmap(nan_unless)(~jnp.isnan(self.tip_angle), self._states.fields(s.ravel()))
+        fields = jax.tree.map(lambda x: x.reshape(x.shape[0], *s.shape, *x.shape[2:]), fields)
+        return jax.vmap(lambda step: tendons_first(step, s.ndim))(fields)
