@@ -1,0 +1,98 @@
+"""The front of a motion: the place up to which a tendon slides, and beyond which it rests."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..mechanics import bending
+from ..mechanics.fixed_point import FixedPoint
+from ..mechanics.friction import Pull, tension_rate
+from ..mechanics.problem import Problem, lay_out, tension_of
+from ..mechanics.sign_changes import at_starts_and_ends, refined_zero
+from ..numerics.quadrature import Panels
+from ..robot.manipulator import Manipulator
+
+Number = Float[Array, ""]
+REFINEMENTS = 3  # by Newton's method
+LEAST = 1e-9  # of the body: a step of rounding errors moves next to nothing
+
+
+def cut_at(body: Manipulator, arc_length: Number) -> Manipulator:
+    """The body from its base to an arc length, m."""
+    return eqx.tree_at(lambda body: body.length, body, arc_length)
+
+
+def front_of(
+    body: Manipulator, nodes: int, tension: Number, direction: Number, turned_at: Number, from_rest: Bool[Array, ""]
+) -> Number:
+    """Where the tension of a motion meets the one at which it turned, m; the tip where all of the tendon slides.
+
+    It has no derivative, and needs none: nothing that is summed along the body jumps at a front.
+
+    Args:
+        body: with one tendon.
+        nodes: Gauss nodes in each smooth piece.
+        tension: at the base after the motion, N.
+        direction: of the motion.
+        turned_at: the tension at the base where the motion turned, N; before, the tendon slid the other way.
+        from_rest: the motion did not turn, it is the first one.
+    """
+    body, tension, direction, turned_at = jax.lax.stop_gradient((body, tension, direction, turned_at))
+    length = jnp.asarray(body.length)
+    ends = (tension, direction), (turned_at, -direction)
+    (here, pull), (_, other) = (_slide(body, nodes, *end) for end in ends)
+    # in T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock
+    gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
+    front = jnp.clip(_first_zero(here.panels, gap[..., 0]), LEAST * length, length)
+    if body.tendon_drag is not None or body.slanted:  # else r is a polynomial, and the front right at once
+        refine = partial(_nearer, body, nodes, ends)
+        found = jax.lax.fori_loop(0, REFINEMENTS, lambda _, front: refine(front), front)
+        front = jnp.where(front < length, found, front)
+    return jax.lax.stop_gradient(jnp.where(from_rest, length, front))
+
+
+def _slide(body: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Problem, Pull]:
+    """The integrated friction at the nodes."""
+    problem = lay_out(body, tension[None], direction[None], nodes)
+    return problem, FixedPoint()(problem).nodes.pull
+
+
+def _left(tension: Number, pull: Pull) -> Float[Array, "P p tendons"]:
+    return tension - (0.0 if pull.spent is None else pull.spent)
+
+
+def _nearer(
+    body: Manipulator, nodes: int, ends: tuple[tuple[Number, Number], tuple[Number, Number]], front: Number
+) -> Number:
+    """A step of Newton's method."""
+    part = cut_at(body, front)
+    (value, slope), (other, other_slope) = (_tension_and_slope(part, nodes, *end) for end in ends)
+    found = front - (value - other) / (slope - other_slope)
+    length = jnp.asarray(body.length)
+    return jnp.where(jnp.isfinite(found), jnp.clip(found, LEAST * length, length), front)
+
+
+def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Number, Number]:
+    """T, N, and T', N/m, at the end of a part of the body."""
+    problem = lay_out(part, tension[None], direction[None], nodes)
+    value = tension_of(problem.tip, problem.base_tension, FixedPoint()(problem).tip.pull)
+    kappa = bending.curvature(problem.tip, value)
+    turning = bending.turning(problem.tip, kappa, value, problem.direction)
+    return value[0], tension_rate(problem.direction, problem.tip, turning, value)[0]
+
+
+def _first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
+    """The first place, m, where polynomials that are positive at the base fall below zero; the tip if none is."""
+    starts, ends = at_starts_and_ends(cut, values[..., None])
+    points = jnp.concatenate([starts, values, ends], axis=1)
+    places = jnp.concatenate([cut.edges[:-1, None], cut.nodes, cut.edges[1:, None]], axis=1)
+    below = (points < 0).ravel()
+    first = jnp.argmax(below)
+    first = first.astype(jnp.uint32)  # not read from the end
+    panel, before = first // points.shape[1], jnp.maximum(first, 1) - 1
+    bracket = jnp.stack([places.ravel()[before], places.ravel()[first]])
+    place = jnp.where(first % points.shape[1] > 0, refined_zero(cut, values[panel], panel, bracket), bracket[1])
+    return jnp.where(jnp.any(below) & jnp.isfinite(place), place, cut.edges[-1])

@@ -1,0 +1,185 @@
+"""A traced body put together of parts of equilibria.
+
+From the base to the front of the last motion the body is congruent to the equilibrium of that motion, from there to the
+front of the motion before to the equilibrium of that one, and so on. So the tip lies where the new part ends, and from
+there on as it did before; `Onward` says how that is. Each step needs two equilibria, both from the base to its front:
+its own, and that of the motion at whose end it turned.
+"""
+
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..mechanics.problem import curvature_along, displacement_rate, guarded_section, tension_of
+from ..numerics.arrays import cos_sin, zero_as
+from ..robot.manipulator import Manipulator
+from ..statics.equilibrium import RESULTS, Dense, code_of, with_words
+from ..statics.solve import solve
+from .fronts import cut_at
+from .turns import NOBODY, Turns
+
+Number = Float[Array, ""]
+Tree = TypeVar("Tree")
+
+
+class Reach(NamedTuple):
+    """What an equilibrium has gathered between the base and a front; every number is finite."""
+
+    end: Number  # the front, s, m
+    tension: Number  # there, N
+    heading: Number  # rad
+    position: Float[Array, "2"]  # m
+    pulled_in: Number  # m, of the tendon
+    stored: Number  # J, in body and tendon
+    error: Number
+    solved: Bool[Array, ""]
+    result: RESULTS
+
+
+class Onward(NamedTuple):
+    """How a body goes on behind a front, seen from there."""
+
+    heading: Number
+    position: Float[Array, "2"]
+    pulled_in: Number
+    stored: Number
+    error: Number
+    solved: Bool[Array, ""]
+    result: RESULTS
+
+
+class Tip(NamedTuple):
+    """A traced body at its tip."""
+
+    tension: Number
+    heading: Number
+    position: Float[Array, "2"]
+    pulled_in: Number
+    stored: Number
+    error: Number
+    solved: Bool[Array, ""]
+    result: RESULTS
+
+
+def reach(body: Manipulator, nodes: int, tension: Number, direction: Number, front: Number) -> Reach:
+    """The equilibrium between the base and a front."""
+    found = solve(cut_at(body, front), tension, direction=direction, nodes=nodes, throw=False)
+    outside = jnp.sum(tension * body.tendon_compliance * body.tendon_free_length)
+    solved = found._dense.solved
+    contradicted = code_of(found.result) == code_of(RESULTS.direction_contradicted)  # as it travelled from rest
+    result = with_words(RESULTS.where(contradicted, RESULTS.successful, found.result))
+    tension, heading, position, pulled_in, stored, error = _zero_unless(
+        solved,
+        (
+            found.tip_tension[0],
+            found.tip_angle,
+            found.tip_position,
+            found.tendon_displacement[0] - outside,
+            stored_energy(found._dense),
+            found.error_estimate,
+        ),
+    )
+    return Reach(front, tension, heading, position, pulled_in, stored, error, solved, result)
+
+
+def stored_energy(dense: Dense) -> Number:
+    """What body and tendon hold in an equilibrium, J: the integral of E J kappa^2 / 2 + T^2 / (2 E A)."""
+    body, cut, moment = dense.manipulator, dense.panels, dense.nodes.moment
+    section = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
+    tension = tension_of(section, dense.base_tension, dense.nodes.pull)
+    kappa = curvature_along(section, tension, moment)
+    stretch = tension**2 * jnp.sqrt(1.0 + section.offset_slope**2) * body.tendon_compliance
+    return jnp.sum(cut.gain(section.stiffness * kappa**2 + jnp.sum(stretch, axis=-1))) / 2
+
+
+def pulled_in_rate(dense: Dense) -> Float[Array, "P p"]:
+    """By how much the path of the tendon is shorter and the tendon longer, per arc length, at the nodes."""
+    section = jax.vmap(jax.vmap(lambda s: guarded_section(dense.manipulator, s)))(dense.panels.nodes)
+    tension = tension_of(section, dense.base_tension, dense.nodes.pull)
+    return displacement_rate(dense.manipulator, section, tension, dense.nodes.moment)[..., 0]
+
+
+def tips(body: Manipulator, own: Reach, other: Reach, turns: Turns) -> Tip:
+    """The tip after each step.
+
+    Args:
+        body: of all steps.
+        own: the equilibrium of each motion up to its front.
+        other: that of the motion before it, up to the same front; unused where the motion began at rest.
+        turns: what is open after each step.
+    """
+    length = jnp.asarray(body.length)
+    zero = zero_as((own, length))
+    result = with_words(RESULTS.where(zero > 1, RESULTS.locked, RESULTS.successful))
+    nothing = Onward(zero, jnp.zeros(2) + zero, zero, zero, zero, zero == 0, result)
+    max_turns = turns.open.shape[1]
+    slots = jnp.arange(max_turns)
+
+    def add(stack: tuple[Reach, Onward, Number], given: tuple[Reach, Reach, Turns]):
+        own, other, turn = given
+        end, onward, tip_tension = jax.tree.map(lambda x: x[jnp.maximum(turn.place - 1, 0)], stack)
+        first = turn.before == NOBODY
+        between = _between(other, end)
+        rest = _choose(own.end < end.end, _joined(between, onward), onward)
+        missed = jnp.abs(own.tension - other.tension) / jnp.where(other.tension > 0, other.tension, 1.0)
+        rest = rest._replace(
+            error=jnp.maximum(rest.error, jnp.where(own.end < length, missed, 0.0)),
+            solved=rest.solved & end.solved,  # whatever is felt must be known
+            result=_choose(code_of(rest.result) != 0, rest.result, end.result),
+        )
+        rest = _choose(first, nothing, rest)
+        tension = jnp.where(first | (own.end >= length), own.tension, tip_tension)
+        tip = _joined(Onward(*own[2:]), rest)
+        new = own, rest, tension
+        here = slots == turn.place
+        stack = jax.tree.map(lambda x, y: jnp.where(here.reshape(-1, *[1] * y.ndim), y, x), stack, new)
+        result = with_words(RESULTS.where(turn.too_many, RESULTS.too_many_turns, tip.result))
+        return stack, Tip(tension, *tip._replace(result=result, solved=tip.solved & ~turn.too_many))
+
+    first = jax.tree.map(lambda x: jnp.zeros_like(x, shape=(max_turns, *x.shape[1:])), (own, own))
+    empty = first[0], jax.tree.map(lambda x: jnp.broadcast_to(x, (max_turns, *x.shape)), nothing), first[0].end
+    empty = jax.tree.map(lambda x: x + zero.astype(x.dtype) if x.dtype != bool else x, empty)
+    return jax.lax.scan(add, empty, (own, other, turns))[1]
+
+
+def _between(start: Reach, end: Reach) -> Onward:
+    """What lies between two places of one equilibrium, seen from the first."""
+    return Onward(
+        end.heading - start.heading,
+        rotated(end.position - start.position, -start.heading),
+        end.pulled_in - start.pulled_in,
+        end.stored - start.stored,
+        jnp.maximum(start.error, end.error),
+        start.solved & end.solved,
+        _choose(code_of(start.result) != 0, start.result, end.result),
+    )
+
+
+def _joined(here: Onward, further: Onward) -> Onward:
+    return Onward(
+        here.heading + further.heading,
+        here.position + rotated(further.position, here.heading),
+        here.pulled_in + further.pulled_in,
+        here.stored + further.stored,
+        jnp.maximum(here.error, further.error),
+        here.solved & further.solved,
+        _choose(code_of(here.result) != 0, here.result, further.result),
+    )
+
+
+def _zero_unless(good: Bool[Array, ""], tree: Tree) -> Tree:
+    """Zero where a solve failed: NaN would spoil the derivatives of other steps."""
+    return jax.tree.map(lambda x: jnp.where(good, x, 0.0), tree)
+
+
+def _choose(condition: Bool[Array, ""], one: Tree, other: Tree) -> Tree:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
+
+
+def rotated(vector: Float[Array, "*points 2"], angle: Number) -> Float[Array, "*points 2"]:
+    """A vector turned by an angle, rad."""
+    cosine, sine = cos_sin(angle)
+    x, y = vector[..., 0], vector[..., 1]
+    return jnp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
