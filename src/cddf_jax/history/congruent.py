@@ -22,7 +22,7 @@ from ..statics.equilibrium import Dense, Fields, nan_unless
 from ..statics.solve import solve
 from .fronts import cut_at, front_of
 from .history import History, States
-from .parts import Tip, reach, rotated, tips
+from .parts import Tip, rotated, slid_up_to, tips
 from .turns import NOBODY, Turns, open_turns
 
 Number = Float[Array, ""]
@@ -113,7 +113,7 @@ def follow(
     # the equilibria of a motion and of the one before it, in one batch
     tension = jnp.concatenate([path, turned_at])
     direction = jnp.concatenate([turns.direction, jnp.where(from_rest, 1.0, -1.0) * turns.direction])
-    found = jax.vmap(partial(reach, body, nodes))(tension, direction, jnp.tile(front, 2))
+    found = jax.vmap(partial(slid_up_to, body, nodes))(tension, direction, jnp.tile(front, 2))
     own, other = jax.tree.map(lambda x: x[: path.size], found), jax.tree.map(lambda x: x[path.size :], found)
     return front, tips(body, own, other, turns)
 

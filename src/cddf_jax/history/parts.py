@@ -24,7 +24,7 @@ Number = Float[Array, ""]
 Tree = TypeVar("Tree")
 
 
-class Reach(NamedTuple):
+class Slid(NamedTuple):
     """What an equilibrium has gathered between the base and a front; every number is finite."""
 
     end: Number  # the front, s, m
@@ -63,7 +63,7 @@ class Tip(NamedTuple):
     result: RESULTS
 
 
-def reach(body: Manipulator, nodes: int, tension: Number, direction: Number, front: Number) -> Reach:
+def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number, front: Number) -> Slid:
     """The equilibrium between the base and a front."""
     found = solve(cut_at(body, front), tension, direction=direction, nodes=nodes, throw=False)
     outside = jnp.sum(tension * body.tendon_compliance * body.tendon_free_length)
@@ -81,7 +81,7 @@ def reach(body: Manipulator, nodes: int, tension: Number, direction: Number, fro
             found.error_estimate,
         ),
     )
-    return Reach(front, tension, heading, position, pulled_in, stored, error, solved, result)
+    return Slid(front, tension, heading, position, pulled_in, stored, error, solved, result)
 
 
 def stored_energy(dense: Dense) -> Number:
@@ -101,7 +101,7 @@ def pulled_in_rate(dense: Dense) -> Float[Array, "P p"]:
     return displacement_rate(dense.manipulator, section, tension, dense.nodes.moment)[..., 0]
 
 
-def tips(body: Manipulator, own: Reach, other: Reach, turns: Turns) -> Tip:
+def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     """The tip after each step.
 
     Args:
@@ -117,7 +117,7 @@ def tips(body: Manipulator, own: Reach, other: Reach, turns: Turns) -> Tip:
     max_turns = turns.open.shape[1]
     slots = jnp.arange(max_turns)
 
-    def add(stack: tuple[Reach, Onward, Number], given: tuple[Reach, Reach, Turns]):
+    def add(stack: tuple[Slid, Onward, Number], given: tuple[Slid, Slid, Turns]):
         own, other, turn = given
         end, onward, tip_tension = jax.tree.map(lambda x: x[jnp.maximum(turn.place - 1, 0)], stack)
         first = turn.before == NOBODY
@@ -144,7 +144,7 @@ def tips(body: Manipulator, own: Reach, other: Reach, turns: Turns) -> Tip:
     return jax.lax.scan(add, empty, (own, other, turns))[1]
 
 
-def _between(start: Reach, end: Reach) -> Onward:
+def _between(start: Slid, end: Slid) -> Onward:
     """What lies between two places of one equilibrium, seen from the first."""
     return Onward(
         end.heading - start.heading,
