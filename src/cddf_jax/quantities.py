@@ -116,6 +116,8 @@ _ALL = (
     Quantity("num_iterations", "dimensionless", "iterations"),
     # the bench
     Quantity("trial", None),
+    Quantity("step", None),
+    Quantity("time", "time"),
     Quantity("weight", "force"),
     Quantity("pulling_tension", "force"),
     Quantity("outer_radius_error", "length"),

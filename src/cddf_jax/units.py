@@ -32,6 +32,7 @@ Dimension = Literal[
     "mass per length",
     "mass",
     "volume",
+    "time",
     "strain",
     "dimensionless",
 ]
@@ -57,6 +58,7 @@ _UNITS: dict[Dimension, _Units] = {
     "mass per length": _Units("kg/m", "kg/m"),
     "mass": _Units("kg", "g"),
     "volume": _Units("m^3", "cm^3"),
+    "time": _Units("s", "s"),
     "strain": _Units("", "%"),
 }
 

@@ -73,8 +73,10 @@ BROKEN = "cells hold line breaks (row 3); rows are numbered by the lines of the 
         ("base_tension_N,tip_tension_mN\n5,4790\n10,9190\n20,17020\n", 2,
          [READ_AS.format("base_tension_N", "N", "tip_tension_mN", "mN")]),
         ("base_tension,tip_tension\nN,(mN)\n5,4790\n10,9190\n20,17020\n", 3, ["row 2 holds the units"]),
-        ("time;base_tension;tip_tension [N]\ns;[N];\n0;5;4,79\n1;10;9,19\n2;20;17,02\n", 3,
-         ["row 2 holds the units", UNUSED.format("'time'")]),
+        ("t;base_tension;tip_tension [N]\ns;[N];\n0;5;4,79\n1;10;9,19\n2;20;17,02\n", 3,
+         ["row 2 holds the units", UNUSED.format("'t'")]),
+        ("Time,base_tension [N],tip_tension [N]\n12:01:30,5,4.79\n12:01:40,10,9.19\n12:01:50,20,17.02\n", 2,
+         [UNUSED.format("'Time'")]),
         (LABVIEW + "X_Value\tT_base [N]\tT_tip [N]\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n", 13,
          [BELOW.format(12), READ_AS.format("T_base [N]", "N", "T_tip [N]", "N"),
           UNUSED.format("'X_Value', 'Comment'")]),
@@ -116,7 +118,9 @@ MEANT = {
     "tip_x": ("X tip",),
     "trial": ("Trial No.",),
     "direction_2": ("Direction2",),
-    None: ("tip_x_2", "T_base_0", "F_tip", "angle", "time"),  # F_tip is a load or a tension
+    "time": ("Time",),
+    "step": ("Step No.",),
+    None: ("tip_x_2", "T_base_0", "F_tip", "angle", "clock"),  # F_tip is a load or a tension
 }
 RESEMBLED = {
     "tip_tension": ("tip_tensoin",),

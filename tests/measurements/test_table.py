@@ -268,10 +268,16 @@ def test_from_columns_refuses(columns, message):
 ONE_ROW = "there is one row only, from which no scatter can be estimated"
 FLAT = "base_tension hardly varies from {} N, so that no slope can be determined; measure at other levels"
 DOWN = (
-    "rows with base_tension below that of the row before, while no direction is stated: 2 of 6 (row 4: 30 N after 75 N)"
-    "; each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write direction -1 for "
-    "rows in which all of the tendon slides out, and leave out those right after the turn, where part of it still "
-    "sticks"
+    "rows with base_tension below that of the row before: {} (row {}: 30 N after 75 N); without a history the tendon {}"
+    ", along its whole length. With one, what came before counts: give history=True (--history), or a column step or "
+    "time"
+)
+FROM_REST = DOWN.format("2 of 6", 4, "is pulled from rest")
+DOWN_OF_TWO = (
+    "rows with base_tension_2 below that of the row before, while no direction_2 is stated: 1 of 3 (row 3: 30 N after "
+    "75 N); each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write direction_2 "
+    "-1 for rows in which all of the tendon slides out, and leave out those right after the turn, where part of it "
+    "still sticks"
 )
 ABOVE = (
     "rows with tip_tension{0} more than 5 % above base_tension{0}: {1}; "
@@ -299,8 +305,15 @@ TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
             ["trials of one row only: 1 of 2 (trial b, row 3); is the rest missing?"],
         ),
         ({"base_tension": [9, 5, 9], "trial": ["a", "b", "c"]}, []),  # labels of rows
-        ({"base_tension": [10, 20, 75, 30, 20, 10], "tip_angle": [0.1, 0.2, 0.7, 0.6, 0.4, 0.2]}, [DOWN]),
-        ({"base_tension": [10, 75, 30, 10], "direction": [1, 1, -1, -1]}, []),  # stated
+        ({"base_tension": [10, 20, 75, 30, 20, 10], "tip_angle": [0.1, 0.2, 0.7, 0.6, 0.4, 0.2]}, [FROM_REST]),
+        (
+            {"base_tension": [10, 75, 30, 10], "direction": [1, 1, -1, -1]},
+            [DOWN.format("1 of 4", 3, "slides as its direction says")],
+        ),
+        ({"base_tension": [10, 75, 30, 10], "step": [0, 1, 2, 3]}, []),  # with a history
+        ({"base_tension": [10, 75, 30, 40], "tip_tension": [9, 45, 40, 45], "time": [0, 1, 2, 3]}, []),  # and it sticks
+        ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30]}, [DOWN_OF_TWO]),
+        ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30], "direction_2": [1, 1, -1]}, []),
         ({"base_tension": [10, 75.1, 75, 75.2, 10.1, 75.3]}, []),  # noise at a level, a fresh start at the lowest
         ({"base_tension": [10, 75, 30, 40], "trial": ["a", "a", "b", "b"]}, []),  # another trial
         ({"base_tension": [9, 5, 9, 5, 7], "trial": ["a", "a", "b", "b", "b"]}, []),  # trials of different length

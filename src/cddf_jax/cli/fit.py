@@ -45,6 +45,7 @@ def fit(
     prior: PriorOption = None,
     bound: Bound = None,
     noise: NoiseOption = None,
+    history: options.HistoryOption = None,
     loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[
         int | None,
@@ -79,6 +80,7 @@ def fit(
         read_priors(prior),
         bounds=read_bounds(bound),
         noise=read_noise(noise),
+        history=history,
         per_trial=per_trial,
         loss=loss,
         starts=starts,

@@ -68,6 +68,16 @@ AverageHolds = Annotated[
 ]
 
 
+HistoryOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--history/--no-history",
+        help="Rows know what came before them: one tendon that is pulled and let out, in the order of the rows.",
+        show_default="where a column step or time tells the order",
+    ),
+]
+
+
 def stop(message: str, code: int) -> NoReturn:
     """End the command with one line on standard error."""
     typer.echo("error: " + " ".join(message.split()), err=True)

@@ -29,6 +29,7 @@ def plan(
         str, typer.Option(help="Largest base tension of the default candidates, with its unit.")
     ] = "85 N",
     free: options.Free = None,
+    history: options.HistoryOption = None,
     criterion: Annotated[
         str, typer.Option(help="D for all parameters together, or the one to be known best, youngs_modulus.")
     ] = "D",
@@ -52,7 +53,7 @@ def plan(
         raise InputError(f"--tension {tension}: give a tension above 0 N")
     choices = standard_candidates(manipulator, largest) if candidates is None else read_candidates(candidates)
     tables = options.read_data(data, column, holds_averaged=average_holds)
-    known = fit(manipulator, tables, names) if tables else manipulator
+    known = fit(manipulator, tables, names, history=history) if tables else manipulator
     found = plan(known, choices, names, criterion=criterion, num=num)
     text, answer = plan_as_markdown(found), plan_as_dict(found)
     if out is not None:

@@ -4,7 +4,7 @@ The Jacobian is scaled by the noise of the data and the size of the parameters, 
 stands for a standard error of 1 / s, relative, along its direction.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, TypeVar
@@ -98,6 +98,15 @@ class Evidence:
             open_profile=(),
             bounded_above=(),
         )
+
+    def within(self, kept: Mapping[str, np.ndarray]) -> "Evidence":
+        """Without some of the data; the priors stay.
+
+        Args:
+            kept: by group, whether each of its data is kept; a group that is left out is kept whole.
+        """
+        rows = {name: own[kept[name]] if name in kept else own for name, own in self.rows.items()}
+        return replace(self, rows=rows, open_profile=(), bounded_above=())
 
     @property
     def nearest_bound(self) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, within
-from ..units import to_si
+from ..units import preferred, to_si
 from . import table_header
 from .table_header import Heading, Kind, is_number, number, short
 from .table_source import Row, Source, open_table
@@ -50,7 +50,8 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
     given = {" ".join(name.split()): text for name, text in (columns or {}).items()}
 
     def recognised(cells: Sequence[str]) -> int:
-        return sum(table_header.heading_of(cell, kind, given).column is not None for cell in cells)
+        found = (table_header.heading_of(cell, kind, given).column for cell in cells)
+        return sum(column is not None and column not in kind.optional for column in found)
 
     with within(path):
         source = open_table(path, recognised, empty)
@@ -59,9 +60,16 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
         if below and (with_units := table_header.with_units_below(headings, *below[0], kind)):
             headings = with_units
             source.read_as.append(f"row {below.pop()[0]} holds the units")
+        headings = [_with_usual_unit(heading, kind) for heading in headings]
         table_header.check_headings(headings, source.row, kind)
         names = {text for heading in headings for text in (heading.text, heading.name)}
         return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
+
+
+def _with_usual_unit(heading: Heading, kind: Kind) -> Heading:
+    """An optional column without a unit has the usual one."""
+    dimension = kind.dimension_of(heading.column) if heading.column in kind.optional and heading.column else None
+    return heading._replace(unit=preferred(dimension)[1]) if dimension and heading.unit is None else heading
 
 
 def table_csv(columns: Mapping[str, ArrayLike]) -> str:
@@ -86,6 +94,10 @@ def _read(
         raise InputError(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
         )
+    headings = [
+        h._replace(column=None) if h.column in kind.optional and not all(map(_is_number, own)) else h
+        for h, own in zip(headings, cells, strict=True)
+    ]
     unit_of = {heading.column: heading.unit for heading in headings}
     used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
     said: dict[str, str] = {}
@@ -148,6 +160,11 @@ def _in_numbers(texts: list[str], words: Mapping[str, str], said: dict[str, str]
         return texts
     said |= {text.strip(): words[text.strip().lower()] for text in texts if text.strip().lower() in words}
     return [words.get(text.strip().lower(), text) for text in texts]
+
+
+def _is_number(text: str) -> bool:
+    """With a decimal point or a decimal comma."""
+    return is_number(text.strip().replace(",", "."))
 
 
 def _with_points(columns: Mapping[str, list[str]], rows: Sequence[int]) -> dict[str, list[str]]:

@@ -28,6 +28,7 @@ from ..robot.profiles import shifted
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.solve import solve
 from ..units import Dimension, si_unit
+from .course import Course, Traced
 
 TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
 LANES = 128  # rows are solved in multiples of these: few sizes, so that tables and curves share compiled programs
@@ -145,19 +146,26 @@ class Bench(eqx.Module):
     name: str = eqx.field(default="", static=True)
     read_in: Mapping[str, Int[np.ndarray | Array, " readings"]] = eqx.field(default_factory=dict)
     # the rows in which a column was read; a column that is not here was read in all
+    course: Course | None = None  # of rows that know what came before; None where each slides as its direction says
 
     @property
     def on_one_curve(self) -> bool:
         """Whether the rows lie on the curve of a free body of one tendon that is pulled in."""
+        if self.course is not None:
+            return not self.course.turns
         slides_out = any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
         return self.base_tension.shape[1] == 1 and self.tip_force is None and not slides_out
 
-    def solve(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Equilibrium:
+    def solve(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Equilibrium | Traced:
         """The rows, in equilibrium."""
         body = with_parameters(manipulator, parameters)
-        readings = jnp.asarray(self.base_tension)
-        gain, zero = (_of_cells(parameters, name, readings) for name in ("base_gain", "base_zero"))
-        tension = jnp.maximum((readings - zero) / gain + parameters.get("pretension", 0.0), 0.0)
+        by_trial = self.trial is not None and TRIALS in parameters
+        deviation = jnp.asarray(parameters[TRIALS])[self.trial] if by_trial else None
+        if self.course is not None:
+            tension = _true_tension(parameters, jnp.asarray(self.course.readings)[..., None])[..., 0]
+            of_trial = None if deviation is None else deviation[self.course.first_row]
+            return self.course.trace(body, tension, of_trial, nodes)
+        tension = _true_tension(parameters, jnp.asarray(self.base_tension))
 
         def one(tension, direction, force, deviation):
             there = body
@@ -167,8 +175,6 @@ class Bench(eqx.Module):
             loads = None if force is None else Loads(tip_force=force)
             return solve(there, tension, loads, direction=direction, nodes=nodes, throw=False)
 
-        by_trial = self.trial is not None and TRIALS in parameters
-        deviation = jnp.asarray(parameters[TRIALS])[self.trial] if by_trial else None
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)
         return jax.vmap(one)(tension, jax.tree.map(jnp.asarray, self.direction), force, deviation)
 
@@ -182,11 +188,24 @@ class Bench(eqx.Module):
         """Every reading of every row with its derivatives, whether it was read or not."""
         rows = self.base_tension.shape[0]
         fill = -rows % LANES
-        arrays = self.base_tension, self.direction, self.tip_force, self.trial
-        padded = jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
+
+        def padded(arrays):
+            return jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
+
+        own = padded((self.base_tension, self.direction, self.tip_force, self.trial))
+        course = self.course
+        if course is not None:
+            trial, step = padded((course.trial, course.step))
+            course = Course(course.readings, trial, step, course.first_row, course.max_turns)
         with stage(f"solving {rows} rows"):
-            answer = _evaluate(Bench(*padded), manipulator, jax.tree.map(np.asarray, parameters), nodes)
+            answer = _evaluate(Bench(*own, course=course), manipulator, jax.tree.map(np.asarray, parameters), nodes)
         return jax.tree.map(lambda x: np.asarray(x)[:rows], answer)
+
+
+def _true_tension(parameters: Parameters, readings: Array) -> Array:
+    """Base tensions, N, from what the cells read; tendons last."""
+    gain, zero = (_of_cells(parameters, name, readings) for name in ("base_gain", "base_zero"))
+    return jnp.maximum((readings - zero) / gain + parameters.get("pretension", 0.0), 0.0)
 
 
 def _of_cells(parameters: Parameters, name: str, readings: Array) -> Array:
@@ -211,7 +230,7 @@ def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Arra
     return Evaluation(readings, derivatives, results, against)
 
 
-def reading(equilibrium: Equilibrium, column: str, parameters: Parameters) -> Array:
+def reading(equilibrium: Equilibrium | Traced, column: str, parameters: Parameters) -> Array:
     """What the instrument of a column shows, one per row."""
     kind = READINGS[kind_of(column)]
     values = kind.of(equilibrium)
@@ -307,13 +326,16 @@ def groups_of(tables: Sequence[Measurements], model: BenchModel) -> list[Group]:
     ]
 
 
-def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: int = 0) -> Pulley | Bench:
+def experiment_of(
+    table: Measurements, manipulator: Manipulator, first_trial: int = 0, course: Course | None = None
+) -> Pulley | Bench:
     """A table as the model takes it.
 
     Args:
         table: a pulley test or rows of the manipulator.
         manipulator: whose tendons the columns must fit.
         first_trial: the number of trials in the tables before.
+        course: of the rows, where they know what came before.
 
     Raises:
         InputError: for columns that are missing, too many, or observe nothing.
@@ -345,4 +367,5 @@ def experiment_of(table: Measurements, manipulator: Manipulator, first_trial: in
         tuple(columns),
         table.name,
         {column: np.flatnonzero(table.has(column)) for column in columns if not np.all(table.has(column))},
+        course,
     )

@@ -24,6 +24,7 @@ from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
 from .bench import Bench, Parameters, Pulley, experiment_of, free_parameters, parameter_named, starting_value
+from .course import course_of, has_history
 from .fit import Fit
 
 BEFOREHAND = 100.0  # relative standard error before any data, for designs that leave a parameter undetermined
@@ -35,7 +36,8 @@ class Candidate:
 
     Args:
         name: for the table.
-        conditions: columns of a bench or of a pulley test that are set, SI, numbers or lists of one length.
+        conditions: columns of a bench or of a pulley test that are set, SI, numbers or lists of one length. With a
+            column `step` they are set in this order, from rest.
         noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
         repeats: how often all of it is done.
         cost: of all of it, for instance in hours; candidates are ranked by gain per cost.
@@ -231,11 +233,12 @@ def _experiment(body: Manipulator, candidate: Candidate) -> Pulley | Bench:
         raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
-    return experiment_of(Measurements.from_columns(name, notes=(), **columns), body)
+    table = Measurements.from_columns(name, notes=(), **columns)
+    return experiment_of(table, body, course=course_of(table, 0.0)[0] if has_history(table, body, None) else None)
 
 
 def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candidate]:
-    """The usual measurements on a bench, six readings each, with the noise of usual instruments.
+    """The usual measurements on a bench, six levels each, with the noise of usual instruments.
 
     Args:
         manipulator: with two tendons or more, pulling the second one as well is among them.
@@ -256,6 +259,11 @@ def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candid
             {"tip_tension": cell},
         ),
     ]
+    if manipulator.num_tendons == 1:
+        back = {"base_tension": [*levels, *levels[-2::-1]], "step": np.arange(11)}
+        read = {"tip_tension": cell, "tip_angle": angle}
+        found.append(Candidate("tip tensions and angles, pulled and come back down", back, read))
+        found.append(Candidate("tip tensions, pulled and come back down", back, {"tip_tension": cell}))
     if manipulator.num_tendons > 1:
         pulled = {"base_tension": levels, "base_tension_2": 0.3 * levels}
         found.append(Candidate("tip tensions, second tendon pulled as well", pulled, {"tip_tension": cell}))

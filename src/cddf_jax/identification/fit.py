@@ -8,14 +8,16 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..estimation.determination import FIXED, Determination, Estimate
+from ..estimation.determination import FIXED, Determination, Estimate, determine
 from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
+from ..measurements.jitter import Steady
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from . import bench
+from .course import Course, course_of, has_history
 from .predictions import Numbers, Prediction, beyond_the_data, predicted_rows
 from .random_effects import fit_trials
 from .verdict import Look, doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
@@ -41,6 +43,7 @@ class Fit(LeastSquaresFit):
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty unless asked for
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 where there is none, NaN where not asked for
     looks: tuple[Look, ...]  # at the solves of each table of the manipulator
+    steadied: dict[str, Steady]  # by table with a history, the base tensions without the jitter of their cell
     options: dict[str, object]  # the arguments of `fit` beside body and data; with the names of what was free
 
     @property
@@ -124,10 +127,23 @@ class Fit(LeastSquaresFit):
         """By group of data, how alike the residuals within holds are: consecutive rows at one level."""
         spectrum, residual, rows = self.evidence.spectrum, self.standardised_residuals, self.evidence.rows
         taken = {label: float(np.sum(spectrum.leverage(own))) for label, own in rows.items()}
-        return {
-            g.label: serial_correlation(residual[g.label], holds_of(g.table)[g.there], taken[g.label])
+        found = {}
+        for g in self.groups:
+            in_order = g.table.order[g.there[g.table.order]]
+            own = (np.cumsum(g.there) - 1)[in_order]
+            labels = holds_of(g.table)[in_order]
+            found[g.label] = serial_correlation(residual[g.label][own], labels, taken[g.label])
+        return found
+
+    @cached_property
+    def pull_alone(self) -> Determination | None:
+        """What the rows before the first turn of each trial tell, at this estimate; None without rows behind a turn."""
+        turned = {
+            g.label: g.experiment.course.before_turns[g.there]
             for g in self.groups
+            if isinstance(g.experiment, bench.Bench) and g.experiment.course is not None and g.experiment.course.turns
         }
+        return determine(self.evidence.within(turned)) if turned else None
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
@@ -144,6 +160,7 @@ def fit(
     *,
     bounds: Bounds | None = None,
     noise: Mapping[str, ArrayLike | Noise] | None = None,
+    history: bool | None = None,
     per_trial: bool = False,
     loss: str = "linear",
     starts: int | None = None,
@@ -155,7 +172,11 @@ def fit(
     A table with `weight`, `pulling_tension` and `wrap_angle` is a pulley test and determines friction alone.
     Any other has `base_tension` (and `base_tension_2`, ... for further tendons) and one or more of
     `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`; `direction`, `tip_force_x`,
-    `tip_force_y` and `trial` are optional.
+    `tip_force_y`, `trial`, `step` and `time` are optional.
+
+    With a history, the rows of a trial are steps of a path from rest: pulled, let out and pulled again. Directions
+    follow from it, and a column `direction` is only compared with it. Without, each row counts as sliding one way
+    along the whole tendon.
 
     Args:
         manipulator: the body; its numbers are the start.
@@ -167,13 +188,17 @@ def fit(
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
-            what is not given is estimated, for each column of each table, from the residuals.
+            what is not given is estimated, for each column of each table, from the residuals. That of `base_tension`
+            tells which of its turns a history ignores, one number: 0 for none.
+        history: whether rows know what came before them: of one tendon without tip forces, rows in the order of the
+            columns `step` or `time`, else in that of the file. None: where a table has one of these columns.
         per_trial: let friction differ from trial to trial, ln(mu) by a Gaussian whose spread is estimated.
         loss, starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
 
     Raises:
-        InputError: for float32, unknown parameters or columns, tables that do not fit the manipulator.
+        InputError: for float32, unknown parameters or columns, tables that do not fit the manipulator, a body whose
+            history is not known, directions that the order of the rows contradicts.
         TypeError: if the first argument is not a manipulator.
     """
     if not isinstance(manipulator, Manipulator):
@@ -190,28 +215,53 @@ def fit(
         raise InputError("fit: needs a table of measurements and a free parameter")
     options: dict[str, object] = {
         **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
-        **{"per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed, "nodes": nodes},
+        **{"history": history, "per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed, "nodes": nodes},
     }
     kinds = {name: bench.parameter_named(name) for name in free}
     before = np.cumsum([0, *(len(_trials(table)) for table in tables)])
+    with within("fit"):
+        noise, courses = _courses(manipulator, tables, history, noise or {})
     experiments = (
-        bench.experiment_of(table, manipulator, int(first)) for table, first in zip(tables, before, strict=False)
+        bench.experiment_of(table, manipulator, int(first), course and course[0])
+        for table, first, course in zip(tables, before, courses, strict=False)
     )
     model = bench.BenchModel(manipulator, tuple(experiments), nodes)
+    steadied = {name: course[1] for name, course in zip(model.names, courses, strict=True) if course}
     groups = bench.groups_of(tables, model)
     start = {name: bench.starting_value(manipulator, name) for name in free}
     bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive} | dict(bounds or {})
     scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
-    data_of = {"observed": {group.label: group.observed for group in groups}, "sigma": noise_of(groups, noise or {})}
+    data_of = {"observed": {group.label: group.observed for group in groups}, "sigma": noise_of(groups, noise)}
     search = partial(least_squares_fit, model, **data_of, bounds=bounds, loss=loss, seed=seed, prefer_start=True)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        return _conclude(statistics, tables, model, float("nan"), options)
+        return _conclude(statistics, tables, model, steadied, float("nan"), options)
     if "friction_coefficient" not in free or before[-1] < 2:
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(before[-1]), start, priors or {}, scales, starts)
-    return _conclude(statistics, tables, model, spread, options)
+    return _conclude(statistics, tables, model, steadied, spread, options)
+
+
+def _courses(
+    manipulator: Manipulator,
+    tables: Sequence[Measurements],
+    history: bool | None,
+    noise: Mapping[str, ArrayLike | Noise],
+) -> tuple[Mapping[str, ArrayLike | Noise], list[tuple[Course, Steady] | None]]:
+    """The noise of what is predicted, and by table the course of its rows; None without a history."""
+    predicted = {column: given for column, given in noise.items() if column != "base_tension"}
+    own = noise.get("base_tension")
+    with_history = [has_history(table, manipulator, history) for table in tables]
+    if own is None:
+        return predicted, [course_of(table) if on else None for table, on in zip(tables, with_history, strict=True)]
+    if not any(with_history):
+        raise InputError("noise of base_tension is used with a history only; leave it out, or give history=True")
+    if isinstance(own, Noise) or np.ndim(own) or not np.all(np.asarray(own) >= 0):
+        raise InputError("noise of base_tension must be one standard deviation in N, 0 or more")
+    deviation = float(np.asarray(own))
+    courses = [course_of(table, deviation) if on else None for table, on in zip(tables, with_history, strict=True)]
+    return predicted, courses
 
 
 def _trials(table: Measurements) -> tuple[str, ...]:
@@ -243,6 +293,7 @@ def _conclude(
     statistics: LeastSquaresFit,
     tables: tuple[Measurements, ...],
     model: bench.BenchModel,
+    steadied: dict[str, Steady],
     trial_spread: float,
     options: dict[str, object],
 ) -> Fit:
@@ -275,5 +326,6 @@ def _conclude(
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
         looks=looks,
+        steadied=steadied,
         options=options,
     )

@@ -9,9 +9,10 @@ from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
 from ..measurements.readings import OF_SHAPE
 from ..measurements.table import Measurements
+from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
-from ..units import preferred
+from ..units import preferred, shown
 from .bench import TRIALS, Bench, BenchModel, Parameters, parameter_named, starting_value, unit_of
 
 if TYPE_CHECKING:
@@ -76,7 +77,13 @@ def doubt(look: Look) -> str:
 
 def fit_warnings(fit: "Fit") -> list[str]:
     """What the tables, the statistics and the solver have to say at the estimate."""
-    found = [f"{table.name}: {warning}" for table in fit.tables for warning in table.warnings]
+    found = [f"{table.name}: {warning}" for table, own in _warnings_of_tables(fit) for warning in own]
+    found += [
+        f"{name}: base_tension jitters by {one.noise:.2g} N (standard deviation), and {one.num_ignored} of its turns "
+        f"of {one.least_turn:.2g} N or less are taken for noise; where they are none, give the noise of base_tension"
+        for name, one in fit.steadied.items()
+        if one.num_ignored
+    ]
     found += repeated_tables(fit.tables)
     if fit.manipulator.kinematics == "published" and _tell_of_shape(fit.tables):
         found.append(
@@ -99,6 +106,12 @@ def fit_warnings(fit: "Fit") -> list[str]:
                 where = f"{len(rows)} of {len(look.table)} rows (the first is {look.table.place(rows[0])})"
                 found.append(f"{look.name}: {where}: {RESULTS[code]}")
     return found
+
+
+def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, ...]]]:
+    for table, experiment in zip(fit.tables, fit.model.experiments, strict=True):
+        in_order = isinstance(experiment, Bench) and experiment.course is not None
+        yield table, warnings_of(table, in_order=in_order)
 
 
 def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
@@ -147,6 +160,14 @@ def parameter_shown(found: Determination, name: str) -> tuple[float, float, floa
     numbers = found.value[name], found.standard_error[name], *found.confidence_interval[name]
     value, error, low, high = (scale * number for number in numbers)
     return value, error, low, high, unit
+
+
+def error_in_words(known: Determination, name: str) -> str:
+    """The standard error of a parameter: relative where it is positive, else in its unit; "open" where it has none."""
+    error, value, kind = known.standard_error[name], known.value[name], parameter_named(name)
+    if not np.isfinite(error):
+        return "open"
+    return f"{100 * error / abs(value):.2g} %" if kind.positive else shown(error, kind.dimension)
 
 
 def verdict_of(fit: "Fit") -> list[str]:

@@ -9,9 +9,10 @@ from ..quantities import QUANTITIES
 from ..units import Dimension
 from .readings import READINGS, kind_of
 
-_WITHOUT_UNIT = ("trial", "direction")
+ORDER = ("step", "time")  # the order in which rows were measured
+_WITHOUT_UNIT = ("trial", "direction", "step")
 COLUMNS = (
-    *("trial", "direction", "base_tension", *READINGS, "tip_force_x", "tip_force_y"),
+    *("trial", *ORDER, "direction", "base_tension", *READINGS, "tip_force_x", "tip_force_y"),
     *("wrap_angle", "weight", "pulling_tension"),
 )
 PULLEY = ("wrap_angle", "weight", "pulling_tension")
@@ -31,6 +32,9 @@ _SPELLINGS = {
     "trialnr": "trial",
     "trialnumber": "trial",
     "trialid": "trial",
+    "stepno": "step",
+    "stepnr": "step",
+    "stepnumber": "step",
 } | {name.replace("_", ""): name for name in COLUMNS}
 _LIKENESS = 0.85  # of a name to a known one, from which it is rather misspelt than another column
 

@@ -11,13 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from .columns import is_reading
+from .columns import ORDER, is_reading
 from .table import Measurements
 
 SAME_LEVEL = 0.01  # of the largest of a column: levels that differ by less are one, where the data show no other noise
 NO_STEP = 5e-4  # of the largest: a smaller change is no step
 CLEAR_GAP = 3.0  # between the largest change within holds and the smallest step from hold to hold
 LARGEST_NOISE = 0.05  # of the largest: changes beyond are steps, whatever the gaps
+STEP = 5.0  # standard deviations from the mean of a hold
+MEDIAN_CHANGE = 0.954  # of the size of a change, for noise of standard deviation 1
+MOST_STEPS = 0.2  # of the changes; with more of them their median is no noise
 ONE_WAY = 0.8  # net change over the sum of all changes within holds: where it is larger, the rows are a ramp
 LEAST_CHANGES = 4  # of a hold that can show a ramp
 ALARM = float(ndtri(1 - 1e-3))  # standard deviations of a correlation of independent readings
@@ -45,22 +48,28 @@ class SerialCorrelation(NamedTuple):
         )
 
 
-def hold_labels(levels: ArrayLike, trial: ArrayLike) -> np.ndarray:
+def hold_labels(levels: ArrayLike, trial: ArrayLike, noise: float | None = None) -> np.ndarray:
     """The hold of each row, counted from 0 in the order of the rows.
 
     Two rows in a row are of one hold where no level changes by more than the noise of the levels: up to the widest
-    gap among the changes where at least half of them lie below it, else 1 % of the largest level. Rows that then
-    change in one direction within holds, as in a slow ramp, are each a hold of their own.
+    gap among the changes where at least half of them lie below it, else 5 standard deviations, by the median of the
+    changes, where a few lie beyond, else 1 % of the largest level. Rows that then change in one direction within
+    holds, as in a slow ramp, are each a hold of their own.
 
     Args:
         levels: (rows, columns), what was set.
         trial: (rows,), labels; a hold does not go on into another trial.
+        noise: standard deviation of the levels where it is known, in their unit: 5 of them make a step.
     """
-    scaled = np.asarray(levels, float) / np.maximum(np.max(np.abs(levels), axis=0), 1e-300)
+    largest = np.maximum(np.max(np.abs(levels), axis=0), 1e-300)
+    scaled = np.asarray(levels, float) / largest
     rows, label = len(scaled), np.asarray(trial)
     within = label[1:] == label[:-1]
     change = np.diff(scaled, axis=0)
-    limit, by_gap = _noise_of_levels(np.max(np.abs(change), axis=1, initial=0.0)[within])
+    if noise is None:
+        limit, by_gap = _noise_of_levels(np.max(np.abs(change), axis=1, initial=0.0)[within])
+    else:
+        limit, by_gap = STEP * noise / float(np.min(largest)), False
     new = np.append(True, ~within)
     mean, count = scaled[0].tolist(), 1
     for row, level in enumerate(scaled.tolist()):
@@ -81,6 +90,10 @@ def _noise_of_levels(change: np.ndarray) -> tuple[float, bool]:
         below, above = ordered[gap], ordered[gap + 1]
         if above >= CLEAR_GAP * below and below <= LARGEST_NOISE and 2 * (gap + 1) >= change.size:
             return float(below), True
+        limit = STEP * float(np.median(change)) / MEDIAN_CHANGE
+        steps = np.mean(change > limit)
+        if SAME_LEVEL < limit <= LARGEST_NOISE and 0 < steps <= MOST_STEPS:
+            return limit, False
     return SAME_LEVEL, False
 
 
@@ -123,10 +136,12 @@ def serial_correlation(residual: ArrayLike, labels: ArrayLike, num_parameters: f
 
 
 def holds_of(table: Measurements) -> np.ndarray:
-    """The hold of each row of a table, by its order, its trials and what was set."""
-    set_to = [column for column in table.columns if column != "trial" and not is_reading(column)]
+    """The hold of each row of a table, by the order of measurement, its trials and what was set."""
+    set_to = [column for column in table.columns if column not in ("trial", *ORDER) and not is_reading(column)]
     trial = table["trial"] if "trial" in table else np.zeros(len(table))
-    return hold_labels(np.stack([table[column] for column in set_to], axis=1), trial)
+    levels, labels = np.stack([table[column] for column in set_to], axis=1), np.zeros(len(table), int)
+    labels[table.order] = hold_labels(levels[table.order], trial[table.order])
+    return labels
 
 
 def average_holds(table: Measurements) -> Measurements:
@@ -144,6 +159,7 @@ def average_holds(table: Measurements) -> Measurements:
         The table of means. Each has the row of the file in which its hold begins. A table without holds comes back
         as it is.
     """
+    table = table.in_order()
     labels = holds_of(table)
     first, size = np.unique(labels, return_index=True, return_counts=True)[1:]
     if np.all(size == 1):

@@ -15,8 +15,9 @@
 | wrap_angle | angle | pulley test: angle of contact |
 | weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |
 | trial | none | any label |
+| step, time | none, time | the order in which rows were measured; a pull after them knows what came before |
 
-A pulley test holds its three columns and no other but trial;
+A pulley test holds its three columns and no other but trial, step and time;
 pulling_tension = weight exp(mu wrap_angle), Liu et al. (2020), eq. (5).
 
 Files as laboratories have them are read too, and what was done is said in `Measurements.read_as`:
@@ -37,7 +38,7 @@ marks and encodings are understood; .xlsx needs the extra `excel`.
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -50,6 +51,7 @@ from ..files.table_header import Kind, short
 from ..units import preferred, written
 from .columns import (
     DIRECTIONS,
+    ORDER,
     PER_TENDON,
     PULLEY,
     column_dimension,
@@ -135,6 +137,27 @@ class Measurements:
         """The numbers of a column, without the rows in which it is missing."""
         return self.columns[column][self.has(column)]
 
+    @property
+    def ordered(self) -> bool:
+        """Whether columns tell the order in which the rows were measured."""
+        return any(column in self for column in ORDER)
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """The rows, 0, 1, ..., in the order in which they were measured, trial by trial: by step, then by time.
+
+        Without these columns they were measured in the order of the file.
+        """
+        keys = [self.columns[column] for column in (*reversed(ORDER), "trial") if column in self]
+        return np.lexsort(keys) if keys else np.arange(len(self))
+
+    def in_order(self) -> "Measurements":
+        """The same rows in the order in which they were measured."""
+        if np.all(np.diff(self.order) == 1):
+            return self
+        columns = {name: values[self.order] for name, values in self.columns.items()}
+        return replace(self, columns=columns, rows=self.rows[self.order])
+
     def place(self, row: int) -> str:
         """Where a row is found, in words: "row 7", counted as in the file, of several files "row 7 of run_2.csv".
 
@@ -152,7 +175,7 @@ class Measurements:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What deserves a look though it can be used, for the report."""
-        return warnings_of(self)
+        return warnings_of(self, in_order=self.ordered)
 
     @cached_property
     def checksum(self) -> str:
@@ -212,6 +235,7 @@ _KIND = Kind(
     "base_tension [N], tip_tension [N]",
     meant=column_meant,
     labels=("trial",),
+    optional=("time",),
     gaps=is_reading,
     words=lambda column: DIRECTIONS if is_direction(column) else {},
     objection=_misspelt,
@@ -294,7 +318,7 @@ def _check_columns(columns: Iterable[str], unused: Sequence[str] = ()) -> None:
         column_dimension(column)
     if names & set(PULLEY):
         needed = set(PULLEY)
-        if other := sorted(names - needed - {"trial"}):
+        if other := sorted(names - needed - {"trial", *ORDER}):
             raise InputError(f"the column {other[0]} does not belong to a pulley test; put it into a table of its own")
     else:
         tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}

@@ -11,13 +11,23 @@ if TYPE_CHECKING:
 _TIP_ABOVE_BASE = 1.05  # a tip cell may read this much of the base cell before the report mentions it,
 _ZERO_ERROR = 0.005  # and this much of the largest base tension more
 ONE_LEVEL = 0.01  # base tensions that vary by less, relative to the largest, are one level
+_TURNED = (
+    "each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write {} -1 for rows in "
+    "which all of the tendon slides out, and leave out those right after the turn, where part of it still sticks"
+)
 _LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are rather degrees than radians
 
 
-def warnings_of(table: "Measurements") -> tuple[str, ...]:
-    """One line each, for the report; what is said of columns names the first of them."""
+def warnings_of(table: "Measurements", *, in_order: bool) -> tuple[str, ...]:
+    """One line each, for the report; what is said of columns names the first of them.
+
+    Args:
+        table: any.
+        in_order: whether its rows are taken with their history, in the order in which they were measured.
+    """
     of_rows = [look(table) for look in (_too_few_rows, _repeated_rows, _one_level)]
-    looks = (_below_zero, _tip_above_base, _coming_down, _large_angle)
+    of_order = (_tip_above_base_on_the_way_up,) if in_order else (_tip_above_base, _coming_down)
+    looks = (_below_zero, *of_order, _large_angle)
     of_columns = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
     return tuple(filter(None, of_rows + of_columns))
 
@@ -74,12 +84,28 @@ def _below_zero(table: "Measurements", column: str) -> str:
 
 
 def _tip_above_base(table: "Measurements", column: str) -> str:
-    pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
+    way = column.replace("tip_tension", "direction")
     found_later = "base_tension_2" in table.columns and way not in table.columns  # with the equilibrium
     if not column.startswith("tip_tension") or found_later:
         return ""
+    return _above(table, column, table.columns.get(way, np.ones(len(table))) > 0)
+
+
+def _tip_above_base_on_the_way_up(table: "Measurements", column: str) -> str:
+    """Only of rows at the largest base tension so far: all of the tendon slides in there."""
+    if not column.startswith("tip_tension"):
+        return ""
+    base, trial = table["base_tension"], table.columns.get("trial", np.zeros(len(table)))
+    highest = np.zeros(len(table), bool)
+    for label in np.unique(trial):
+        rows = table.order[trial[table.order] == label]
+        highest[rows] = base[rows] >= np.maximum.accumulate(base[rows])
+    return _above(table, column, highest)
+
+
+def _above(table: "Measurements", column: str, sliding_in: np.ndarray) -> str:
+    pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
     base, tip = table[pull], table[column]
-    sliding_in = table.columns.get(way, np.ones(len(table))) > 0
     above = sliding_in & (tip > _TIP_ABOVE_BASE * base + _ZERO_ERROR * base.max())
     remedy = f"are the cells swapped or off zero, or does the tendon slide out ({way} -1)?"
     what = f"{column} more than 5 % above {pull}"
@@ -89,20 +115,28 @@ def _tip_above_base(table: "Measurements", column: str) -> str:
 def _coming_down(table: "Measurements", column: str) -> str:
     """Rows below the row before them that do not start anew at the lowest level of their trial."""
     stated = column.replace("base_tension", "direction")
-    if not column.startswith("base_tension") or stated in table.columns:
+    with_history = "base_tension_2" not in table and not any(name.startswith("tip_force") for name in table.columns)
+    if not column.startswith("base_tension") or (stated in table.columns and not with_history):
         return ""
-    base, trial = table[column], table.columns.get("trial", np.zeros(len(table))).astype(int)
+    order = table.order
+    base, trial = table[column][order], table.columns.get("trial", np.zeros(len(table))).astype(int)[order]
     slack, least = ONE_LEVEL * base.max(), np.full(trial.max() + 1, np.inf)
     np.minimum.at(least, trial, base)
     falls = np.append(False, (np.diff(base) < -slack) & (np.diff(trial) == 0))
-    what = f"{column} below that of the row before, while no {stated} is stated"
-    remedy = (
-        "each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write "
-        f"{stated} -1 for rows in which all of the tendon slides out, and leave out those right after the "
-        "turn, where part of it still sticks"
-    )
-    down = falls & (base > least[trial] + slack)
-    return _rows_with(table, down, what, lambda i: f"{base[i]:.6g} N after {base[i - 1]:.6g} N", remedy)
+    down = np.zeros(len(table), bool)
+    down[order] = falls & (base > least[trial] + slack)
+    before = np.empty(len(table))
+    before[order] = np.append(0.0, base[:-1])
+    if with_history:
+        how = f"slides as its {stated} says" if stated in table.columns else "is pulled from rest"
+        what = f"{column} below that of the row before"
+        remedy = (
+            f"without a history the tendon {how}, along its whole length. With one, what came before counts: give "
+            "history=True (--history), or a column step or time"
+        )
+    else:
+        what, remedy = f"{column} below that of the row before, while no {stated} is stated", _TURNED.format(stated)
+    return _rows_with(table, down, what, lambda i: f"{table[column][i]:.6g} N after {before[i]:.6g} N", remedy)
 
 
 def _large_angle(table: "Measurements", column: str) -> str:

@@ -17,7 +17,7 @@ from ..files.artifacts import as_json, markdown_table, write_all
 from ..identification.bench import TRIALS, unit_of
 from ..identification.fit import Fit
 from ..identification.fit_diagnostics import moving_names, tables_without_numbers
-from ..identification.verdict import parameter_shown, shown_unit
+from ..identification.verdict import error_in_words, parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
 from ..progress import each, stage
 from ..units import preferred
@@ -98,6 +98,7 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
         _profile_section(report),
         _bootstrap_section(report),
         _bullets("What each table alone determines", alone),
+        _way_back_section(fit),
         _trial_section(fit),
         _noise_section(report),
         _bullets("Model-free friction", _model_free_in_words(report)),
@@ -210,6 +211,25 @@ def determination_in_words(determination: Determination) -> str:
     return "; ".join(parts)
 
 
+def way_back_rows(fit: Fit) -> list[list[str]]:
+    """By parameter and combination, the standard error of the pull alone and that of all rows; [] without a turn."""
+    pull = fit.pull_alone
+    if pull is None or not fit.success:
+        return []
+    names = [name for name in fit.names if not name.startswith(TRIALS)]
+    rows = [[name, error_in_words(pull, name), error_in_words(fit, name)] for name in names]
+    for name in fit.combinations:
+        both = (told.combinations.get(name) for told in (pull, fit))
+        rows.append([name, *(f"{100 * e.standard_error / e.value:.2g} %" if e else "-" for e in both)])
+    return rows
+
+
+def _way_back_section(fit: Fit) -> list[str]:
+    text = "Standard errors of the rows before the first turn of each trial, and of all rows:"
+    table = markdown_table(("parameter", "pull alone", "with the way back"), way_back_rows(fit))
+    return _section("What the way back told", [text, "", *table] if way_back_rows(fit) else [])
+
+
 def _trial_section(fit: Fit) -> list[str]:
     effects = fit.trial_effects.items()
     rows = [[name, f"{100 * e.value:+.2f} %", f"{100 * e.standard_error:.2g} %"] for name, e in effects]
@@ -271,6 +291,7 @@ def _repeat_section(report: Report) -> list[str]:
     starts, seed, nodes = (fit.options[name] for name in ("starts", "seed", "nodes"))
     starts = "as needed" if starts is None else starts
     text = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
+    text += f" With history: {', '.join(fit.steadied)}." if fit.steadied else ""
     text += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
     text += " results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
     return _section("To repeat it", [*markdown_table(("data", "rows", "SHA-256, first digits"), rows), "", text])
@@ -289,6 +310,9 @@ def fit_in_words(report: Report) -> str:
     if len(fit.tables) > 1:
         lines += ["", "each table alone determines:"]
         lines += [f"  {name}: {determination_in_words(determination)}" for name, determination in fit.alone.items()]
+    if rows := way_back_rows(fit):
+        lines += ["", "standard errors of the pull alone, and with the way back:"]
+        lines += [f"  {name}: {pull}, {loop}" for name, pull, loop in rows]
     lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
     lines.append(f"kinematics: {fit.manipulator.kinematics}")
     return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])

@@ -17,6 +17,7 @@ from ..files.manipulator_file import manipulator_text
 from ..identification.bench import unit_of
 from ..identification.fit import Fit
 from ..identification.fit_diagnostics import Normality, normality, own_names
+from ..measurements.jitter import Steady
 from ..measurements.table import Measurements
 from ..progress import each
 from ..robot.manipulator import Manipulator
@@ -100,6 +101,8 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         **_determination_as_dict(fit),
         **picked(fit, OF_FIT),
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
+        "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
+        "without_jitter": {name: _steady_as_dict(steady) for name, steady in fit.steadied.items()},
         "normality": report.normality,
         "cost_from_each_start": fit.starts,
         "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
@@ -124,6 +127,10 @@ def _table_as_dict(table: Measurements) -> dict[str, object]:
 def _determination_as_dict(told: Determination) -> dict[str, object]:
     units = {name: unit_of(name) for name in (*told.names, *told.combinations)}
     return {"unit": units} | picked(told, OF_DETERMINATION)
+
+
+def _steady_as_dict(steady: Steady) -> dict[str, object]:
+    return {"unit": "N", "noise": steady.noise, "least_turn": steady.least_turn, "num_ignored": steady.num_ignored}
 
 
 def _profile_as_dict(profile: Profile) -> dict[str, object]:

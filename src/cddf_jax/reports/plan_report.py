@@ -1,12 +1,10 @@
 """The answer of `cddf plan`: in words, as a table, and as plain numbers."""
 
-import numpy as np
-
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..files.artifacts import markdown_table, picked
-from ..identification.bench import parameter_named, unit_of
+from ..identification.bench import unit_of
 from ..identification.experiment_design import Plan, Ranked
-from ..units import shown
+from ..identification.verdict import error_in_words
 
 
 def plan_as_markdown(plan: Plan) -> str:
@@ -37,7 +35,7 @@ def _meaning_of_gain(plan: Plan) -> str:
 
 def _row(ranked: Ranked) -> list[str]:
     expected = ranked.expected
-    errors = ", ".join(f"{name} {_error(expected, name)}" for name in expected.names)
+    errors = ", ".join(f"{name} {error_in_words(expected, name)}" for name in expected.names)
     lost = [name for name in expected.names if expected.status[name] == NOT_IDENTIFIED]
     told = f"not: {', '.join(lost)}" if lost else "all identified"
     gain = f"{ranked.gain:.2f}".replace("-0.00", "0.00")
@@ -45,18 +43,10 @@ def _row(ranked: Ranked) -> list[str]:
 
 
 def _known_in_words(known: Determination) -> str:
-    parts = [f"{name} +- {_error(known, name)}" for name in known.names if known.status[name] != NOT_IDENTIFIED]
+    parts = [f"{name} +- {error_in_words(known, name)}" for name in known.names if known.status[name] != NOT_IDENTIFIED]
     parts += [f"{name} +- {100 * e.standard_error / e.value:.2g} %" for name, e in known.combinations.items()]
     lost = [f"{name} not identified" for name in known.names if known.status[name] == NOT_IDENTIFIED]
     return "; ".join(parts + lost)
-
-
-def _error(known: Determination, name: str) -> str:
-    """The standard error: relative for a parameter that is positive, else in its unit."""
-    error, value, kind = known.standard_error[name], known.value[name], parameter_named(name)
-    if not np.isfinite(error):
-        return "open"
-    return f"{100 * error / abs(value):.2g} %" if kind.positive else shown(error, kind.dimension)
 
 
 def plan_as_dict(plan: Plan) -> dict[str, object]:

@@ -1,0 +1,167 @@
+"""The course of a bench: the base tensions of a table in the order in which they were measured, a path for each trial.
+
+Each trial starts from rest: a straight body whose tendon never had a tension.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..errors import InputError
+from ..history.trace import trace
+from ..measurements.holds import NO_STEP
+from ..measurements.jitter import Steady, without_jitter
+from ..measurements.table import Measurements
+from ..robot.manipulator import Manipulator
+from ..statics.equilibrium import RESULTS
+
+STEPS = 16  # paths are traced in multiples of these: few sizes, so that tables share compiled programs
+WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
+
+
+class Traced(NamedTuple):
+    """What instruments read of traced bodies, rows first, as an `Equilibrium` has it."""
+
+    tip_tension: Float[Array, "rows tendons"]
+    tip_angle: Float[Array, " rows"]
+    tip_position: Float[Array, "rows 2"]
+    result: RESULTS
+    direction_contradicted: Bool[Array, "rows tendons"]
+
+
+class Course(eqx.Module):
+    """Paths of base tensions, and which step of which path each row of a table is."""
+
+    readings: Float[np.ndarray | Array, "trials steps"]  # N, as read, without jitter; the last one is repeated
+    trial: Int[np.ndarray | Array, " rows"]  # 0, 1, ... in the order of the paths
+    step: Int[np.ndarray | Array, " rows"]
+    first_row: Int[np.ndarray | Array, " trials"]  # a row of each trial
+    max_turns: int = eqx.field(static=True)
+
+    @property
+    def turns(self) -> bool:
+        """Whether any of the paths comes back."""
+        return bool(np.any(np.diff(np.asarray(self.readings), axis=1) < 0))
+
+    @property
+    def before_turns(self) -> np.ndarray:
+        """(rows,), which rows lie before the first turn of their trial."""
+        falls = np.diff(np.asarray(self.readings), axis=1) < 0
+        first = np.where(np.any(falls, axis=1), np.argmax(falls, axis=1), falls.shape[1])
+        return np.asarray(self.step) <= first[np.asarray(self.trial)]
+
+    def trace(self, body: Manipulator, tension: Array, deviation: Array | None, nodes: int) -> Traced:
+        """The rows, each after what came before it.
+
+        Args:
+            body: with one tendon.
+            tension: (trials, steps), true base tensions, N.
+            deviation: (trials,), ln(mu of a trial / mu), or None.
+            nodes: as of `trace`.
+        """
+
+        def one(tension: Array, deviation: Array | None):
+            there = body
+            if deviation is not None:
+                mu = jnp.asarray(body.friction_coefficient) * jnp.exp(deviation)
+                there = eqx.tree_at(lambda m: m.friction_coefficient, body, mu)
+            found = trace(there, tension, nodes=nodes, max_turns=self.max_turns, throw=False)
+            return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.result
+
+        every = jax.vmap(one)(tension, deviation)
+        tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, self.step], every)
+        return Traced(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
+
+
+def has_history(table: Measurements, manipulator: Manipulator, history: bool | None) -> bool:
+    """Whether the rows of a table are fitted in the order in which they were measured.
+
+    Args:
+        table: any.
+        manipulator: whose table it is.
+        history: as it was asked for; None: where a column says the order.
+
+    Raises:
+        InputError: for a body or loads whose history is not known.
+    """
+    if "pulling_tension" in table or not (table.ordered if history is None else history):
+        return False
+    loaded = any(column.startswith("tip_force") and np.any(values) for column, values in table.columns.items())
+    if manipulator.num_tendons > 1 or loaded:
+        of = f"{manipulator.num_tendons} tendons" if manipulator.num_tendons > 1 else "a body under a tip force"
+        told = f"{table.name}: the rows are in the order of measurement, but the history of {of} cannot be fitted"
+        raise InputError(f"{told}; {WITHOUT}")
+    return True
+
+
+def course_of(table: Measurements, noise: float | None = None) -> tuple[Course, Steady]:
+    """The rows of a table as steps of paths, and what was done against the jitter of the base cell.
+
+    Args:
+        table: of a body with one tendon.
+        noise: standard deviation of a reading of the base tension, N, as of `without_jitter`.
+
+    Raises:
+        InputError: for a direction that the order of the rows contradicts.
+    """
+    rows, labels = len(table), table.columns.get("trial", np.zeros(len(table))).astype(int)
+    trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
+    paths, found, first = [], [], []
+    for label in np.unique(labels):
+        own = table.order[labels[table.order] == label]
+        steady = without_jitter(table["base_tension"][own], noise)
+        _check_directions(table, own, steady)
+        moved = np.append(True, np.diff(steady.tension) != 0)
+        trial[own], step[own], tension[own] = len(paths), np.cumsum(moved) - 1, steady.tension
+        paths.append(steady.tension[moved])
+        found.append(steady)
+        first.append(own[0])
+    longest = max(map(len, paths))
+    longest += -longest % STEPS
+    readings = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths])
+    course = Course(readings, trial, step, np.array(first), max(map(_most_open, paths)))
+    return course, _together(found, tension)
+
+
+def _together(found: list[Steady], tension: np.ndarray) -> Steady:
+    """What was done in all trials."""
+    largest = max(found, key=lambda steady: steady.noise)
+    return Steady(tension, largest.noise, largest.least_turn, sum(steady.num_ignored for steady in found))
+
+
+def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady) -> None:
+    """A direction is a label: the tension must have risen to a row with 1 and fallen to one with -1."""
+    if "direction" not in table:
+        return
+    before = np.append(0.0, steady.tension[:-1])
+    moved = steady.tension - before
+    sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(steady.tension))
+    wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
+    if wrong.size:
+        i = int(wrong[0])
+        way, stated = ("rises", -1) if moved[i] > 0 else ("falls", 1)
+        raise InputError(
+            f"{table.name}: {table.place(int(rows[i]))}, column direction: is {stated}, but base_tension {way} there "
+            f"from {before[i]:.6g} to {steady.tension[i]:.6g} N; correct the label or the order of the rows, or "
+            f"{WITHOUT}"
+        )
+
+
+def _most_open(path: np.ndarray) -> int:
+    """Room for the turns that are felt at once along a path: 4, 8, 16, ..."""
+    still_open: list[float] = []
+    most = 0
+    for tension in path.tolist():
+        pulled = tension >= (still_open[-1] if still_open else 0.0)
+        passed = [
+            place
+            for place, extreme in enumerate(still_open)
+            if (place % 2 == 0) == pulled and (tension >= extreme if pulled else tension <= extreme)
+        ]
+        still_open = [*still_open[: passed[0] if passed else None], tension]
+        most = max(most, len(still_open))
+    return max(4, 1 << (most - 1).bit_length())

@@ -1,0 +1,242 @@
+"""Fits of tables that come back: against closed forms of one loop, and standard errors derived independently.
+
+On the paper's body in the exact kinematics 1/T at the tip is a play of 1/T_base, clipped at 1/T_base -+ g with
+g = (mu/E) int d/J; the tip angle has a closed form too.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from test_fit import COMPLIANCE, MU, E
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+from cddf_jax.identification.bench import experiment_of
+from cddf_jax.identification.course import course_of
+from cddf_jax.measurements.jitter import turns_of, without_jitter
+from cddf_jax.measurements.table import Measurements
+
+UP = np.arange(5.0, 86.0, 5.0)
+LOOP = np.concatenate([UP, UP[-2::-1]])
+CELL, ANGLE = 0.1, np.radians(0.5)  # noise, N and rad
+NOISE = {"tip_tension": CELL, "tip_angle": ANGLE}
+ALL = ("friction_coefficient", "youngs_modulus", "tip_gain", "tip_zero")
+BODY = paper_body("exact")
+
+
+def loop(tension=LOOP, mu=MU, modulus=E):
+    """Tip tension and tip angle of a pull from rest and a release."""
+    tension = np.asarray(tension, float)
+    g, top = mu / modulus * COMPLIANCE, int(np.argmax(tension))
+    largest, behind = tension[top], np.arange(tension.size) > top
+    y, first = 1 / tension, 1 / largest
+    inside = behind & (y < first + 2 * g)
+    with np.errstate(invalid="ignore"):
+        pull, stuck, out = y + g, np.full(y.size, first + g), y - g
+        bent = np.log(1 + g * tension), np.log(y * (first + g) / ((y + first) / 2) ** 2), -np.log(1 - g * tension)
+    choose = [inside, behind]
+    return 1 / np.select(choose, [stuck, out], pull), np.select(choose, bent[1:], bent[0]) / mu
+
+
+def table(tension=LOOP, columns=("tip_tension", "tip_angle"), rng=None, **more):
+    """A table of a loop, noisy with a generator; steps are its rows."""
+    read = dict(zip(NOISE, loop(tension), strict=True))
+    if rng is not None:
+        read = {name: values + NOISE[name] * rng.normal(size=values.size) for name, values in read.items()}
+    own = {name: read[name] for name in columns}
+    return Measurements.from_columns("bench", base_tension=tension, step=np.arange(len(tension)), **own, **more)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """A loop without noise, its rows out of order in the file."""
+    rows = np.random.default_rng(1).permutation(LOOP.size)
+    whole = table()
+    shuffled = Measurements.from_columns("bench", **{name: values[rows] for name, values in whole.columns.items()})
+    return cddf.fit(BODY, shuffled, ALL, noise=NOISE)
+
+
+def test_a_loop_brings_the_truth_back(fitted):
+    assert fitted.success
+    np.testing.assert_allclose([fitted.value[name] for name in ALL[:3]], [MU, E, 1.0], rtol=1e-6)
+    assert fitted.warnings == ()
+    assert not fitted.model.experiments[0].on_one_curve
+
+
+def test_standard_errors_of_a_pull_and_of_a_loop(fitted):
+    """As an independent derivation has them: 0.1 N, 0.5 degrees of noise; gain and zero of the tip cell free."""
+    for found, expected in ((fitted.pull_alone, [1.37, 0.40, 0.83]), (fitted, [0.27, 0.17, 0.18])):
+        errors = [100 * found.standard_error[name] / fitted.value[name] for name in ALL[:3]]
+        np.testing.assert_allclose(errors, expected, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("column", "free", "combination", "pull", "whole"),
+    [
+        ("tip_angle", ALL[:2], np.eye(2), [4.9, 1.2], [1.4, 0.30]),
+        ("tip_tension", ALL[:3], [[1, -1, 0]], [0.97], [0.24]),
+    ],
+)
+def test_standard_errors_of_one_column(column, free, combination, pull, whole):
+    """The same table; from the derivatives of what is read, the covariance of the logarithms of the parameters."""
+    own = table()
+    bench = experiment_of(own, BODY, course=course_of(own)[0])
+    truth = dict(zip(ALL, [MU, E, 1.0, 0.0], strict=True))
+    slopes = bench.evaluate(BODY, truth, 16).derivatives[column]
+    places = [sorted(ALL).index(name) for name in free]
+    scaled = slopes[:, places] * [truth[name] for name in free] / NOISE[column]
+    for rows, expected in ((17, pull), (33, whole)):
+        covariance = np.linalg.pinv(scaled[:rows].T @ scaled[:rows], rcond=1e-9)
+        errors = [100 * np.sqrt(np.array(way) @ covariance @ way) for way in np.asarray(combination, float)]
+        np.testing.assert_allclose(errors, expected, rtol=0.05)
+
+
+def test_tensions_of_a_loop_tell_the_ratio_alone():
+    found = cddf.fit(BODY, table(columns=["tip_tension"]), ALL, noise={"tip_tension": CELL})
+    assert found.status["friction_coefficient"] == found.status["youngs_modulus"] == "not identified"
+    assert list(found.combinations) == ["friction_coefficient / youngs_modulus"]
+    assert "Tensions of one tendon determine only friction_coefficient / youngs_modulus" in found.verdict[-1]
+
+
+@pytest.mark.slow
+def test_tables_without_the_order_are_told(fitted):
+    """The same rows, pulled from rest each: an error of many standard errors, and a warning with the remedy."""
+    without = cddf.fit(BODY, table(), history=False)
+    assert any("give history=True (--history)" in warning for warning in without.warnings)
+    assert abs(without.value["youngs_modulus"] / E - 1) > 0.01
+    columns = {name: values for name, values in table().columns.items() if name != "step"}
+    asked = cddf.fit(BODY, Measurements.from_columns("bench", **columns), ALL, noise=NOISE, history=True)
+    np.testing.assert_allclose(asked.value["youngs_modulus"], fitted.value["youngs_modulus"], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_trials_pretension_drag_and_zeros():
+    """Two trials of different length, each from rest, of a body with a drag; cells zeroed under a pretension."""
+    body = paper_body("exact", drag=4.0)
+    paths = [LOOP, np.array([20.0, 60.0, 40.0, 75.0, 30.0, 10.0, 50.0])]
+    read = [cddf.trace(body, path + 1.5) for path in paths]
+    tip = np.concatenate([history.tip_tension for history in read]) - 1.5
+    angle = np.concatenate([history.tip_angle for history in read]) + 0.02
+    columns = {"base_tension": np.concatenate(paths) + 0.3, "tip_tension": tip, "tip_angle": angle}
+    columns |= {"trial": np.repeat(["a", "b"], [33, 7]), "step": np.concatenate([np.arange(33), np.arange(7)])}
+    truth = {"friction_coefficient": MU, "youngs_modulus": E, "drag": 4.0, "pretension": 1.5}
+    truth |= {"base_zero": 0.3, "angle_zero": 0.02}
+    found = cddf.fit(body, Measurements.from_columns("bench", **columns), tuple(truth), noise=NOISE)
+    for name, value in truth.items():
+        assert abs(found.value[name] - value) < 0.01 * found.standard_error[name] + 1e-9, name
+
+
+@pytest.mark.slow
+def test_friction_that_differs_from_trial_to_trial():
+    deviations = np.array([0.1, -0.05, 0.02, -0.07])
+    own = [np.stack(loop(mu=MU * np.exp(deviation))) for deviation in deviations]
+    tip, angle = np.concatenate(own, axis=1)
+    rng = np.random.default_rng(2)
+    columns = {"base_tension": np.tile(LOOP, 4), "trial": np.repeat(range(4), 33), "step": np.tile(np.arange(33), 4)}
+    columns |= {"tip_tension": tip + CELL * rng.normal(size=132), "tip_angle": angle + ANGLE * rng.normal(size=132)}
+    found = cddf.fit(BODY, Measurements.from_columns("bench", **columns), noise=NOISE, per_trial=True)
+    effects = np.array([effect.value for effect in found.trial_effects.values()])
+    np.testing.assert_allclose(effects - effects.mean(), deviations - deviations.mean(), atol=0.02)
+
+
+# --- order, directions, bodies ---------------------------------------------------------------------
+
+
+def test_a_direction_is_compared_with_the_order():
+    way = np.where(np.arange(33) > 16, -1.0, 1.0)
+    course_of(table(direction=way))
+    way[20] = 1.0
+    message = (
+        r"bench: row 21, column direction: is 1, but base_tension falls there from 70 to 65 N; correct the label or "
+        r"the order of the rows, or give history=False \(--no-history\)"
+    )
+    with pytest.raises(InputError, match=message):
+        course_of(table(direction=way))
+
+
+def test_where_the_history_is_not_known():
+    rows = {"base_tension": [10.0, 20.0], "tip_tension": [9.0, 17.0], "step": [0, 1]}
+    loaded = Measurements.from_columns("bench", **rows, tip_force_y=[1.0, 1.0])
+    with pytest.raises(
+        InputError, match=r"fit: bench: .* the history of a body under a tip force cannot be fitted; giv"
+    ):
+        cddf.fit(BODY, loaded)
+    pair = paper_body(num_tendons=2)
+    both = Measurements.from_columns("bench", **rows, base_tension_2=[5.0, 5.0])
+    with pytest.raises(InputError, match=r"the history of 2 tendons cannot be fitted; give history=False"):
+        cddf.fit(pair, both)
+    with pytest.raises(InputError, match="noise of base_tension is used with a history only"):
+        cddf.fit(BODY, table(), history=False, noise={"base_tension": 0.1})
+    with pytest.raises(InputError, match="noise of base_tension must be one standard deviation"):
+        cddf.fit(BODY, table(), noise={"base_tension": -1.0})
+
+
+def test_time_orders_too_and_trials_apart():
+    """By step, then by time, trial by trial; without either as the file has them."""
+    columns = {"base_tension": [1.0, 2, 3, 4], "tip_tension": [1.0, 2, 3, 4]}
+    order = Measurements.from_columns("bench", **columns, time=[3, 1, 2, 0], trial=["a", "b", "a", "b"]).order
+    np.testing.assert_array_equal(order, [2, 0, 3, 1])
+    order = Measurements.from_columns("bench", **columns, step=[2, 1, 1, 2], time=[1.0, 1, 0, 0]).order
+    np.testing.assert_array_equal(order, [2, 1, 3, 0])
+    np.testing.assert_array_equal(Measurements.from_columns("bench", **columns).order, range(4))
+
+
+# --- jitter of the base cell -----------------------------------------------------------------------
+
+
+def held(rng, deviation, samples=50):
+    return np.repeat(LOOP, samples) + deviation * rng.normal(size=samples * LOOP.size)
+
+
+@pytest.mark.parametrize("deviation", [0.05, 0.3, 0.5])
+def test_samples_of_a_hold_are_no_turns(deviation):
+    """50 samples of each level: the noise is found, the level is their mean, and one turn is left."""
+    found = without_jitter(held(np.random.default_rng(3), deviation))
+    assert found.noise == pytest.approx(deviation, rel=0.1)
+    np.testing.assert_array_equal(np.unique(turns_of(found.tension)), np.unique(turns_of(found.tension))[:1])
+    np.testing.assert_allclose(found.tension[::50], LOOP, atol=4 * deviation / np.sqrt(50))
+    assert found.num_ignored > 400
+
+
+def test_a_play_rectifies_jitter_and_holds_do_not():
+    """The largest of 50 readings lies 2.25 standard deviations above their mean, and the tip keeps it."""
+    rng, deviation, raw, steady = np.random.default_rng(4), 0.3, [], []
+    g = MU / E * COMPLIANCE
+    for _ in range(200):
+        readings = held(rng, deviation)[: 50 * 18]  # up, and one level back: the tip rests
+        for path, found in ((readings, raw), (without_jitter(readings).tension, steady)):
+            found.append(1 / (1 / np.max(path) + g))
+    bias = [(np.mean(tips) - loop()[0][16]) / (deviation / (1 + 85 * g) ** 2) for tips in (raw, steady)]
+    assert bias[0] == pytest.approx(2.25, abs=0.15)  # expected largest of 50 normal draws
+    assert abs(bias[1]) < 0.1
+
+
+def test_a_ramp_with_jitter_has_one_turn():
+    rng = np.random.default_rng(5)
+    ramp = np.concatenate([np.linspace(0, 80, 800), np.linspace(80, 10, 700)]) + 0.2 * rng.normal(size=1500)
+    found = without_jitter(ramp)
+    assert turns_of(found.tension).size == 1
+    clean = np.concatenate([np.linspace(0, 80, 800), np.linspace(80, 10, 700)])
+    assert np.max(np.abs(found.tension - clean)) < 0.8
+    assert np.abs(np.mean(found.tension - clean)) < 0.02
+
+
+@pytest.mark.parametrize("path", [LOOP, [75, 40, 60, 50, 60, 75], [80, 20, 60, 30, 50, 38, 45], [30, 60], [10]])
+def test_real_turns_stay(path):
+    """Loops within loops, and a zigzag that shrinks; also with a stated noise."""
+    path = np.asarray(path, float)
+    for noise in (None, 0.0, 0.3):
+        found = without_jitter(path, noise)
+        np.testing.assert_allclose(found.tension, path)
+        assert found.num_ignored == 0
+
+
+def test_a_small_turn_counts_where_it_is_stated():
+    """Half a newton back at 85 N is taken for jitter unless the noise is given."""
+    path = np.array([20.0, 40, 60, 85, 84.5, 85.5, 60, 40, 20])
+    assert without_jitter(path).num_ignored == 2
+    assert without_jitter(path, 0.05).num_ignored == 0
+    assert all(b >= a for a, b in pairwise(without_jitter(path).tension[:6]))
+    np.testing.assert_array_equal(without_jitter(path, 0.0).tension, path)
