@@ -17,6 +17,7 @@ from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .model import Curve, Picture
+from .past import Loop
 
 Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
@@ -67,13 +68,14 @@ class BodyPlot:
     def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
         self.figure = _figure("X (mm)", "Y (mm)", match_aspect=True, height=450, name="body")
         self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
-        self.sources = {name: ColumnDataSource() for name in ("walls", "midline", "tendons", "ends", "moment")}
+        self.sources = {name: ColumnDataSource() for name in ("walls", "midline", "past", "tendons", "ends", "moment")}
         straight = straight_body(manipulator, arc_length)
         self._show_body(straight, _tendons(manipulator, straight, arc_length))
         self._draw_surroundings(manipulator, straight)
         self._draw_body()
         self._draw_forces()
         _look_of_legend(self.figure)
+        _show_named(self.figure, "past", False)
 
     def _draw_surroundings(self, manipulator: Manipulator, straight: Body) -> None:
         """The rest shape, the clamp, and room for the bend."""
@@ -90,6 +92,9 @@ class BodyPlot:
         fig, source = self.figure, self.sources
         fig.patches("xs", "ys", source=source["walls"], fill_color=PALE, line_color=GREY)
         fig.line("x", "y", source=source["midline"], color=GREY, line_dash="dashdot")
+        source["past"].data = _xy(NONE)
+        past: Look = {"line_color": PURPLE, "line_dash": [6, 3], "line_width": 2, "legend_label": "with its past"}
+        fig.line("x", "y", source=source["past"], name="past", **past)
         look = {"line_color": "color", "line_dash": "dash", "line_width": 1.5, "legend_label": "tendon"}
         fig.multi_line("xs", "ys", source=source["tendons"], **look)
         fig.scatter("x", "y", source=source["ends"], color=BLACK, size=6)
@@ -126,6 +131,12 @@ class BodyPlot:
         self.sources["moment"].data = _xy(turn)
         self.sources["turn"].data = _arrow_data(turn[-2:-1], turn[-1:])
 
+    def show_loop(self, loop: Loop | None) -> None:
+        """The axis of the body with its past; None for nothing."""
+        if loop is not None:
+            self.sources["past"].data = _xy(1e3 * loop.position)
+        _show_named(self.figure, "past", loop is not None)
+
     def _show_body(self, body: Body, tendons: list[np.ndarray]) -> None:
         looks = [tendon_look(i) for i in range(len(tendons))]
         style: Columns = {
@@ -160,6 +171,15 @@ def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) ->
     at = [np.linspace(0.02 * len(line), 0.98 * len(line) - 1, NUM_ARROWS).astype(int) for line in tendons]
     starts = np.concatenate([line[i] for line, i in zip(tendons, at, strict=True)])
     return starts, starts + scale * np.concatenate([force[i] for force, i in zip(np.asarray(forces), at, strict=True)])
+
+
+def _show_named(fig: Plot, name: str, there: bool) -> None:
+    """What has a name, and its line of the legend."""
+    drawn = fig.select_one({"name": name})
+    drawn.visible = there
+    for item in fig.legend[0].items:
+        if drawn in item.renderers:
+            item.visible = there
 
 
 class AlongPlots:
@@ -204,7 +224,10 @@ class TensionPlots:
             "tension": ("Base tension (N)", "Tip tension (N)", f"model{which.replace('of', 'for')}"),
             "angle": (f"Base tension{which} (N)", "Tip angle (deg)", "model"),
         }
-        self.points = {name: {kind: ColumnDataSource(NO_POINTS) for kind in ("data", "rows", "now")} for name in labels}
+        self.points = {
+            name: {kind: ColumnDataSource(NO_POINTS) for kind in ("data", "rows", "now", "past")} for name in labels
+        }
+        self.loops = {name: ColumnDataSource({"base": [0.0], "value": [0.0]}) for name in labels}
         self.figures = {name: _figure(x, y, height=255, name=f"tip_{name}") for name, (x, y, _) in labels.items()}
         free = {"color": GREY, "line_dash": "dotted", "legend_label": "without loss"}
         self.figures["tension"].line("base", "base", source=self.curve, **free)
@@ -214,16 +237,19 @@ class TensionPlots:
     def _draw(self, fig: Plot, name: str, model: str) -> None:
         points = self.points[name]
         fig.line("base", name, source=self.curve, line_width=2, color=BLUE, legend_label=model)
+        look: Look = {"line_width": 2, "color": PURPLE, "line_dash": [6, 3], "legend_label": "with its past"}
+        fig.line("base", "value", source=self.loops[name], name="loop", **look)
         marks = {
             "data": {"size": 6, "fill_color": "white", "line_color": "color", "legend_label": "data"},
             "rows": {"size": 7, "marker": "x", "line_color": "color", "legend_label": "model at the data"},
             "now": {"size": 12, "marker": "diamond", "color": VERMILION, "legend_label": "now"},
+            "past": {"size": 9, "marker": "circle", "color": PURPLE, "legend_label": "with its past"},
         }
         for kind, look in marks.items():
             fig.scatter("base", "value", source=points[kind], name=kind, **look)
         _look_of_legend(fig)
-        for kind in ("data", "rows"):
-            self._show_kind(fig, kind, False)
+        for kind in ("data", "rows", "loop", "past"):
+            _show_named(fig, kind, False)
 
     def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
         """Columns of tables over the tensions that were set: of "data" the readings, of "rows" what the body shows."""
@@ -237,15 +263,17 @@ class TensionPlots:
                     found["angle"].append((table["base_tension"], np.degrees(values), BLACK))
         for name, parts in found.items():
             self.points[name][kind].data = _points(parts)
-            self._show_kind(self.figures[name], kind, bool(parts))
+            _show_named(self.figures[name], kind, bool(parts))
 
-    def _show_kind(self, fig: Plot, kind: str, there: bool) -> None:
-        """Points of one kind and their line of the legend."""
-        points = fig.select_one({"name": kind})
-        points.visible = there
-        for item in fig.legend[0].items:
-            if points in item.renderers:
-                item.visible = there
+    def show_loop(self, loop: Loop | None) -> None:
+        """Where the base tension has been, and where it is now with its past; None for nothing."""
+        for name, fig in self.figures.items():
+            if loop is not None:
+                values = loop.tip_tension if name == "tension" else np.degrees(loop.tip_angle)
+                self.loops[name].data = {"base": loop.base_tension, "value": values}
+                self.points[name]["past"].data = _points([(loop.base_tension[-1:], values[-1:], BLACK)])
+            for kind in ("loop", "past"):
+                _show_named(fig, kind, loop is not None)
 
     def show_now(self, picture: Picture) -> None:
         """Where the sliders stand."""

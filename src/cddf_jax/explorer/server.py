@@ -21,7 +21,8 @@ from ..measurements.trials import read_tables
 from ..progress import stage
 from ..robot.manipulator import Manipulator, conical
 from .model import Exploration
-from .view import STYLES, ExplorerView, Threads, column
+from .parts import STYLES, column
+from .view import ExplorerView, Threads
 
 T = TypeVar("T")
 

@@ -6,13 +6,11 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 from typing import TypeAlias
 
 import jax
 import numpy as np
 import panel as pn
-from bokeh.plotting import figure as BokehFigure  # noqa: N812
 
 from ..errors import InputError, SolveError
 from ..estimation.determination import IDENTIFIED
@@ -24,32 +22,18 @@ from ..reports.export import fields_csv
 from ..reports.fit_report import fit_in_words
 from ..reports.fit_results import make_report
 from ..robot.manipulator import KINEMATICS, Kinematics
-from .model import Control, Exploration, Picture, Settings, from_si, rounded
+from ..robot.named_numbers import Case
+from .model import Exploration, Picture, Settings, from_si, rounded
+from .parts import column, grid, plot, slider, title, words
+from .past import LOADS, Loop, Turns, gone_on, loop, why_no_loop
 from .plots import AlongPlots, BodyPlot, TensionPlots
-from .words import lines_html, numbers_html, tapers_html
+from .words import lines_html, loop_html, numbers_html, tapers_html
 
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 COMPILED: set[tuple[object, int]] = set()  # structures of cases with the number of arc lengths
 COMPILING = "Compiling for this kind of body and load, some seconds ..."
-STYLES = [Path(__file__).with_name("page.css").read_text(encoding="utf-8")]  # of every part of the page
 
-Part: TypeAlias = pn.viewable.Viewable
 Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "error", "busy" or "" for none
-
-
-def grid(*parts: Part, least: int) -> pn.Column:
-    """Side by side while each has so many pixels, below each other where not."""
-    return column(*parts, css_classes=["side-by-side"], styles={"--least": f"{least}px"})
-
-
-def column(*parts: Part, **look: list[str] | dict[str, str]) -> pn.Column:
-    """Parts below each other, as wide as the page."""
-    return pn.Column(*parts, sizing_mode="stretch_width", margin=0, stylesheets=STYLES, **look)
-
-
-def words(name: str) -> pn.pane.HTML:
-    classes = ["words", name]
-    return pn.pane.HTML("", stylesheets=STYLES, sizing_mode="stretch_width", margin=(4, 8), css_classes=classes)
 
 
 class Threads(ExitStack):
@@ -60,10 +44,6 @@ class Threads(ExitStack):
         self.pictures, self.comparisons, self.fits = each = [ThreadPoolExecutor(1) for _ in range(3)]
         for threads in each:
             self.callback(threads.shutdown, cancel_futures=True)
-
-
-def plot(figure: BokehFigure) -> pn.pane.Bokeh:
-    return pn.pane.Bokeh(figure, sizing_mode="stretch_width", margin=0)
 
 
 class ExplorerView:
@@ -80,6 +60,7 @@ class ExplorerView:
         self.settings: Settings = exploration.start
         self.picture: Picture | None = None
         self.fitted: Fit | None = None
+        self.turns: Turns = ()
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
         self.body, self.along, self.tension = BodyPlot(body, s), AlongPlots(body, s), TensionPlots(body.num_tendons)
@@ -91,7 +72,9 @@ class ExplorerView:
             "body": plot(self.body.figure),
             "numbers": self.numbers,
             "along": grid(*map(plot, self.along.figures.values()), least=230),
-            "tension": grid(*map(plot, self.tension.figures.values()), least=330),
+            "tension": column(
+                grid(*map(plot, self.tension.figures.values()), least=330), self.past, self.forget_button
+            ),
             "what_if": self.what_if,
         }
         self.drawn = {name: column(part) for name, part in parts.items()}
@@ -106,7 +89,7 @@ class ExplorerView:
     # --- widgets ---------------------------------------------------------------------------------
 
     def _make_controls(self) -> None:
-        self.sliders = {control.name: _slider(control) for control in self.exploration.controls}
+        self.sliders = {control.name: slider(control) for control in self.exploration.controls}
         self.directions = [
             pn.widgets.Select(name=f"Tendon {i}", options=SLIDES, value=direction or 0, width=105)
             for i, direction in enumerate(self.settings.direction, 1)
@@ -119,14 +102,14 @@ class ExplorerView:
             step=5.0,
             width=180,
         )
-        self.reset = pn.widgets.Button(
-            name="Back to the file's numbers", on_click=lambda _: self.move_to(self.exploration.start)
-        )
+        self.reset = pn.widgets.Button(name="Back to the file's numbers", on_click=lambda _: self._start_again())
+        self.forget_button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
         for widget in (*self.sliders.values(), *self.directions, self.kinematics, self.angle):
             widget.param.watch(lambda _: self.change(), "value")
 
     def _make_words(self) -> None:
-        self.numbers, self.what_if, self.verdict = words("numbers"), words("what-if"), words("verdict")
+        names = ("numbers", "past", "what-if", "verdict")
+        self.numbers, self.past, self.what_if, self.verdict = map(words, names)
         self.fit_button = pn.widgets.Button(
             name="Fit friction and modulus", button_type="primary", on_click=lambda _: self.start_fit()
         )
@@ -161,10 +144,10 @@ class ExplorerView:
     @property
     def parts(self) -> dict[str, pn.Column]:
         """What stands where on the page, by the names in page.css."""
-        compared = column(_title("What if the taper were another"), self.angle, self.drawn["what_if"])
+        compared = column(title("What if the taper were another"), self.angle, self.drawn["what_if"])
         buttons = pn.FlexBox(self.fit_button, self.take_over)
-        fit = column(_title("What the data tell"), buttons, self.verdict)
-        files = column(_title("Save"), pn.FlexBox(*self._downloads()))
+        fit = column(title("What the data tell"), buttons, self.verdict)
+        files = column(title("Save"), pn.FlexBox(*self._downloads()))
         chosen = pn.FlexBox(*(self.directions if self.several else []), self.kinematics)
         return {
             "body": self.drawn["body"],
@@ -180,19 +163,32 @@ class ExplorerView:
     def move_to(self, settings: Settings) -> None:
         """Set the sliders."""
         for name, value in settings.numbers.items():
-            slider = self.sliders[name]
-            slider.param.update(start=min(slider.start, value), end=max(slider.end, value), value=value)
+            moved = self.sliders[name]
+            moved.param.update(start=min(moved.start, value), end=max(moved.end, value), value=value)
         for widget, direction in zip(self.directions, settings.direction, strict=True):
             widget.value = direction or 0
         self.kinematics.value = settings.kinematics
 
+    def _start_again(self) -> None:
+        """With the numbers of the file, and without a past."""
+        self.move_to(self.exploration.start)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, with a pull from rest to the tension that is set."""
+        self.turns = ()
+        self.change()
+
     def change(self) -> None:
         """Solve for where the sliders stand now."""
-        numbers = {name: float(slider.value) for name, slider in self.sliders.items()}
+        numbers = {name: float(each.value) for name, each in self.sliders.items()}
         directions = tuple(widget.value or None for widget in self.directions)
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
-        self.threads.pictures.submit(self._guarded, self._draw, self.settings, float(self.angle.value or 0.0))
+        loaded = any(numbers[control.name] for control in self.exploration.controls if control.quantity.name in LOADS)
+        self.turns = gone_on(() if loaded or self.several else self.turns, numbers["base_tension_1"])
+        wanted = self.settings, float(self.angle.value or 0.0), self.turns
+        self.threads.pictures.submit(self._guarded, self._draw, *wanted)
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
         """On a thread: unless something newer is wanted; what goes wrong is said on the page."""
@@ -206,7 +202,7 @@ class ExplorerView:
             logging.getLogger(__name__).exception("explorer")
             self._on_page(self._refuse, f"{type(error).__name__}: {error}")
 
-    def _draw(self, settings: Settings, angle: float) -> None:
+    def _draw(self, settings: Settings, angle: float, turns: Turns) -> None:
         """The picture, and then on another thread what takes longer."""
         case = self.exploration.case(settings)
         kind = jax.tree.structure(case), self.exploration.arc_length.size
@@ -215,21 +211,35 @@ class ExplorerView:
         picture = self.exploration.picture(case)
         self._on_page(self._show, settings, picture)
         if picture.good:
-            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture)
+            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, turns)
         COMPILED.add(kind)
 
-    def _compare(self, settings: Settings, angle: float, picture: Picture) -> None:
+    def _compare(self, settings: Settings, angle: float, picture: Picture, turns: Turns) -> None:
         curve = self.exploration.curve(picture.case)
         self._on_page(self.tension.show_curve, curve)
         rows = self.exploration.in_rows(picture.case.manipulator)
         self._on_page(self.tension.show_points, "rows", rows)
-        self._on_page(self._done, settings, ["tension"])
+        self._remember(settings, picture.case, turns)
         told = "The bending stiffness of this body is given: another taper would not change how it bends."
         if self.exploration.manipulator.stiffened_by_radii:
             tapers = self.exploration.tapers(settings, np.radians(angle))
             told = tapers_html(tapers, angle, self.several)
         self._on_page(setattr, self.what_if, "object", told)
         self._on_page(self._done, settings, ["what_if"])
+
+    def _remember(self, settings: Settings, case: Case, turns: Turns) -> None:
+        """The loop through which the base tension went, or why there is none."""
+        found, told = None, why_no_loop(case, turns)
+        if not told:
+            found = loop(case, turns, self.exploration.arc_length)
+            told = loop_html(found)
+        self._on_page(self._show_loop, settings, None if found is None or found.message else found, told)
+
+    def _show_loop(self, settings: Settings, found: Loop | None, told: str) -> None:
+        self.tension.show_loop(found)
+        self.body.show_loop(found)
+        self.past.object = told
+        self._done(settings, ["tension"])
 
     def _on_page(self, function: Callable[..., None], *arguments: object) -> None:
         """Call on the thread of the page, everything that changes sent together."""
@@ -320,25 +330,3 @@ def _held(function: Callable[..., None], *arguments: object) -> None:
     """Call, and send everything that changes together."""
     with pn.io.hold():
         function(*arguments)
-
-
-def _slider(control: Control) -> pn.widgets.EditableFloatSlider:
-    slider = pn.widgets.EditableFloatSlider(
-        name=f"{control.label} ({control.quantity.shown[1]})".removesuffix(" ()"),
-        value=control.value,
-        start=control.low,
-        end=control.high,
-        step=control.step,
-        fixed_start=control.least,
-        sizing_mode="stretch_width",
-        format="0[.][0000000000]",
-        margin=(4, 12),
-    )
-    for field in slider.select(pn.widgets.FloatInput):  # a label of its own, for those who do not see the slider's
-        field.name, field.stylesheets = slider.name, [*field.stylesheets, *STYLES]
-        field.css_classes = [*field.css_classes, "unseen"]
-    return slider
-
-
-def _title(text: str) -> pn.pane.HTML:
-    return pn.pane.HTML(f"<h2>{text}</h2>", stylesheets=STYLES, margin=(0, 8))

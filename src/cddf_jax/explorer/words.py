@@ -7,6 +7,7 @@ import numpy as np
 
 from ..statics.equilibrium import RESULTS
 from .model import Picture, Taper
+from .past import Loop
 from .plots import tendon_look
 
 
@@ -46,6 +47,19 @@ def numbers_html(picture: Picture) -> str:
     strip = "".join(f'<div class="tile"><span>{words}</span>{number}</div>' for words, number in tiles)
     strip = f'<div class="tiles" role="status" data-name="result" data-result="{result}">{strip}</div>'
     return strip + _table(head, rows)
+
+
+def loop_html(loop: Loop) -> str:
+    """Where the body is, with its past."""
+    if loop.message:
+        return f"<p>{escape(loop.message)}</p>"
+    tension = _number("past_tip_tension", f"{loop.tip_tension[-1]:.4f}", "N")
+    angle = _number("past_tip_angle", f"{np.degrees(loop.tip_angle[-1]):.3f}", "deg")
+    front = _number("front", f"{1e3 * loop.front:.2f}", "mm")
+    return (
+        f"<p>With its past (purple): {tension} at the tip, {angle}. The tendon slid last up to {front} from the base. "
+        "All other numbers are those of a pull from rest.</p>"
+    )
 
 
 def _line(tendon: int) -> str:
