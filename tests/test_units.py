@@ -4,11 +4,13 @@ import math
 import struct
 import subprocess
 import sys
+from decimal import Decimal
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from cddf_jax import units
 from cddf_jax.errors import InputError
 from cddf_jax.units import quantity, to_si, written
 
@@ -122,11 +124,19 @@ def test_written_reads_back_to_the_last_bit(value, dimension):
     assert bits(quantity(written(value, dimension), dimension, "x")) == bits(value)
 
 
-def test_pint_is_imported_when_a_unit_is_met():
+@pytest.mark.parametrize("dimension", units._UNITS)
+def test_own_units_are_those_of_pint(dimension):
+    si, unit, size = units._UNITS[dimension]
+    assert units._in_si(unit) == (Decimal(size), units._in_si(si)[1])
+    assert units._in_si(si)[0] == 1
+
+
+def test_pint_is_imported_when_a_rarer_unit_is_met():
     program = (
         "import sys, cddf_jax.units as u, cddf_jax.measurements.table, cddf_jax.files.manipulator_file; "
         "assert u.quantity('0.42', 'dimensionless', 'mu') == 0.42; "
         "assert not {'pint', 'matplotlib', 'typer', 'rich', 'tomli_w'} & set(sys.modules); "
-        "u.quantity('1 m', 'length', 'L'); assert 'pint' in sys.modules"
+        "u.quantity('1 m', 'length', 'L'); u.written(0.14, 'length'); assert 'pint' not in sys.modules; "
+        "u.quantity('1 in', 'length', 'L'); assert 'pint' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

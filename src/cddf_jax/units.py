@@ -1,7 +1,7 @@
 """Quantities with units, at the edge: text such as "140 mm" in, SI numbers out, and back.
 
-pint knows the units and computes in decimal numbers, so that "140 mm" is 0.14 to the last bit. It is imported when the
-first unit is met.
+Sizes are decimal numbers, so that "140 mm" is 0.14 to the last bit. The units of `_UNITS` are known here; pint knows
+all others, and is imported when the first of them is met.
 """
 
 import math
@@ -41,14 +41,15 @@ Dimension = Literal[
 class _Units(NamedTuple):
     si: str
     preferred: str  # what an engineer writes
+    size: str = "1"  # of the preferred unit, in SI units, to 28 digits
 
 
 _UNITS: dict[Dimension, _Units] = {
-    "length": _Units("m", "mm"),
+    "length": _Units("m", "mm", "1e-3"),
     "force": _Units("N", "N"),
-    "pressure": _Units("Pa", "MPa"),
+    "pressure": _Units("Pa", "MPa", "1e6"),
     "density": _Units("kg/m^3", "kg/m^3"),
-    "angle": _Units("rad", "deg"),
+    "angle": _Units("rad", "deg", "0.01745329251994329576923690768"),
     "moment": _Units("N m", "N m"),
     "acceleration": _Units("m/s^2", "m/s^2"),
     "curvature": _Units("1/m", "1/m"),
@@ -56,10 +57,10 @@ _UNITS: dict[Dimension, _Units] = {
     "force per length": _Units("N/m", "N/m"),
     "bending stiffness": _Units("N m^2", "N m^2"),
     "mass per length": _Units("kg/m", "kg/m"),
-    "mass": _Units("kg", "g"),
-    "volume": _Units("m^3", "cm^3"),
+    "mass": _Units("kg", "g", "1e-3"),
+    "volume": _Units("m^3", "cm^3", "1e-6"),
     "time": _Units("s", "s"),
-    "strain": _Units("", "%"),
+    "strain": _Units("", "%", "1e-2"),
 }
 
 DIMENSION_OF: dict[str, Dimension] = {known.si: dimension for dimension, known in _UNITS.items() if known.si}
@@ -144,6 +145,8 @@ def unit_fits(unit: str, dimension: Dimension) -> bool:
     """Whether a text is a unit of a dimension, or one that `to_si` refuses with its own remedy: a mass, pixels."""
     if dimension == "dimensionless":
         return False
+    if _own_size(unit, dimension) is not None:
+        return True
     base = _in_si(unit)[1]
     mass = dimension == "force" and base == _in_si("kg")[1]
     return base is not None and (mass or base == _in_si(_UNITS[dimension].si)[1])
@@ -156,8 +159,8 @@ def written(value: float, dimension: Dimension) -> str:
     """
     if dimension == "dimensionless":
         return repr(float(value))
-    si, unit = _UNITS[dimension]
-    exact, size = Decimal(repr(float(value))), _in_si(unit)[0]
+    si, unit, size = _UNITS[dimension]
+    exact, size = Decimal(repr(float(value))), Decimal(size)
     for digits in (15, 16, 17):
         number = Context(prec=digits).divide(exact, size).normalize()
         if float(_DECIMAL.multiply(number, size)) == value:
@@ -181,8 +184,8 @@ def preferred(dimension: Dimension) -> tuple[float, str]:
     """How many of the unit that an engineer writes one SI unit is, and that unit; 1 and "" for a plain number."""
     if dimension == "dimensionless":
         return 1.0, ""
-    unit = _UNITS[dimension].preferred
-    return float(1 / _in_si(unit)[0]), unit
+    known = _UNITS[dimension]
+    return float(1 / Decimal(known.size)), known.preferred
 
 
 def si_unit(dimension: Dimension) -> str:
@@ -198,6 +201,8 @@ def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: s
     """
     if dimension == "moment":
         unit = _NEWTON_METRES.sub(r"\1 \2", unit)
+    if (own := _own_size(unit, dimension)) is not None:
+        return own
     (size, base), si = _in_si(unit), _UNITS[dimension].si
     pixels = dimension == "length" and _PIXELS.fullmatch(unit)
     if base is not None and base == _in_si(si)[1] and bool(unit) >= bool(si) and not pixels:
@@ -208,6 +213,12 @@ def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: s
         example += "; a mass is no force: did you mean gf or kgf, its weight?"
     unknown = f" with the unknown unit {unit!r}" if unit and base is None else ""
     raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")
+
+
+def _own_size(unit: str, dimension: Dimension) -> Decimal | None:
+    """How many SI units one `unit` is, for those that need no pint; None for others."""
+    known = _UNITS[dimension]
+    return Decimal(known.size) if unit == known.preferred else Decimal(1) if unit == known.si else None
 
 
 @cache
