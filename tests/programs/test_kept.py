@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import cddf_jax as cddf
-from cddf_jax.programs import circumstances, folder
-from cddf_jax.programs.kept import PROGRAMS, kept_program
+from cddf_jax.programs import circumstances, description, folder
+from cddf_jax.programs.kept import PROGRAMS, kept_program, shapes_of
 from cddf_jax.progress import SHOWN
 
 PAPER = {"length": 0.14, "outer_radius": (0.02, 0.013), "inner_radius": 0.007, "tendon_offset": 0.01}
@@ -291,6 +291,26 @@ def fresh_processes(count):
     printed = [one.communicate(timeout=300)[0] for one in started]
     assert all(one.returncode == 0 for one in started)
     return [json.loads(text) for text in printed]
+
+
+class Scaled(eqx.Module):
+    by: jax.Array
+    extra: object = eqx.field(static=True, default=None)
+
+    def __call__(self, x):
+        TRACED.append(x)
+        return {"square": self.by * x["x"] ** 2, "above": x["x"] > 0}
+
+
+def test_shapes_are_kept_and_those_of_a_user_are_not(place, monkeypatch):
+    numbers, users = {"x": np.ones(3)}, Scaled(jnp.ones(()), lambda: None)
+    traced = jax.eval_shape(users, numbers)
+    assert shapes_of(users, numbers) == traced
+    assert not place.exists()
+    monkeypatch.setattr(description, "PACKAGES", (*description.PACKAGES, Scaled.__module__.partition(".")[0]))
+    next_process()
+    assert [shapes_of(Scaled(jnp.ones(())), numbers) for _ in range(2)] == [traced, traced]
+    assert len(TRACED) == len(list(place.iterdir())) == 1
 
 
 def test_several_processes_at_once_and_one_that_follows():

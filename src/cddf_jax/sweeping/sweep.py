@@ -19,6 +19,7 @@ from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.problem import Method
+from ..programs.kept import shapes_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, of_tendon
@@ -238,10 +239,10 @@ class Sweep:
         return {dimension.name: dimension.size for dimension in self.dimensions}
 
     def _variables(self) -> dict[str, Variable]:
-        inputs = {name: jax.ShapeDtypeStruct((), self.dtype) for d in self.dimensions for name in d.numbers}
+        inputs = {name: np.zeros((), self.dtype) for d in self.dimensions for name in d.numbers}
         found: dict[str, Variable] = {}
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
-            shapes = jax.eval_shape(self.solver(index), inputs)
+            shapes = shapes_of(self.solver(index), inputs)
             for name, base, by in self._names(shapes):
                 new = variable(base, shapes[name], self._shape, self.case.unit(by) if by else "", by)
                 if found.setdefault(name, new).shape != new.shape:
