@@ -32,7 +32,7 @@ from matplotlib.figure import Figure
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.figures import style as draw
+from cddf_jax.figures import looks, style as draw
 from cddf_jax.files.artifacts import as_json, write_all
 
 TABLE = Path(__file__).resolve().parents[2] / "shared/data/soft_tentacle/tension_markers.csv"
@@ -222,8 +222,8 @@ def shape_figure(poses: Poses, kinematics: str, youngs_modulus: float) -> Figure
             draw.draw_body(
                 axes, draw.Body(_hung(fields.position[i]), fields.heading[i] - np.pi / 2, radius, 0 * radius)
             )
-            axes.plot(*_hung(predicted[i]).T, "+", color=draw.BLACK, markersize=5, label="predicted")
-            for tendon, style in zip((1, 2), draw.CURVES, strict=False):
+            axes.plot(*_hung(predicted[i]).T, "+", color=looks.BLACK, markersize=5, label="predicted")
+            for tendon, style in zip((1, 2), looks.CURVES, strict=False):
                 (j,) = np.flatnonzero((poses.tendon == tendon) & (poses.tension == poses.tension[i]))
                 look = {"linestyle": "", "markerfacecolor": "none", "label": f"measured, tendon {tendon}"}
                 axes.plot(*_hung(poses.in_plane[j]).T, **(style | look))
@@ -246,7 +246,7 @@ def error_figure(results: dict[str, Any]) -> Figure:
         left, right = figure.subplots(1, 2)
         for (kinematics, result), fill in zip(results.items(), ("none", None), strict=True):
             _draw_by_tendon(left, result["poses"], "rms", f", {kinematics}", fill)
-        left.axhline(10.0, color=draw.GREY, linestyle="--", linewidth=0.8, label="10 mm")
+        left.axhline(10.0, color=looks.GREY, linestyle="--", linewidth=0.8, label="10 mm")
         left.set_ylabel("In-plane error, rms per coordinate (mm)")
         _draw_by_tendon(right, results["exact"]["poses"], "out_of_plane", "", None)
         right.set_ylabel("Farthest marker out of plane (mm)")
@@ -259,7 +259,7 @@ def error_figure(results: dict[str, Any]) -> Figure:
 
 
 def _draw_by_tendon(axes: Axes, rows: list[dict[str, Any]], column: str, note: str, fill: str | None) -> None:
-    for tendon, style in zip((1, 2), draw.CURVES, strict=False):
+    for tendon, style in zip((1, 2), looks.CURVES, strict=False):
         own = [row for row in rows if row["tendon"] == tendon]
         values = [1e3 * row[column] for row in own]
         look = {"label": f"tendon {tendon}{note}", "linewidth": 0.6}

@@ -196,6 +196,7 @@ def test_what_takes_long_to_load_is_loaded_when_it_is_used():
     program = """
 import sys, cddf_jax as cddf
 cddf.solve, cddf.fit, cddf.sweep, cddf.plan, cddf.read_manipulator, cddf.read_measurements
+import cddf_jax.explorer.server, cddf_jax.reports.fit_report
 print(*sys.modules)
 """
     loaded = set(run(program))

@@ -13,6 +13,7 @@ from matplotlib.patches import FancyArrowPatch
 import cddf_jax as cddf
 from cddf_jax.figures import style as plotting
 from cddf_jax.figures.body import equilibrium_figure
+from cddf_jax.figures.looks import CURVES, PALE
 
 LENGTH, END = 0.36, 0.305
 LOADS = cddf.Loads(tip_force=(-0.02, 0.05), tip_moment=-0.004, gravity=(9.81, 0.0))
@@ -50,7 +51,7 @@ def tension_of(figure):
 
 def wall_of(figure):
     """The one polygon of a solid body."""
-    grey = pytest.approx(matplotlib.colors.to_rgb(plotting.PALE))
+    grey = pytest.approx(matplotlib.colors.to_rgb(PALE))
     (wall,) = [patch for patch in shape_of(figure).patches if patch.get_facecolor()[:3] == grey]
     return wall
 
@@ -156,7 +157,7 @@ def test_without_loads_there_are_no_arrows(equilibrium):
 
 
 def test_more_tendons_than_dash_patterns():
-    count = 2 * len(plotting.CURVES) + 2
+    count = 2 * len(CURVES) + 2
     tendons = [cddf.Tendon(0.008 + 2e-4 * i, (+1, -1)[i % 2]) for i in range(count)]
     body = replace(paper_body(), tendons=tuple(tendons))
     figure = equilibrium_figure(body, cddf.solve(body, [3.0, 1.0] * (count // 2), direction=[+1, -1] * (count // 2)))

@@ -25,7 +25,7 @@ from cddf_jax.figures import (
 )
 from cddf_jax.files import artifacts
 from cddf_jax.identification.bench import Bench, experiment_of
-from cddf_jax.identification.fit_diagnostics import normality
+from cddf_jax.identification.fit_diagnostics import correlated_names, normality
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports import fit_report as report, fit_results
 
@@ -395,7 +395,7 @@ def test_the_correlation_in_numbers(paper_route, tensions_only):
     matrix = [[float(text) for text in row] for row in np.reshape(texts(axes), (2, 2))]
     expected = paper_route.covariance[0, 1] / np.prod([paper_route.standard_error[name] for name in BOTH])
     np.testing.assert_allclose(matrix, [[1, expected], [expected, 1]], atol=0.0051)
-    assert estimate_figures.correlated_names(tensions_only) == []
+    assert correlated_names(tensions_only) == []
 
 
 def test_the_bootstrap_in_the_report(drum, drum_report):

@@ -8,9 +8,16 @@ from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalH
 from bokeh.plotting import figure
 from jaxtyping import ArrayLike
 
-from ..figures.along import lines_along
-from ..figures.geometry import Body, bent_body, straight_body, tendon_paths, tip_force_line, tip_moment_line
-from ..figures.style import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
+from ..figures.geometry import (
+    Body,
+    bent_body,
+    lines_along,
+    straight_body,
+    tendon_paths,
+    tip_force_line,
+    tip_moment_line,
+)
+from ..figures.looks import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
 from ..measurements.readings import kind_of, tendon_number
 from ..measurements.table import Measurements
 from ..quantities import QUANTITIES

@@ -12,8 +12,6 @@ import panel as pn
 from panel.io.server import get_server
 
 from ..errors import InputError
-from ..figures.along import sections_figure
-from ..figures.style import render
 from ..files.cross_sections import SectionColumn
 from ..files.manipulator_file import read_manipulator
 from ..measurements.table import Measurements
@@ -120,6 +118,9 @@ class Page:
 
 def sections_as_read(columns: Sequence[SectionColumn]) -> pn.Column:
     """The table of cross-sections beside what was read of it, as a picture and in words."""
+    from ..figures.along import sections_figure
+    from ..figures.style import render
+
     picture = pn.pane.PNG(
         render(sections_figure(columns), "sections")["sections.png"],
         alt_text="Cross-sections: the points of the table and the profiles that were read",

@@ -14,8 +14,6 @@ import panel as pn
 
 from ..errors import InputError, SolveError
 from ..estimation.determination import IDENTIFIED
-from ..figures.body import equilibrium_figure
-from ..figures.style import render
 from ..identification.fit import Fit
 from ..quantities import QUANTITIES
 from ..reports.export import fields_csv
@@ -138,6 +136,9 @@ class ExplorerView:
             return io.BytesIO(self.exploration.toml(case).encode())
         if name == "fields.csv":
             return io.BytesIO(fields_csv(picture.along, self.notes).encode())
+        from ..figures.body import equilibrium_figure
+        from ..figures.style import render
+
         figure = equilibrium_figure(case.manipulator, picture.equilibrium, case.loads)
         return io.BytesIO(render(figure, "explorer")[name])
 

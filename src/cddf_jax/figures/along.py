@@ -1,10 +1,9 @@
 """Lines over arc length: what an equilibrium holds along the body, and a table of cross-sections as it was read."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
-from jaxtyping import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -13,38 +12,21 @@ from ..files.cross_sections import SectionColumn
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, breakpoints
-from ..statics.equilibrium import Equilibrium, Fields
-from . import style as draw
-from .geometry import fields_along, reached, stations, with_joints
+from ..statics.equilibrium import Equilibrium
+from . import looks, style as draw
+from .geometry import ALONG, fields_along, lines_along, stations, with_joints
 
 MARKERS = ("", "o", "s", "^", "D", "v", "x")  # one for each round through the dash patterns
 HEIGHT, SECTION_HEIGHT = 2.2, 1.9  # of a panel, inches
 MANY_POINTS = 60  # of a table, which are then drawn small
 
 
-def _size(vectors: ArrayLike) -> np.ndarray:
-    return np.linalg.norm(vectors, axis=-1)
-
-
-# values in the unit of their label, (points,) or (tendons, points)
-ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
-    "tension": lambda _, along: along.tension,
-    "curvature": lambda _, along: along.curvature,
-    "normal_force": lambda _, along: _size(along.normal_force),
-    "friction_force": lambda _, along: _size(along.friction_force),
-    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, along.curvature)),
-    "heading": lambda _, along: np.degrees(along.heading),
-}
-
-
-def lines_along(manipulator: Manipulator, along: Fields, quantity: str) -> np.ndarray:
-    """A quantity in the unit of its label, (lines, points): one line, or one for each tendon up to its anchor."""
-    values = np.asarray(ALONG[quantity](manipulator, along))
-    return values[None] if values.ndim == 1 else np.where(reached(manipulator, along.arc_length), values, np.nan)
-
-
 def draw_along(
-    manipulator: Manipulator, equilibrium: Equilibrium, quantity: str, axes: Axes | None = None, **style: draw.LookValue
+    manipulator: Manipulator,
+    equilibrium: Equilibrium,
+    quantity: str,
+    axes: Axes | None = None,
+    **style: looks.LookValue,
 ) -> Axes:
     """A quantity over arc length, mm, one line for each tendon where each has its own.
 
@@ -77,12 +59,12 @@ def draw_along(
     return axes
 
 
-def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, style: draw.Look) -> None:
+def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, style: looks.Look) -> None:
     """Lines with dashes of their own, then markers of their own; of several tendons with its number at the end."""
-    count, dashes = len(values), cycle([look["linestyle"] for look in draw.CURVES])
+    count, dashes = len(values), cycle([look["linestyle"] for look in looks.CURVES])
     for i, (line, dash) in enumerate(zip(values, dashes, strict=False)):
-        marker = MARKERS[i // len(draw.CURVES) % len(MARKERS)]
-        look: draw.Look = {"color": draw.BLACK, "linestyle": dash, "marker": marker, "markevery": 25}
+        marker = MARKERS[i // len(looks.CURVES) % len(MARKERS)]
+        look: looks.Look = {"color": looks.BLACK, "linestyle": dash, "marker": marker, "markevery": 25}
         look |= {"markerfacecolor": "white", "label": f"tendon {i + 1}" if count > 1 else ""}
         axes.plot(s, line, **(look | style))
         if count > 1:
@@ -107,10 +89,10 @@ def draw_section_column(column: SectionColumn, axes: Axes | None = None) -> Axes
     points, values = 1e3 * column.arc_length, 1e3 * column.values
     s = with_joints(np.linspace(0.0, column.arc_length[-1], 1001), breakpoints(column.profile))
     with draw.axes_or_new(axes, SECTION_HEIGHT) as axes:
-        axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=draw.BLUE, label="as read")
+        axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=looks.BLUE, label="as read")
         size = 1.2 if len(points) > MANY_POINTS else 3.2
         look = {"markersize": size, "markerfacecolor": "white", "markeredgewidth": 0.7}
-        axes.plot(points, values, "o", color=draw.VERMILION, label="points of the table", **look)
+        axes.plot(points, values, "o", color=looks.VERMILION, label="points of the table", **look)
         low, high = axes.dataLim.intervaly
         constant = isinstance(column.profile, Constant)
         margin = (0.1 * high or 0.1) if constant else 0.08 * (high - low)

@@ -13,7 +13,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..units import round_number
-from . import style as draw
+from . import looks, style as draw
 from .along import draw_along
 from .geometry import (
     Body,
@@ -78,13 +78,13 @@ def draw_shape(
     norm = Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)  # from 0 where tensions hardly differ
     given, around = axes, 0.05 * 1e3 * s[-1]
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        axes.plot(*straight.outline.T, color=draw.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
+        axes.plot(*straight.outline.T, color=looks.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
         draw.draw_clamp(axes, body.outer_radius[0] + around, around)
         draw.draw_body(axes, body)
         tendons = tendon_paths(manipulator, body, s)
         for path, own in zip(tendons, tension, strict=True):
             draw.draw_coloured_line(axes, path, own, norm)
-            axes.plot(*path[np.isfinite(own)][-1], "o", color=draw.BLACK, markersize=2.3, zorder=5)
+            axes.plot(*path[np.isfinite(own)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=5)
         if len(tendons) > 1:
             _number_tendons(axes, tendons[:, 0, 1], 1e3 * s[-1])
         _draw_loads(axes, body, Loads() if loads is None else loads, 1e3 * s[-1])
@@ -120,13 +120,13 @@ def _draw_loads(axes: Axes, body: Body, loads: Loads, length: float) -> None:
     turn = r"$\curvearrowleft$" if moment > 0 else r"$\curvearrowright$"
     entries = []
     if np.any(force):
-        _draw_arrow(axes, tip_force_line(body, loads, length), draw.VERMILION)
-        entries.append((f"$F$ = {size:.3g} N", _arrow_along(force), draw.VERMILION))
+        _draw_arrow(axes, tip_force_line(body, loads, length), looks.VERMILION)
+        entries.append((f"$F$ = {size:.3g} N", _arrow_along(force), looks.VERMILION))
     if moment:
-        _draw_arrow(axes, tip_moment_line(body, loads, length), draw.PURPLE)
-        entries.append((f"$m$ = {abs(moment):.3g} N m", MarkerStyle(turn), draw.PURPLE))
+        _draw_arrow(axes, tip_moment_line(body, loads, length), looks.PURPLE)
+        entries.append((f"$m$ = {abs(moment):.3g} N m", MarkerStyle(turn), looks.PURPLE))
     if np.any(gravity):
-        entries.append((f"$g$ = {np.linalg.norm(gravity):.3g} m/s$^2$", _arrow_along(gravity), draw.BLACK))
+        entries.append((f"$g$ = {np.linalg.norm(gravity):.3g} m/s$^2$", _arrow_along(gravity), looks.BLACK))
     for label, marker, color in entries:
         axes.plot([], [], marker=marker, color=color, linestyle="none", markersize=11, label=label)
     if entries:
@@ -168,7 +168,7 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     with draw.axes_or_new(axes, HEIGHT) as axes:
         draw.draw_body(axes, body)
         for path in tendons:
-            axes.plot(*path.T, color=draw.BLACK, linewidth=0.5)
+            axes.plot(*path.T, color=looks.BLACK, linewidth=0.5)
         if strongest > 0:
             _draw_forces(axes, tendons[at], forces[:, at], round_number(strongest), 1e3 * LONGEST * length / strongest)
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
@@ -179,8 +179,8 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
 def _draw_forces(axes: Axes, points: np.ndarray, forces: np.ndarray, key: float, size: float) -> None:
     """Normal and friction force at points as arrows, `size` mm per N/m, and what an arrow of `key` N/m looks like."""
     heights = (0.13, 0.05) if axes.dataLim.y0 + axes.dataLim.y1 < 0 else (0.95, 0.87)
-    look: draw.Look = {"angles": "xy", "scale_units": "xy", "units": "inches", "width": 0.011, "zorder": 3}
-    kinds = zip(("normal", "friction"), (draw.BLUE, draw.VERMILION), forces, heights, strict=True)
+    look: looks.Look = {"angles": "xy", "scale_units": "xy", "units": "inches", "width": 0.011, "zorder": 3}
+    kinds = zip(("normal", "friction"), (looks.BLUE, looks.VERMILION), forces, heights, strict=True)
     for name, color, force, height in kinds:
         axes.update_datalim(points + size * force)
         arrows = axes.quiver(*points.T, *force.T, scale=1 / size, color=color, **look)

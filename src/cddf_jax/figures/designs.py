@@ -11,12 +11,12 @@ from ..designing.pareto import ParetoFront
 from ..designing.results import Design
 from ..robot.manipulator import Manipulator
 from ..units import preferred
-from . import style as draw
+from . import looks, style as draw
 from .along import draw_along
 from .geometry import bent_body, fields_along, stations, straight_body, tendon_paths
 
-START: dict[str, Any] = {"color": draw.GREY, "linestyle": (0, (4, 2)), "label": "before"}
-END: dict[str, Any] = {"color": draw.BLUE, "linestyle": "-", "label": "after"}
+START: dict[str, Any] = {"color": looks.GREY, "linestyle": (0, (4, 2)), "label": "before"}
+END: dict[str, Any] = {"color": looks.BLUE, "linestyle": "-", "label": "after"}
 HEIGHT, FRONT_HEIGHT = 3.5, 2.6  # inches
 LINE = 0.07  # of the length of the body: the height of a line of text
 
@@ -64,10 +64,10 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     old = bent_body(before, fields_along(design.equilibria_at_start[0], stations(before)))
     with draw.axes_or_new(axes, HEIGHT) as axes:
         draw.draw_body(axes, bent)
-        axes.plot(*old.outline.T, color=draw.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
-        axes.plot(*bent.outline.T, color=draw.BLUE, linewidth=0.7)
+        axes.plot(*old.outline.T, color=looks.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
+        axes.plot(*bent.outline.T, color=looks.BLUE, linewidth=0.7)
         for path in paths:
-            axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
+            axes.plot(*path.T, color=looks.BLACK, linewidth=0.6)
         top = float(axes.dataLim.y1)
         level = _draw_straight(axes, after, "after", top, line)
         numbers = " (numbers: outer/inner diameter, mm)" if before.has_radii else ""
@@ -94,7 +94,7 @@ def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: floa
     body = straight_body(manipulator, s, level)
     draw.draw_body(axes, body)
     for path in tendon_paths(manipulator, body, s):
-        axes.plot(*path.T, color=draw.BLACK, linewidth=0.6)
+        axes.plot(*path.T, color=looks.BLACK, linewidth=0.6)
     for end, align, gap in ((0, "right", -3.0), (-1, "left", 3.0)) if manipulator.has_radii else ():
         text = f"{2 * body.outer_radius[end]:.3g}/{2 * body.inner_radius[end]:.3g}"
         look: dict[str, Any] = {"textcoords": "offset points", "ha": align, "va": "center", "fontsize": 7}
@@ -119,10 +119,10 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
     x, y = (front.values[:, k] * scale[k][0] for k in (0, 1))
     good = np.array([design.success for design in front.designs])
     with draw.axes_or_new(axes, FRONT_HEIGHT) as axes:
-        axes.plot(x[np.isfinite(x)], y[np.isfinite(y)], color=draw.BLUE, linewidth=0.8)
-        axes.plot(x[good], y[good], "o", color=draw.BLUE, label="designs")
+        axes.plot(x[np.isfinite(x)], y[np.isfinite(y)], color=looks.BLUE, linewidth=0.8)
+        axes.plot(x[good], y[good], "o", color=looks.BLUE, label="designs")
         if np.any(~good & np.isfinite(x)):
-            axes.plot(x[~good], y[~good], "o", color=draw.VERMILION, markerfacecolor="white", label="not stationary")
+            axes.plot(x[~good], y[~good], "o", color=looks.VERMILION, markerfacecolor="white", label="not stationary")
         _draw_start(axes, [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)], (x, y))
         for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
             words = re.sub("^(least|most) ", "", name).replace("_", " ").capitalize()
@@ -138,10 +138,10 @@ def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.nda
     spans = [(np.nanmin(values), np.nanmax(values)) for values in points]
     within = [2 * low - high <= value <= 2 * high - low for value, (low, high) in zip(start, spans, strict=True)]
     if all(within):
-        axes.plot(*start, "s", color=draw.GREY, label="start")
+        axes.plot(*start, "s", color=looks.GREY, label="start")
         return
     text = f"start: {start[0]:.3g}, {start[1]:.3g} (off the figure)"
-    axes.annotate(text, (0.98, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7, color=draw.GREY)
+    axes.annotate(text, (0.98, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7, color=looks.GREY)
 
 
 def _widen(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:

@@ -8,26 +8,19 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy import stats
+from scipy.special import chdtri, fdtri
 
 from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..estimation.profile_likelihood import Profile
 from ..identification.fit import Fit
-from ..identification.fit_diagnostics import moving_names
-from . import style as draw
+from ..identification.fit_diagnostics import correlated_names, moving_names
+from . import looks, style as draw
 from .fit import PANEL_HEIGHT, shown_scale
 
 MOST_SHOWN = 1.9**2  # of a profile, times the rise at the ends of the interval
-CORRELATION_COLOURS = LinearSegmentedColormap.from_list("correlation", [draw.BLUE, "#FFFFFF", draw.VERMILION])
-
-
-def correlated_names(fit: Fit) -> list[str]:
-    """The parameters whose correlation the data determine."""
-    if fit.rank == len(fit.names):
-        return moving_names(fit)
-    return [name for name in moving_names(fit) if fit.status[name] != NOT_IDENTIFIED]
+CORRELATION_COLOURS = LinearSegmentedColormap.from_list("correlation", [looks.BLUE, "#FFFFFF", looks.VERMILION])
 
 
 def draw_correlation(fit: Fit, axes: Axes | None = None) -> Axes:
@@ -107,29 +100,29 @@ def bootstrap_figure(fit: Fit, bootstrap: Bootstrap) -> Figure:
 def _stretch(fit: Fit) -> float:
     """Of the ellipse of one standard deviation to that of 95 %."""
     if fit.noise_estimated:
-        return float(np.sqrt(2 * stats.f.ppf(0.95, 2, max(fit.degrees_of_freedom, 1))))
-    return float(np.sqrt(stats.chi2.ppf(0.95, 2)))
+        return float(np.sqrt(2 * fdtri(2, max(fit.degrees_of_freedom, 1), 0.95)))
+    return float(np.sqrt(chdtri(2, 0.05)))
 
 
 def _draw_histogram(axes: Axes, values: np.ndarray, estimate: float) -> None:
     bins = int(np.clip(np.sqrt(values.size), 5, 40))
-    axes.hist(values, bins=bins, color=draw.SKY, alpha=0.7)
+    axes.hist(values, bins=bins, color=looks.SKY, alpha=0.7)
     for end, label in zip(np.percentile(values, [2.5, 97.5]), ("percentiles 2.5, 97.5", None), strict=True):
-        axes.axvline(end, color=draw.VERMILION, linestyle="--", linewidth=0.9, label=label)
-    axes.axvline(estimate, color=draw.BLACK, linestyle=":", label="estimate")
+        axes.axvline(end, color=looks.VERMILION, linestyle="--", linewidth=0.9, label=label)
+    axes.axvline(estimate, color=looks.BLACK, linestyle=":", label="estimate")
 
 
 def _draw_pair(
     axes: Axes, points: np.ndarray, estimate: np.ndarray, covariance: np.ndarray | None, stretch: float
 ) -> None:
-    axes.plot(*points.T, ".", color=draw.GREY, markersize=2.5, markeredgewidth=0, alpha=0.7, label="refits")
-    axes.plot(*estimate, "x", color=draw.BLACK, markersize=5, zorder=4)
+    axes.plot(*points.T, ".", color=looks.GREY, markersize=2.5, markeredgewidth=0, alpha=0.7, label="refits")
+    axes.plot(*estimate, "x", color=looks.BLACK, markersize=5, zorder=4)
     if covariance is None:
         return
     sizes, directions = np.linalg.eigh(covariance)
     turn = np.linspace(0.0, 2 * np.pi, 200)
     circle = stretch * np.sqrt(np.maximum(sizes, 0.0))[:, None] * np.array([np.cos(turn), np.sin(turn)])
-    look = {"facecolor": "none", "edgecolor": draw.BLUE, "linewidth": 1.1, "zorder": 3}
+    look = {"facecolor": "none", "edgecolor": looks.BLUE, "linewidth": 1.1, "zorder": 3}
     axes.fill(*(estimate[:, None] + directions @ circle), label="95 % ellipse of the fit", **look)
 
 
@@ -168,14 +161,14 @@ def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, s
     if not valley:
         axes.xaxis.set_major_locator(MaxNLocator(5))
     ends = np.clip(interval, low, high)
-    axes.axvspan(scale * ends[0], scale * ends[1], color=draw.SKY, alpha=0.35, linewidth=0, label="95 % interval")
+    axes.axvspan(scale * ends[0], scale * ends[1], color=looks.SKY, alpha=0.35, linewidth=0, label="95 % interval")
     root = np.sqrt(np.maximum(profile.rise, 0.0))
-    axes.plot(scale * profile.value, root, "o-", color=draw.BLUE, markersize=2.2, label="profile")
-    axes.axhline(limit, color=draw.VERMILION, linestyle="--", label="95 % limit")
+    axes.plot(scale * profile.value, root, "o-", color=looks.BLUE, markersize=2.2, label="profile")
+    axes.axhline(limit, color=looks.VERMILION, linestyle="--", label="95 % limit")
     if status != NOT_IDENTIFIED:
-        axes.axvline(scale * estimate, color=draw.BLACK, linestyle=":", label="estimate")
+        axes.axvline(scale * estimate, color=looks.BLACK, linestyle=":", label="estimate")
     patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
-    look = {"transform": axes.transAxes, "va": "top", "color": draw.VERMILION, "bbox": patch}
+    look = {"transform": axes.transAxes, "va": "top", "color": looks.VERMILION, "bbox": patch}
     if not profile.closed[0]:
         word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
         axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)

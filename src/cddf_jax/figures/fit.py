@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy import stats
+from scipy.special import betaincinv, ndtri
 
 from ..errors import InputError
 from ..identification import fit_diagnostics as diagnostics
@@ -17,12 +17,12 @@ from ..identification.fit import Fit
 from ..measurements.readings import kind_of
 from ..quantities import QUANTITIES, dimension_of
 from ..units import preferred
-from . import style as draw
+from . import looks, style as draw
 
 DEGREE = np.degrees(1.0)
 PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
 MOST_ACROSS = 3  # panels side by side
-INTERVAL: draw.Look = {"fmt": "none", "ecolor": draw.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
+INTERVAL: looks.Look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
 
 
 def shown_scale(name: str) -> tuple[float, str]:
@@ -61,7 +61,7 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
         else:
             low, high = curve.value - curve.half_width, curve.value + curve.half_width
             draw_band(axes, curve.grid, low, high, label="95 % band of the model")
-            axes.plot(curve.grid, curve.value, color=draw.BLUE, label="model")
+            axes.plot(curve.grid, curve.value, color=looks.BLUE, label="model")
             draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
         axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
         axes.legend(loc="best", frameon=False)
@@ -183,11 +183,11 @@ def _the_one(who: str, what: str, given: str | None, there: list[str]) -> str:
 def _draw_over_prediction(axes: Axes, panel: _Panel) -> None:
     """Readings over predictions, with the intervals of these, and the line on which they would be equal."""
     ends = [np.min(panel.x), np.max(panel.x)]
-    axes.plot(ends, ends, color=draw.BLUE, label="measured = predicted")
+    axes.plot(ends, ends, color=looks.BLUE, label="measured = predicted")
     if np.all(np.isfinite(panel.half_width)):
         label = "95 % interval of the model"
         axes.errorbar(panel.x, panel.observed, xerr=panel.half_width, label=label, **INTERVAL)
-    look = {"color": draw.BLACK, "markerfacecolor": "none", "zorder": 3}
+    look = {"color": looks.BLACK, "markerfacecolor": "none", "zorder": 3}
     axes.plot(panel.x, panel.observed, "o", label=panel.data_label, **look)
 
 
@@ -203,11 +203,11 @@ def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
     """Sorted residuals, the line on which they would lie, and where 95 % of normal draws do, place by place."""
     name, residual = group
     count, rank = residual.size, np.arange(1, residual.size + 1)
-    quantile = stats.norm.ppf((rank - 0.375) / (count + 0.25))
-    lower, upper = (stats.norm.ppf(stats.beta.ppf(level, rank, count + 1 - rank)) for level in (0.025, 0.975))
+    quantile = ndtri((rank - 0.375) / (count + 0.25))
+    lower, upper = (ndtri(betaincinv(rank, count + 1 - rank, level)) for level in (0.025, 0.975))
     draw_band(axes, quantile, lower, upper, label="95 % of normal draws")
-    axes.plot(quantile, quantile, color=draw.BLUE, label="normal")
-    axes.plot(quantile, np.sort(residual), "o", color=draw.BLACK, markerfacecolor="none", markersize=2.8, label="data")
+    axes.plot(quantile, quantile, color=looks.BLUE, label="normal")
+    axes.plot(quantile, np.sort(residual), "o", color=looks.BLACK, markerfacecolor="none", markersize=2.8, label="data")
     p_value = diagnostics.normality_of(residual).p_value
     text = f"{count} residuals" + (f"\nShapiro-Wilk p = {p_value:.2g}" if np.isfinite(p_value) else "")
     axes.text(0.04, 0.96, text, transform=axes.transAxes, va="top")
@@ -242,22 +242,22 @@ def by_level(x: ArrayLike, y: ArrayLike) -> Levels:
     )
 
 
-def draw_band(axes: Axes, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, **style: draw.LookValue) -> None:
+def draw_band(axes: Axes, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, **style: looks.LookValue) -> None:
     """The region between two lines."""
-    axes.fill_between(x, lower, upper, **({"color": draw.SKY, "alpha": 0.5, "linewidth": 0} | style))
+    axes.fill_between(x, lower, upper, **({"color": looks.SKY, "alpha": 0.5, "linewidth": 0} | style))
 
 
-def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: draw.LookValue) -> None:
+def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue) -> None:
     """Mean and standard deviation of y at each level of x, as markers with error bars."""
     levels = by_level(x, y)
-    look = {"fmt": "o", "color": draw.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
+    look = {"fmt": "o", "color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
     axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
 
 
 def draw_about_zero(axes: Axes, x: np.ndarray, residual: np.ndarray, *, levels: bool = True) -> None:
     """Every residual as a dot about a line at zero; over them mean and standard deviation at each level of x."""
-    axes.axhline(0.0, color=draw.BLUE)
-    axes.plot(x, residual, ".", color=draw.GREY, markersize=3.5, markeredgewidth=0)
+    axes.axhline(0.0, color=looks.BLUE)
+    axes.plot(x, residual, ".", color=looks.GREY, markersize=3.5, markeredgewidth=0)
     if levels:
         draw_levels(axes, x, residual, markersize=2.5)
     reach = 1.15 * np.max(np.abs(residual), initial=0.0) or 1.0

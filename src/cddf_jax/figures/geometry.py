@@ -1,5 +1,6 @@
 """Arrays that figures and the explorer draw: the outline of a body, its tendons, and fields along it. No Matplotlib."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -112,6 +113,27 @@ def tip_moment_line(body: Body, loads: Loads, length: float) -> np.ndarray:
     angles = body.heading[-1] + np.sign(moment) * np.linspace(-0.5, 0.5, 61) * GREATEST_MOMENT_ARC
     line = body.midline[-1] + ring * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return line if moment else line[:0]
+
+
+def _size(vectors: ArrayLike) -> np.ndarray:
+    return np.linalg.norm(vectors, axis=-1)
+
+
+# values in the unit of their label, (points,) or (tendons, points)
+ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
+    "tension": lambda _, along: along.tension,
+    "curvature": lambda _, along: along.curvature,
+    "normal_force": lambda _, along: _size(along.normal_force),
+    "friction_force": lambda _, along: _size(along.friction_force),
+    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, along.curvature)),
+    "heading": lambda _, along: np.degrees(along.heading),
+}
+
+
+def lines_along(manipulator: Manipulator, along: Fields, quantity: str) -> np.ndarray:
+    """A quantity in the unit of its label, (lines, points): one line, or one for each tendon up to its anchor."""
+    values = np.asarray(ALONG[quantity](manipulator, along))
+    return values[None] if values.ndim == 1 else np.where(reached(manipulator, along.arc_length), values, np.nan)
 
 
 def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:

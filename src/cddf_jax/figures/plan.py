@@ -10,7 +10,7 @@ from ..estimation.determination import Determination
 from ..identification.bench import parameter_named
 from ..identification.experiment_design import Plan
 from ..units import shown
-from . import style as draw
+from . import looks, style as draw
 
 ROW_HEIGHT = 0.28  # inches
 MANY = 300  # of the largest over the smallest error: then only powers of ten are written
@@ -32,14 +32,14 @@ def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
     known = errors[np.isfinite(errors) & (errors > 0)]
     edge = 5 * known.max(initial=10.0)
     with draw.axes_or_new(axes, 1.1 + ROW_HEIGHT * len(rows), draw.DOUBLE_COLUMN) as axes:
-        axes.axhspan(-0.5, 0.5, color=draw.PALE, linewidth=0)
+        axes.axhspan(-0.5, 0.5, color=looks.PALE, linewidth=0)
         for k, name in enumerate(names):
-            look: draw.Look = draw.CURVES[k % len(draw.CURVES)] | {"linestyle": "none", "markersize": 4.5}
+            look: looks.Look = looks.CURVES[k % len(looks.CURVES)] | {"linestyle": "none", "markersize": 4.5}
             height = np.arange(len(rows)) + 0.16 * (k - (len(names) - 1) / 2)
             there = np.isfinite(errors[:, k])
             axes.plot(errors[there, k], height[there], **look, label=_label(name))
             axes.plot(np.full((~there).sum(), edge), height[~there], **look, markerfacecolor="none")
-        axes.axvline(edge, color=draw.GREY, linewidth=0.6, linestyle=":")
+        axes.axvline(edge, color=looks.GREY, linewidth=0.6, linestyle=":")
         _scale_errors(axes, 0.5 * known.min(initial=10.0), edge)
         axes.set_yticks(range(len(rows)), [fill(name, 24) for name, _ in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
@@ -53,7 +53,7 @@ def _scale_errors(axes: Axes, low: float, edge: float) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if edge / low < MANY else (1,), numticks=50))
     axes.xaxis.set_major_formatter(lambda tick, _: f"{tick:g}" if tick < 0.4 * edge else "")
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.grid(axis="x", color=draw.PALE)
+    axes.grid(axis="x", color=looks.PALE)
     axes.annotate("open", (edge, 0.0), (0, -4), axes.get_xaxis_transform(), "offset points", ha="center", va="top")
 
 

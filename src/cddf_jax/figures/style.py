@@ -1,8 +1,7 @@
 """The house style, and drawing from plain arrays.
 
 Figures are `matplotlib.figure.Figure` objects without pyplot: no display is needed and no global state
-is touched. Colours (Okabe and Ito's, safe for colour-blind readers) always come with a line style or a
-marker of their own, so that a grey print can be read.
+is touched.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,32 +24,14 @@ from ..errors import InputError
 from ..files.artifacts import write_all
 from ..progress import stage
 from .geometry import Body
+from .looks import BLACK, GREY, PALE, LookValue
 
 Item = TypeVar("Item")
-LookValue: TypeAlias = Any  # what Matplotlib takes for one property of what it draws: a colour, a width, a marker
-Look: TypeAlias = dict[str, LookValue]
 Settings: TypeAlias = dict[Any, LookValue]  # by the names of Matplotlib's rcParams
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.5, 7.16  # inches, the columns of IEEE's two-column page
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
-    *("#000000", "#E69F00", "#56B4E9", "#009E73"),
-    *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
-)
-GREY, PALE = "#7F7F7F", "#E8E8E8"
 # perceptually uniform, for colour-blind readers and grey prints alike: the higher the tension the darker
 TENSION_COLOURS = LinearSegmentedColormap.from_list("tension", mpl.colormaps["viridis_r"](np.linspace(0.05, 1.0, 256)))
-# one style per curve: a colour, a dash pattern and a marker that belong together
-CURVES: tuple[Look, ...] = tuple(
-    {"color": color, "linestyle": dashes, "marker": marker}
-    for color, dashes, marker in (
-        (BLUE, "-", "o"),
-        (VERMILION, "--", "s"),
-        (GREEN, "-.", "^"),
-        (PURPLE, ":", "D"),
-        (ORANGE, (0, (5, 1, 1, 1, 1, 1)), "v"),
-        (BLACK, (0, (6, 2)), "x"),
-    )
-)
 # of files: sharp in print, fonts that editors of journals accept, the same bytes for figures made alike
 FILES: Settings = {
     "savefig.dpi": 300,
@@ -157,8 +138,15 @@ def to_scale(axes: Axes) -> None:
 
 @stage("drawing")
 def render(figure: Figure, name: str) -> dict[str, bytes]:
-    """The figure as PDF and PNG (300 dpi) by file name; the same bytes for figures made alike."""
-    return {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}
+    """The figure as PDF and PNG (300 dpi) by file name, laid out once; the same bytes for figures made alike."""
+    engine = figure.get_layout_engine()
+    with house_style():
+        if engine is not None:
+            engine.execute(figure)
+            figure.set_layout_engine(None)  # with one, each file takes a layout and a draw more
+        files = {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}
+        figure.set_layout_engine(engine)
+    return files
 
 
 def save(figure: Figure, path: str | Path) -> Path:

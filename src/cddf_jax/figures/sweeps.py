@@ -23,13 +23,13 @@ from ..quantities import QUANTITIES
 from ..sweeping.axes import OPTIONS
 from ..sweeping.one_solve import COMPONENTS, RESULT, RESULT_NAMES
 from ..units import DIMENSION_OF, preferred
-from . import style as draw
+from . import looks, style as draw
 
 if TYPE_CHECKING:
     import xarray
 
 SUCCESSFUL = RESULT_NAMES.index("successful")
-LINES, COLUMNS, DOT_COLUMNS, PANELS = len(draw.CURVES), 4, 6, 12  # drawn at most
+LINES, COLUMNS, DOT_COLUMNS, PANELS = len(looks.CURVES), 4, 6, 12  # drawn at most
 SAMPLES, VALUES = 3000, 500  # drawn at most: in all, and along each axis
 MARKED = 30  # values up to which a line has a marker at each
 LABELLED = 2  # maps beside each other up to which contours have their numbers
@@ -310,10 +310,10 @@ def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequenc
     Solves along the dimensions `dots` are dots of one colour in place of lines.
     """
     curves = []
-    for (label, part), look in zip(_parts_of(array, dots or (over,), LINES), draw.CURVES, strict=False):
+    for (label, part), look in zip(_parts_of(array, dots or (over,), LINES), looks.CURVES, strict=False):
         x = part[over].broadcast_like(part).transpose(*part.dims).values.ravel()
         y, codes = part.values.ravel(), part[RESULT].values.ravel()
-        style: draw.Look = look | ({"marker": "none"} if x.size > MARKED else {})
+        style: looks.Look = look | ({"marker": "none"} if x.size > MARKED else {})
         if dots:
             style = look | {"linestyle": "none", "markeredgewidth": 0, "alpha": 0.6, "rasterized": x.size > 500}
             style["markersize"] = float(np.clip(60.0 / np.sqrt(x.size), 1.2, 3.5))
@@ -327,7 +327,7 @@ def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequenc
         axes.set_yticks([0, 1], ["no", "yes"])
 
 
-def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, look: draw.Look) -> None:
+def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, look: looks.Look) -> None:
     """Solves that are doubtful, as hollow markers, and solves that gave no number, as crosses at the foot."""
     others, there = codes != SUCCESSFUL, np.isfinite(y)
     if np.any(doubtful := others & there):
@@ -337,7 +337,7 @@ def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, lo
     if np.any(failed := others & ~there):
         label = f"at the foot: no number, {_results_in_words(codes[failed])}"
         foot = {"transform": axes.get_xaxis_transform(), "markeredgewidth": 0.7, "zorder": 4, "label": label}
-        axes.plot(x[failed], np.full(failed.sum(), 0.03), "x", color=draw.BLACK, **foot)
+        axes.plot(x[failed], np.full(failed.sum(), 0.03), "x", color=looks.BLACK, **foot)
 
 
 def _draw_maps(panels: Sequence[Axes], arrays: Sequence["xarray.DataArray"], x: str, y: str) -> None:
@@ -354,11 +354,11 @@ def _draw_maps(panels: Sequence[Axes], arrays: Sequence["xarray.DataArray"], x: 
             panel.contourf(*points, values, levels=levels, cmap=draw.TENSION_COLOURS, norm=norm)
         within = [level for level in levels if values.count() and values.min() < level < values.max()]
         if within:
-            lines = panel.contour(*points, values, within, colors=draw.BLACK, linewidths=0.5, linestyles="solid")
+            lines = panel.contour(*points, values, within, colors=looks.BLACK, linewidths=0.5, linestyles="solid")
             if len(panels) <= LABELLED:
                 _write_levels(panel, lines)
         if lost:
-            look = {"facecolor": draw.PALE, "edgecolor": draw.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
+            look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
             panel.add_patch(Rectangle((0, 0), 1, 1, transform=panel.transAxes, label=f"hatched: {lost}", **look))
     scale = ScalarMappable(norm, draw.TENSION_COLOURS)
     draw.figure_of(panels[0]).colorbar(scale, ax=list(panels), label=_axis_label(arrays[0]), pad=0.02, aspect=25)
@@ -374,7 +374,7 @@ def _levels(there: np.ndarray) -> np.ndarray:
 
 def _write_levels(axes: Axes, lines: QuadContourSet) -> None:
     """The level on each line, unless it would lie over the frame."""
-    for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=draw.BLACK, inline=False):
+    for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=looks.BLACK, inline=False):
         text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
         place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
         text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))

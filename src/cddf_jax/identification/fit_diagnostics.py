@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..estimation.determination import AT_BOUND
+from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..mechanics.capstan import pulling_tension
 from .bench import TRIALS, Bench, Group
 from .fit import Fit
@@ -21,6 +21,13 @@ def own_names(fit: Fit) -> list[str]:
 def moving_names(fit: Fit) -> list[str]:
     """The fitted parameters that are not at a bound."""
     return [name for name in own_names(fit) if fit.status[name] != AT_BOUND]
+
+
+def correlated_names(fit: Fit) -> list[str]:
+    """The parameters whose correlation the data determine."""
+    if fit.rank == len(fit.names):
+        return moving_names(fit)
+    return [name for name in moving_names(fit) if fit.status[name] != NOT_IDENTIFIED]
 
 
 # --- residuals over their noise ------------------------------------------------------------------

@@ -3,25 +3,25 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..estimation.observations import Noise
-from ..figures import style as draw
-from ..figures.estimates import bootstrap_figure, correlated_names, draw_correlation, profiles_figure
-from ..figures.fit import residuals_figure, table_figures
 from ..files.artifacts import as_json, markdown_table, write_all
 from ..identification.bench import TRIALS, unit_of
 from ..identification.fit import Fit
-from ..identification.fit_diagnostics import moving_names, tables_without_numbers
+from ..identification.fit_diagnostics import correlated_names, moving_names, tables_without_numbers
 from ..identification.verdict import error_in_words, parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
 from ..progress import each, stage
 from ..units import preferred
 from .fit_results import Report, fit_as_dict, make_report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] = ()) -> None:
@@ -37,22 +37,28 @@ def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] =
 
 def write_report(report: Report, folder: str | Path) -> None:
     """Write all of it, or nothing."""
+    from ..figures.style import render
+
     contents: dict[str, str | bytes] = {}
     figures = report_figures(report)
     for name in each("figure", list(figures)):
-        contents |= draw.render(figures[name], name)
+        contents |= render(figures[name], name)
     contents |= {"report.md": fit_as_markdown(report, tuple(figures)), "results.json": as_json(fit_as_dict(report))}
     write_all(folder, contents)
 
 
 @stage("drawing")
-def report_figures(report: Report) -> dict[str, Figure]:
+def report_figures(report: Report) -> "dict[str, Figure]":
     """The figures by file name; `left_out` says why others are missing."""
+    from ..figures.estimates import bootstrap_figure, draw_correlation, profiles_figure
+    from ..figures.fit import residuals_figure, table_figures
+    from ..figures.style import figure_of
+
     fit, missing = report.fit, left_out(report)
     makers: dict[str, Callable[[], Figure]] = {
         "residuals": partial(residuals_figure, fit),
         "profiles": partial(profiles_figure, fit, report.profiles),
-        "correlation": lambda: draw.figure_of(draw_correlation(fit)),
+        "correlation": lambda: figure_of(draw_correlation(fit)),
     }
     makers |= {f"bootstrap_{found.kind}": partial(bootstrap_figure, fit, found) for found in report.bootstraps}
     return table_figures(fit) | {name: make() for name, make in makers.items() if name not in missing}

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from ..errors import InputError
-from ..figures import style as draw
+from ..figures import looks, style as draw
 from ..figures.along import draw_along
 from ..figures.body import draw_force_arrows
 from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
@@ -129,10 +129,10 @@ def tip_error_figure(results: PaperResults) -> Figure:
     history = results.history
     updates = np.arange(1, HISTORY_UPDATES + 1)
     with draw.axes_or_new(None, 2.5) as axes:
-        for pull, error, curve in zip(HISTORY_PULLS, history.tip_error, draw.CURVES, strict=True):
+        for pull, error, curve in zip(HISTORY_PULLS, history.tip_error, looks.CURVES, strict=True):
             axes.semilogy(updates, 1e3 * error, label=f"{pull:g} N", **curve)
         threshold = 1e3 * history.tip_tolerance
-        axes.axhline(threshold, color=draw.GREY, linewidth=0.8)
+        axes.axhline(threshold, color=looks.GREY, linewidth=0.8)
         label = f"$e_\\mathrm{{tip,th}}$ = {threshold:g} mm"
         axes.text(HISTORY_UPDATES, 1.1 * threshold, label, ha="right", va="bottom")
         axes.set(xlabel="Update", ylabel="Tip error $e_\\mathrm{tip}$ (mm)", ylim=(1e-5, 1e2), xticks=updates)
@@ -146,8 +146,8 @@ def iterations_figure(results: PaperResults) -> Figure:
     midlines = 1e3 * history.position[: int(history.num_updates) + 1]
     with draw.axes_or_new(None, 2.45) as axes:
         near_tip = axes.inset_axes((0.09, 0.42, 0.48, 0.56))
-        axes.plot(*midlines[0].T, color=draw.BLACK, linestyle="--", label="start, no friction")
-        for k, curve in zip(range(1, len(midlines)), itertools.cycle(draw.CURVES)):
+        axes.plot(*midlines[0].T, color=looks.BLACK, linestyle="--", label="start, no friction")
+        for k, curve in zip(range(1, len(midlines)), itertools.cycle(looks.CURVES)):
             axes.plot(*midlines[k].T, **dict(curve, marker=""))
             near_tip.plot(*midlines[k].T, **curve, markevery=[-1])
             axes.plot([], [], **curve, label=f"update {k}")
@@ -155,7 +155,7 @@ def iterations_figure(results: PaperResults) -> Figure:
         low, high = middle - 0.9 * reach, middle + 0.9 * reach
         near_tip.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         near_tip.spines[:].set_visible(True)
-        axes.indicate_inset_zoom(near_tip, edgecolor=draw.GREY, linewidth=0.5)
+        axes.indicate_inset_zoom(near_tip, edgecolor=looks.GREY, linewidth=0.5)
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)", aspect="equal")
         draw.figure_of(axes).legend(loc="outside lower center", ncols=3)
     return draw.figure_of(axes)
@@ -164,8 +164,8 @@ def iterations_figure(results: PaperResults) -> Figure:
 def distributed_forces_figure(results: PaperResults) -> Figure:
     """Fig. 5: normal and friction force per length, and the tension, along the body."""
     body, equilibrium = results.manipulator, results.at_pull(PULL)
-    normal = {"color": draw.BLUE, "label": "normal, $|F_\\mathrm{CDDN}|$"}
-    friction = {"color": draw.VERMILION, "linestyle": "--", "label": "friction, $|F_\\mathrm{CDDF}|$"}
+    normal = {"color": looks.BLUE, "label": "normal, $|F_\\mathrm{CDDN}|$"}
+    friction = {"color": looks.VERMILION, "linestyle": "--", "label": "friction, $|F_\\mathrm{CDDF}|$"}
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 3.2)
         forces, tension = figure.subplots(2, sharex=True, height_ratios=(3, 2))
@@ -196,8 +196,8 @@ def tip_tension_figure(results: PaperResults) -> Figure:
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 3.6)
         axes, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
-        axes.plot(PULLS, PULLS, ":", color=draw.GREY, label="no friction, $T_\\mathrm{tip} = T_\\mathrm{base}$")
-        axes.plot(PULLS, results.tip_tension, color=draw.BLUE, label="model")
+        axes.plot(PULLS, PULLS, ":", color=looks.GREY, label="no friction, $T_\\mathrm{tip} = T_\\mathrm{base}$")
+        axes.plot(PULLS, results.tip_tension, color=looks.BLUE, label="model")
         draw_band(axes, trials.x, trials.lowest, trials.highest, label=f"{results.trials}, range")
         draw_levels(axes, base, tip, label=f"{results.trials}, mean ± sd")
         axes.set(ylabel="Tip tension $T_\\mathrm{tip}$ (N)", ylim=(0, None), xlim=(0, None))
