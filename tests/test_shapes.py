@@ -18,6 +18,7 @@ def test_every_public_name_is_called():
     results |= {"Equilibrium", "Fields", "Fit", "InputError", "IterationHistory", "LeastSquaresFit", "Measurements"}
     results |= {
         "ModelFreeFriction",
+        "ModelFreeLoop",
         "ParetoFront",
         "Profile",
         "SerialCorrelation",

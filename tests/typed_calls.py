@@ -92,6 +92,11 @@ def identification():
     cddf.cross_validation(fit)
     cddf.plan(fit, cddf.standard_candidates(robot, 85.0)[:2], num=1)
     cddf.model_free_friction(cddf.read_measurements(DATA / "tip_angle_simulated.csv"))
+    up_and_down = [10.0, 40.0, 80.0, 20.0, 10.0]
+    loop = cddf.Measurements.from_columns(
+        base_tension=up_and_down, tip_tension=cddf.trace(robot, up_and_down).tip_tension
+    )
+    cddf.model_free_loop(loop)
     cddf.average_holds(tensions)
     x = np.arange(4.0)
     priors = {"a": cddf.Uniform(-10.0, 10.0)}

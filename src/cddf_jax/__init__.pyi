@@ -33,6 +33,10 @@ from .identification.model_free import (
     ModelFreeFriction as ModelFreeFriction,
     model_free_friction as model_free_friction,
 )
+from .identification.model_free_loop import (
+    ModelFreeLoop as ModelFreeLoop,
+    model_free_loop as model_free_loop,
+)
 from .measurements.holds import SerialCorrelation as SerialCorrelation, average_holds as average_holds
 from .measurements.table import Measurements as Measurements, read_measurements as read_measurements
 from .measurements.trials import read_tables as read_tables

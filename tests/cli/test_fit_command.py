@@ -131,7 +131,7 @@ def test_trials_and_bootstrap_of_the_shipped_data(cddf_command, tmp_path):
     assert list(effects) == [f"tip_angle_simulated.csv: {k}" for k in (1, 2, 3)]
     assert all(abs(effect["value"]) < 0.05 and 0 < effect["standard_error"] < 0.05 for effect in effects.values())
     assert "| tip_angle_simulated.csv: 1 | " in markdown
-    assert "## Model-free friction" in markdown
+    assert "## Without a model of the body" in markdown
     again = repeated(results, tmp_path)
     assert again.value == pytest.approx(results["value"], rel=1e-9)
     assert again.trial_spread == pytest.approx(results["trial_spread"], rel=1e-6)

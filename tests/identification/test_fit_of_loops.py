@@ -15,8 +15,11 @@ import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of
+from cddf_jax.identification.experiment_design import Candidate
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
+from cddf_jax.reports.fit_report import fit_as_markdown, fit_in_words
+from cddf_jax.reports.fit_results import fit_as_dict, make_report
 
 UP = np.arange(5.0, 86.0, 5.0)
 LOOP = np.concatenate([UP, UP[-2::-1]])
@@ -240,3 +243,28 @@ def test_a_small_turn_counts_where_it_is_stated():
     assert without_jitter(path, 0.05).num_ignored == 0
     assert all(b >= a for a, b in pairwise(without_jitter(path).tension[:6]))
     np.testing.assert_array_equal(without_jitter(path, 0.0).tension, path)
+
+
+# --- report and plan -------------------------------------------------------------------------------
+
+
+def test_the_report_tells_what_the_way_back_told(fitted):
+    report = make_report(fitted, with_profiles=False)
+    text = fit_as_markdown(report)
+    assert "## What the way back told" in text
+    assert "| friction_coefficient | 1.4 % | 0.27 % |" in text
+    assert "bench: 1/T_tip - 1/T_base of a pull = 0.008828" in text
+    answer = fit_as_dict(report)
+    assert answer["pull_alone"]["standard_error"] == fitted.pull_alone.standard_error
+    assert "friction_coefficient: 1.4 %, 0.27 %" in fit_in_words(report)
+
+
+def test_coming_back_down_is_a_candidate(fitted):
+    """Ranked above the same readings of the pull alone, which tell less: by the standard errors of the fit."""
+    names = [candidate.name for candidate in cddf.standard_candidates(BODY, 85.0)]
+    assert "tip tensions and angles, pulled and come back down" in names
+    one, both = (Candidate(f"{n}", {"base_tension": LOOP[:n], "step": range(n)}, NOISE) for n in (17, 33))
+    ranking = cddf.plan(fitted, [one, both], num=1).ranking
+    assert [ranked.candidate.name for ranked in ranking] == ["33", "17"]
+    expected = ranking[0].expected.standard_error["friction_coefficient"]
+    assert expected == pytest.approx(fitted.standard_error["friction_coefficient"] / np.sqrt(2), rel=1e-6)

@@ -473,7 +473,7 @@ def test_model_free_friction_is_set_beside_the_fit():
     exact = cddf.fit(paper_body("exact"), table)
     published = dataclasses.replace(exact, manipulator=paper_body("published"))
     for fit, said in ((exact, True), (published, False)):
-        assert ("## Model-free friction\n\n- bench: friction_coefficient = 0.4" in words_of(fit)) == said
+        assert ("## Without a model of the body\n\n- bench: friction_coefficient = 0.4" in words_of(fit)) == said
         assert bool(results_of(fit)["model_free_friction"]) == said
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from ..errors import InputError
+from ..measurements.branches import branches
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import ONE_LEVEL
 
@@ -88,7 +89,7 @@ class ModelFreeFriction:
         return "\n".join(self.verdict)
 
 
-def model_free_friction(table: Measurements) -> ModelFreeFriction:
+def model_free_friction(table: Measurements, *, in_order: bool | None = None) -> ModelFreeFriction:
     """The friction coefficient of every row and of all, mu = ln(T_base / T_tip) / theta_tip.
 
     It reads the tensions of the first tendon. The pooled value is the mean of the rows, weighted by the square of their
@@ -100,8 +101,12 @@ def model_free_friction(table: Measurements) -> ModelFreeFriction:
     rows. An error that all rows share - the gain of a cell, the zero of the camera - is not in the standard error. An
     error that the rows of a trial share is, where `trial` names three trials or more.
 
+    Of rows with a history, in the order in which they were measured, those count in which all of the tendon slides in:
+    at the largest base tension so far.
+
     Args:
         table: with `base_tension`, `tip_tension` and `tip_angle`.
+        in_order: whether the rows have a history. None: where a column `step` or `time` tells their order.
 
     Raises:
         InputError: for columns that are missing, several tendons without `direction`, a table without any bent row.
@@ -115,15 +120,17 @@ def model_free_friction(table: Measurements) -> ModelFreeFriction:
         raise InputError(f"{table.name}: several tendons and no column 'direction'; {remedy}")
     base, tip, angle = table["base_tension"], table["tip_tension"], np.abs(table["tip_angle"])
     usable = (base > 0) & (tip > 0) & (angle > SMALLEST_ANGLE)
+    in_order = table.ordered if in_order is None else in_order
+    usable = usable & (branches(table) > 0) if in_order else usable
     if not np.any(usable):
         remedy = "measure at tensions that bend the body"
         raise InputError(f"{table.name}: no row has tensions and a tip angle other than 0; {remedy}")
-    direction = table["direction"][usable] if "direction" in table else 1.0
+    direction = table["direction"][usable] if "direction" in table and not in_order else 1.0
     base, tip, angle = base[usable], tip[usable], angle[usable]
-    loss, labels = direction * np.log(base / tip), _independent(table, usable)
+    loss, labels = direction * np.log(base / tip), independent_labels(table, usable)
     value = float(np.sum(angle * loss) / np.sum(angle**2))
     residual = loss - value * angle
-    error = float(_jackknife(angle[:, None], residual, labels)[0])
+    error = float(np.sqrt(jackknife(angle[:, None], residual, labels)[0, 0]))
     half_width = float(stdtrit(max(labels.max(), 1), 0.975)) * error
     estimate = np.full(len(table), np.nan)
     estimate[usable] = loss / angle
@@ -161,7 +168,7 @@ def disagreement(model_free: ModelFreeFriction, fit_value: float, fit_standard_e
     )
 
 
-def _independent(table: Measurements, usable: np.ndarray) -> np.ndarray:
+def independent_labels(table: Measurements, usable: np.ndarray) -> np.ndarray:
     """Labels 0, 1, ... of what errs independently: trials where there are enough, rows elsewhere."""
     trials = table["trial"][usable] if "trial" in table else np.empty(0)
     if np.unique(trials).size >= FEWEST_TRIALS:
@@ -177,13 +184,13 @@ def _constancy(base: np.ndarray, angle: np.ndarray, residual: np.ndarray, labels
     regressor = angle * (base - np.average(base, weights=angle**2))
     slope = float(np.sum(regressor * residual) / np.sum(regressor**2))
     columns = np.stack([angle, regressor], axis=1)
-    error = float(_jackknife(columns, residual - slope * regressor, labels)[1])
+    error = float(np.sqrt(jackknife(columns, residual - slope * regressor, labels)[1, 1]))
     t = slope / error if 0 < error < np.inf else np.nan
     return Constancy(slope, error, t, float(2 * stdtr(freedom, -abs(t))), freedom)
 
 
-def _jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Standard errors of the coefficients of a linear fit, from the changes as each label is left out.
+def jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """The covariance of the coefficients of a linear fit, from the changes as each label is left out.
 
     Of single rows HC3, MacKinnon and White (1985), Journal of Econometrics 29, 305; of groups CR3, Bell and McCaffrey
     (2002), Survey Methodology 28, 169. They hold with few rows, where a bootstrap is too narrow.
@@ -199,5 +206,6 @@ def _jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) ->
     np.add.at(pull, labels, columns * residual[:, None])
     left = squares.sum(axis=0) - squares
     if np.any(np.linalg.det(left) < LEAST_LEFT * np.linalg.det(squares.sum(axis=0))):
-        return np.full(count, np.inf)
-    return np.sqrt(np.sum(np.linalg.solve(left, pull[..., None])[..., 0] ** 2, axis=0))
+        return np.full((count, count), np.inf)
+    changes = np.linalg.solve(left, pull[..., None])[..., 0]
+    return changes.T @ changes

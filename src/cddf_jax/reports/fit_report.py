@@ -107,7 +107,7 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
         _way_back_section(fit),
         _trial_section(fit),
         _noise_section(report),
-        _bullets("Model-free friction", _model_free_in_words(report)),
+        _bullets("Without a model of the body", _model_free_in_words(report)),
         _bullets("Warnings", later),
         _figure_section(report, figures),
         _bullets("How the files were read", [line for table in fit.tables for line in table.read_as]),
@@ -278,6 +278,9 @@ def _model_free_in_words(report: Report) -> list[str]:
         if compared is not None:
             agrees = f"the fit lies {abs(compared.z):.1f} standard errors from it"
             lines.append(f"{name}: {compared.sentence or agrees}")
+    for name, (told, loss) in report.loops.items():
+        lines += [f"{name}: {line}" for line in told.verdict]
+        lines.append(f"{name}: the fit has {loss:.4g} 1/N")
     return lines
 
 

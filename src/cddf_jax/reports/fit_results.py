@@ -21,9 +21,11 @@ from ..measurements.jitter import Steady
 from ..measurements.table import Measurements
 from ..progress import each
 from ..robot.manipulator import Manipulator
+from ..statics.solve import solve
 
 if TYPE_CHECKING:
     from ..identification.model_free import Disagreement, ModelFreeFriction
+    from ..identification.model_free_loop import ModelFreeLoop
 
 PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
 LEAST_ROWS = 3  # for friction without a model
@@ -38,6 +40,10 @@ OF_DETERMINATION = (
     *("condition_number", "sloppy_direction"),
 )
 OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
+OF_LOOP = (
+    *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),
+    "verdict",
+)
 OF_BOOTSTRAP = (
     *("kind", "seed", "num_failed", "num_cases", "coverage", "remark", "names", "standard_error"),
     *("confidence_interval", "bias", "correlation", "estimates"),
@@ -51,6 +57,13 @@ class ModelFree(NamedTuple):
     disagreement: "Disagreement | None"  # None where the fit has no friction coefficient to compare
 
 
+class LoopTold(NamedTuple):
+    """What a loop of tensions tells without a model of the body, and what the fit has."""
+
+    told: "ModelFreeLoop"
+    loss_of_fit: float  # 1/T_tip - 1/T_base of a pull, 1/N
+
+
 class Report(NamedTuple):
     """A fit and what was found around it."""
 
@@ -59,6 +72,7 @@ class Report(NamedTuple):
     bootstraps: tuple[Bootstrap, ...]
     normality: dict[str, Normality]
     model_free: dict[str, ModelFree]  # by table
+    loops: dict[str, LoopTold]  # by table with a history
 
 
 def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> Report:
@@ -66,7 +80,7 @@ def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
-    return Report(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit))
+    return Report(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit), _loops(fit))
 
 
 def _model_free(fit: Fit) -> dict[str, ModelFree]:
@@ -81,13 +95,30 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
         if len(table) < LEAST_ROWS or not all(column in table for column in COLUMNS):
             continue
         try:
-            friction = model_free_friction(table)
+            friction = model_free_friction(table, in_order=name in fit.steadied)
         except InputError:  # no row is bent
             continue
         mu = "friction_coefficient"
         determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
         compared = disagreement(friction, fit.value[mu], fit.standard_error[mu]) if determined else None
         found[name] = ModelFree(friction, compared)
+    return found
+
+
+def _loops(fit: Fit) -> dict[str, LoopTold]:
+    """Of every table with a history and tip tensions, of a tendon parallel to the axis without drag."""
+    body = fit.manipulator
+    if not fit.success or body.tendon_drag is not None or body.slanted:
+        return {}
+    from ..identification.model_free_loop import model_free_loop
+
+    found = {}
+    for name, table in zip(fit.alone, fit.tables, strict=True):
+        if name not in fit.steadied or "tip_tension" not in table:
+            continue
+        with suppress(InputError):  # not let out far enough
+            told, tension = model_free_loop(table), float(table["base_tension"].max())
+            found[name] = LoopTold(told, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
     return found
 
 
@@ -110,6 +141,10 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         "model_free_friction": {
             name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"disagreement": found.disagreement}
             for name, found in report.model_free.items()
+        },
+        "model_free_loop": {
+            name: picked(found.told, OF_LOOP) | {"loss_of_fit": found.loss_of_fit, "unit_of_loss": "1/N"}
+            for name, found in report.loops.items()
         },
         "data": [_table_as_dict(table) for table in fit.tables],
         "manipulator": _as_toml(fit.model.manipulator),

@@ -1,0 +1,23 @@
+"""The two outer branches of loops: the pull from rest to the largest base tension, and the way back from it."""
+
+import numpy as np
+
+from .jitter import without_jitter
+from .table import Measurements
+
+
+def branches(table: Measurements) -> np.ndarray:
+    """(rows,), 1 where the base tension is the largest of its trial so far, -1 where it is the smallest since the turn.
+
+    0 where it is neither: within a smaller loop, or pulled again. Jitter of the cell counts for nothing.
+    """
+    found = np.zeros(len(table))
+    labels = table.columns.get("trial", np.zeros(len(table)))
+    for label in np.unique(labels):
+        rows = table.order[labels[table.order] == label]
+        tension = without_jitter(table["base_tension"][rows]).tension
+        behind = np.arange(rows.size) > np.flatnonzero(tension == np.max(tension))[-1]
+        up = ~behind & (tension >= np.maximum.accumulate(tension))
+        back = behind & (tension <= np.minimum.accumulate(np.where(behind, tension, np.inf)))
+        found[rows] = np.where(up, 1.0, np.where(back, -1.0, 0.0))
+    return found
