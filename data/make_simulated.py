@@ -1,4 +1,4 @@
-"""Make the simulated data sets: `python data/make_simulated.py` writes the three CSV files beside this script.
+"""Make the simulated data sets: `python data/make_simulated.py` writes the four CSV files beside this script.
 
 The paper prints no table of its measurements. So these tables are computed with its model, and noise is added. Each
 file states at its top what was simulated and how. Every run of the script gives the same bytes.
@@ -22,6 +22,7 @@ NOTE = (
 CELL_FLOOR, CELL_FRACTION = 0.1, 0.01  # sd of the load cells at tip and pulley: N, and fraction of the tension
 TIP_GAIN = 1.001  # of the load cell at the tip
 BASE_SD, ANGLE_SD = 0.05, 0.5  # sd of the load cell at the base, N, and of the tip angle, deg
+LOOP_GAIN, LOOP_ZERO = 1.02, 0.3  # of the load cell at the tip in the loop: a cell that is off, factor and N
 FRICTION_SCATTER = 0.01  # sd of mu from trial to trial, relative
 CELL_NOTE = f"tension sd {CELL_FLOOR} N and {100 * CELL_FRACTION:g} % of it in quadrature"
 BENCH_NOTES = (
@@ -125,13 +126,40 @@ def pulley(paper: cddf.Manipulator) -> str:
     return table(notes, columns)
 
 
+def loop(paper: cddf.Manipulator) -> str:
+    """A pull and the way back on the bench with a camera: 5 to 85 to 5 N, one trial, exact kinematics."""
+    stream = 4
+    rng, up = np.random.default_rng((SEED, stream)), np.arange(5.0, 86.0, 5.0)
+    levels = np.concatenate([up, up[-2::-1]])
+    history = cddf.trace(replace(paper, kinematics="exact"), levels)
+    base = levels + BASE_SD * rng.normal(size=levels.size)
+    tip = LOOP_ZERO + LOOP_GAIN * np.asarray(history.tip_tension) + CELL_FLOOR * rng.normal(size=levels.size)
+    angle = np.rad2deg(history.tip_angle) + ANGLE_SD * rng.normal(size=levels.size)
+    notes = (
+        NOTE.format(seed=SEED, stream=stream),
+        "Pulled from rest and let out again: 17 levels of 5 to 85 N, then 16 levels back to 5 N; steps in their order.",
+        f"Truth: data/smooth_sil_940.toml (mu {paper.friction_coefficient}, E {paper.youngs_modulus / 1e6} MPa), "
+        "but EXACT kinematics: fit it with kinematics='exact'.",
+        f"Noise, normal: base tension sd {BASE_SD} N; tip tension sd {CELL_FLOOR} N, tip angle sd {ANGLE_SD} deg.",
+        f"The tip cell is off: gain {LOOP_GAIN}, zero {LOOP_ZERO} N.",
+    )
+    columns = {
+        "step": ("d", np.arange(1, levels.size + 1)),
+        "base_tension [N]": (".2f", base),
+        "tip_tension [N]": (".2f", tip),
+        "tip_angle [deg]": (".1f", angle),
+    }
+    return table(notes, columns)
+
+
 def write(folder: Path) -> None:
-    """Write the three files into `folder`."""
+    """Write the four files into `folder`."""
     paper = read_manipulator(HERE / "smooth_sil_940.toml")
     makers = {
         "load_cells_simulated.csv": load_cells,
         "tip_angle_simulated.csv": tip_angle,
         "pulley_simulated.csv": pulley,
+        "loop_simulated.csv": loop,
     }
     for name, make in makers.items():
         (folder / name).write_text(make(paper), encoding="utf-8", newline="\n")

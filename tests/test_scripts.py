@@ -22,6 +22,7 @@ STATUS = {
     "tensions_only": ("not identified", "not identified"),
     "pulley_then_tensions": ("identified", "identified"),
     "tensions_with_tip_angle": ("identified", "identified"),
+    "loop_simulated": ("identified", "identified"),
 }
 
 

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 
 from cddf_jax.measurements.table import read_measurements
 
-NAMES = ("load_cells_simulated.csv", "pulley_simulated.csv", "tip_angle_simulated.csv")
+NAMES = ("load_cells_simulated.csv", "loop_simulated.csv", "pulley_simulated.csv", "tip_angle_simulated.csv")
 
 # data/README.md: the truth, and the noise that every file declares
 MU, E, D = 0.42, 1.4e6, 0.010
@@ -98,6 +98,23 @@ def test_tip_angles_are_true():
     by_friction = (slope * base - truth) * SCATTER  # dangle / dln(mu)
     sd = np.sqrt(ANGLE_SD**2 + (slope * BASE_SD) ** 2 + by_friction**2)
     assert_standard_normal((table["tip_angle"] - truth) / sd)
+
+
+def test_a_loop_is_true():
+    """1/T at the tip is a play of 1/T_base, clipped at 1/T_base -+ g; closed forms of hysteresis.md section 2."""
+    table = read_measurements(DATA / "loop_simulated.csv")
+    up = np.arange(5.0, 86.0, 5.0)
+    levels, g, first = np.concatenate([up, up[-2::-1]]), MU / E * compliance(), 1 / 85.0
+    assert_standard_normal((table["base_tension"] - levels) / BASE_SD)
+    y, out = 1 / levels, np.arange(33) > 16
+    tip = 1 / np.where(out, np.maximum(first + g, y - g), y + g)
+    inside = out & (y - g < first + g)
+    front = np.log(y * (first + g) / ((y + first) / 2) ** 2)
+    slid = -np.log(1 - g * levels, where=out & ~inside, out=np.zeros(33))
+    angle = np.where(inside, front, np.where(out, slid, np.log(1 + g * levels))) / MU
+    by_base = np.where(inside, 0.0, 1.02 * (tip / levels) ** 2 * BASE_SD)
+    assert_standard_normal((table["tip_tension"] - 0.3 - 1.02 * tip) / np.hypot(CELL_FLOOR, by_base))
+    assert_standard_normal((table["tip_angle"] - angle) / ANGLE_SD)  # of which the base makes 0.1 deg at most
 
 
 def test_pulley_is_true():
