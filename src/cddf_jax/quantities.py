@@ -95,6 +95,12 @@ _ALL = (
     Quantity("base_moment", "moment", "moment of the loads at the base"),
     Quantity("peak_strain", "dimensionless", "peak strain of the wall"),
     Quantity("peak_strain_at", "length", "arc length of the peak strain"),
+    # its history
+    Quantity("front", "length", "arc length up to which the tendon slid last"),
+    Quantity("num_turns", "dimensionless", "turns that are still felt"),
+    Quantity("work", "energy", "work put in at the base"),
+    Quantity("friction_loss", "energy", "energy lost to friction"),
+    Quantity("stored_energy", "energy", "energy stored in the body"),
     # along it
     Quantity("arc_length", "length", symbol="$s$"),
     Quantity("curvature", "curvature", symbol=r"$\kappa$"),

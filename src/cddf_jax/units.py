@@ -6,6 +6,7 @@ all others, and is imported when the first of them is met.
 
 import math
 import re
+from collections.abc import Sequence
 from decimal import Context, Decimal
 from functools import cache
 from typing import TYPE_CHECKING, Literal, NamedTuple, SupportsFloat, cast
@@ -33,6 +34,7 @@ Dimension = Literal[
     "mass",
     "volume",
     "time",
+    "energy",
     "strain",
     "dimensionless",
 ]
@@ -60,6 +62,7 @@ _UNITS: dict[Dimension, _Units] = {
     "mass": _Units("kg", "g", "1e-3"),
     "volume": _Units("m^3", "cm^3", "1e-6"),
     "time": _Units("s", "s"),
+    "energy": _Units("J", "mJ", "1e-3"),
     "strain": _Units("", "%", "1e-2"),
 }
 
@@ -112,13 +115,42 @@ def vector(text: str, dimension: Dimension, what: str) -> tuple[float, float]:
     if len(parts) != 2:
         unit = _UNITS[dimension].preferred
         raise InputError(f"{what} needs two components X, Y, got {text!r}; write for example '0 {unit}, -12.5 {unit}'")
-    found = [_QUANTITY.fullmatch(part) for part in parts]
-    units = [match and (match[2] or match[3]) for match in found]
-    for i, other in ((0, 1), (1, 0)):
-        if found[i] and not units[i] and units[other]:
-            parts[i] = f"{parts[i]} {units[other]}"
+    parts = _with_their_unit(parts)
     x, y = (quantity(part, dimension, f"{what} {axis}") for part, axis in zip(parts, "XY", strict=True))
     return x, y
+
+
+def series(text: str, dimensions: Sequence[Dimension], what: str) -> tuple[list[float], Dimension]:
+    """The SI values of a list such as "0 N, 75 N, 40 N", or with one unit for all "0, 75, 40 N", and what they measure.
+
+    Args:
+        text: numbers with units, and commas between them.
+        dimensions: what they may measure; the first is named where a unit is missing or unknown.
+        what: the name of the list, with which an error message begins.
+
+    Raises:
+        InputError: as `quantity`.
+    """
+    parts = _with_their_unit([part.strip() for part in text.split(",")])
+    unit = _unit_of(parts[0])
+    fitting: list[Dimension] = [one for one in dimensions if unit and unit_fits(unit, one)]
+    dimension = (fitting or dimensions)[0]
+    return [quantity(part, dimension, what) for part in parts], dimension
+
+
+def _with_their_unit(parts: list[str]) -> list[str]:
+    """Numbers without a unit take that of the others, where these have one and the same."""
+    units = {unit for part in parts if (unit := _unit_of(part))}
+    if len(units) != 1:
+        return parts
+    return [
+        f"{part} {next(iter(units))}" if _QUANTITY.fullmatch(part) and not _unit_of(part) else part for part in parts
+    ]
+
+
+def _unit_of(part: str) -> str | None:
+    found = _QUANTITY.fullmatch(part)
+    return found and (found[2] or found[3])
 
 
 def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.ndarray:

@@ -18,8 +18,9 @@ from places import DATA
 import cddf_jax as cddf
 from cddf_jax import application
 from cddf_jax.batch.store import Memory
-from cddf_jax.cli import sweep_run, sweep_texts as sweep_options
+from cddf_jax.cli import sweep_texts as sweep_options
 from cddf_jax.figures import style as plotting
+from cddf_jax.reports import sweep_report
 from cddf_jax.sweeping import export as sweep_exports
 
 PAPER = DATA / "smooth_sil_940.toml"
@@ -72,6 +73,14 @@ def read(*over, base_tension=None, body=None, **asked):
     body = body or paper_body(density=1070.0)
     actuation = sweep_options.read_base_tension(base_tension or [], body)
     return sweep_options.read_sweep(body, over, base_tension=actuation, **asked)
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+def test_values_and_ranges_in_one_list():
+    values = read("base_tension=0N, 10N:30N:3,20N").dimensions[0].numbers["base_tension"]
+    assert values.tolist() == [0.0, 10.0, 20.0, 30.0, 20.0]
 
 
 # --- running -------------------------------------------------------------------------------------
@@ -402,8 +411,8 @@ def test_memory(text, count):
 
 
 def test_where_things_go():
-    assert sweep_run.read_places(Path("a/b.zarr"), None, None).store == Path("a/b.zarr")
-    assert sweep_run.read_places(Path("a"), None, None).store == Path("a/sweep.zarr")
+    assert sweep_report.read_places(Path("a/b.zarr"), None, None).store == Path("a/b.zarr")
+    assert sweep_report.read_places(Path("a"), None, None).store == Path("a/sweep.zarr")
 
 
 # --- errors --------------------------------------------------------------------------------------
@@ -521,10 +530,28 @@ def test_an_interruption(run, monkeypatch):
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sweep_run, "run_sweep", interrupted)
+    monkeypatch.setattr(sweep_report, "run_sweep", interrupted)
     code, _, error = run(PAPER, *TENSIONS, "--out", "x.zarr")
     assert code == 130
     assert error.startswith("error: interrupted; what is in the store stays there, start the same command again")
+
+
+# --- loops ---------------------------------------------------------------------------------------
+
+
+def test_a_loop_with_all_its_files(run, tmp_path):
+    """Back at 75 N the tip tension is that of the closed form; at 40 N it is still that of 75 N."""
+    path = ("--history", "--over", "base_tension=0N:75N:4,40N,75N", "--over", "friction_coefficient=0.4,0.5")
+    code, text, error = run(PAPER, *path, "--output", "tip_tension", "--out", "loops", "--csv", "loops.csv", "--json")
+    assert (code, error) == (0, "")
+    assert json.loads(text)["results"] == {"successful": 12}
+    rows = rows_of("loops.csv")
+    assert [float(row["base_tension [N]"]) for row in rows[::2]] == [0, 25, 50, 75, 40, 75]
+    for row in rows[-6:]:
+        top = tip_tension(75.0, float(row["friction_coefficient"]))
+        assert float(row["tip_tension [N]"]) == pytest.approx(top, rel=1e-9)
+    files = {path.name for path in (tmp_path / "loops").iterdir()}
+    assert files == {"sweep.zarr", "sweep.json", "sweep.pdf", "sweep.png"}
 
 
 # --- processes -----------------------------------------------------------------------------------

@@ -7,8 +7,9 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from cddf_jax.errors import InputError
 from cddf_jax.figures.style import render
-from cddf_jax.figures.sweeps import left_out_of_figure, name_in_words, sweep_figure
+from cddf_jax.figures.sweeps import draw_map, left_out_of_figure, name_in_words, sweep_figure
 from cddf_jax.sweeping.one_solve import RESULT_NAMES
 
 CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")
@@ -264,3 +265,40 @@ def test_what_has_no_room_is_said(axes, outputs, expected):
     data["result"] = (dims, np.zeros(sizes, np.int8))
     answer = xarray.Dataset(data, {name: np.arange(size) for name, size in axes.items()})
     assert left_out_of_figure(answer, outputs) == expected
+
+
+# --- a path of base tensions ---------------------------------------------------------------------
+
+PATH = np.array([0.0, 75.0, 40.0, 60.0, 75.0])
+
+
+def loops_over(axes):
+    return answer_over({"base_tension": PATH} | axes).assign_attrs(path="base_tension")
+
+
+def test_a_path_is_drawn_in_its_order():
+    answer = loops_over({"friction_coefficient": FRICTIONS[:3]})
+    figure = drawn(answer)
+    assert isinstance(figure, Figure)
+    tension, angle = figure.axes
+    for mu, line in enumerate(tension.lines):
+        np.testing.assert_array_equal(line.get_xdata(), PATH)
+        np.testing.assert_array_equal(line.get_ydata(), 100 * (np.arange(5.0) + mu))
+    arrows = [text.xy for text in angle.texts if text.arrowprops]
+    assert len(arrows) == 9  # for each of three loops: up to 75 N, back to 40 N, up again
+    assert legend_of(figure) == [f"Friction coefficient = {mu:.4g}" for mu in FRICTIONS[:3]]
+    assert left_out_of_figure(answer, ("tip_tension",)) == []
+
+
+def test_loops_for_which_there_is_no_room():
+    answer = loops_over({"friction_coefficient": FRICTIONS, "youngs_modulus": MODULI})
+    assert len(drawn(answer, ("tip_angle",)).axes[0].lines) == 6
+    assert left_out_of_figure(answer, ("tip_angle",)) == ["36 of 42 loops"]
+
+
+def test_a_path_is_no_map():
+    answer = loops_over({"friction_coefficient": FRICTIONS})
+    with pytest.raises(
+        InputError, match=r"^draw_map: base_tension is a path, along which tensions come back; use draw"
+    ):
+        draw_map(answer.sel(tendon=0), "tip_tension", "base_tension", "friction_coefficient")

@@ -126,6 +126,72 @@ def test_numbers_that_vary_together():
     one_by_one(answer, solve)
 
 
+# --- loops ---------------------------------------------------------------------------------------
+
+PATH = [0.0, 75.0, 40.0, 60.0, 75.0]
+
+
+def test_tensions_with_a_history(tmp_path):
+    """Each loop is that of the play in 1/T, clip(1/T, 1/T_base - g, 1/T_base + g), g = mu G / E; and all is resumed."""
+    axes = {"friction_coefficient": FRICTION, "base_tension": PATH}
+    options = {"outputs": ("tip_tension",), "history": True}
+    answer = cddf.sweep(paper_body(), axes, **options, out=tmp_path / "loops.zarr", chunk=10)
+    assert answer.tip_tension.dims == ("friction_coefficient", "base_tension", "tendon")
+    assert answer.tip_tension.encoding["chunks"] == (2, 5, 1)  # a path is not cut
+    assert answer.successful.all()
+    g, inverse = FRICTION * compliance(paper_body()) / 1.4e6, np.full(4, 1e300)
+    for step, tension in enumerate(PATH):
+        inverse = np.clip(inverse, 1 / max(tension, 1e-300) - g, 1 / max(tension, 1e-300) + g)
+        np.testing.assert_allclose(answer.tip_tension[:, step, 0], 1 / inverse, rtol=1e-11, atol=1e-200)
+    again = cddf.sweep(paper_body(), axes, **options, out=tmp_path / "loops.zarr", chunk=10)
+    assert again.identical(answer)
+    with pytest.raises(cddf.InputError, match="holds other work: its history is true, not false"):
+        cddf.sweep(paper_body(), axes, **{**options, "history": False}, out=tmp_path / "loops.zarr", chunk=10)
+
+
+@pytest.mark.slow
+def test_derivatives_and_fields_of_loops():
+    """From 75 N back to 40 N the tip tension stays at 75 / (1 + 75 g), g = mu G / E, where mu is large."""
+    axes, names = {"friction_coefficient": FRICTION, "base_tension": PATH}, ("tip_tension", "curvature")
+    answer = cddf.sweep(paper_body(), axes, history=True, outputs=names, sensitivities=("friction_coefficient",))
+    assert answer.curvature.dims == ("friction_coefficient", "base_tension", "point")
+    g = FRICTION * compliance(paper_body()) / 1.4e6
+    slope = -(75.0**2) * g / FRICTION / (1 + 75 * g) ** 2
+    there = answer.tip_tension_by_friction_coefficient[:, 2, 0]
+    np.testing.assert_allclose(there[2:], slope[2:], rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_one_loop_alone_is_a_trace():
+    answer = cddf.sweep(paper_body(), {"base_tension": PATH}, history=True, outputs=("tip_angle", "front", "num_turns"))
+    history = cddf.trace(paper_body(), PATH)
+    for name in ("tip_angle", "front", "num_turns"):
+        np.testing.assert_allclose(answer[name].values.ravel(), getattr(history, name), rtol=SAME)
+
+
+@pytest.mark.parametrize(
+    ("axes", "options", "message"),
+    [
+        ({"friction_coefficient": [0.4]}, {"base_tension": 5.0}, 'history needs the axis "base_tension"'),
+        ({"pull": {"base_tension": PATH}}, {}, "with history base_tension varies alone; write its axis as"),
+        ({"base_tension": PATH}, {"loads": cddf.Loads()}, "with history there is no loads; leave it out"),
+        ({"base_tension": PATH}, {"direction": 1}, "with history there is no direction; leave it out"),
+        ({"base_tension": PATH}, {"method": cddf.LiteralIteration(1e-6)}, "with history there is no method"),
+        ({"base_tension": PATH}, {"sensitivities": ("base_tension",)}, "with history there is no base_tension"),
+        ({"base_tension": PATH}, {"outputs": ("stable",)}, "'stable' is no output of a history; there are tip_pos"),
+        ({"base_tension": PATH}, {"history": False, "outputs": ("front",)}, "'front' is no output; there are tip_pos"),
+    ],
+)
+def test_what_has_no_history(axes, options, message):
+    with pytest.raises(cddf.InputError, match=message):
+        cddf.sweep(paper_body(), axes, **{"history": True, **options})
+
+
+def test_several_tendons_have_no_history():
+    with pytest.raises(cddf.InputError, match="history is that of one tendon, the body has 2"):
+        cddf.sweep(paper_body(num_tendons=2), {"base_tension": PATH}, history=True)
+
+
 @pytest.mark.slow
 def test_with_the_length_the_taper_varies_too():
     """Against bodies of these lengths, made anew; their radii at base and tip stay."""

@@ -26,12 +26,13 @@ class Lanes(Generic[Inputs, Outputs]):
         function: a pytree of numbers in, a pytree of arrays out. If it is itself a pytree, its arrays are arguments of
             the compiled program; another function with the same structure then uses the same program.
         count: the largest number of inputs; small jobs get a small program.
+        each: how many solves the function makes of one input; as many fewer inputs are taken at once.
     """
 
-    def __init__(self, function: Callable[[Inputs], Outputs], count: int):
+    def __init__(self, function: Callable[[Inputs], Outputs], count: int, each: int = 1):
         devices = jax.local_devices()
         most = CPU_BATCH if devices[0].platform == "cpu" else ACCELERATOR_BATCH
-        self.batch = min(most, -(-count // len(devices)))
+        self.batch = min(max(most // each, 1), -(-count // len(devices)))
         width = self.batch * len(devices)
         batches = -(-count // width)
         calls = -(-batches // CALL)

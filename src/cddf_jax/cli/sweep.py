@@ -53,9 +53,10 @@ Task = Annotated[
 Over = Annotated[
     list[str] | None,
     typer.Option(
-        help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list, "kinematics=published,exact" '
-        'or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. Any number has a name: outer_radius.tip, '
-        "tendons.0.offset, loads.tip_force.1, base_tension_2, of a target base_tension.value. "
+        help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list of values or of such ranges, '
+        '"kinematics=published,exact" or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. '
+        "Any number has a name: outer_radius.tip, tendons.0.offset, loads.tip_force.1, base_tension_2, of a target "
+        "base_tension.value. "
         "With the length everything along the body varies in proportion."
     ),
 ]
@@ -74,6 +75,14 @@ Sample = Annotated[
 ]
 Samples = Annotated[int | None, typer.Option(help="Number of samples, for --sample.", min=1)]
 Sampler = Annotated[Literal["latin_hypercube", "sobol"], typer.Option(help="How the samples are spread.")]
+History = Annotated[
+    bool,
+    typer.Option(
+        "--history",
+        help="The base tensions of --over are a path in time, from rest: pulled and released in their order, for each "
+        'combination of the others. Smooth loops: "base_tension=0N:75N:31,75N:20N:23".',
+    ),
+]
 BaseTension = Annotated[
     list[str] | None,
     typer.Option("--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given."),
@@ -117,6 +126,7 @@ def sweep(
     samples: Samples = None,
     sampler: Sampler = "latin_hypercube",
     seed: Annotated[int, typer.Option(help="Seed of the samples.", min=0)] = 0,
+    history: History = False,
     base_tension: BaseTension = None,
     direction: options.Direction = None,
     tip_force: options.TipForce = None,
@@ -150,8 +160,9 @@ def sweep(
     read = options.read_robot(robot, kinematics, lambda: _configure(*processes, distributed=distributed))
     with stage("loading"):
         from ..files.actuation import read_directions, read_loads
-        from . import sweep_run, sweep_texts
-    if not sweep_run.is_first_process():
+        from ..reports import sweep_report
+        from . import sweep_texts
+    if not sweep_report.is_first_process():
         SHOWN.set(None)  # the first speaks for all
 
     work = sweep_texts.read_sweep(
@@ -164,6 +175,7 @@ def sweep(
         seed,
         base_tension=sweep_texts.read_base_tension(base_tension or [], read.manipulator),
         loads=read_loads(tip_force, tip_moment, gravity),
+        history=history,
         direction=read_directions(direction, read.manipulator),
         outputs=tuple(dict.fromkeys(name.strip() for name in output.split(","))),
         sensitivities=tuple(sensitivity or ()),
@@ -173,18 +185,18 @@ def sweep(
         chunk_size=chunk,
     )
     if dry_run:
-        expected = sweep_run.rehearse(work, None if out is None else sweep_run.read_places(out, netcdf, csv))
-        if sweep_run.is_first_process():
-            options.print_answer(sweep_run.rehearsal_in_words(expected), expected, as_json=as_json)
+        expected = sweep_report.rehearse(work, None if out is None else sweep_report.read_places(out, netcdf, csv))
+        if sweep_report.is_first_process():
+            options.print_answer(sweep_report.rehearsal_in_words(expected), expected, as_json=as_json)
         return
-    places = sweep_run.read_places(out, netcdf, csv)
+    places = sweep_report.read_places(out, netcdf, csv)
     try:
-        summary = sweep_run.run_sweep(work, places, context.params)
+        summary = sweep_report.run_sweep(work, places, context.params)
     except KeyboardInterrupt:
         remedy = "what is in the store stays there, start the same command again and it goes on"
         options.stop(f"interrupted; {remedy}", options.INTERRUPTED)
     if summary is not None:
-        options.print_answer(sweep_run.summary_in_words(summary), summary, as_json=as_json)
+        options.print_answer(sweep_report.summary_in_words(summary), summary, as_json=as_json)
         if "successful" not in summary["results"]:
             options.stop("no solve was successful; see the results", options.FAILED)
 

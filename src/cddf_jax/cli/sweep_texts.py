@@ -99,10 +99,15 @@ def _num_samples(ranges: Mapping[str, str], count: int | None) -> int:
 
 
 def _numbers(name: str, text: str, dimension: units.Dimension) -> np.ndarray:
-    """The values along an axis: an even range of numbers, or a list."""
+    """The values along an axis: numbers and even ranges of them, in their order."""
+    return np.concatenate([_range(name, part.strip(), dimension) for part in text.split(",")])
+
+
+def _range(name: str, text: str, dimension: units.Dimension) -> np.ndarray:
+    """One number, or an even range."""
     what = f"--over {name}"
     if ":" not in text:
-        return np.array([units.quantity(part.strip(), dimension, what) for part in text.split(",")])
+        return np.array([units.quantity(text, dimension, what)])
     ends, _, count = text.rpartition(":")
     if not count.strip().isdigit() or int(count) < 2:
         example = _example(name, dimension)

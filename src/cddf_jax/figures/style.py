@@ -177,6 +177,27 @@ def _bytes(figure: Figure, suffix: str) -> bytes:
     return buffer.getvalue()
 
 
+# --- lines whose order in time counts ------------------------------------------------------------
+
+
+def turning_places(values: np.ndarray) -> list[int]:
+    """The first and the last place, and those at which values begin to rise or to fall."""
+    moved = np.flatnonzero(np.diff(values))
+    ways = np.sign(np.diff(values))[moved]
+    return [0, *(int(place) for place in moved[1:][ways[1:] != ways[:-1]]), len(values) - 1]
+
+
+def draw_arrow(axes: Axes, x: np.ndarray, y: np.ndarray, color: str) -> None:
+    """The head of an arrow in the middle of a line, along the order of its points; none where it does not go."""
+    way = np.abs(x - x[0])
+    if len(x) < 2 or not np.all(np.isfinite([*y, *way])) or way[-1] == 0:
+        return
+    place = int(np.clip(np.searchsorted(way, 0.5 * way[-1]), 1, len(x) - 1))
+    before, after = np.array([x[place - 1], y[place - 1]]), np.array([x[place], y[place]])
+    head = {"arrowstyle": "-|>", "color": color, "linewidth": 0, "mutation_scale": 9, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", tuple(0.5 * (before + after)), tuple(before), arrowprops=head)
+
+
 # --- the body and the forces on it ---------------------------------------------------------------
 
 

@@ -5,7 +5,7 @@ output: so every part of an output that is drawn knows which of its solves faile
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import islice, product
+from itertools import islice, pairwise, product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ..errors import InputError
 from ..quantities import QUANTITIES
-from ..sweeping.axes import OPTIONS
+from ..sweeping.axes import OPTIONS, PATH
 from ..sweeping.one_solve import COMPONENTS, RESULT, RESULT_NAMES
 from ..units import DIMENSION_OF, preferred
 from . import looks, style as draw
@@ -45,7 +45,7 @@ def draw_lines(dataset: "xarray.Dataset", output: str, over: str, axes: Axes | N
 
     There is a line for each combination of what else varies, six at most: values of another axis, kinematics,
     tendons, components. Successful solves make the line. Doubtful solves are hollow markers beside it. Failed solves
-    are crosses at the foot. The legend says why.
+    are crosses at the foot. The legend says why. A path of base tensions (`history=True`) is a loop with arrows.
 
     Args:
         dataset: of `sweep`, whole or a part of it, as `dataset.sel(tendon=0)`.
@@ -77,6 +77,8 @@ def draw_map(dataset: "xarray.Dataset", output: str, x: str, y: str, axes: Axes 
     Raises:
         InputError: for names that are not there, or where more varies than x and y.
     """
+    if dataset.attrs.get(PATH) in (x, y):
+        raise InputError(f"draw_map: {dataset.attrs[PATH]} is a path, along which tensions come back; use draw_lines")
     array = _chosen("draw_map", dataset, output, (x, y), 1)
     with draw.axes_or_new(axes, 2.5) as axes:
         _draw_maps([axes], [array], x, y)
@@ -116,7 +118,7 @@ def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
 def sweep_figure(
     answer: "xarray.Dataset", outputs: Sequence[str], varied: Mapping[str, str] | None = None
 ) -> Figure | str:
-    """Outputs over one axis as lines, over two or three as contours, over samples as dots.
+    """Outputs over one axis as lines, over two or three as contours, over samples as dots, over a path as loops.
 
     Successful solves are drawn as they are. Doubtful numbers are hollow, or left out of contours, and failed solves
     are marked; the legend says why. Outputs along the body have no panel.
@@ -137,13 +139,16 @@ def sweep_figure(
         return "outputs along the body are not drawn over what varies"
     if not kinds.numbers and not kinds.sampled:
         return "no number varies"
-    if not kinds.sampled and len(kinds.numbers) > 3 - bool(kinds.options):
+    loops = answer.attrs.get(PATH) in kinds.numbers
+    if not loops and not kinds.sampled and len(kinds.numbers) > 3 - bool(kinds.options):
         count = f"{len(kinds.numbers)} axes{' and options' if kinds.options else ''}"
         return f"{count} are too many for one; choose with xarray"
     varied = varied or {name: name_in_words(name) for name in _lists(answer)}
     shown, swept = _shown(_thinned(answer, kinds.room), varied), answer[RESULT].dims
     each = (part for name in names for _, part in _parts_of(shown[name], swept, PANELS))
     arrays = list(islice(each, PANELS))
+    if loops:
+        return _curves_figure(arrays, [answer.attrs[PATH]], 2)
     if kinds.sampled:
         numbers = [name for name in varied if name in shown.coords and name not in (*OPTIONS, *PARTS)][:DOT_COLUMNS]
         dots = [dimension for dimension in swept if dimension not in kinds.options]
@@ -156,17 +161,25 @@ def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list
     names = [name for name in outputs if "point" not in answer[name].dims]
     short = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
     kinds, sizes = _kinds(short), short.sizes
+    along = [f"{name}, which runs along the body" for name in outputs if name not in names]
     varied = [name for name in short.coords if name not in (*OPTIONS, *PARTS)]
     components = sum(short[name].size // short[RESULT].size for name in names)
     combinations = int(np.prod([sizes[name] for name in kinds.options]))
+    loops = short[RESULT].size // sizes[short.attrs[PATH]] if short.attrs.get(PATH) in kinds.numbers else 0
     lines = bool(kinds.sampled) or len(kinds.numbers) == 1
     counts = [(components, PANELS, "components of outputs")]
+    if loops:
+        return _too_many([*counts, (loops, LINES, "loops")], along)
     counts += [(combinations, LINES if lines else COLUMNS, "combinations of options")]
     counts += [(sizes[name], COLUMNS, f"values of {name}") for name in kinds.numbers[:-2]]
     counts += [(len(varied), DOT_COLUMNS, "numbers that vary")] if kinds.sampled else []
     counts += [(sizes[name], kinds.room[name], "samples") for name in kinds.sampled]
-    along = [f"{name}, which runs along the body" for name in outputs if name not in names]
-    return along + [f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room]
+    return _too_many(counts, along)
+
+
+def _too_many(counts: Sequence[tuple[int, int, str]], others: Sequence[str]) -> list[str]:
+    """What there is more of than has room, after what has none at all, in words."""
+    return [*others, *(f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room)]
 
 
 class _Kinds(NamedTuple):
@@ -189,9 +202,13 @@ def _kinds(answer: "xarray.Dataset") -> _Kinds:
 
 
 def _thinned(answer: "xarray.Dataset", room: Mapping[str, int]) -> "xarray.Dataset":
-    """At most so many places along each dimension, numbers in ascending order."""
+    """At most so many places along each dimension, numbers in ascending order but for a path."""
     places = {name: _spread(answer.sizes[name], most) for name, most in room.items()}
-    return answer.isel(places).load().sortby([name for name in room if name in answer.coords])
+    return (
+        answer.isel(places)
+        .load()
+        .sortby([name for name in room if name in answer.coords and name != answer.attrs.get(PATH)])
+    )
 
 
 def _spread(size: int, most: int) -> np.ndarray:
@@ -247,6 +264,7 @@ def _shown(answer: "xarray.Dataset", words: Mapping[str, str]) -> "xarray.Datase
         # whole numbers and true or false cannot be NaN: other outputs tell
         values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
         attrs = {"words": words.get(name) or name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
+        attrs["is_path"] = name == answer.attrs.get(PATH)
         return array.dims, np.asarray(scale * values), attrs
 
     outputs = {name: shown(array) for name, array in answer.data_vars.items() if name != RESULT}
@@ -318,6 +336,8 @@ def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequenc
             style = look | {"linestyle": "none", "markeredgewidth": 0, "alpha": 0.6, "rasterized": x.size > 500}
             style["markersize"] = float(np.clip(60.0 / np.sqrt(x.size), 1.2, 3.5))
         axes.plot(x, np.where(codes == SUCCESSFUL, y, np.nan), label=label, **style)
+        for start, end in pairwise(draw.turning_places(x)) if array[over].attrs["is_path"] else ():
+            draw.draw_arrow(axes, x[start : end + 1], y[start : end + 1], look["color"])
         curves.append((x, y, codes, look))
     for x, y, codes, look in curves:
         _draw_others(axes, x, y, codes, look)

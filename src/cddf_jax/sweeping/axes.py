@@ -15,6 +15,7 @@ from ..robot.validation import check_weight
 from ..statics.arguments import check_nodes
 
 OPTIONS = ("nodes", "method", "kinematics")  # each value is a program of its own
+PATH = "path"  # the attribute of an answer that names the dimension whose base tensions were traced in their order
 RESERVED = ("tendon", "point", "component", "result", "successful")
 
 

@@ -7,10 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, Float
 
 from ..batch.chunks import Coordinate, Variable
 from ..errors import InputError
+from ..history.history import History
+from ..history.trace import trace
 from ..mechanics.problem import Method
 from ..quantities import QUANTITIES
 from ..robot.named_numbers import Case
@@ -50,6 +52,14 @@ OUTPUTS: dict[str, tuple[str, ...]] = {
     "normal_force": ("tendon", "point", "component"),
     "friction_force": ("tendon", "point", "component"),
 }
+# what can be asked of a `History` beside what an equilibrium has too, and its dimensions beside those of the sweep
+OF_HISTORY: dict[str, tuple[str, ...]] = {
+    **{name: OUTPUTS[name] for name in ("tip_position", "tip_angle", "tip_tension", "tendon_displacement")},
+    **{name: OUTPUTS[name] for name in ("direction", "error_estimate")},
+    "front": ("tendon",),
+    "num_turns": (),
+    **{name: dims for name, dims in OUTPUTS.items() if "point" in dims},
+}
 
 
 def variable(
@@ -57,8 +67,9 @@ def variable(
 ) -> Variable:
     """An output of `array`'s shape and type for every solve, or its derivative by what has the unit `unit_by`."""
     dims, unit, meaning = tuple(f"{name}_{i}" for i in range(array.ndim)), "", name
-    if name in OUTPUTS:
-        dims, unit, meaning = OUTPUTS[name], QUANTITIES[name].unit, QUANTITIES[name].words
+    known = OUTPUTS | OF_HISTORY
+    if name in known:
+        dims, unit, meaning = known[name], QUANTITIES[name].unit, QUANTITIES[name].words
     if by:
         unit, meaning = unit and quotient(unit, unit_by), f"{meaning}, by {by}"
     if name == SUCCESSFUL:
@@ -105,9 +116,13 @@ Observables = tuple[tuple[str, Callable[[Equilibrium], ArrayLike]], ...]
 
 
 class OneSolve(eqx.Module):
-    """The outputs of one solve, and their derivatives, as a function of the numbers that vary."""
+    """The outputs of one solve, and their derivatives, as a function of the numbers that vary.
+
+    With a path they are those of `trace` after each of its steps, step first.
+    """
 
     case: Case
+    path: Float[Array, " steps"] | None  # of base tensions, N
     outputs: tuple[str, ...] = eqx.field(static=True)
     observables: Observables = eqx.field(static=True)
     sensitivities: tuple[str, ...] = eqx.field(static=True)
@@ -122,19 +137,33 @@ class OneSolve(eqx.Module):
 
         def real(by: Numbers) -> tuple[dict[str, Array], dict[str, Array]]:
             outputs = self._answer({**numbers, **by})
-            return {name: x for name, x in outputs.items() if jnp.issubdtype(x.dtype, jnp.floating)}, outputs
+            smooth = (name for name, x in outputs.items() if jnp.issubdtype(x.dtype, jnp.floating))
+            return {name: outputs[name] for name in smooth if name != "front"}, outputs  # `trace` holds fronts fixed
 
         slopes, outputs = jax.jacfwd(real, has_aux=True)(by)
         return outputs | {slope_name(name, by): slope for name, of in slopes.items() for by, slope in of.items()}
 
     def _answer(self, numbers: Numbers) -> dict[str, Array]:
         there = self.case.with_numbers(numbers)
-        options = {"direction": there.direction, "method": self.method, "nodes": self.nodes}
-        found = solve(there.manipulator, there.base_tension, there.loads, throw=False, **options)
-        outputs = {name: getattr(found, name) for name in self.outputs}
-        outputs |= {name: _observed(name, function, found) for name, function in self.observables}
+        if self.path is None:
+            options = {"direction": there.direction, "method": self.method, "nodes": self.nodes}
+            found = solve(there.manipulator, there.base_tension, there.loads, throw=False, **options)
+            outputs = {name: getattr(found, name) for name in self.outputs}
+            outputs |= {name: _observed(name, function, found) for name, function in self.observables}
+        else:
+            found = trace(there.manipulator, self.path, nodes=self.nodes, throw=False)
+            outputs = {name: _after_each_step(found, name) for name in self.outputs}
         code = jnp.asarray(code_of(found.result))
         return outputs | {SUCCESSFUL: code == code_of(RESULTS.successful), RESULT: code.astype(jnp.int8)}
+
+
+def _after_each_step(history: History, name: str) -> Array:
+    """An output, step first, then its own dimensions."""
+    dims = OF_HISTORY[name]
+    if "point" in dims:
+        return getattr(history.equilibria, name)
+    values = getattr(history, name)
+    return values.reshape(len(values), -1) if dims == ("tendon",) else values
 
 
 def _observed(name: str, function: Callable[[Equilibrium], ArrayLike], found: Equilibrium) -> Array:

@@ -8,6 +8,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -26,8 +27,8 @@ from ..robot.named_numbers import Case, holds, of_tendon
 from ..statics.arguments import check_nodes
 from ..statics.equilibrium import Equilibrium
 from ..statics.targets import Target
-from .axes import RESERVED, Dimension, check_names, dimensions_of
-from .one_solve import OUTPUTS, RESULT, SUCCESSFUL, OneSolve, coordinates, prepared, slope_name, variable
+from .axes import PATH, RESERVED, Dimension, check_names, dimensions_of
+from .one_solve import OF_HISTORY, OUTPUTS, RESULT, SUCCESSFUL, OneSolve, coordinates, prepared, slope_name, variable
 
 if TYPE_CHECKING:
     import xarray
@@ -46,6 +47,7 @@ def sweep(
     base_tension: Tension | None = None,
     loads: Loads | None = None,
     *,
+    history: bool = False,
     direction: ArrayLike | Sequence[int | None] | None = None,
     outputs: Sequence[str] = DEFAULT_OUTPUTS,
     observables: Mapping[str, Observable] | None = None,
@@ -67,7 +69,9 @@ def sweep(
             "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension_2", and the options "nodes",
             "method", "kinematics". SI units.
         base_tension, loads, direction, nodes, method: as `solve` takes them, where no axis names them.
-        outputs: attributes of `Equilibrium`, each an array of the answer.
+        history: take the values of the axis "base_tension" for a path in time, N, from rest: they are pulled and
+            released in their order, by `trace`, for each combination of the other axes. For one tendon without loads.
+        outputs: attributes of `Equilibrium`, or of `History` and its fields, each an array of the answer.
         observables: more outputs, by name, each a function of an `Equilibrium`.
         sensitivities: names of numbers; for each output X that is real and each number P there is then
             X_by_P, the derivative.
@@ -95,6 +99,7 @@ def sweep(
         dimensions=dimensions_of(axes),
         base_tension=base_tension,
         loads=loads,
+        history=history,
         direction=direction,
         outputs=_names("outputs", outputs),
         observables=dict(observables or {}),
@@ -122,6 +127,7 @@ class Sweep:
     dimensions: tuple[Dimension, ...]
     base_tension: Tension | None = None
     loads: Loads | None = None
+    history: bool = False
     direction: ArrayLike | Sequence[int | None] | None = None
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
     observables: dict[str, Observable] = field(default_factory=dict)
@@ -182,16 +188,39 @@ class Sweep:
         with within("sweep", ValueError):
             check_nodes(self.nodes)
 
+    def _check_history(self) -> None:
+        """What cannot be traced."""
+        if self.path is None:
+            raise InputError('sweep: history needs the axis "base_tension", whose values are the path')
+        if (self.path.name, *self.path.numbers, *self.path.options) != ("base_tension", "base_tension"):
+            raise InputError(
+                "sweep: with history base_tension varies alone; write its axis as {'base_tension': values}"
+            )
+        if self.manipulator.num_tendons != 1:
+            raise InputError(f"sweep: history is that of one tendon, the body has {self.manipulator.num_tendons}")
+        numbers = {name for d in self.dimensions for name in (*d.numbers, *d.options)}
+        given = {"loads": self.loads, "direction": self.direction, "observables": self.observables or None}
+        others = [name for name, value in given.items() if value is not None]
+        others += [name for name in numbers if name.startswith(("loads.", "direction", "method"))]
+        others += [name for name in self.sensitivities if name.startswith("base_tension")]
+        if others or not isinstance(self.method, FixedPoint):
+            what = others[0] if others else "method"
+            raise InputError(f"sweep: with history there is no {what}; leave it out")
+
     def _check(self) -> None:
+        if self.history:
+            self._check_history()
         for name in ("outputs", "sensitivities"):
             if len(set(getattr(self, name))) < len(getattr(self, name)):
                 raise InputError(f"sweep: {name} names something twice; leave one out")
         known = {name for dimension in self.dimensions for name in (dimension.name, *dimension.numbers)}
         if self.base_tension is not None and "base_tension" in known:
             raise InputError("sweep: base_tension is given and an axis; leave one out")
+        there = OF_HISTORY if self.history else OUTPUTS
         for name in self.outputs:
-            if name not in OUTPUTS:
-                raise InputError(f"sweep: {name!r} is no output; there are {', '.join(OUTPUTS)}")
+            if name not in there:
+                of = " of a history" if self.history else ""
+                raise InputError(f"sweep: {name!r} is no output{of}; there are {', '.join(there)}")
         for name in (*self.outputs, *self.observables):
             if name in known:
                 raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")
@@ -225,24 +254,45 @@ class Sweep:
             tuple(1 for _ in self.dimensions),
             coordinates(self.dimensions, units, variables),
             variables,
-            {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name},
+            {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name}
+            | ({PATH: self.path.name} if self.path else {}),
         )
-        each = COPIES * layout.bytes_each
+        each = COPIES * layout.bytes_each * self.steps
         if each > self.allowed:
             raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
-        most = self.chunk_size or min(CHUNK, int(self.allowed // each))
-        chunks = even_chunks([d.size for d in self.dimensions], most, [bool(d.options) for d in self.dimensions])
-        return replace(layout, chunks=chunks)
+        most = max((self.chunk_size or min(CHUNK, int(self.allowed // each) * self.steps)) // self.steps, 1)
+        sizes = [1 if d is self.path else d.size for d in self.dimensions]
+        chunks = even_chunks(sizes, most, [bool(d.options) for d in self.dimensions])
+        whole = [d.size if d is self.path else c for d, c in zip(self.dimensions, chunks, strict=True)]
+        return replace(layout, chunks=tuple(whole))
+
+    @cached_property
+    def path(self) -> Dimension | None:
+        """The dimension whose base tensions are traced in their order."""
+        found = (dimension for dimension in self.dimensions if "base_tension" in dimension.numbers)
+        return next(found, None) if self.history else None
+
+    @property
+    def steps(self) -> int:
+        """How many solves are made together, as one goes on where another ended."""
+        return 1 if self.path is None else self.path.size
+
+    @property
+    def _varied(self) -> list[Dimension]:
+        """What varies from one solve or one trace to another."""
+        return [dimension for dimension in self.dimensions if dimension is not self.path]
 
     @property
     def _shape(self) -> dict[str, int]:
         return {dimension.name: dimension.size for dimension in self.dimensions}
 
     def _variables(self) -> dict[str, Variable]:
-        inputs = {name: np.zeros((), self.dtype) for d in self.dimensions for name in d.numbers}
+        inputs = {name: np.zeros((), self.dtype) for d in self._varied for name in d.numbers}
         found: dict[str, Variable] = {}
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
             shapes = shapes_of(self.solver(index), inputs)
+            if self.path:  # the steps are a dimension of the sweep
+                shapes = {name: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for name, x in shapes.items()}
             for name, base, by in self._names(shapes):
                 new = variable(base, shapes[name], self._shape, self.case.unit(by) if by else "", by)
                 if found.setdefault(name, new).shape != new.shape:
@@ -273,6 +323,7 @@ class Sweep:
             # operation by operation: compiled together, the last digits would depend on the compiler's options
             "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
             "kinematics": self.manipulator.kinematics,
+            "history": self.history,
             "nodes": self.nodes,
             "method": recorded(self.method),
             "outputs": list(self.outputs),
@@ -291,7 +342,8 @@ class Sweep:
         }
         kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
         case, observed = prepared(self.case, kinematics, self.dtype), tuple(self.observables.items())
-        one = OneSolve(case, self.outputs, observed, self.sensitivities, self.nodes, self.method, self.dtype)
+        path = None if self.path is None else jnp.asarray(self.path.numbers["base_tension"], self.dtype)
+        one = OneSolve(case, path, self.outputs, observed, self.sensitivities, self.nodes, self.method, self.dtype)
         return replace(one, **chosen)
 
     # --- running ------------------------------------------------------------------------------------
@@ -305,12 +357,24 @@ class Sweep:
         """The outputs of one chunk, in the shape of its region."""
         region = layout.region(index)
         options = tuple(r.start if d.options else 0 for d, r in zip(self.dimensions, region, strict=True))
-        lanes = Lanes(self.solver(options), layout.chunk_size)
-        places = np.meshgrid(*(np.arange(r.start, r.stop) for r in region), indexing="ij")
+        lanes = Lanes(self.solver(options), layout.chunk_size // self.steps, self.steps)
+        along = [
+            np.zeros(1, int) if dimension is self.path else np.arange(r.start, r.stop)
+            for dimension, r in zip(self.dimensions, region, strict=True)
+        ]
+        places = np.meshgrid(*along, indexing="ij")
         numbers = {
             name: values[place.ravel()].astype(self.dtype)
             for dimension, place in zip(self.dimensions, places, strict=True)
             for name, values in dimension.numbers.items()
+            if dimension is not self.path
         }
         outputs = lanes(numbers, places[0].size)
-        return {name: np.reshape(x, (*places[0].shape, *x.shape[1:])) for name, x in outputs.items()}
+        return {name: self._in_place(np.reshape(x, (*places[0].shape, *x.shape[1:]))) for name, x in outputs.items()}
+
+    def _in_place(self, output: np.ndarray) -> np.ndarray:
+        """An output of a chunk with the steps of a path along their dimension, which has one place so far."""
+        if self.path is None:
+            return output
+        steps, own = len(self.dimensions), self.dimensions.index(self.path)
+        return np.squeeze(np.swapaxes(output, own, steps), steps)
