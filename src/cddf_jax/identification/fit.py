@@ -18,6 +18,7 @@ from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from . import bench
 from .course import Course, course_of, has_history
+from .order_checks import order_remarks
 from .predictions import Numbers, Prediction, beyond_the_data, predicted_rows
 from .random_effects import fit_trials
 from .verdict import Look, doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
@@ -118,9 +119,14 @@ class Fit(LeastSquaresFit):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Those of any fit, and where samples of one hold are no independent readings."""
+        """Those of any fit, samples of one hold that are no independent readings, readings that their order belies."""
         alike = ((label, one.remark) for label, one in self.serial_correlation.items())
-        return (*super().remarks, *(f"{label}: {remark}" for label, remark in alike if remark))
+        of_order = self._order_remarks if self.success else ()
+        return (*super().remarks, *(f"{label}: {remark}" for label, remark in alike if remark), *of_order)
+
+    @cached_property
+    def _order_remarks(self) -> tuple[str, ...]:
+        return tuple(order_remarks(self))
 
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:

@@ -19,6 +19,7 @@ from .model_free import SIGNIFICANT, independent_labels, jackknife
 COLUMNS = ("base_tension", "tip_tension")
 ROUNDS = 20  # until it is known which rows have slid out wholly
 LEAST_ROWS = 2  # on either branch
+LEAST_SLACK = 0.1  # of 1/T_base, to which 1/T_tip may fall while gain and loss are sought
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,6 +87,7 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
         raise InputError(f"{table.name}: a loop without a model needs one tendon and no force on the tip; use fit")
     used = branch = np.where((table["base_tension"] > 0) & (table["tip_tension"] > 0), branches(table), 0.0)
     loss = _regression(table, branch > 0, branch)[0][1] if np.count_nonzero(branch > 0) >= LEAST_ROWS else 0.0
+    gain, covariance, freedom = 1.0, np.full((3, 3), np.inf), 0
     for _ in range(ROUNDS):
         last, used = used, np.where((branch > 0) | _has_slid_out(table, loss), branch, 0.0)
         counts = [np.count_nonzero(used == way) for way in (1, -1)]
@@ -127,14 +129,16 @@ def _regression(
     inverse, tip, way = 1 / table["base_tension"][rows], table["tip_tension"][rows], branch[rows]
     count = 2 + with_zero
     found = np.array([1.0, max(float(np.median(way * (1 / tip - inverse))), 0.0), 0.0])
-    for _ in range(ROUNDS):  # Gauss and Newton
-        slack = np.maximum(inverse + way * found[1], 0.1 * inverse)
+
+    def linearised() -> tuple[np.ndarray, np.ndarray]:
+        slack = np.maximum(inverse + way * found[1], LEAST_SLACK * inverse)
         columns = np.stack([1 / slack, -found[0] * way / slack**2, np.ones(tip.size)], axis=1)[:, :count]
-        residual = tip - found[0] / slack - found[2]
-        step, _, rank, _ = np.linalg.lstsq(columns, residual)
-        found[:count] += step
-    covariance = np.full((3, 3), np.inf)
-    labels = independent_labels(table, rows)
-    if rank == count:
+        return columns, tip - found[0] / slack - found[2]
+
+    for _ in range(ROUNDS):  # Gauss and Newton
+        found[:count] += np.linalg.lstsq(*linearised())[0]
+    columns, residual = linearised()
+    covariance, labels = np.full((3, 3), np.inf), independent_labels(table, rows)
+    if np.linalg.matrix_rank(columns) == count:
         covariance[:count, :count] = jackknife(columns, residual, labels)
     return found, covariance, int(min(tip.size - count, labels.max()))

@@ -1,0 +1,218 @@
+"""Whether readings with a history fit the order in which they are said to have been measured.
+
+What creeps drifts from the first row to the last. Rows that were mixed up fit better in another order.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..measurements.table import Measurements
+from ..programs.kept import kept_program
+from ..robot.manipulator import Manipulator
+from .bench import Bench, Group, Parameters
+from .course import Course
+
+if TYPE_CHECKING:
+    from .fit import Fit
+
+CHANCE = 1e-3  # p-value of residuals that drift
+LANES = 32  # other orders, at most, that are tried
+HELPS, LEAST_GAIN = 1.0, 14.0  # of the sum of squares over the noise, by one exchange, and by all of them
+MANY_TURNS = 0.3  # of the steps; with more turns the order is compared with orders by chance
+AS_BAD = 0.3  # of the sum of squares of orders by chance
+MAX_TURNS = 16
+SEED = 0
+
+
+def order_remarks(fit: "Fit") -> list[str]:
+    """In words, what speaks against the order of the rows of each table with a history."""
+    found = []
+    for name, table, experiment in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True):
+        if isinstance(experiment, Bench) and experiment.course is not None:
+            own = [group for group in fit.groups if group.name == name]
+            found += [text for group in own if (text := _drift(fit, group, experiment.course))]
+            found += _mixed_up(fit, table, experiment, own)
+    return found
+
+
+def _noise_of(fit: "Fit", group: Group) -> np.ndarray:
+    """(readings,), standard deviations."""
+    problem = fit.minimum.problem
+    return np.ravel(problem.data.noise[problem.groups.index(group.label)])
+
+
+# --- drift -------------------------------------------------------------------------------------------
+
+
+def _drift(fit: "Fit", group: Group, course: Course) -> str:
+    """Whether the residuals of a group go up or down from the first step to the last, beyond what the fit could take.
+
+    An F test, or with given noise a chi-square test, of two more parameters of the linearised model: an error that
+    grows with the step, and one that grows with the step and the reading.
+    """
+    from scipy.stats import chi2, f as f_distribution
+
+    evidence, residual = fit.evidence, fit.standardised_residuals
+    labels, jacobian = list(evidence.rows), evidence.jacobian
+    every = np.concatenate([*(residual[label] for label in labels), np.zeros(len(evidence.prior_rows))])
+    last = np.bincount(course.trial, minlength=len(course.first_row)) * 0.0
+    np.maximum.at(last, course.trial, course.step)
+    time = (course.step / np.maximum(last[course.trial], 1.0) - 0.5)[group.there]
+    noise = _noise_of(fit, group)
+    start = sum(len(evidence.rows[label]) for label in labels[: labels.index(group.label)])
+    columns = np.zeros((every.size, 2))
+    size = np.max(np.abs(group.observed), initial=1e-300)
+    columns[start : start + time.size] = np.stack([time, time * group.observed / size], axis=1) / noise[:, None]
+    basis = np.linalg.svd(jacobian, full_matrices=False)[0][:, : fit.rank]
+    own = columns - basis @ (basis.T @ columns)
+    spectrum = np.linalg.svd(own, full_matrices=False)
+    kept = spectrum[1] > 1e-6 * np.linalg.norm(columns)
+    explained, count = float(np.sum((spectrum[0][:, kept].T @ every) ** 2)), int(np.sum(kept))
+    freedom = fit.degrees_of_freedom - count
+    if not count or freedom < 1 or not np.all(np.isfinite(every)):
+        return ""
+    if any(evidence.noise_estimated.values()):
+        left = max(float(every @ every) - explained, 1e-300) / freedom
+        chance = float(f_distribution.sf(explained / count / left, count, freedom))
+    else:
+        chance = float(chi2.sf(explained, count))
+    if chance >= CHANCE:
+        return ""
+    return (
+        f"{group.label}: residuals drift from the first row to the last (p = {chance:.1g}); does the body creep, or "
+        "the zero of an instrument? Measure faster, or wait at each level"
+    )
+
+
+# --- another order -------------------------------------------------------------------------------------
+
+
+class _Orders(NamedTuple):
+    """Other orders of the same levels."""
+
+    readings: np.ndarray  # (orders, trials, steps), N
+    step: np.ndarray  # (orders, rows)
+
+
+def _mixed_up(fit: "Fit", table: Measurements, bench: Bench, groups: list[Group]) -> list[str]:
+    """Whether two levels, one after the other, fit better the other way round, or any order fits as well."""
+    course = bench.course
+    assert course is not None
+    squares = np.zeros(len(table))
+    for group in groups:
+        squares[group.there] += fit.standardised_residuals[group.label] ** 2
+    if not np.all(np.isfinite(squares)):
+        return []
+    found, now = [], float(np.sum(squares))
+    pairs = _suspects(course, squares)
+    gain = now - _sums_of_squares(fit, bench, groups, _exchanged(course, [[pair] for pair in pairs]))[: len(pairs)]
+    together = _apart([pairs[i] for i in np.argsort(-gain) if gain[i] > HELPS])
+    left = float(_sums_of_squares(fit, bench, groups, _exchanged(course, [together]))[0]) if together else now
+    noise = left / now if any(fit.evidence.noise_estimated.values()) else 1.0  # as it would be after the exchange
+    if now - left > LEAST_GAIN * noise:
+        trial, step = together[0]
+        rows = [np.flatnonzero((course.trial == trial) & (course.step == step + k))[0] for k in (0, 1)]
+        more = f" (and {len(together) - 1} more pairs)" if len(together) > 1 else ""
+        first, second = map(table.place, rows)
+        found.append(
+            f"{table.name}: {first} and {second} fit better the other way round{more}; was the order of the rows "
+            "mixed up?"
+        )
+    moves = np.sign(np.diff(course.readings, axis=1))
+    turns = np.sum(moves[:, 1:] * moves[:, :-1] < 0)
+    if turns > MANY_TURNS * np.sum(moves != 0):
+        by_chance = _sums_of_squares(fit, bench, groups, _by_chance(course))
+        if now > AS_BAD * np.nanmedian(by_chance):
+            found = [
+                f"{table.name}: the rows fit hardly better in their order than in one by chance; check the columns "
+                "step and time"
+            ]
+    return found
+
+
+def _apart(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The first of those that share a level."""
+    kept: list[tuple[int, int]] = []
+    for trial, step in pairs:
+        if not any(trial == other and abs(step - first) < 2 for other, first in kept):
+            kept.append((trial, step))
+    return kept
+
+
+def _suspects(course: Course, squares: np.ndarray) -> list[tuple[int, int]]:
+    """Trial and first step of pairs of levels, those with the largest residuals first."""
+    trials, steps = course.readings.shape
+    by_step = np.zeros((trials, steps))
+    np.add.at(by_step, (course.trial, course.step), squares)
+    there = np.zeros((trials, steps), bool)
+    there[course.trial, course.step] = True
+    pair = np.where(there[:, :-1] & there[:, 1:], by_step[:, :-1] + by_step[:, 1:], 0.0)
+    largest = np.argsort(pair.ravel())[::-1][:LANES]
+    return [divmod(int(at), steps - 1) for at in largest if pair.ravel()[at] > 0]
+
+
+def _exchanged(course: Course, every: list[list[tuple[int, int]]]) -> _Orders:
+    """For each list of pairs, all rows with the two levels of each pair exchanged; other orders are as measured."""
+    readings, step = (np.repeat(np.asarray(x)[None], LANES, axis=0) for x in (course.readings, course.step))
+    for lane, pairs in enumerate(every):
+        for trial, first in pairs:
+            own = course.trial == trial
+            readings[lane, trial, [first, first + 1]] = readings[lane, trial, [first + 1, first]]
+            if first + 1 == np.max(course.step[own]):  # the last one is repeated
+                readings[lane, trial, first + 2 :] = readings[lane, trial, first + 1]
+            step[lane, own & (course.step == first)] = first + 1
+            step[lane, own & (course.step == first + 1)] = first
+    return _Orders(readings, step)
+
+
+def _by_chance(course: Course) -> _Orders:
+    """All levels of each trial in orders by chance."""
+    rng = np.random.default_rng(SEED)
+    readings, step = (np.repeat(np.asarray(x)[None], LANES, axis=0) for x in (course.readings, course.step))
+    for lane in range(LANES):
+        for trial in range(len(course.readings)):
+            own = course.trial == trial
+            count = int(course.step[own].max()) + 1
+            order = rng.permutation(count)
+            readings[lane, trial, :count] = course.readings[trial, order]
+            readings[lane, trial, count:] = readings[lane, trial, count - 1]
+            step[lane, own] = np.argsort(order)[course.step[own]]
+    return _Orders(readings, step)
+
+
+def _sums_of_squares(fit: "Fit", bench: Bench, groups: list[Group], orders: _Orders) -> np.ndarray:
+    """(orders,), of the residuals over the noise, at the estimate; NaN where there is no solution."""
+    plain = Bench(bench.base_tension, (None,), trial=bench.trial, columns=bench.columns, course=bench.course)
+    body, parameters = fit.model.manipulator, jax.tree.map(np.asarray, fit.parameters)
+    read = _read_in_orders(plain, body, parameters, orders.readings, orders.step, fit.model.nodes)
+    total = np.zeros(LANES)
+    for group in groups:
+        noise = _noise_of(fit, group)
+        total += np.sum(((np.asarray(read[group.column])[:, group.there] - group.observed) / noise) ** 2, axis=1)
+    return total
+
+
+@kept_program
+@eqx.filter_jit
+def _read_in_orders(
+    bench: Bench,
+    manipulator: Manipulator,
+    parameters: Parameters,
+    readings: Float[np.ndarray | Array, "orders trials steps"],
+    step: Int[np.ndarray | Array, "orders rows"],
+    nodes: int,
+) -> dict[str, Array]:
+    """(orders, rows), what the instruments read in other orders."""
+    course = bench.course
+    assert course is not None
+
+    def one(readings: np.ndarray | Array, step: np.ndarray | Array) -> dict[str, Array]:
+        other = Course(readings, course.trial, step, course.first_row, MAX_TURNS)
+        own = eqx.tree_at(lambda b: b.course, bench, other, is_leaf=lambda x: isinstance(x, Course))
+        return own.predict(manipulator, parameters, nodes)
+
+    return jax.vmap(one)(readings, step)
