@@ -23,7 +23,13 @@ SCENARIOS = {"tensions and angle": ("tip_tension", "tip_angle"), "angle alone": 
 def paper() -> cddf.Manipulator:
     """The paper's body, exact kinematics."""
     return cddf.conical(
-        length=0.140, outer_radius=(0.020, 0.013), inner_radius=0.007, tendon_offset=0.010, kinematics="exact", **TRUTH
+        length=0.140,
+        outer_radius=(0.020, 0.013),
+        inner_radius=0.007,
+        tendon_offset=0.010,
+        kinematics="exact",
+        friction_coefficient=TRUTH["friction_coefficient"],
+        youngs_modulus=TRUTH["youngs_modulus"],
     )
 
 
