@@ -8,6 +8,7 @@ from cddf_jax.explorer.model import Exploration
 from cddf_jax.explorer.past import NUM_LEGS, densely, gone_on, loop, still_felt, why_no_loop
 from cddf_jax.explorer.plots import BodyPlot, TensionPlots
 from cddf_jax.explorer.words import loop_html
+from cddf_jax.measurements.table import Measurements
 
 G = np.linspace(0.0, 9e-3, 50)  # the widths of the plays along the paper's body, 1/N
 
@@ -93,6 +94,16 @@ def test_the_loop_is_drawn_and_taken_away(found, explored):
     for plot in (tension, body):
         plot.show_loop(None)
     assert [fig.select_one({"name": "past"}).visible for fig in figures] == [False] * 3
+
+
+def test_rows_of_a_measured_loop_know_their_past():
+    """Tip tensions on the way back to the digits of the table."""
+    base, tip = [75.0, 60.0, 40.0, 20.0], [45.122927, 45.122927, 45.122927, 24.288558]
+    table = Measurements.from_columns("loop", base_tension=base, tip_tension=tip, step=[1, 2, 3, 4])
+    body = paper_body("exact")
+    ((rows, model),) = Exploration(body, (table,)).in_rows(body)
+    assert rows is table
+    np.testing.assert_allclose(model["tip_tension"], tip, atol=6e-7)
 
 
 def test_where_there_is_no_loop_the_reason_is_said(case, explored):

@@ -15,7 +15,8 @@ from jaxtyping import Array, ArrayLike, Float
 from ..errors import InputError
 from ..figures.geometry import stations
 from ..files.manipulator_file import manipulator_text
-from ..identification.bench import Bench, experiment_of, reading, starting_value, stiffness_parameter
+from ..identification.bench import Bench, Pulley, experiment_of, reading, starting_value, stiffness_parameter
+from ..identification.course import Traced, course_of, has_history
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
@@ -232,9 +233,9 @@ class Exploration:
     def in_rows(self, body: Manipulator) -> list[tuple[Measurements, dict[str, np.ndarray]]]:
         """Tables that no single curve holds, and by column what a body shows in their rows; NaN without a good solve.
 
-        They are those of several tendons, under forces, or of tendons that slide out.
+        They are those of several tendons, under forces, of tendons that slide out, or of loops in a known order.
         """
-        experiments = ((table, experiment_of(table, body)) for table in self.tables)
+        experiments = ((table, _experiment(table, body)) for table in self.tables)
         apart = [(table, rows) for table, rows in experiments if isinstance(rows, Bench) and not rows.on_one_curve]
         return [(table, jax.tree.map(np.asarray, _in_rows(rows, body))) for table, rows in apart]
 
@@ -307,6 +308,15 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     return *_where_good(given, numbers), *_where_good(reached, there)
 
 
+def _experiment(table: Measurements, body: Manipulator) -> Pulley | Bench:
+    """A table as the model takes it, with the past of its rows where their order is told and can be followed."""
+    try:
+        ordered = has_history(table, body, None)
+    except InputError:
+        ordered = False
+    return experiment_of(table, body, course=course_of(table)[0] if ordered else None)
+
+
 @kept_program
 @eqx.filter_jit
 def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
@@ -315,7 +325,7 @@ def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
     return dict(zip(rows.columns, _where_good(equilibrium, readings), strict=True))
 
 
-def _where_good(equilibrium: Equilibrium, numbers: tuple) -> tuple:
+def _where_good(equilibrium: Equilibrium | Traced, numbers: tuple) -> tuple:
     good = (equilibrium.result == GOOD[0]) | (equilibrium.result == GOOD[1])
     return tuple(jnp.where(good, number, jnp.nan) for number in numbers)
 
