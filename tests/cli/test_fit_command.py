@@ -75,7 +75,9 @@ def test_options_of_a_fit(answer_of):
     """Against the library with the same options; of the pulley test alone, which needs no solve."""
     options = ("--free", "friction_coefficient", "--loss", "huber", "--starts", "3", "--seed", "5")
     limits = ("--prior", "friction_coefficient = uniform 0.1 .. 0.6", "--bound", "friction_coefficient=0.2:")
-    answer = answer_of("fit", PAPER, PULLEY, *options, *limits, "--noise", "pulling_tension=0.1 N + 1 %")
+    answer = answer_of(
+        "fit", PAPER, PULLEY, *options, *limits, "--noise", "pulling_tension=0.1 N + 1 %", "--no-history"
+    )
     fit = cddf.fit(
         cddf.read_manipulator(PAPER),
         cddf.read_measurements(PULLEY),
@@ -90,7 +92,7 @@ def test_options_of_a_fit(answer_of):
         "priors": {"friction_coefficient": {"low": 0.1, "high": 0.6}},
         "bounds": {"friction_coefficient": [0.2, None]},
         "noise": {"pulling_tension": {"floor": 0.1, "fraction": 0.01}},
-        "history": None,
+        "history": False,
         "per_trial": False,
         "loss": "huber",
         "starts": 3,
