@@ -47,6 +47,8 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/loads.py
 	$(BIN)/python benchmarks/interval_coverage.py
 	$(BIN)/python benchmarks/held_samples.py
+	$(BIN)/python benchmarks/loop_coverage.py
+	$(BIN)/python benchmarks/loop_checks.py
 	$(BIN)/python benchmarks/standard_errors.py
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[benchmark]"
 	$(BIN)/python benchmarks/fits.py

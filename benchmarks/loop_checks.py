@@ -83,16 +83,27 @@ def noticed(change: Change) -> dict[str, float]:
         off = abs(fit.value["youngs_modulus"] / 1.4e6 - 1)
         found.append((of_order, bool(remarks) or not fit.success, off))
     order, every, off = np.mean(found, axis=0)
-    return {"about the order, %": 100 * order, "any, %": 100 * every, "modulus off, mean, %": round(100 * off, 2)}
+    return {"about the order, %": 100 * order, "any, %": 100 * every, "modulus off, mean, %": 100 * off}
+
+
+def markdown(results: dict[str, dict[str, float]]) -> str:
+    """One row for each change."""
+    head = "| changed | remark about the order, % of loops | any remark, % | mean error of the modulus, % |"
+    lines = [head, "| --- | ---: | ---: | ---: |"]
+    for name, row in results.items():
+        order, every, off = row.values()
+        lines.append(f"| {name} | {order:.1f} | {every:.1f} | {off:.2f} |")
+    return "\n".join(lines) + "\n"
 
 
 def main() -> None:
     """Simulate, print and save."""
     configure_jax(quick_compilation=False)
     results = {name: noticed(change) for name, change in CHANGES.items()}
-    text = as_json({"loops": LOOPS, "seed": SEED, "noticed": results})
+    text = markdown(results)
     print(text)
-    write_all("out/benchmark", {"loop_checks.json": text})
+    about = {"loops": LOOPS, "seed": SEED, "noticed": results}
+    write_all("out/benchmark", {"loop_checks.md": text, "loop_checks.json": as_json(about)})
 
 
 if __name__ == "__main__":

@@ -26,6 +26,8 @@ PARTS = {
     "methods": "Accuracy of the methods",
     "loads": "Accuracy under loads",
     "interval_coverage": "Coverage of intervals",
+    "loop_coverage": "Coverage of intervals from loops",
+    "loop_checks": "What a fit of a loop notices",
     "standard_errors": "Standard errors",
 }
 

@@ -170,6 +170,11 @@ def test_where_the_history_is_not_known():
     both = Measurements.from_columns("bench", **rows, base_tension_2=[5.0, 5.0])
     with pytest.raises(InputError, match=r"the history of 2 tendons cannot be fitted; give history=False"):
         cddf.fit(pair, both)
+    gap = {"base_tension": [10.0, 60.0, 20.0], "tip_tension": [9.0, np.nan, 22.0]}
+    with pytest.raises(
+        InputError, match="1 rows without a reading are left out, and the path from row to row needs them"
+    ):
+        cddf.fit(BODY, Measurements.from_columns("bench", **gap), history=True)
     with pytest.raises(InputError, match="noise of base_tension is used with a history only"):
         cddf.fit(BODY, table(), history=False, noise={"base_tension": 0.1})
     with pytest.raises(InputError, match="noise of base_tension must be one standard deviation"):
@@ -184,6 +189,15 @@ def test_time_orders_too_and_trials_apart():
     order = Measurements.from_columns("bench", **columns, step=[2, 1, 1, 2], time=[1.0, 1, 0, 0]).order
     np.testing.assert_array_equal(order, [2, 1, 3, 0])
     np.testing.assert_array_equal(Measurements.from_columns("bench", **columns).order, range(4))
+
+
+def test_a_row_without_a_reading_is_a_step_all_the_same():
+    """60 N were not read, but turned the tendon: the path of three steps stays, and one reading is missing."""
+    columns = {"base_tension": [10.0, 60.0, 20.0], "tip_tension": [9.0, np.nan, 22.0], "step": [1, 2, 3]}
+    gap = Measurements.from_columns("bench", **columns)
+    assert "rows without a reading are steps of the path all the same: 1 of 3 rows (row 2 first)" in gap.read_as[0]
+    np.testing.assert_array_equal(course_of(gap)[0].readings[0, :3], [10.0, 60.0, 20.0])
+    np.testing.assert_array_equal(experiment_of(gap, BODY).read_in["tip_tension"], [0, 2])
 
 
 # --- jitter of the base cell -----------------------------------------------------------------------

@@ -273,6 +273,11 @@ DOWN = (
     "time"
 )
 FROM_REST = DOWN.format("2 of 6", 4, "is pulled from rest")
+ANEW = (
+    "rows with base_tension back at its lowest level, from which it rises again: 1 of 6 (row 4: 10 N after 75 N); they "
+    "count as let out to this level; where the tendon was let out wholly in between, give each pull a trial of its own"
+    ", or add rows of 0 N"
+)
 DOWN_OF_TWO = (
     "rows with base_tension_2 below that of the row before, while no direction_2 is stated: 1 of 3 (row 3: 30 N after "
     "75 N); each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write direction_2 "
@@ -311,6 +316,8 @@ TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
             [DOWN.format("1 of 4", 3, "slides as its direction says")],
         ),
         ({"base_tension": [10, 75, 30, 10], "step": [0, 1, 2, 3]}, []),  # with a history
+        ({"base_tension": [10, 40, 75, 10, 40, 75], "step": range(6)}, [ANEW]),
+        ({"base_tension": [10, 40, 75, 0, 10, 40, 75], "step": range(7)}, []),  # wholly let out in between
         ({"base_tension": [10, 75, 30, 40], "tip_tension": [9, 45, 40, 45], "time": [0, 1, 2, 3]}, []),  # and it sticks
         ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30]}, [DOWN_OF_TWO]),
         ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30], "direction_2": [1, 1, -1]}, []),

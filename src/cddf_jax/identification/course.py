@@ -90,6 +90,11 @@ def has_history(table: Measurements, manipulator: Manipulator, history: bool | N
     """
     if "pulling_tension" in table or not (table.ordered if history is None else history):
         return False
+    if table.left_out and not table.ordered:
+        raise InputError(
+            f"{table.name}: {table.left_out} rows without a reading are left out, and the path from row to row needs "
+            "them; add a column step, with which they stay"
+        )
     loaded = any(column.startswith("tip_force") and np.any(values) for column, values in table.columns.items())
     if manipulator.num_tendons > 1 or loaded:
         of = f"{manipulator.num_tendons} tendons" if manipulator.num_tendons > 1 else "a body under a tip force"

@@ -83,6 +83,7 @@ class Measurements:
         read_as: what was done to read the file, one line each with its name; empty for a plain one.
         files: where the trials are files, their names, in the order of `trial_labels`.
         unread: columns that held no reading in any row and are left out.
+        left_out: how many rows held no reading and are left out; with `step` or `time` they stay, as steps of a path.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Measurements:
     read_as: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
+    left_out: int = 0
 
     def __post_init__(self):
         for values in self.columns.values():
@@ -274,7 +276,12 @@ def _table(
         arrays["trial"] = np.array([codes[label] for label in labels], float)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
     lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
-    return Measurements(name, arrays, at[kept], tuple(codes), notes, simulated, read_as=lines, unread=unread)
+    return Measurements(
+        *(name, arrays, at[kept], tuple(codes), notes, simulated),
+        read_as=lines,
+        unread=unread,
+        left_out=int(np.sum(~kept)),
+    )
 
 
 def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, list[str]]:
@@ -286,6 +293,9 @@ def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[tuple[st
     read = {column: where for column, where in missing.items() if column not in unread}
     empty = np.all([*read.values(), np.full(len(rows), bool(read))], axis=0)
     said = [f"{column} holds no number and is not used" for column in unread]
+    if np.any(empty) and any(column in columns for column in ORDER):
+        said.append(f"rows without a reading are steps of the path all the same: {_counted(empty, rows)}")
+        empty = np.zeros_like(empty)
     if np.any(empty):
         said.append(f"rows without a reading are left out: {_counted(empty, rows)}")
     for column, where in read.items():

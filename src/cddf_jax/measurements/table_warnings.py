@@ -26,7 +26,7 @@ def warnings_of(table: "Measurements", *, in_order: bool) -> tuple[str, ...]:
         in_order: whether its rows are taken with their history, in the order in which they were measured.
     """
     of_rows = [look(table) for look in (_too_few_rows, _repeated_rows, _one_level)]
-    of_order = (_tip_above_base_on_the_way_up,) if in_order else (_tip_above_base, _coming_down)
+    of_order = (_tip_above_base_on_the_way_up, _starts_anew) if in_order else (_tip_above_base, _coming_down)
     looks = (_below_zero, *of_order, _large_angle)
     of_columns = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
     return tuple(filter(None, of_rows + of_columns))
@@ -101,6 +101,26 @@ def _tip_above_base_on_the_way_up(table: "Measurements", column: str) -> str:
         rows = table.order[trial[table.order] == label]
         highest[rows] = base[rows] >= np.maximum.accumulate(base[rows])
     return _above(table, column, highest)
+
+
+def _starts_anew(table: "Measurements", column: str) -> str:
+    """Rows at the lowest level of their trial, after one at twice it or more, that go up again: perhaps from rest."""
+    if column != "base_tension":
+        return ""
+    base, trial = table[column][table.order], table.columns.get("trial", np.zeros(len(table))).astype(int)[table.order]
+    least = np.full(trial.max() + 1, np.inf)
+    np.minimum.at(least, trial, base)
+    slack, alike = ONE_LEVEL * base.max(), np.diff(trial) == 0
+    before, after = np.append(0.0, np.where(alike, base[:-1], 0.0)), np.append(np.where(alike, base[1:], 0.0), 0.0)
+    low = (base > slack) & (base <= least[trial] + slack) & (before > 2 * base + slack) & (after > base + slack)
+    which, above = np.zeros(len(table), bool), np.zeros(len(table))
+    which[table.order], above[table.order] = low, before
+    what = f"{column} back at its lowest level, from which it rises again"
+    remedy = (
+        "they count as let out to this level; where the tendon was let out wholly in between, give each pull a trial "
+        "of its own, or add rows of 0 N"
+    )
+    return _rows_with(table, which, what, lambda i: f"{table[column][i]:.6g} N after {above[i]:.6g} N", remedy)
 
 
 def _above(table: "Measurements", column: str, sliding_in: np.ndarray) -> str:
