@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .fit import Fit
 
 CHANCE = 1e-3  # p-value of residuals that drift
+MOST_STEPS = 512  # of paths, for which other orders are tried
 LANES = 32  # other orders, at most, that are tried
 HELPS, LEAST_GAIN = 1.0, 14.0  # of the sum of squares over the noise, by one exchange, and by all of them
 MANY_TURNS = 0.3  # of the steps; with more turns the order is compared with orders by chance
@@ -105,7 +106,7 @@ def _mixed_up(fit: "Fit", table: Measurements, bench: Bench, groups: list[Group]
     squares = np.zeros(len(table))
     for group in groups:
         squares[group.there] += fit.standardised_residuals[group.label] ** 2
-    if not np.all(np.isfinite(squares)):
+    if not np.all(np.isfinite(squares)) or course.readings.size > MOST_STEPS:
         return []
     found, now = [], float(np.sum(squares))
     pairs = _suspects(course, squares)

@@ -49,7 +49,7 @@ def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
         error = np.full(level.size, 0.5 * _small_ways_back(level))
     steady = _between_turns(level, turns_of(level, error), size)
     ignored = turns_of(readings).size - turns_of(steady).size
-    return Steady(steady[holds], noise or float(error[0]) / SURE, 2 * float(np.max(error)), ignored)
+    return Steady(steady[holds], noise or float(np.std(level - steady)), 2 * float(np.max(error)), ignored)
 
 
 def turns_of(level: np.ndarray, error: np.ndarray | None = None) -> np.ndarray:
