@@ -61,6 +61,8 @@ def statics():
     history = cddf.trace(robot, [20.0, 10.0], nodes=8)
     with cddf.show_progress():
         cddf.trace(robot, np.array([15.0]), start=history, nodes=8, max_turns=4)
+    history = cddf.trace(robot, cddf.Displacement([0.004, 0.003]), nodes=8, before=30.0)
+    print(history.work, history.friction_loss, history.stored_energy, history.equilibria.tension, file=sys.stderr)
     print(history.at(np.array([0.0, 0.07])).tension, history.sliding(0.07), file=sys.stderr)
 
 

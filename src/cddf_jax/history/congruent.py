@@ -18,10 +18,12 @@ from ..numerics.arrays import zero_as
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import one_precision
-from ..statics.equilibrium import Dense, Fields, nan_unless
+from ..statics.equilibrium import RESULTS, Dense, Fields, code_of, nan_unless, with_words
 from ..statics.solve import solve
+from .driven import Drive, driven
+from .energies import work_and_loss
 from .fronts import cut_at, front_of
-from .history import History, States
+from .history import Energies, History, States
 from .parts import Tip, rotated, slid_up_to, tips
 from .turns import NOBODY, Turns, open_turns
 
@@ -38,6 +40,8 @@ class CongruentStates(States):
     path: Float[Array, " path"]  # base tensions, N
     turns: Turns  # of the path
     front: Float[Array, " path"]  # m
+    stored_energy: Float[Array, " steps"]  # J
+    earlier: Float[Array, "2"] | None  # work and loss before the steps, J; None for those of the path
 
     @property
     def arc_length(self) -> Float[Array, " points"]:
@@ -51,27 +55,44 @@ class CongruentStates(States):
         front, direction = (x[-self.num_steps :, None] for x in (self.front, self.turns.direction))
         return jnp.where(arc_length <= front, direction, 0.0)
 
+    def energies(self) -> Energies:
+        work, loss = _work_and_loss(self)
+        return Energies(work, loss, self.stored_energy)
+
+
+class Before(NamedTuple):
+    """What was before the first step."""
+
+    open_tension: Float[Array, " turns"]  # N, a path that leaves what is felt
+    work_and_loss: Float[Array, "2"] | None = None  # since rest, J; None for those of that path
+
 
 @kept_program
-@partial(jax.jit, static_argnames=("nodes", "max_turns"))
+@partial(jax.jit, static_argnames=("nodes", "max_turns", "quantity"))
 def congruent_history(
-    manipulator: Manipulator, base_tension: Array, before: Array | None, nodes: int, max_turns: int
+    manipulator: Manipulator,
+    wanted: Float[Array, " steps"],
+    before: Before,
+    nodes: int,
+    max_turns: int,
+    quantity: str = "base_tension",
 ) -> History:
     """Trace one tendon without loads.
 
     Args:
         manipulator: a body with one tendon.
-        base_tension: N, after each step.
-        before: the tensions of `CongruentStates.open_tension` of a history that goes on; None for rest.
+        wanted: values of the driven quantity after each step.
+        before: what was before the first step.
         nodes: Gauss nodes in each smooth piece; static.
         max_turns: how many turns there is room for; static.
+        quantity: what is driven, "base_tension", N, "displacement", m, or "tip_angle", rad; static.
     """
     # the masses of a body without loads do nothing, and may lie beyond a front
     body = eqx.tree_at(lambda body: body.point_masses, manipulator, ())
-    num_steps = base_tension.shape[0]
-    path = base_tension if before is None else jnp.concatenate([before, base_tension])
-    body, _, _, path = one_precision(body, path[0], jnp.ones_like(path[0]), path)
-    all_turns = open_turns(path, max_turns)
+    num_steps = wanted.shape[0]
+    given = wanted, before.open_tension, before.work_and_loss
+    body, _, _, (wanted, known, earlier) = one_precision(body, wanted[0], jnp.ones_like(wanted[0]), given)
+    path, all_turns, drive = _path(body, nodes, quantity, known, wanted, max_turns)
     fronts, tip = follow(body, nodes, path, all_turns)
 
     turns, front, tip = jax.tree.map(lambda x: x[-num_steps:], (all_turns, fronts, tip))
@@ -90,7 +111,7 @@ def congruent_history(
         num_turns=jnp.sum(turns.open != NOBODY, axis=1),
         tendon_displacement=pulled_in,
         error_estimate=error,
-        result=tip.result,
+        result=tip.result if drive is None else jax.vmap(_with_drive)(tip.result, drive),
         _states=CongruentStates(
             manipulator=body,
             nodes=nodes,
@@ -99,8 +120,35 @@ def congruent_history(
             path=path,
             turns=all_turns,
             front=fronts,
+            stored_energy=tip.stored + outside * path[-num_steps:] / 2,
+            earlier=earlier,
         ),
     )
+
+
+def _path(
+    body: Manipulator, nodes: int, quantity: str, known: Array, wanted: Array, max_turns: int
+) -> tuple[Float[Array, " path"], Turns, Drive | None]:
+    """Known tensions and those that are wanted or move something as wanted, N; and the turns of the whole path."""
+    if quantity == "base_tension":
+        path = jnp.concatenate([known, wanted])
+        return path, open_turns(path, max_turns)[1], None
+    stack, turns = open_turns(known, max_turns)
+    tensions, values = jnp.zeros_like(stack.value), jnp.zeros_like(stack.value)
+    if known.size > 0:
+        tip = follow(body, nodes, known, turns)[1]
+        outside = known * jnp.sum(body.tendon_compliance * body.tendon_free_length)
+        reached = tip.heading if quantity == "tip_angle" else tip.pulled_in + outside
+        tensions, values = known[stack.step], reached[stack.step]
+    drive, more = driven(body, nodes, quantity, wanted, stack, tensions, values, known.size)
+    turns = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), turns, more)
+    return jnp.concatenate([known, drive.tension]), turns, drive
+
+
+def _with_drive(result: RESULTS, drive: Drive) -> RESULTS:
+    found = RESULTS.where(drive.slack, RESULTS.slack, RESULTS.successful)
+    found = RESULTS.where(drive.unreachable, RESULTS.unreachable, found)
+    return with_words(RESULTS.where(code_of(result) == 0, found, result))
 
 
 def follow(
@@ -116,6 +164,18 @@ def follow(
     found = jax.vmap(partial(slid_up_to, body, nodes))(tension, direction, jnp.tile(front, 2))
     own, other = jax.tree.map(lambda x: x[: path.size], found), jax.tree.map(lambda x: x[path.size :], found)
     return front, tips(body, own, other, turns)
+
+
+@kept_program
+@eqx.filter_jit
+def _work_and_loss(states: CongruentStates) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
+    """Since rest, J."""
+    gains = work_and_loss(states.manipulator, states.nodes, states.path, states.turns, states.front)
+    if states.earlier is not None:
+        own = jnp.arange(states.path.size) >= states.path.size - states.num_steps
+        gains = jnp.where(own[:, None], gains, 0.0)
+    sums = jnp.cumsum(gains, axis=0)[-states.num_steps :] + (0.0 if states.earlier is None else states.earlier)
+    return sums[:, 0], sums[:, 1]
 
 
 # --- along the body ------------------------------------------------------------------------------

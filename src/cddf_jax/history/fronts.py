@@ -46,7 +46,7 @@ def front_of(
     (here, pull), (_, other) = (_slide(body, nodes, *end) for end in ends)
     # in T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock
     gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
-    front = jnp.clip(_first_zero(here.panels, gap[..., 0]), LEAST * length, length)
+    front = jnp.clip(first_zero(here.panels, gap[..., 0]), LEAST * length, length)
     if body.tendon_drag is not None or body.slanted:  # else r is a polynomial, and the front right at once
         refine = partial(_nearer, body, nodes, ends)
         found = jax.lax.fori_loop(0, REFINEMENTS, lambda _, front: refine(front), front)
@@ -84,7 +84,7 @@ def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction
     return value[0], tension_rate(problem.direction, problem.tip, turning, value)[0]
 
 
-def _first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
+def first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
     """The first place, m, where polynomials that are positive at the base fall below zero; the tip if none is."""
     starts, ends = at_starts_and_ends(cut, values[..., None])
     points = jnp.concatenate([starts, values, ends], axis=1)

@@ -26,6 +26,18 @@ class States(eqx.Module):
     def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps *tendons points"]:
         """+1 where a tendon slid in last, -1 where it slid out, 0 where it rests."""
 
+    @abstractmethod
+    def energies(self) -> "Energies":
+        """What was done, lost and stored."""
+
+
+class Energies(eqx.Module):
+    """Of every step, J; all but the stored energy is summed up since the straight body was at rest."""
+
+    work: Float[Array, " steps"]
+    friction_loss: Float[Array, " steps"]
+    stored_energy: Float[Array, " steps"]
+
 
 class History(eqx.Module):
     """The states through which a manipulator went, step first.
@@ -51,6 +63,30 @@ class History(eqx.Module):
         s = jnp.asarray(arc_length, self.front.dtype)
         found = self._states.sliding(s.ravel())
         return found.reshape(*found.shape[:-1], *s.shape)
+
+    @property
+    def work(self) -> Float[Array, " steps"]:
+        """What the actuators have done since rest, J: the integral of base tension by tendon displacement."""
+        return self._energies.work
+
+    @property
+    def friction_loss(self) -> Float[Array, " steps"]:
+        """What friction and drag have taken of that, J, from an integral of its own."""
+        return self._energies.friction_loss
+
+    @property
+    def stored_energy(self) -> Float[Array, " steps"]:
+        """What the bent body and the stretched tendons hold, J.
+
+        In the exact kinematics work = stored energy + friction loss. In the published kinematics the moment of a
+        tendon is not quite the one that does its work, and the difference tells how much.
+        """
+        return self._energies.stored_energy
+
+    @property
+    def _energies(self) -> Energies:
+        known = jnp.cumsum(jnp.isnan(self.tip_angle)) == 0  # after a step that failed a sum is not known
+        return jax.vmap(nan_unless)(known, self._states.energies())
 
     @property
     def equilibria(self) -> Fields:

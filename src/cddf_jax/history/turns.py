@@ -68,16 +68,19 @@ def go_on(stack: Stack, value: Number, step: Int[Array, ""]) -> tuple[Stack, Tur
     return new, Turns(direction, before, place, new.step, too_many)
 
 
-def open_turns(values: Float[Array, " steps"], max_turns: int) -> Turns:
+def open_turns(values: Float[Array, " steps"], max_turns: int) -> tuple[Stack, Turns]:
     """Follow a path from rest.
 
     Args:
         values: after each step; between steps it goes straight from one to the next.
         max_turns: how many open turns there is room for; static.
+
+    Returns:
+        What is open at the end, and the turns of each step.
     """
     values = jax.lax.stop_gradient(values)
 
     def advance(stack: Stack, given: tuple[Number, Int[Array, ""]]) -> tuple[Stack, Turns]:
         return go_on(stack, *given)
 
-    return jax.lax.scan(advance, empty_stack(max_turns, values), (values, jnp.arange(values.shape[0])))[1]
+    return jax.lax.scan(advance, empty_stack(max_turns, values), (values, jnp.arange(values.shape[0])))

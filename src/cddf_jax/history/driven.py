@@ -1,0 +1,173 @@
+"""The base tensions that move the actuator or the tip as they are told.
+
+What a motion adds to displacement or tip angle since its turn comes from the part of the body that slides alone. It
+grows all the way, so the turns of what is driven are those of the tension, and each step has one unknown. Just after a
+turn it grows as the square of the change in tension; so the search is for the root of what is wanted.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..robot.manipulator import Manipulator
+from .fronts import front_of
+from .parts import slid_up_to
+from .turns import NOBODY, Stack, Turns, go_on
+
+Number = Float[Array, ""]
+Gain = Callable[[Number, Number], Number]  # of the tensions before and after a motion
+DOUBLINGS = 24  # of a tension, until it is large enough
+EVALUATIONS = 60  # at most; most searches take ten
+
+
+class Drive(NamedTuple):
+    """What moves the body as told."""
+
+    tension: Float[Array, " steps"]  # N
+    slack: Bool[Array, " steps"]  # the tendon would have to push, and hangs
+    unreachable: Bool[Array, " steps"]
+
+
+def driven(
+    body: Manipulator,
+    nodes: int,
+    quantity: str,
+    wanted: Float[Array, " steps"],
+    stack: Stack,
+    tensions: Float[Array, " turns"],
+    values: Float[Array, " turns"],
+    first_step: int,
+) -> tuple[Drive, Turns]:
+    """Find the base tensions of a path.
+
+    Args:
+        body: with one tendon.
+        nodes: Gauss nodes in each smooth piece.
+        quantity: "displacement", m, or "tip_angle", rad.
+        wanted: its values after each step.
+        stack: what is open before.
+        tensions, values: of the base, N, and of the quantity at the turns of the stack.
+        first_step: the number of the first step.
+    """
+
+    constant = jax.lax.stop_gradient(body)
+
+    def advance(state: _Driven, given: tuple[Number, Int[Array, ""]]) -> tuple[_Driven, tuple[Drive, Turns]]:
+        value, step = given
+        stack, turn = go_on(state.stack, jax.lax.stop_gradient(value), step)
+        below = jnp.maximum(turn.place - 1, 0)
+        from_rest = turn.before == NOBODY
+        turned_at, since = (jnp.where(from_rest, 0.0, x[below]) for x in (state.tensions, state.values))
+        gain, constant_gain = (
+            partial(_gain, one, nodes, quantity, turn.direction, from_rest) for one in (body, constant)
+        )
+        drive, added = _tension_for(gain, constant_gain, turned_at, turn.direction, value - since, first_try)
+        here = jnp.arange(stack.step.size) == turn.place
+        values = jnp.where(here, since + added, state.values)
+        new = _Driven(
+            stack._replace(value=jax.lax.stop_gradient(values)), jnp.where(here, drive.tension, state.tensions), values
+        )
+        return new, (drive, turn)
+
+    first_try = _first_try(constant)
+    start = _Driven(stack._replace(value=jax.lax.stop_gradient(values)), tensions, values)
+    return jax.lax.scan(advance, start, (wanted, first_step + jnp.arange(wanted.size)))[1]
+
+
+class _Driven(NamedTuple):
+    stack: Stack
+    tensions: Float[Array, " turns"]  # at its turns, N
+    values: Float[Array, " turns"]  # those of the stack, with their derivatives
+
+
+def _gain(
+    body: Manipulator,
+    nodes: int,
+    quantity: str,
+    direction: Number,
+    from_rest: Bool[Array, ""],
+    turned_at: Number,
+    tension: Number,
+) -> Number:
+    """What a motion adds since it turned."""
+    front = front_of(body, nodes, tension, direction, turned_at, from_rest)
+    bases = jnp.stack([tension, jnp.where(from_rest, tension, turned_at)])
+    directions = jnp.stack([direction, jnp.where(from_rest, direction, -direction)])
+    found = jax.vmap(partial(slid_up_to, body, nodes, front=front))(bases, directions)
+    values = found.heading
+    outside = 0.0
+    if quantity == "displacement":
+        values = found.pulled_in
+        outside = (tension - turned_at) * jnp.sum(body.tendon_compliance * body.tendon_free_length)
+    return outside + values[0] - jnp.where(from_rest, 0.0, values[1])
+
+
+def _tension_for(
+    gain: Gain, constant_gain: Gain, turned_at: Number, direction: Number, wanted: Number, first_try: Number
+) -> tuple[Drive, Number]:
+    """The tension of a motion that adds what is wanted, and what it adds; the search itself has no derivatives."""
+    fixed = jax.lax.stop_gradient
+    start, aim = fixed(turned_at), fixed(wanted * direction)
+    target = jnp.sqrt(jnp.maximum(aim, 0.0))
+
+    def missing(change: Number) -> Number:
+        added = constant_gain(start, start + direction * change) * direction
+        return jnp.sqrt(jnp.maximum(added, 0.0)) - target
+
+    most = jnp.where(aim > 0, jnp.where(direction > 0, first_try * 2.0**DOUBLINGS, start), 0.0)
+    change, enough = _search(missing, -target, first_try, most)
+    near = start + direction * change
+
+    value, slope = jax.jvp(partial(gain, turned_at), (near,), (jnp.ones_like(near),))
+    moves = aim > 0
+    exact = moves & enough & (fixed(slope) > 0)
+    follows = near - (value - wanted) / fixed(jnp.where(exact, slope, 1.0))  # with the derivatives of the root
+    tension = jnp.where(exact, follows, jnp.where(moves, near, turned_at))
+    slack = jnp.where(direction > 0, (aim < 0) & (start == 0), moves & ~enough)
+    added = jnp.where(exact, wanted, jnp.where(moves, value, 0.0))
+    return Drive(tension, slack, moves & ~slack & ~enough), added
+
+
+def _first_try(body: Manipulator) -> Number:
+    """A small tension, N: the stiffness of the base over the length and the offset there, by 1000."""
+    section = body.cross_section(jnp.zeros_like(jnp.asarray(body.length)))
+    return jax.lax.stop_gradient(1e-3 * section.stiffness / (section.offset[0] * jnp.asarray(body.length)))
+
+
+class _Bracket(NamedTuple):
+    behind: Number
+    last: Number
+    value_behind: Number
+    value: Number
+    crossed: Bool[Array, ""]  # whether the zero lies between the two
+    ended: Bool[Array, ""]
+    num_tries: Int[Array, ""]
+
+
+def _search(
+    function: Callable[[Number], Number], at_zero: Number, first_try: Number, most: Number
+) -> tuple[Number, Bool[Array, ""]]:
+    """Where a growing function vanishes between 0 and `most`, and whether it does; there by the Illinois rule."""
+    least = 4 * jnp.finfo(most.dtype).eps
+
+    def step(state: _Bracket) -> _Bracket:
+        a, b, fa, fb = state[:4]
+        slope = jnp.where(fb == fa, 1.0, fb - fa)
+        within = jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b))
+        c = jnp.where(state.crossed, within, jnp.minimum(jnp.maximum(2 * b, first_try), most))
+        fc = function(c)
+        crosses = fc * fb < 0
+        crossed = state.crossed | crosses
+        settled = (fc == 0) | jnp.where(crossed, jnp.abs(c - b) <= least * c, c >= most)
+        behind, value_behind = jnp.where(crosses, b, a), jnp.where(crosses, fb, fa / 2)
+        return _Bracket(behind, c, value_behind, fc, crossed, settled, state.num_tries + 1)
+
+    zero = jnp.zeros_like(most)
+    nothing = zero > 1
+    start = _Bracket(zero, zero, at_zero, at_zero, nothing, nothing, jnp.zeros((), int))
+    end = jax.lax.while_loop(lambda state: ~state.ended & (state.num_tries < EVALUATIONS), step, start)
+    return end.last, end.crossed | (end.value == 0)

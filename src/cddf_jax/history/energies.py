@@ -1,0 +1,179 @@
+"""What a path takes at the base and loses to friction.
+
+While the base tension goes on in one direction, each place slides from the moment at which the front passes it. So
+the work and the loss of a motion are integrals over the positions of the front, and, once the front is where it stays,
+over the base tension. Both are smooth, and Gauss rules are exact to rounding errors. What a step does follows from
+the motions between turns: when it passes a turn, it first goes back to where that loop began.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..mechanics.fixed_point import FixedPoint
+from ..mechanics.friction import PerTendon
+from ..mechanics.problem import State, displacement_rate, guarded_section, lay_out, tension_of
+from ..mechanics.sign_changes import num_splits
+from ..numerics.quadrature import Panels, gauss_rule
+from ..robot.manipulator import CrossSection, Manipulator
+from ..statics.solve import solve
+from .fronts import cut_at, first_zero, front_of
+from .turns import NOBODY, Turns
+
+Number = Float[Array, ""]
+WorkAndLoss = Float[Array, "*steps 2"]  # J
+REFINEMENTS = 5  # of the tension at which a front passes a place, by Newton's method
+
+
+def work_and_loss(
+    body: Manipulator, nodes: int, path: Float[Array, " path"], turns: Turns, front: Float[Array, " path"]
+) -> WorkAndLoss:
+    """What each step of a path that started at rest takes at the base, and what of that it loses to friction, J."""
+    from_rest = turns.before == NOBODY
+    turned_at = jnp.where(from_rest, 0.0, path[turns.before])
+
+    def there_and_back(step: tuple[Number, Number, Number, Number, Bool[Array, ""]]) -> WorkAndLoss:
+        tension, turned_at, direction, front, from_rest = step
+        starts, ends = jnp.stack([turned_at, tension]), jnp.stack([tension, turned_at])
+        directions, rest = jnp.stack([direction, -direction]), jnp.stack([from_rest, from_rest & False])
+        return jax.vmap(partial(_motion, body, nodes, front))(starts, ends, directions, rest)
+
+    there, back = jnp.moveaxis(jax.lax.map(there_and_back, (path, turned_at, turns.direction, front, from_rest)), 1, 0)
+    return jax.vmap(partial(_of_step, turns, there, back))(jnp.arange(path.size))
+
+
+def _of_step(turns: Turns, there: WorkAndLoss, back: WorkAndLoss, step: Int[Array, ""]) -> WorkAndLoss:
+    """A step closes the loops that it passes, each from where it is in that loop to where the loop began."""
+    earlier = jnp.where(step > 0, turns.open[jnp.maximum(step - 1, 0)], NOBODY)
+    slots = jnp.arange(earlier.size)
+    alike = (slots % 2 == 0) == (turns.direction[step] > 0)
+    passed = (earlier != NOBODY) & (slots >= turns.place[step])
+    goes_back = passed & ~alike & (slots > turns.place[step])
+    zero = jnp.zeros_like(there)
+    been = jnp.where((passed & alike)[:, None], there[earlier], zero[:1])
+    closed = jnp.where(goes_back[:, None], back[earlier], zero[:1])
+    return there[step] + jnp.sum(closed - been, axis=0)
+
+
+def _motion(
+    body: Manipulator,
+    nodes: int,
+    front: Number,
+    turned_at: Number,
+    tension: Number,
+    direction: Number,
+    from_rest: Bool[Array, ""],
+) -> WorkAndLoss:
+    """Work and loss of a motion from where it turned, J. Its front ends at `front`, or at the tip and goes on."""
+    if body.tendon_drag is not None:  # from rest, the front is where the drag has used up the tension
+        front = jnp.where(from_rest, jnp.minimum(front, _slack_from(body, nodes, tension, direction)), front)
+    part = cut_at(body, jax.lax.stop_gradient(front))
+    before = _slide(part, nodes, -direction, jnp.where(from_rest, tension, turned_at))
+
+    def passing(arc_length: Number) -> Number:
+        there = jnp.where(from_rest, 0.0, before.at(part, arc_length)[1][0])
+        return _tension_when_passing(body, nodes, turned_at, direction, arc_length, there)
+
+    edges = before.cut.edges
+    passed = jax.vmap(passing)(edges)
+    rule = gauss_rule(nodes)
+    weights, places = jnp.asarray(rule.weights, edges.dtype), jnp.asarray(rule.nodes, edges.dtype)
+    even = jax.lax.stop_gradient(passed[:-1, None] + jnp.diff(passed)[:, None] * places).ravel()
+    fronts = jax.vmap(partial(_front_at, part, nodes, turned_at, direction, from_rest))(even)
+    moving = jax.vmap(passing)(fronts)  # the same tensions with their derivatives, at places that have none
+    growth = moving.reshape(-1, nodes) @ jnp.asarray(rule.differentiation, edges.dtype).T
+
+    tensions = passed[-1] + (tension - passed[-1]) * places  # the front stays at its end
+    rates = jax.vmap(partial(_rates, body, nodes, direction))(
+        jnp.concatenate([moving, tensions]), jnp.concatenate([fronts, jnp.broadcast_to(edges[-1], tensions.shape)])
+    )
+    shares = jnp.concatenate([(growth * weights).ravel(), (tension - passed[-1]) * weights])
+    return shares @ rates
+
+
+class _Slide(NamedTuple):
+    """A tendon that slides one way along a part of the body."""
+
+    base_tension: Float[Array, " tendons"]
+    cut: Panels
+    starts: State
+    nodes: State
+
+    def at(self, body: Manipulator, arc_length: Number) -> tuple[CrossSection, PerTendon, Number]:
+        """Cross-section, tension, N, and M_ext, N m."""
+        section, state = guarded_section(body, arc_length), self.cut.interpolate(self.starts, self.nodes, arc_length)
+        return section, tension_of(section, self.base_tension, state.pull), state.moment
+
+
+def _slide(part: Manipulator, nodes: int, direction: Number, tension: Number) -> _Slide:
+    if num_splits(part, None) > 0:
+        dense = solve(part, tension, direction=direction, nodes=nodes, throw=False)._dense
+        return _Slide(dense.base_tension, dense.panels, dense.starts, dense.nodes)
+    problem = lay_out(part, tension[None], direction[None], nodes)
+    found = FixedPoint()(problem)
+    return _Slide(problem.base_tension, problem.panels, found.starts, found.nodes)
+
+
+def _front_at(
+    part: Manipulator, nodes: int, turned_at: Number, direction: Number, from_rest: Bool[Array, ""], tension: Number
+) -> Number:
+    front = front_of(part, nodes, tension, direction, turned_at, from_rest)
+    if part.tendon_drag is None:
+        return front
+    return jax.lax.stop_gradient(jnp.where(from_rest, _slack_from(part, nodes, tension, direction), front))
+
+
+def _slack_from(body: Manipulator, nodes: int, tension: Number, direction: Number) -> Number:
+    """Where drag has used up a base tension, m; the tip where it has not."""
+    problem = lay_out(body, tension[None], direction[None], nodes)
+    spent = FixedPoint()(problem).nodes.pull.spent
+    assert spent is not None
+    return first_zero(problem.panels, (tension - spent)[..., 0])
+
+
+def _tension_when_passing(
+    body: Manipulator, nodes: int, turned_at: Number, direction: Number, arc_length: Number, there: Number
+) -> Number:
+    """The base tension, N, at which the front of a motion passes a place with a tension."""
+    double = 2 * turned_at - there
+    # without drag the inverse of the tension has as far to go as on the way of the motion before
+    found = jnp.where(double > 0, turned_at * there / jnp.where(double > 0, double, 1.0), there)
+    if body.tendon_drag is None and not body.slanted:
+        return found
+    part = cut_at(body, arc_length)
+
+    def missing(tension: Number) -> Number:
+        pull = FixedPoint()(lay_out(part, tension[None], direction[None], nodes)).tip.pull
+        return (tension - (0.0 if pull.spent is None else pull.spent) - there * pull.ratio)[0]
+
+    def nearer(tension: Number) -> Number:
+        value, slope = jax.jvp(missing, (tension,), (jnp.ones_like(tension),))
+        slope = jax.lax.stop_gradient(slope)
+        return tension - value / jnp.where(slope > 0, slope, 1.0)
+
+    # the last step has the derivatives of the root
+    return jax.lax.fori_loop(0, REFINEMENTS, lambda _, tension: nearer(jax.lax.stop_gradient(tension)), found)
+
+
+def _rates(body: Manipulator, nodes: int, direction: Number, tension: Number, arc_length: Number) -> WorkAndLoss:
+    """Work and loss per base tension, J/N, while the tendon slides up to an arc length.
+
+    What is pulled in at a place goes through the tension of the base at the base, and of the place there. The
+    friction between has the difference.
+    """
+    part = cut_at(body, jax.lax.stop_gradient(arc_length))
+
+    slide, by_tension = jax.jvp(partial(_slide, part, nodes, direction), (tension,), (jnp.ones_like(tension),))
+    cut = slide.cut  # stays, while the tension changes
+
+    def pulled_in_rate(slide: _Slide) -> tuple[Float[Array, "P p"], Float[Array, "P p"]]:
+        section, local, moment = jax.vmap(jax.vmap(partial(slide.at, body)))(cut.nodes)
+        return displacement_rate(body, section, local, moment)[..., 0], local[..., 0]
+
+    (_, local), (growth, _) = jax.jvp(pulled_in_rate, (slide,), (by_tension,))
+    outside = jnp.sum(body.tendon_compliance * body.tendon_free_length)
+    taken = tension * (jnp.sum(cut.gain(growth)) + outside)
+    return jnp.stack([taken, jnp.sum(cut.gain((tension - local) * growth))])
