@@ -128,7 +128,7 @@ def weighted(objective: Aim | Sequence[tuple[float, Aim]]) -> list[tuple[float, 
         if not isinstance(aim, Objective):
             if not callable(aim) or isinstance(aim, type):
                 raise InputError(f'design: the objective must be one such as Least("mass") or a function, got {aim!r}')
-            aim = Least(aim)  # type: ignore[arg-type]
+            aim = Least(aim)  # pyright: ignore[reportArgumentType]  # a callable: a function of body and equilibrium
         if not weight > 0:
             raise InputError(f"design: the weight of {aim} must be above 0, got {weight:g}")
         found.append((weight, aim))

@@ -121,7 +121,7 @@ def _task(table: Table, path: Path) -> DesignTask:
         constraints=_each(table, "limit", _limit) if "limit" in table else [],
         cases=cases,
         choices=choices,
-        options=DesignOptions(**given),  # type: ignore[arg-type]
+        options=DesignOptions(**given),  # pyright: ignore[reportArgumentType]  # it checks each itself
         read_as=read_as,
     )
 

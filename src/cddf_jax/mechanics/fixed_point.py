@@ -22,8 +22,10 @@ from ..numerics.quadrature import Panels
 from ..robot.loads import planar_cross
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
 from .problem import (
+    AnyState,
     Nodal,
     Number,
+    PassState,
     Problem,
     Solution,
     State,
@@ -52,7 +54,7 @@ def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[
     return heading, (jnp.stack([x[0], y[0]], axis=-1), jnp.stack([x[1], y[1]], axis=-1))
 
 
-def truncation_error(problem: Problem, solution: Solution) -> Number:
+def truncation_error(problem: Problem, solution: Solution[AnyState]) -> Number:
     """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest.
 
     With drag the tip tension is taken relative to what it would be without.
@@ -127,7 +129,7 @@ class FixedPoint(eqx.Module):
     tolerance: float | None = eqx.field(default=None, static=True)
     max_passes: int = eqx.field(default=64, static=True)
 
-    def __call__(self, problem: Problem) -> Solution:
+    def __call__(self, problem: Problem) -> Solution[State]:
         update, guess = Partial(_improved, problem), everywhere(problem.panels, at_base(problem))
         if problem.is_quadrature:
             answer = constant_map(update, guess, _acceptable)
@@ -147,13 +149,13 @@ class FixedPoint(eqx.Module):
         )
         return _with_path(problem, along, solution)
 
-    def improve(self, problem: Problem, guess: Nodal) -> Solution:
+    def improve(self, problem: Problem, guess: Nodal) -> Solution[PassState]:
         return self._improve(problem, guess)[1]
 
-    def finish(self, problem: Problem, guess: Nodal) -> Solution:
+    def finish(self, problem: Problem, guess: Nodal) -> Solution[State]:
         return _with_path(problem, *self._improve(problem, guess))
 
-    def _improve(self, problem: Problem, guess: Nodal) -> tuple["_Pass", Solution]:
+    def _improve(self, problem: Problem, guess: Nodal) -> tuple["_Pass", Solution[PassState]]:
         along, tip = _pass(problem, guess)
         better, guess = without_derivative((along.nodes.values, guess))  # their change needs no derivative
         change = relative_size(jax.tree.map(problem.panels.without_empty, minus(better, guess)), better)
@@ -244,12 +246,12 @@ def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple
     return starts, tip, turns
 
 
-def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> Solution:
+def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> Solution[PassState]:
     """What a pass found."""
 
-    def state(point: _Point, force: Array) -> State:
+    def state(point: _Point, force: Array) -> PassState:
         values, heading, spent = point
-        return State(Pull(values.ratio, spent), heading, moments_of(problem, values), force)
+        return PassState(Pull(values.ratio, spent), heading, moments_of(problem, values), force)
 
     outboard = problem.outboard
     return Solution(
@@ -260,15 +262,16 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
     )
 
 
-def _with_path(problem: Problem, along: _Pass, solution: Solution) -> Solution:
+def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) -> Solution[State]:
     """The solution with wrap angle and position, which a pass has no need of."""
     cut = problem.panels
     axis = axis_of(along.nodes.heading) if along.axis is None else along.axis
     position, position_at_nodes = cut.integrate(axis)
     wrap, wrap_at_nodes = cut.integrate(jnp.abs(along.turning))
     turned = jnp.cumsum(along.turns, axis=0)
-    return solution._replace(
-        starts=solution.starts._replace(wrap_angle=wrap[:-1] + turned, position=position[:-1]),
-        nodes=solution.nodes._replace(wrap_angle=wrap_at_nodes + turned[:, None], position=position_at_nodes),
-        tip=solution.tip._replace(wrap_angle=wrap[-1] + turned[-1], position=position[-1]),
+    return Solution(
+        State(*solution.starts, wrap[:-1] + turned, position[:-1]),
+        State(*solution.nodes, wrap_at_nodes + turned[:, None], position_at_nodes),
+        State(*solution.tip, wrap[-1] + turned[-1], position[-1]),
+        *solution[3:],
     )

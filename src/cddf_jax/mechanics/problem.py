@@ -10,7 +10,7 @@ integrate; last how far tendons slide: the length of their paths through the bod
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Generic, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -74,15 +74,13 @@ class Problem(eqx.Module):
         return body.num_tendons == 1 and straight and self.loads is None and is_proportional(self.base)
 
 
-class State(NamedTuple):
-    """What is integrated along the body; leading axes may be panels and nodes."""
+class PassState(NamedTuple):
+    """What a pass integrates along the body; leading axes may be panels and nodes."""
 
     pull: Pull
     heading: Float[Array, "*points"]  # phi, rad
     moment: Float[Array, "*points"]  # M_ext, N m
     force: Float[Array, "*points 2"]  # N, N
-    wrap_angle: Float[Array, "*points tendons"] | None = None  # theta, rad; None where only a pass was made
-    position: Float[Array, "*points 2"] | None = None  # u, m; likewise
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -90,12 +88,32 @@ class State(NamedTuple):
         return self.pull.ratio
 
 
-class Solution(NamedTuple):
+class State(NamedTuple):
+    """All that is integrated along the body: as in a pass, and what follows from it at the end."""
+
+    pull: Pull
+    heading: Float[Array, "*points"]  # phi, rad
+    moment: Float[Array, "*points"]  # M_ext, N m
+    force: Float[Array, "*points 2"]  # N, N
+    wrap_angle: Float[Array, "*points tendons"]  # theta, rad
+    position: Float[Array, "*points 2"]  # u, m
+
+    @property
+    def ratio(self) -> Float[Array, "*points tendons"]:
+        """The ratio r."""
+        return self.pull.ratio
+
+
+AnyState: TypeAlias = PassState | State
+Kind = TypeVar("Kind", bound=AnyState, covariant=True)
+
+
+class Solution(NamedTuple, Generic[Kind]):
     """The answer of a method: the state along the body, and how the iteration ended."""
 
-    starts: State  # at the start of every panel
-    nodes: State  # at every Gauss node
-    tip: State
+    starts: Kind  # at the start of every panel
+    nodes: Kind  # at every Gauss node
+    tip: Kind
     num_iterations: Number
     residual: Number  # of the method itself, relative: the last change of the fixed point
     converged: Bool[Array, ""]
@@ -115,15 +133,15 @@ class Method(Protocol):
 
     max_passes: int  # calls of `improve` in one try
 
-    def __call__(self, problem: Problem) -> Solution:
+    def __call__(self, problem: Problem) -> Solution[State]:
         """Solve to the end."""
         ...
 
-    def improve(self, problem: Problem, guess: Nodal) -> Solution:
+    def improve(self, problem: Problem, guess: Nodal) -> Solution[AnyState]:
         """One pass from a guess, `converged` if the guess was right; a method without passes solves to the end."""
         ...
 
-    def finish(self, problem: Problem, guess: Nodal) -> Solution:
+    def finish(self, problem: Problem, guess: Nodal) -> Solution[State]:
         """As `improve`, with wrap angle and position."""
         ...
 
@@ -249,7 +267,7 @@ def tension_of(section: CrossSection, base_tension: PerTendon, pull: Pull) -> Pe
     return jnp.where(section.present, unspent(base_tension, pull) / size, 0.0)
 
 
-def curvature_of(problem: Problem, section: CrossSection, state: State) -> Number:
+def curvature_of(problem: Problem, section: CrossSection, state: AnyState) -> Number:
     """The curvature kappa, 1/m, at one cross-section."""
     return bending.curvature(section, tension_of(section, problem.base_tension, state.pull), state.moment)
 
@@ -311,7 +329,7 @@ def everywhere(cut: Panels, values: Nodal) -> Nodal:
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (*shape, *x.shape)), values)
 
 
-def nodal(problem: Problem, solution: Solution) -> Nodal:
+def nodal(problem: Problem, solution: Solution[AnyState]) -> Nodal:
     """The unknowns of a solution, from which the next pass starts."""
     return Nodal(solution.nodes.ratio, None if problem.loads is None else solution.nodes.moment / problem.moment_scale)
 
@@ -326,7 +344,7 @@ def line_up(base: Array, nodes: Array, tip: Array) -> Array:
     return jnp.concatenate([base[None], nodes.reshape(-1, *base.shape), tip[None]])
 
 
-def all_points(problem: Problem, solution: Solution) -> tuple[CrossSection, State]:
+def all_points(problem: Problem, solution: Solution[Kind]) -> tuple[CrossSection, Kind]:
     """The cross-sections and states at base, Gauss nodes and tip."""
     base = problem.base, jax.tree.map(lambda x: x[0], solution.starts)
     return jax.tree.map(line_up, base, (problem.nodes, solution.nodes), (problem.tip, solution.tip))
@@ -353,7 +371,7 @@ def pull_at_nodes(problem: Problem, values: Nodal) -> Pull:
 def tendon_displacement(problem: Problem, pull: Pull, moment: Float[Array, "P p"]) -> PerTendon:
     """Length of each tendon pulled in at the base since the straight body without tension, m."""
     body = problem.manipulator
-    outside = problem.base_tension * body.tendon_compliance * body.tendon_free_length
+    outside = stretch_rate(body, problem.base_tension) * body.tendon_free_length
     tension = tension_of(problem.nodes, problem.base_tension, pull)
     rate = displacement_rate(body, problem.nodes, tension, moment)
     return jnp.sum(problem.panels.gain(rate), axis=0) + outside
@@ -374,4 +392,13 @@ def displacement_rate(
     bend, slope = section.side * section.offset * kappa, section.offset_slope
     straight = jnp.sqrt(1.0 + slope**2)
     rate = bend * (2.0 - bend) / (straight + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
-    return jnp.where(section.present, rate, 0.0) + tension * straight * manipulator.tendon_compliance
+    return jnp.where(section.present, rate, 0.0) + stretch_rate(manipulator, tension, section)
+
+
+def stretch_rate(manipulator: Manipulator, tension: Array, section: CrossSection | None = None) -> Array:
+    """By how much a tendon stretches: T / (E A) per length outside the body, in it times sqrt(1 + d'^2) per arc length.
+
+    Half of this times T is its elastic energy per length.
+    """
+    along = tension if section is None else tension * jnp.sqrt(1.0 + section.offset_slope**2)
+    return along * manipulator.tendon_compliance

@@ -17,10 +17,10 @@ from ..numerics.quadrature import Panels
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .problem import (
+    AnyState,
     Number,
     Problem,
     Solution,
-    State,
     curvature_along,
     edge_nudge,
     moment_rate_of,
@@ -81,7 +81,7 @@ def unsplit(manipulator: Manipulator, loads: Loads | None) -> Splits:
 Turning = Float[Array, "P p owners"]
 
 
-def signed_turning(problem: Problem, state: State) -> Turning:
+def signed_turning(problem: Problem, state: AnyState) -> Turning:
     """What may change sign, at the nodes, 1/m: kappa, or psi' of every tendon.
 
     And with drag what it leaves of the base tension of every tendon, over the moment scale.
@@ -108,7 +108,7 @@ def at_starts_and_ends(cut: Panels, turning: Turning) -> Float[Array, "2 P owner
     return jnp.moveaxis(jnp.moveaxis(turning, 1, -1) @ cut.constant("ends").T, -1, 0)
 
 
-def locate(problem: Problem, state: State) -> Splits:
+def locate(problem: Problem, state: AnyState) -> Splits:
     """The first sign changes from the base, between neighbouring nodes and on the polynomials through them."""
     turning = signed_turning(problem, state)
     starts, ends = at_starts_and_ends(problem.panels, turning)
@@ -194,7 +194,7 @@ def refined_zero(
     return jax.lax.fori_loop(0, REFINEMENTS, narrow, (bracket, jax.vmap(value)(bracket)))[0][1]
 
 
-def turning_at_splits(problem: Problem, solution: Solution, splits: Splits) -> Float[Array, " splits"]:
+def turning_at_splits(problem: Problem, solution: Solution[AnyState], splits: Splits) -> Float[Array, " splits"]:
     """The turning that should vanish at each split; for one that is not needed, its distance from the tip, m."""
     edges = problem.panels.edges
     starts = at_starts_and_ends(problem.panels, signed_turning(problem, solution.nodes))[0]

@@ -14,12 +14,13 @@ from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import (
+    AnyState,
     Method,
     Nodal,
     Number,
+    PassState,
     Problem,
     Solution,
-    State,
     loaded_to,
     moments_of,
     nodal,
@@ -69,7 +70,7 @@ class Trial(NamedTuple):
     def stable(self) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
         if self.slopes is None:
-            return self.settled | True
+            return self.settled | True  # true on all devices of shard_map over which the others vary
         slope = by_moment(self.slopes.heading)
         return (self.slopes.residual[0] > 0) & (slope.tip > 0) & (largest(-slope.nodes) < 0)
 
@@ -164,12 +165,12 @@ class LoadedBody(NamedTuple):
             change=solution.residual,
         )
 
-    def state(self, trial: Trial, fraction: Number) -> State:
+    def state(self, trial: Trial, fraction: Number) -> PassState:
         """At the nodes."""
         problem = self.problem if trial.moment is None else self.at(trial.moment, fraction, jnp.ones_like(trial.moment))
         moment = moments_of(problem, trial.nodal)
         heading = jnp.zeros_like(moment) if trial.heading is None else trial.heading.nodes
-        return State(pull_at_nodes(problem, trial.nodal), heading, moment, problem.outboard.nodes)
+        return PassState(pull_at_nodes(problem, trial.nodal), heading, moment, problem.outboard.nodes)
 
     def travel(self, trial: Trial, fraction: Number) -> PerTendon:
         """How far tendons slide in, m; under loads the rate at which they do while all base tensions rise together."""
@@ -212,7 +213,7 @@ def _newton(moment: Number, residual: Number, slopes: Slopes) -> tuple[Number, N
     return step, jnp.where(jnp.abs(step) <= _round_off(step) * size, 0.0, turned)  # less than rounding
 
 
-def moment_left_at_tip(problem: Problem, solution: Solution) -> Number:
+def moment_left_at_tip(problem: Problem, solution: Solution[AnyState]) -> Number:
     """M_ext(L) - m over the moment scale."""
     assert problem.loads is not None
     return (solution.tip.moment - problem.loads.tip_moment) / problem.moment_scale

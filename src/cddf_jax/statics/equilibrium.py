@@ -287,8 +287,6 @@ def fields_at(
     section: CrossSection, base_tension: PerTendon, direction: PerTendon, arc_length: Float[Array, ""], state: State
 ) -> Fields:
     """The fields at one cross-section, tendons last."""
-    assert state.position is not None
-    assert state.wrap_angle is not None
     tension = tension_of(section, base_tension, state.pull)
     kappa = bending.curvature(section, tension, state.moment)
     rate = bending.rates(section, kappa, tension, direction, moment_rate_of(state.heading, state.force))

@@ -10,7 +10,18 @@ from jaxtyping import Array, Float
 
 from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import Nodal, Number, Problem, Solution, all_points, curvature_of, nodal, tendon_displacement
+from ..mechanics.problem import (
+    AnyState,
+    Nodal,
+    Number,
+    Problem,
+    Solution,
+    State,
+    all_points,
+    curvature_of,
+    nodal,
+    tendon_displacement,
+)
 from ..mechanics.sign_changes import Splits, turning_at_splits
 from ..numerics.arrays import largest
 from ..numerics.implicit import Unknowns, implicit, without_derivative
@@ -23,13 +34,13 @@ class Balance(NamedTuple):
     """A body in equilibrium."""
 
     problem: Problem
-    solution: Solution
+    solution: Solution[State]
     load_path: LoadPath  # how the loads were put on
     travel: PerTendon  # by which tendons slide in as all tensions rise in proportion, m; without loads: slid in
     leverage: Number  # by which errors made along the body grow; 1 without loads
 
 
-def missing_moment(problem: Problem, solution: Solution) -> Float[Array, " equations"]:
+def missing_moment(problem: Problem, solution: Solution[AnyState]) -> Float[Array, " equations"]:
     """The residual moment at the tip, over the moment scale; empty without loads."""
     return solution.tip.moment[None][:0] if problem.loads is None else moment_left_at_tip(problem, solution)[None]
 
@@ -39,10 +50,10 @@ def equilibrate(setup: Setup, base_tension: PerTendon) -> Balance:
     return balance(setup, base_tension, settle(*without_derivative((setup, base_tension))))
 
 
-Equations = Callable[[Problem, Solution], Float[Array, " unknown"]]
+Equations = Callable[[Problem, Solution[AnyState]], Float[Array, " unknown"]]
 
 
-def no_equations(problem: Problem, solution: Solution) -> Float[Array, " 0"]:
+def no_equations(problem: Problem, solution: Solution[AnyState]) -> Float[Array, " 0"]:
     """No tension is unknown."""
     return solution.tip.ratio[:0]
 
@@ -84,7 +95,7 @@ class System(eqx.Module):
 
     def step(
         self, values: Nodal | None, unknowns: Unknowns
-    ) -> tuple[tuple[Nodal | None, Unknowns], tuple[Problem, Solution]]:
+    ) -> tuple[tuple[Nodal | None, Unknowns], tuple[Problem, Solution[AnyState]]]:
         """The same, and what they were read from.
 
         The residual: the equations of the targets, the residual moment at the tip, the turning at the sign changes.
@@ -145,7 +156,7 @@ def _from_scratch(system: System) -> Balance:
     return Balance(problem, solution, found, travel, jnp.ones_like(solution.residual))
 
 
-def inside_of_bend(problem: Problem, solution: Solution) -> Float[Array, " points"]:
+def inside_of_bend(problem: Problem, solution: Solution[State]) -> Float[Array, " points"]:
     """Sigma d kappa at base, nodes and tip, the largest of all tendons that reach there."""
 
     def inside(section, state):

@@ -39,7 +39,7 @@ class LiteralIteration(eqx.Module):
     max_updates: int = eqx.field(default=100, static=True)
     max_passes: ClassVar[int] = 64
 
-    def __call__(self, problem: Problem) -> Solution:
+    def __call__(self, problem: Problem) -> Solution[State]:
         if problem.loads is not None:
             raise ValueError("LiteralIteration is the paper's and knows no loads; use FixedPoint")
         _refuse_drag(problem.manipulator)
@@ -68,7 +68,7 @@ class LiteralIteration(eqx.Module):
             locked=jnp.zeros_like(answer.converged),
         )
 
-    def improve(self, problem: Problem, guess: Nodal) -> Solution:
+    def improve(self, problem: Problem, guess: Nodal) -> Solution[State]:
         return self(problem)
 
     finish = improve

@@ -19,10 +19,12 @@ from ..mechanics.problem import (
     Number,
     Problem,
     Solution,
+    State,
     curvature_along,
     displacement_rate,
     load_rate,
     moment_rate_of,
+    stretch_rate,
     tendon_displacement,
     tension_of,
     turning_along,
@@ -215,8 +217,8 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     starts = unspent(base_tension, solution.starts.pull) / solution.starts.ratio
     arriving = jnp.concatenate([base_tension[None], (starts - cut.gain(friction))[:-1]])
     body = problem.manipulator
-    stretching = jnp.sum(tension**2 * jnp.sqrt(1.0 + section.offset_slope**2) * body.tendon_compliance, axis=-1)
-    outside = jnp.sum(base_tension**2 * body.tendon_compliance * body.tendon_free_length)
+    stretching = jnp.sum(tension * stretch_rate(body, tension, section), axis=-1)
+    outside = jnp.sum(base_tension * stretch_rate(body, base_tension) * body.tendon_free_length)
     return _Stage(
         displacement=tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment),
         elastic_energy=jnp.sum(cut.gain(section.stiffness * kappa**2 + stretching)) / 2 + outside / 2,
@@ -232,15 +234,12 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     )
 
 
-def _load_energy(problem: Problem, solution: Solution) -> Number:
+def _load_energy(problem: Problem, solution: Solution[State]) -> Number:
     loads = problem.loads
     if loads is None:
         return jnp.zeros_like(solution.tip.heading)
     rate = load_rate(problem.manipulator, problem.panels.nodes, loads)
     at_starts, at_nodes, at_tip = (state.position for state in (solution.starts, solution.nodes, solution.tip))
-    assert at_starts is not None
-    assert at_nodes is not None
-    assert at_tip is not None
     lifted = jnp.sum(problem.panels.gain(jnp.sum(rate * at_nodes, axis=-1)))
     if problem.outboard.drops is not None:
         lifted = lifted + jnp.sum(problem.outboard.drops * at_starts)

@@ -13,7 +13,7 @@ from ..errors import SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
 from ..mechanics.fixed_point import ACCURACY, FixedPoint, truncation_error
 from ..mechanics.friction import unspent
-from ..mechanics.problem import Method, Problem, Solution, guarded_section, line_up, tendon_displacement
+from ..mechanics.problem import Method, Problem, Solution, State, guarded_section, line_up, tendon_displacement
 from ..numerics.arrays import largest, zero_as
 from ..numerics.quadrature import panels
 from ..programs.kept import kept_program
@@ -162,7 +162,6 @@ def _solve(
     balance, found = _equilibrium(setup, given, targets)
     problem, solution = balance.problem, balance.solution
 
-    assert solution.tip.position is not None
     physical = finite & is_physical(asked[0], asked[1], asked[2], problem) & are_on_the_body(targets, problem)
     solved = physical & balance.load_path.converged
     at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
@@ -217,7 +216,7 @@ def _solve(
     )
 
 
-def _fraction_left(problem: Problem, solution: Solution) -> PerTendon | float:
+def _fraction_left(problem: Problem, solution: Solution[State]) -> PerTendon | float:
     """What drag leaves of the base tension, over it; 1 where there is no base tension."""
     if problem.base.drag is None:
         return 1.0

@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike
 
 from ..mechanics.friction import unspent
 from ..mechanics.problem import (
+    AnyState,
     Number,
     Problem,
     Solution,
@@ -30,7 +31,7 @@ class Target(Protocol):
     quantity: ClassVar[str]  # its name in `quantities`
     value: Any  # Scalar, which pyright does not see in a field with a converter
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         """The value in an equilibrium, in the unit of `value`; `tendon` is the index of the tendon, from 0."""
         ...
 
@@ -48,7 +49,7 @@ class Displacement(eqx.Module):
     quantity: ClassVar[str] = "displacement"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         return tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment)[tendon]
 
     def size(self, setup: Setup) -> Number:
@@ -61,7 +62,7 @@ class TipAngle(eqx.Module):
     quantity: ClassVar[str] = "tip_angle"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         return solution.tip.heading
 
     def size(self, setup: Setup) -> Number:
@@ -74,7 +75,7 @@ class TipTension(eqx.Module):
     quantity: ClassVar[str] = "tip_tension"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         left = unspent(problem.base_tension, solution.tip.pull)
         if solution.tip.pull.spent is not None:  # for a slack tendon, a tension below zero gives the search a direction
             left = jnp.where(jnp.asarray(self.value) >= 0, problem.base_tension - solution.tip.pull.spent, left)
@@ -90,7 +91,7 @@ class TotalTension(eqx.Module):
     quantity: ClassVar[str] = "total_tension"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         return jnp.sum(problem.base_tension)
 
     def size(self, setup: Setup) -> Number:
@@ -104,7 +105,7 @@ class CurvatureAt(eqx.Module):
     value: Scalar = eqx.field(converter=as_number)
     arc_length: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         arc_length = jnp.asarray(self.arc_length, problem.panels.edges.dtype)
         state = problem.panels.interpolate(solution.starts, solution.nodes, arc_length)
         return curvature_of(problem, guarded_section(setup.manipulator, arc_length), state)
@@ -119,7 +120,7 @@ class TipStiffness(eqx.Module):
     quantity: ClassVar[str] = "tip_stiffness"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         heading = solution.tip.heading
         across = jnp.stack([-jnp.sin(heading), jnp.cos(heading)])
 

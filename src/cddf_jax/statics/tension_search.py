@@ -8,7 +8,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import Nodal, Number, Problem, Solution
+from ..mechanics.problem import AnyState, Nodal, Number, Problem, Solution
 from ..numerics.arrays import largest, varying_as, zero_as
 from ..numerics.implicit import Unknowns, slopes_by_unknowns, solve_small, without_derivative
 from .equilibrium_derivatives import Balance, System, balance, inside_of_bend
@@ -89,14 +89,14 @@ def _equations(
     found: Float[Array, " unknowns"],
     free: Bool[Array, " unknowns"],
     problem: Problem,
-    solution: Solution,
+    solution: Solution[AnyState],
 ) -> Float[Array, " unknowns"]:
     """The residuals: the misses of the targets; for a tension that could not follow its target, how far it moved."""
     tension = problem.base_tension[jnp.asarray(list(wanted))] / scale
     return jnp.where(free, _misses(setup, wanted, problem, solution), tension - found)
 
 
-def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution) -> Float[Array, " unknowns"]:
+def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution[AnyState]) -> Float[Array, " unknowns"]:
     """Reached less wanted, over the sizes of the targets."""
 
     def miss(tendon, target):
