@@ -19,6 +19,8 @@ body = dict(length=0.140, outer_radius=(0.020, 0.013), inner_radius=0.007, tendo
             youngs_modulus=1.4e6, friction_coefficient=0.42, density=1070.0)
 robot, pair = cddf.conical(**body), cddf.conical(**body, num_tendons=2)
 loads = cddf.Loads(tip_force=(0.0, -2.0), gravity=(0.0, -9.81))
+path = np.concatenate([np.linspace(*leg, 40) for leg in ((0.0, 75.0), (75.0, 40.0), (40.0, 60.0), (60.0, 0.0))])
+history = cddf.trace(robot, path)
 bent, loaded = cddf.solve(robot, 75.0), cddf.solve(pair, [60.0, 10.0], loads)
 
 table = cddf.read_measurements("data/tip_angle_simulated.csv")
@@ -71,6 +73,24 @@ PICTURES = (
         "Strain along the body",
         "So are curvature, heading, normal and friction force drawn.",
         'figures.draw_along(robot, bent, "strain")',
+    ),
+    Picture(
+        "loop",
+        "A loop",
+        "Tip angle while the tendon is pulled to 75 N, released to 40 N, pulled to 60 N and let go.",
+        'figures.draw_loop(history, "tip_angle")',
+    ),
+    Picture(
+        "history_along",
+        "Fronts along the body",
+        "Tension at the turns of that path. Beyond its front a released tendon rests, with the tension of the pull.",
+        "figures.draw_history_along(robot, history)",
+    ),
+    Picture(
+        "energy",
+        "Where the work goes",
+        "Work put in, stored and lost to friction along that path.",
+        "figures.draw_energy(history)",
     ),
     Picture(
         "fit",

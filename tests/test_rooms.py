@@ -239,5 +239,5 @@ def test_one_name_is_one_thing():
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(name)
     twice = {name for name, files in places.items() if len(files) > 1}
-    assert twice == {"design", "fit", "plan", "reproduce", "solve", "sweep"}
+    assert twice == {"design", "fit", "plan", "reproduce", "solve", "sweep", "trace"}
     assert all(sum(room_of(file) == "cli" for file in places[name]) == 1 and len(places[name]) == 2 for name in twice)

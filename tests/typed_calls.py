@@ -63,6 +63,7 @@ def statics():
         cddf.trace(robot, np.array([15.0]), start=history, nodes=8, max_turns=4)
     history = cddf.trace(robot, cddf.Displacement([0.004, 0.003]), nodes=8, before=30.0)
     print(history.work, history.friction_loss, history.stored_energy, history.equilibria.tension, file=sys.stderr)
+    cddf.as_frame(history)
     print(history.at(np.array([0.0, 0.07])).tension, history.sliding(0.07), file=sys.stderr)
 
 

@@ -17,7 +17,7 @@ PAPER, LOAD_CELLS, PULLEY = (
 )
 PULL = ("-t", "75 N")
 PROGRESS = r"(\d+ s: .+\n)*"  # on a slow machine
-COMMANDS = ("solve", "sweep", "fit", "design", "plan", "reproduce", "explore", "cache")
+COMMANDS = ("solve", "trace", "sweep", "fit", "design", "plan", "reproduce", "explore", "cache")
 
 
 def separate_process(*arguments, **environment):

@@ -25,13 +25,18 @@ from cddf_jax.sweeping.one_solve import RESULT_NAMES
 
 TENSIONS, FRICTIONS = np.linspace(10.0, 50.0, 5), np.array([0.2, 0.4, 0.6])
 LOCKED = RESULT_NAMES.index("locked")
-PAIR = paper_body(num_tendons=2)
+ONE, PAIR = paper_body("exact"), paper_body(num_tendons=2)
 PLAIN = {"Friction coefficient", "Root of the rise in squares", ""}  # numbers without a unit, and hidden labels
 
 
 @pytest.fixture(scope="module")
 def bent():
     return cddf.solve(PAIR, [60.0, 20.0], direction=[+1, -1])
+
+
+@pytest.fixture(scope="module")
+def history():
+    return cddf.trace(ONE, [0.0, 75.0, 60.0, 40.0, 60.0, 75.0])
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +89,9 @@ DRAWN = {
     "map": lambda it, axes: figures.draw_map(
         it("grid").sel(tendon=0), "tip_tension", "base_tension", "friction_coefficient", axes
     ),
+    "loop": lambda it, axes: figures.draw_loop(it("history"), "tip_angle", axes),
+    "history_along": lambda it, axes: figures.draw_history_along(ONE, it("history"), "tension", axes),
+    "energy": lambda it, axes: figures.draw_energy(it("history"), axes),
     "section_column": lambda it, axes: figures.draw_section_column(TABLE, axes),
 }
 

@@ -163,9 +163,10 @@ def test_derivatives_and_fields_of_loops():
 
 @pytest.mark.slow
 def test_one_loop_alone_is_a_trace():
-    answer = cddf.sweep(paper_body(), {"base_tension": PATH}, history=True, outputs=("tip_angle", "front", "num_turns"))
+    names = ("tip_angle", "front", "num_turns", "work", "friction_loss", "stored_energy")
+    answer = cddf.sweep(paper_body(), {"base_tension": PATH}, history=True, outputs=names)
     history = cddf.trace(paper_body(), PATH)
-    for name in ("tip_angle", "front", "num_turns"):
+    for name in names:
         np.testing.assert_allclose(answer[name].values.ravel(), getattr(history, name), rtol=SAME)
 
 

@@ -9,7 +9,7 @@ import typer
 
 from ..errors import InputError, SolveError
 from ..progress import show_progress
-from . import cache, design, explore, fit, plan, reproduce, solve, sweep
+from . import cache, design, explore, fit, plan, reproduce, solve, sweep, trace
 from .options import BAD_INPUT, FAILED, INTERRUPTED, stop
 
 app = typer.Typer(
@@ -38,6 +38,7 @@ def main() -> None:
 
 
 app.command(epilog=solve.EXAMPLE)(solve.solve)
+app.command(epilog=trace.EXAMPLE)(trace.trace)
 app.command(epilog=sweep.EXAMPLE)(sweep.sweep)
 app.command(epilog=design.EXAMPLE)(design.design)
 app.command(epilog=fit.EXAMPLE)(fit.fit)

@@ -27,6 +27,12 @@ from .fit import (
     residuals_figure as residuals_figure,
     table_figures as table_figures,
 )
+from .history import (
+    draw_energy as draw_energy,
+    draw_history_along as draw_history_along,
+    draw_loop as draw_loop,
+    history_figure as history_figure,
+)
 from .plan import draw_plan as draw_plan
 from .style import (
     DOUBLE_COLUMN as DOUBLE_COLUMN,

@@ -3,7 +3,7 @@
 A sweep's answer is an `xarray.Dataset` already.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +11,9 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError, needed
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
+from ..files.artifacts import picked
 from ..files.csv_table import table_csv
+from ..history.history import History
 from ..identification.bench import unit_of
 from ..identification.experiment_design import Plan
 from ..measurements.columns import column_dimension
@@ -27,6 +29,11 @@ if TYPE_CHECKING:
     import xarray
 
 POINTS = 201  # along the body, where none are given
+OF_STEPS = (  # columns of a history
+    *("base_tension", "tip_tension", "tip_angle", "tip_position", "tendon_displacement", "direction", "front"),
+    *("num_turns", "error_estimate"),
+)
+ENERGIES = ("work", "friction_loss", "stored_energy")
 ALONG = ("heading", "curvature", "tension", "normal_force", "friction_force")  # columns of tables
 
 
@@ -62,10 +69,11 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
     return xarray.Dataset(data, coords, {"result": result_in_words(equilibrium) or "successful"})
 
 
-def as_frame(what: Equilibrium | Determination | Measurements | Plan) -> "pandas.DataFrame":
-    """A table, SI units: of an equilibrium its fields, of a fit its parameters, of measurements their rows, of a plan.
+def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) -> "pandas.DataFrame":
+    """A table, SI units: of an equilibrium its fields, of a history its steps, of a fit, of measurements, of a plan.
 
     - Equilibrium: a row for each of 201 arc lengths; columns carry their units, tendons count from 1.
+    - History: a row for each step; where tendons are several, columns count them from 1.
     - Fit (or any `Determination`): a row for each parameter, and for each combination that is identified in place of
       its parts, with value, standard_error, lower, upper (95 %), unit and status. What is not identified has no
       number: NaN, and an infinite standard error.
@@ -80,19 +88,23 @@ def as_frame(what: Equilibrium | Determination | Measurements | Plan) -> "pandas
     pandas = needed("pandas")
     match what:
         case Equilibrium():
-            return pandas.DataFrame(_columns(fields_on_grid(what)))
+            return pandas.DataFrame(field_columns(fields_on_grid(what)))
+        case History():
+            return pandas.DataFrame(history_columns(history_numbers(what)))
         case Determination():
             return pandas.DataFrame(_parameters(what)).set_index("parameter")
         case Measurements():
             return pandas.DataFrame({_head(name): _column(what, name) for name in what.columns})
         case Plan():
             return pandas.DataFrame(_candidates(what)).set_index("candidate")
-    raise TypeError(f"as_frame takes an Equilibrium, a Fit, Measurements or a Plan, got {type(what).__name__}")
+    raise TypeError(
+        f"as_frame takes an Equilibrium, a History, a Fit, Measurements or a Plan, got {type(what).__name__}"
+    )
 
 
 def fields_csv(fields: Fields, notes: Sequence[str] = ()) -> str:
     """What varies along the body as a table for a CSV file, notes above it."""
-    return "".join(f"# {note}\n" for note in notes) + table_csv(_columns(fields))
+    return "".join(f"# {note}\n" for note in notes) + table_csv(field_columns(fields))
 
 
 def fields_on_grid(equilibrium: Equilibrium) -> Fields:
@@ -104,7 +116,7 @@ def fields_on_grid(equilibrium: Equilibrium) -> Fields:
     return fields_on(equilibrium, _stations(equilibrium, None))
 
 
-def _columns(fields: Fields) -> dict[str, np.ndarray]:
+def field_columns(fields: Fields) -> dict[str, np.ndarray]:
     """One number for each arc length, by the head of its column."""
     x, y = np.asarray(fields.position).T
     columns = {"arc_length [m]": np.asarray(fields.arc_length), "x [m]": x, "y [m]": y}
@@ -114,6 +126,26 @@ def _columns(fields: Fields) -> dict[str, np.ndarray]:
         for place in np.ndindex(values.shape[:-1]):
             ends = [f"_{i + 1 if dim == 'tendon' else 'xy'[i]}" for dim, i in zip(own, place, strict=True)]
             columns[f"{name}{''.join(ends)} [{QUANTITIES[name].unit}]"] = values[place]
+    return columns
+
+
+def history_numbers(history: History) -> dict[str, np.ndarray]:
+    """What has a number for each step, step first, by name."""
+    known = picked(history, OF_STEPS) | picked(history._energies, ENERGIES)  # all energies by one program
+    return {name: np.asarray(values) for name, values in known.items()}
+
+
+def history_columns(numbers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The numbers of a history by the head of their column."""
+    columns: dict[str, np.ndarray] = {}
+    for name, values in numbers.items():
+        unit, parts = QUANTITIES[name].unit, values.reshape(len(values), -1).T
+        if name == "tip_position":
+            heads = ["x", "y"]
+        else:
+            heads = [name] if len(parts) == 1 else [f"{name}_{i}" for i in range(1, len(parts) + 1)]
+        for head, part in zip(heads, parts, strict=True):
+            columns[head if unit == "1" else f"{head} [{unit}]"] = part
     return columns
 
 

@@ -58,6 +58,9 @@ OF_HISTORY: dict[str, tuple[str, ...]] = {
     **{name: OUTPUTS[name] for name in ("direction", "error_estimate")},
     "front": ("tendon",),
     "num_turns": (),
+    "work": (),
+    "friction_loss": (),
+    "stored_energy": (),
     **{name: dims for name, dims in OUTPUTS.items() if "point" in dims},
 }
 

@@ -1,0 +1,117 @@
+"""`cddf trace`: a tendon that is pulled and released."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import InputError, within
+from ..progress import stage
+from . import options
+
+if TYPE_CHECKING:
+    from ..units import Dimension
+
+EXAMPLE = 'Example: cddf trace data/smooth_sil_940.toml --path "0 N, 75 N, 40 N, 60 N, 75 N" --out out/trace'
+TABLES = (".csv", ".xlsx")
+PathOption = Annotated[
+    str,
+    typer.Option(
+        "--path",
+        help='Base tensions in their order in time, from rest, "0 N, 75 N, 40 N", or displacements of the tendon, '
+        '"0 mm, 12 mm, 10 mm", or tip angles, "60 deg, 30 deg". Or a CSV or .xlsx file with a column base_tension [N], '
+        "tendon_displacement [mm] or tip_angle [deg]. From one to the next it goes straight.",
+    ),
+]
+NoiseOption = Annotated[
+    str | None,
+    typer.Option(
+        "--noise",
+        help="Standard deviation of the base tensions in a file, 0.1 N: turns within it are jitter of the cell, and no "
+        "turns.",
+    ),
+]
+MaxTurns = Annotated[int, typer.Option(help="How many turns may be felt at once.", min=1)]
+
+
+def trace(
+    robot: options.Robot,
+    path: PathOption,
+    noise: NoiseOption = None,
+    max_turns: MaxTurns = 16,
+    kinematics: options.KinematicsOption = None,
+    nodes: options.Nodes = 16,
+    as_json: options.AsJson = False,
+    out: options.Out = None,
+) -> None:
+    """Pull and release: what slides in each step of a path of base tensions, what it leaves, and what it loses.
+
+    One tendon, without loads. Friction leaves a loop: the way back differs from the way up.
+    """
+    manipulator = options.read_robot(robot, kinematics).manipulator
+    with stage("loading"):
+        from ..files.artifacts import as_json as json_text, write_all
+        from ..reports import trace_report
+
+    values, driven = read_path(path, noise)
+    with within(robot, ValueError):
+        found = trace_report.traced(manipulator, values, driven, nodes, max_turns)
+    answer = trace_report.trace_as_dict(found)
+    if out is not None:
+        from ..figures.history import history_figure
+        from ..figures.style import render
+
+        files: dict[str, str | bytes] = {
+            "trace.json": json_text(answer),
+            "loop.csv": trace_report.loop_csv(found),
+            "fields.csv": trace_report.fields_csv_of_steps(found),
+        }
+        write_all(out, files | render(history_figure(manipulator, found.history, found.steps), "trace"))
+    options.print_answer(trace_report.trace_in_words(found), answer, as_json=as_json)
+
+
+def read_path(text: str, noise: str | None = None) -> "tuple[list[float], Dimension]":
+    """A path as typed or in a file, SI, and what it measures; how a file was read is noted on standard error.
+
+    Raises:
+        InputError: names what cannot be read, and the remedy.
+    """
+    from ..measurements.path_file import read_path_file
+    from ..units import series, written
+
+    if text.strip().lower().endswith(TABLES):
+        found = read_path_file(text.strip())
+        options.note(f"{text.strip()}: {line}" for line in found.read_as)
+        values, driven = found.values, found.dimension
+        if noise is not None and driven != "force":
+            raise InputError(
+                f"--noise {noise}: is that of base tensions, which {text.strip()} does not hold; leave it out"
+            )
+        if noise is not None:
+            values = _steady(values, noise)
+    elif noise is not None:
+        raise InputError(f"--noise {noise}: is that of a file; leave it out, or give a file with --path")
+    else:
+        values, driven = series(text, ("force", "length", "angle"), "--path")
+    for step, value in enumerate(values, 1):
+        if driven == "force" and value < 0:
+            raise InputError(
+                f"--path, step {step}: a tendon cannot push, got {written(value, 'force')}; give 0 N or more"
+            )
+    if not any(values):
+        raise InputError(f"--path {text}: nothing moves; give a value other than 0")
+    return values, driven
+
+
+def _steady(values: list[float], noise: str) -> list[float]:
+    """Tensions of a cell without its jitter."""
+    import numpy as np
+
+    from ..measurements.jitter import without_jitter
+    from ..units import quantity
+
+    deviation = quantity(noise, "force", "--noise")
+    if not deviation > 0:
+        raise InputError(f"--noise {noise}: give a standard deviation above 0 N, or leave it out")
+    found = without_jitter(np.array(values), deviation)
+    options.note([f"{found.num_ignored} turns of the base tension are taken for jitter and left out"])
+    return np.maximum(found.tension, 0.0).tolist()

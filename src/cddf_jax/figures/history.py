@@ -1,0 +1,254 @@
+"""What a traced history looks like: loops over the base tension, lines along the body, and where the work goes."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import jax
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..errors import InputError
+from ..history.history import History
+from ..programs.evaluated import evaluated
+from ..quantities import QUANTITIES
+from ..robot.manipulator import Manipulator
+from . import looks, style as draw
+from .along import ALONG, lines_along
+from .geometry import stations
+
+HEIGHT = 2.4  # inches, of a figure as wide as a column
+LOOPS = ("tip_tension", "tip_angle", "tendon_displacement", "front")
+LINES = len(looks.CURVES)  # along the body, at most
+NUMBERED = 10  # steps, at most: of more of them not all bear their numbers
+SAME = 1e-8  # of the range of a quantity, by which points and lines may differ that are drawn as one
+PULLED: looks.Look = {"color": looks.BLUE, "linestyle": "-", "label": "pulled"}
+RELEASED: looks.Look = {"color": looks.VERMILION, "linestyle": (0, (5, 2)), "label": "released"}
+
+
+def history_figure(manipulator: Manipulator, history: History, steps: Sequence[int] | None = None) -> Figure:
+    """Loops of tip tension and tip angle, tension along the body, and where the work goes, with one numbering of steps.
+
+    Args:
+        manipulator: the body that was traced.
+        history: of `trace`; the closer its steps, the smoother the loops.
+        steps: which of its steps, from 0, bear the numbers 1, 2, ...; those where it turns unless given. Along the
+            body there is room for the last six lines.
+
+    Raises:
+        InputError: when a step failed.
+    """
+    steps = _steps(history, steps)
+    with draw.house_style():
+        figure, (tension, angle, along, energy) = draw.panel_axes(4, 2, HEIGHT)
+        draw_loop(history, "tip_tension", tension, steps=steps)
+        draw_loop(history, "tip_angle", angle, steps=steps)
+        _draw_along(manipulator, history, "tension", along, steps)
+        draw_energy(history, energy, steps=steps)
+        angle.legend().remove()
+        figure.align_ylabels()
+    return figure
+
+
+def draw_loop(
+    history: History,
+    quantity: str = "tip_tension",
+    axes: Axes | None = None,
+    *,
+    steps: Sequence[int] | None = None,
+    tendon: int = 0,
+) -> Axes:
+    """A quantity over the base tension, N, in the order of the steps: solid when pulled, dashed when released.
+
+    Arrows show the order. Steps bear their numbers; steps at one point share a label.
+
+    Args:
+        history: of `trace`; the closer its steps, the smoother the loop.
+        quantity: "tip_tension" (N), "tip_angle" (deg), "tendon_displacement" (mm) or "front" (mm).
+        axes: where to draw; None for a new figure, one column wide.
+        steps: which of its steps, from 0, bear the numbers 1, 2, ...; those where it turns unless given.
+        tendon: whose tensions are drawn, from 0.
+
+    Raises:
+        InputError: for another quantity, or when a step failed.
+    """
+    if quantity not in LOOPS:
+        raise InputError(f"draw_loop: quantity must be one of {', '.join(LOOPS)}, got {quantity!r}")
+    steps = _steps(history, steps)
+    x, y = _of_tendon(history.base_tension, tendon), _of_tendon(getattr(history, quantity), tendon)
+    y = QUANTITIES[quantity].shown[0] * y
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        for start, end in pairwise(draw.turning_places(x)):
+            leg, look = slice(start, end + 1), PULLED if x[end] >= x[start] else RELEASED
+            axes.plot(x[leg], y[leg], **look)
+            draw.draw_arrow(axes, x[leg], y[leg], look["color"])
+        _number_points(axes, x, y, steps)
+        axes.set(xlabel=QUANTITIES["base_tension"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
+        axes.margins(0.08, 0.12)
+        draw.legend_above(axes)
+    return axes
+
+
+def draw_history_along(
+    manipulator: Manipulator,
+    history: History,
+    quantity: str = "tension",
+    axes: Axes | None = None,
+    *,
+    steps: Sequence[int] | None = None,
+) -> Axes:
+    """A quantity over arc length, mm, after some steps of a history, one line for each; a dot marks its front.
+
+    Up to its front a tendon slid last, and beyond it the tendon rests. No dot: all of it slid. Steps that left the same
+    line share one, and steps before the first tension have none.
+
+    Args:
+        manipulator: the body that was traced, with one tendon.
+        history: of `trace`.
+        quantity: as `draw_along` takes it.
+        axes: where to draw; None for a new figure, one column wide.
+        steps: which of its steps, from 0, are drawn and bear the numbers 1, 2, ...; unless given the last six of those
+            where it turns.
+
+    Raises:
+        InputError: for another quantity, for more than six lines, or when a step failed.
+    """
+    if quantity not in ALONG:
+        raise InputError(f"draw_history_along: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
+    if steps is not None and len(steps) > LINES:
+        raise InputError(f"draw_history_along: {len(steps)} steps are too many lines; choose {LINES} of them")
+    steps = _steps(history, steps)
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        _draw_along(manipulator, history, quantity, axes, steps)
+    return axes
+
+
+def draw_energy(history: History, axes: Axes | None = None, *, steps: Sequence[int] | None = None) -> Axes:
+    """Where the work goes, mJ, over the steps: what is stored, what friction took, and the work put in.
+
+    In the exact kinematics the work is the sum of the others.
+
+    Args:
+        history: of `trace`; the closer its steps, the smoother the lines.
+        axes: where to draw; None for a new figure, one column wide.
+        steps: which of its steps, from 0, bear the numbers 1, 2, ...; those where it turns unless given.
+
+    Raises:
+        InputError: when a step failed.
+    """
+    steps = _steps(history, steps)
+    scale = QUANTITIES["work"].shown[0]
+    of = history._energies  # all by one program
+    work, lost, stored = (scale * np.asarray(energy) for energy in (of.work, of.friction_loss, of.stored_energy))
+    at = np.interp(np.arange(len(work)), steps, np.arange(1, len(steps) + 1))
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        look = {"linewidth": 0, "edgecolor": looks.GREY}
+        axes.fill_between(at, 0.0, stored, facecolor=looks.SKY, label="stored in the body", **look)
+        axes.fill_between(
+            at, stored, stored + lost, facecolor=looks.YELLOW, hatch="/////", label="lost to friction", **look
+        )
+        axes.plot(at, stored, color=looks.BLUE, linestyle="--")
+        axes.plot(at, work, color=looks.BLACK, label="work put in")
+        axes.set(xlabel="Step, base tension (N)", ylabel="Energy (mJ)")
+        axes.margins(0.0, 0.05)
+        axes.set_ylim(bottom=min(0.0, *stored, *work))
+        _name_steps(axes, _of_tendon(history.base_tension, 0)[steps])
+        draw.legend_above(axes, 3)
+    return axes
+
+
+# --- numbers -------------------------------------------------------------------------------------
+
+
+def _steps(history: History, steps: Sequence[int] | None) -> list[int]:
+    """Which steps bear numbers.
+
+    Raises:
+        InputError: when a step failed.
+    """
+    if not np.all(np.isfinite(np.asarray(history.tip_angle))):
+        raise InputError("a step of the trace failed, there is no history to draw; see its result")
+    return draw.turning_places(_of_tendon(history.base_tension, 0)) if steps is None else [int(step) for step in steps]
+
+
+def _of_tendon(values: jax.Array, tendon: int) -> np.ndarray:
+    """What a tendon has after each step, or all of them together."""
+    array = np.asarray(values)
+    return array if array.ndim == 1 else array[:, tendon]
+
+
+# --- drawing -------------------------------------------------------------------------------------
+
+
+def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int]) -> None:
+    """Dots with their numbers, those of one point together: to the right below where it was pulled, else left above.
+
+    Of many steps only those where it turns.
+    """
+    turns, many = draw.turning_places(x), len(steps) > NUMBERED
+    near = SAME * np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
+    points: list[list[int]] = []
+    for number, step in enumerate(steps):
+        if many and step not in turns:
+            continue
+        there = [own for own in points if np.all(np.abs(np.array([x, y])[:, [step, steps[own[0]]]] @ [1, -1]) < near)]
+        there[0].append(number) if there else points.append([number])
+    for numbers in points:
+        step = steps[numbers[0]]
+        at, pulled = (x[step], y[step]), step == 0 or x[step] > x[step - 1]
+        axes.plot(*at, "o", color=looks.BLACK, zorder=4)
+        look: looks.Look = {"ha": "left", "va": "top"} if pulled else {"ha": "right", "va": "bottom"}
+        offset, text = (3, -3) if pulled else (-3, 3), _listed([number + 1 for number in numbers])
+        axes.annotate(text, at, offset, textcoords="offset points", fontsize=7.5, zorder=5, **look)
+
+
+def _draw_along(manipulator: Manipulator, history: History, quantity: str, axes: Axes, steps: Sequence[int]) -> None:
+    s = stations(manipulator)
+    fields = evaluated(History.at, history, s)
+    tension = _of_tendon(history.base_tension, 0)
+    begun = np.flatnonzero(tension)
+    lines = {
+        number: lines_along(manipulator, jax.tree.map(lambda x, step=step: x[step], fields), quantity)[0]
+        for number, step in enumerate(steps, 1)
+        if begun.size and step >= begun[0]
+    }
+    fronts = []
+    for numbers, look in zip(_alike(lines)[-LINES:], looks.CURVES, strict=False):
+        step, line = steps[numbers[0] - 1], lines[numbers[0]]
+        look: looks.Look = look | {"marker": "none", "label": f"{_listed(numbers)}: {tension[step]:.4g} N"}
+        axes.plot(1e3 * s, line, **look)
+        fronts.append((float(_of_tendon(history.front, 0)[step]), line, look["color"]))
+    dot: looks.Look = {"linestyle": "none", "marker": "o", "markeredgecolor": looks.BLACK}
+    for front, line, color in fronts:
+        if front < s[-1]:
+            axes.plot(1e3 * front, np.interp(front, s, line), color=color, **dot)
+    if any(front < s[-1] for front, _, _ in fronts):
+        axes.plot([], [], color="white", label="front", **dot)
+    axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
+    axes.set_xlim(0.0, 1e3 * s[-1])
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    draw.legend_above(axes, 4)
+
+
+def _alike(lines: dict[int, np.ndarray]) -> list[list[int]]:
+    """The numbers of lines, those of equal ones together; in the order of the last of each."""
+    groups: list[list[int]] = []
+    for number, line in lines.items():
+        same = next((group for group in groups if _are_alike(line, lines[group[0]])), [])
+        groups = [*(group for group in groups if group is not same), [*same, number]]
+    return groups
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers))
+
+
+def _are_alike(line: np.ndarray, other: np.ndarray) -> bool:
+    return bool(np.allclose(line, other, rtol=0.0, atol=SAME * np.max(np.abs(other)), equal_nan=True))
+
+
+def _name_steps(axes: Axes, tensions: np.ndarray) -> None:
+    """Numbers with base tensions below, as many as there is room for."""
+    every = -(-len(tensions) // NUMBERED)
+    shown = np.arange(0, len(tensions), every)
+    axes.set_xticks(shown + 1, [f"{i + 1}\n{tensions[i]:.4g}" for i in shown])

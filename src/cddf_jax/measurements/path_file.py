@@ -1,0 +1,76 @@
+"""A path in a file: what a bench was told to do, row by row, in the order in time."""
+
+import os
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InputError, within
+from ..files.csv_table import Table, read_table
+from ..files.table_header import Kind
+from ..quantities import dimension_of
+from ..units import Dimension, written
+from .columns import ORDER, column_dimension, column_meant, is_reading
+
+DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that is there drives
+
+
+class PathFile(NamedTuple):
+    """What a file drives a body through."""
+
+    values: list[float]  # SI
+    dimension: Dimension
+    read_as: tuple[str, ...]  # how the file was read
+
+
+def read_path_file(path: str | os.PathLike[str]) -> PathFile:
+    """The column `base_tension` of a file with the unit in its header, or else `tendon_displacement` or `tip_angle`.
+
+    The order is that of the columns `step` and `time` where they are there, else that of the rows.
+
+    Args:
+        path: CSV or .xlsx; other columns are not used.
+
+    Raises:
+        InputError: names the file, row (line), column, value and remedy; also for several trials.
+    """
+    table = read_table(path, _KIND)
+    with within(path):
+        driven = next((name for name in DRIVEN if name in table.columns), None)
+        if driven is None:
+            raise InputError(f"has no column that drives; name one {', or '.join(DRIVEN)}, with its unit")
+        trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
+        if len(trials) > 1:
+            raise InputError(f"holds {len(trials)} trials, and a path is one; keep the rows of one, as {trials[0]}")
+        _check(table, driven)
+    keys = [table.columns[name] for name in reversed(ORDER) if name in table.columns]
+    values = table.columns[driven]
+    return PathFile((values[np.lexsort(keys)] if keys else values).tolist(), dimension_of(driven), table.read_as)
+
+
+def _check(table: Table, driven: str) -> None:
+    """Every value a number, and no tension negative."""
+    values, is_tension = table.columns[driven], driven == "base_tension"
+    bad = np.flatnonzero(~np.isfinite(values) | (is_tension & (values < 0)))
+    if bad.size:
+        got, rule = float(values[bad[0]]), "must be 0 or more" if is_tension else "must be finite"
+        shown = written(got, dimension_of(driven)) if np.isfinite(got) else f"{got:g}"
+        where = f"row {table.rows[bad[0]]}, column {driven}"
+        raise InputError(f"{where}: {rule}, got {shown}; correct or remove the row")
+
+
+def _dimension_of(column: str) -> Dimension | None:
+    if column not in (*DRIVEN, *ORDER, "trial"):
+        raise InputError(f"unknown column {column}")
+    return column_dimension(column)
+
+
+_KIND = Kind(
+    _dimension_of,
+    "steps",
+    "base_tension [N]",
+    meant=column_meant,
+    labels=("trial",),
+    optional=ORDER,
+    gaps=is_reading,
+)

@@ -1,0 +1,144 @@
+"""`cddf trace`: the table of a loop that was derived by hand and met by a simulation, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from places import DATA
+
+import cddf_jax as cddf
+from cddf_jax.files.manipulator_file import write_manipulator
+
+# base tension and tip tension, N, tip angle, deg, front, mm, energy lost so far, mJ: of a play in 1/T in closed form,
+# met by a time-stepping simulation without fronts
+TABLE = np.array(
+    [
+        (0, 0, 0, 140, 0),
+        (75, 45.122927, 69.313929, 140, 59.726),
+        (60, 45.122927, 67.619267, 51.564, 60.423),
+        (40, 45.122927, 56.053731, 115.089, 70.931),
+        (20, 24.288558, 26.502447, 140, 96.029),
+        (0, 0, 0, 140, 99.331),
+        (75, 45.122927, 69.313929, 140, 159.057),
+    ]
+)
+PATH = ", ".join(f"{tension:g}" for tension in TABLE[:, 0]) + " N"
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "exact.toml"
+    write_manipulator(paper_body("exact"), path)
+    return path
+
+
+def test_a_loop_in_json_and_in_files(answer_of, robot, tmp_path):
+    answer = answer_of("trace", robot, "--path", PATH, "--out", tmp_path / "out")
+    base, tip, angle, front, lost = TABLE.T
+    assert answer["base_tension"] == base.tolist()
+    np.testing.assert_allclose(answer["tip_tension"], tip, atol=6e-7)
+    np.testing.assert_allclose(np.degrees(answer["tip_angle"]), angle, atol=6e-7)
+    np.testing.assert_allclose(1e3 * np.array(answer["front"]), front, atol=6e-4)
+    np.testing.assert_allclose(1e3 * np.array(answer["friction_loss"]), lost, atol=6e-4)
+    balance = np.subtract(answer["work"], np.add(answer["stored_energy"], answer["friction_loss"]))
+    np.testing.assert_allclose(balance, 0.0, atol=1e-9 * max(answer["work"]))
+    # 415.405749 mJ are put in and 180.084821 + 135.989798 mJ come back
+    assert answer["cycles"] == [{"first": 1, "last": 6, "loss": pytest.approx(99.331129e-3, abs=1e-9)}]
+    files = {path.name: path for path in (tmp_path / "out").iterdir()}
+    assert set(files) == {"trace.json", "loop.csv", "fields.csv", "trace.pdf", "trace.png"}
+    assert json.loads(files["trace.json"].read_text()) == answer
+    loop = np.genfromtxt(files["loop.csv"], delimiter=",", names=True, deletechars="")
+    assert len(loop) == 256
+    whole = loop[loop["step"] % 1 == 0]
+    np.testing.assert_allclose(whole["tip_tension_[N]"], answer["tip_tension"], rtol=1e-8)  # nine digits are written
+    between = loop[(loop["step"] > 1) & (loop["step"] < 2)]  # T / (1 + g T), by the closed form at 75 N
+    g = 1 / TABLE[1, 1] - 1 / 75
+    np.testing.assert_allclose(between["tip_tension_[N]"], 1 / (1 / between["base_tension_[N]"] + g), rtol=1e-7)
+    fields = np.genfromtxt(files["fields.csv"], delimiter=",", names=True, deletechars="")
+    middle = fields[np.isclose(fields["arc_length_[m]"], 0.07)]
+    assert middle["step"].tolist() == [1, 2, 3, 4, 5, 6, 7]
+    np.testing.assert_allclose(middle["tension_1_[N]"][1:5], [62.977492, 62.977492, 44.534217, 21.072753], atol=6e-7)
+
+
+def test_a_loop_in_words(cddf_command, robot):
+    code, out, err = cddf_command("trace", robot, "--path", "0 N, 75 N, 40 N, 75 N, 75 N")
+    assert (code, err) == (0, "")
+    start, pull, release, back, stay, cycle, work, last = out.splitlines()
+    assert start == "1: 0 N, at rest"
+    tip, travel = "tip tension 45.123 N, tip angle", f"pulled in {1e3 * 0.010 * np.radians(69.313929):.5g} mm"
+    assert pull == f"2: pulled to 75 N, slides in along the whole body; {tip} 69.314 deg, {travel}"
+    assert release.startswith(f"3: released to 40 N, slides out up to 115.09 mm and rests beyond; {tip} 56.054 deg, ")
+    assert back == f"4: pulled to 75 N, slides in along the whole body; {tip} 69.314 deg, {travel}"
+    assert stay == f"5: stays at 75 N; {tip} 69.314 deg, {travel}"
+    loss = float(cycle.removeprefix("cycle from step 2 to 4, closed at 75 N: ").removesuffix(" mJ lost"))
+    # the area within the loop of base tension over tendon displacement, by trapezoids
+    there = np.linspace(75.0, 40.0, 128)
+    table = cddf.as_frame(cddf.trace(paper_body("exact"), np.append(there, there[::-1])))
+    area = np.trapezoid(table["base_tension [N]"], table["tendon_displacement [m]"])
+    assert loss == pytest.approx(1e3 * area, rel=1e-3)
+    lost = table["friction_loss [J]"].to_numpy()
+    assert loss == pytest.approx(1e3 * (lost[-1] - lost[0]), rel=1e-4)  # five digits are written
+    assert work.startswith(f"work put in {415.405749 + loss:.5g} mJ: 355.68 mJ stored, ")
+    assert last.startswith("error estimate ")
+    assert last.endswith("; successful")
+
+
+@pytest.mark.slow
+def test_displacements_and_tip_angles(answer_of, robot):
+    """Back by 2 mm from 75 N: 41.836412 N by the closed form; the displacement is 10 mm times the angle."""
+    top = 10 * np.radians(69.313929)
+    answer = answer_of("trace", robot, "--path", f"{top} mm, {top - 2} mm")
+    assert answer["base_tension"] == pytest.approx([75.0, 41.836412], abs=2e-6)
+    answer = answer_of("trace", robot, "--path", f"{np.degrees(top / 10)} deg, {np.degrees(top / 10 - 0.2)} deg")
+    assert answer["base_tension"] == pytest.approx([75.0, 41.836412], abs=2e-6)
+    assert answer["results"] == ["successful"] * 2
+
+
+def test_a_path_in_a_file(cddf_command, robot, tmp_path, monkeypatch):
+    """Semicolons, a name of its own and a mark of the decimals, as a laboratory writes them."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bench.csv").write_text("Zeit [s];Tbase (N);Ttip (N)\n0;0;0\n1;75,0;45,1\n2;40,0;45,1\n")
+    code, out, err = cddf_command("trace", robot, "--path", "bench.csv")
+    assert code == 0
+    assert out.splitlines()[2].startswith("3: released to 40 N, slides out up to 115.09 mm and rests beyond")
+    assert err.splitlines() == [
+        "note: bench.csv: read as: 'Tbase (N)' base_tension [N]",
+        "note: bench.csv: columns that are not used: 'Zeit [s]', 'Ttip (N)'",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("75 N, -5 N", "--path, step 2: a tendon cannot push, got -5 N; give 0 N or more"),
+        ("0 N, 0 N", "--path 0 N, 0 N: nothing moves; give a value other than 0"),
+        ("75", "--path needs a unit of force, got '75'; write for example '12.5 N'"),
+        ("75 N, much", "--path is not a number, got 'much'; write for example '12.5 N'"),
+        ("none.csv", "none.csv: cannot be read (No such file or directory); check the path"),
+        ("bad.csv", "bad.csv: row 3, column base_tension: must be 0 or more, got -2 N; correct or remove the row"),
+        ("nan.csv", "nan.csv: row 2, column base_tension: must be 0 or more, got nan; correct or remove the row"),
+        ("other.csv", "other.csv: has no column that drives; name one base_tension, or tendon_displacement, or tip"),
+        ("trials.csv", "trials.csv: holds 2 trials, and a path is one; keep the rows of one, as a"),
+    ],
+)
+def test_wrong_paths(fails, path, message):
+    files = {
+        "bad.csv": "base_tension [N]\n1\n-2\n",
+        "nan.csv": "base_tension [N]\nnan\n",
+        "other.csv": "weight [N], height [m]\n1,2\n",
+        "trials.csv": "trial,base_tension [N]\na,1\nb,2\n",
+    }
+    assert fails("trace", DATA / "smooth_sil_940.toml", "--path", path, files=files).startswith(message)
+
+
+def test_what_cannot_be_traced(fails, two_tendons, robot):
+    assert fails("trace", two_tendons, "--path", "75 N").startswith(f"{two_tendons}: trace: the body has 2 tendons")
+    assert fails("trace", robot, "--path", "75 N", "--tip-force", "0 N, 1 N").startswith("No such option: --tip-force")
+
+
+def test_a_step_that_fails(fails, robot):
+    zigzag = [level for i in range(9) for level in (90 - i, i)]  # ever smaller: each turn is still felt
+    said = fails("trace", robot, "--path", f"{zigzag}".strip("[]") + " N", "--out", "folder", code=1)
+    assert said.startswith("step 17, on the way to 82 N, at 12.")
+    assert said.endswith("More turns of the base tension are still felt than there is room for. Raise max_turns=.")
