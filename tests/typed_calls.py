@@ -62,6 +62,8 @@ def statics():
     with cddf.show_progress():
         cddf.trace(robot, np.array([15.0]), start=history, nodes=8, max_turns=4)
     history = cddf.trace(robot, cddf.Displacement([0.004, 0.003]), nodes=8, before=30.0)
+    pushed = cddf.trace(pair, [[20.0, 5.0], [10.0, 5.0]], cddf.Loads(tip_force=(0.0, -0.1)), nodes=4, short_steps=2)
+    cddf.tip_compliance(pushed, push=(0.0, -0.1), short_steps=2)
     print(history.work, history.friction_loss, history.stored_energy, history.equilibria.tension, file=sys.stderr)
     cddf.as_frame(history)
     print(history.at(np.array([0.0, 0.07])).tension, history.sliding(0.07), file=sys.stderr)

@@ -133,7 +133,7 @@ def test_wrong_paths(fails, path, message):
 
 
 def test_what_cannot_be_traced(fails, two_tendons, robot):
-    assert fails("trace", two_tendons, "--path", "75 N").startswith(f"{two_tendons}: trace: the body has 2 tendons")
+    assert fails("trace", two_tendons, "--path", "75 N").startswith(f"{two_tendons}: the command follows one tendon")
     assert fails("trace", robot, "--path", "75 N", "--tip-force", "0 N, 1 N").startswith("No such option: --tip-force")
 
 

@@ -262,7 +262,7 @@ def test_more_turns_than_there_is_room_for():
 @pytest.mark.parametrize(
     ("body", "path", "options", "words"),
     [
-        (paper_body("exact", num_tendons=2), [1.0], {}, "the body has 2 tendons"),
+        (paper_body("exact", num_tendons=2), [1.0], {}, r"\(steps, 2\) for this body"),
         (BODY, 75.0, {}, r"must be a list of tensions, N, one for each step, got the shape \(\)"),
         (BODY, [[75.0]], {}, r"got the shape \(1, 1\)"),
         (BODY, [], {}, r"got the shape \(0,\)"),

@@ -48,6 +48,11 @@ def trace(
     One tendon, without loads. Friction leaves a loop: the way back differs from the way up.
     """
     manipulator = options.read_robot(robot, kinematics).manipulator
+    if manipulator.num_tendons > 1:
+        raise InputError(
+            f"{robot}: the command follows one tendon, and the body has {manipulator.num_tendons}; "
+            "cddf_jax.trace() in Python follows several"
+        )
     with stage("loading"):
         from ..files.artifacts import as_json as json_text, write_all
         from ..reports import trace_report

@@ -52,7 +52,7 @@ class History(eqx.Module):
     tip_position: Float[Array, "steps 2"]  # u(L), m
     direction: Float[Array, "steps *tendons"]  # of the sliding tendon: +1 in, -1 out
     front: Float[Array, "steps *tendons"]  # s, m, up to which the tendon slid last; it rests beyond, if not the tip
-    num_turns: Int[Array, " steps"]  # how many turns are still felt
+    num_turns: Int[Array, " steps"] | None  # how many turns are still felt; None with several tendons or loads
     tendon_displacement: Float[Array, "steps *tendons"]  # m, pulled in at the base since the straight body
     error_estimate: Float[Array, " steps"]  # of tip tension (relative), tip position (per length), tip angle (rad)
     result: RESULTS  # how each step ended

@@ -1,7 +1,7 @@
 """`trace`: pull and release."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, cast
 
 import jax
 import jax.numpy as jnp
@@ -10,70 +10,115 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import SolveError
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
+from ..robot.validation import check_weight
 from ..statics.arguments import check_nodes
 from ..statics.equilibrium import RESULTS, code_of
 from ..statics.targets import Displacement, TipAngle
+from . import compliance as compliance  # which tells `tip_compliance` of histories
 from .congruent import Before, CongruentStates, congruent_history
 from .history import History
+from .path import Driven, given_path, not_per_step
+from .stepped import Following, SteppedStates, squeezed, stepped_history
 
 
 def trace(
     manipulator: Manipulator,
-    base_tension: ArrayLike | Sequence[float] | Displacement | TipAngle,
+    base_tension: Driven | TipAngle,
+    loads: Loads | Sequence[Loads] | None = None,
     *,
     before: ArrayLike | Literal["rest"] = "rest",
     start: History | None = None,
     nodes: int = 16,
     max_turns: int = 16,
+    short_steps: int = 16,
     throw: bool = True,
 ) -> History:
-    """Pull and release a manipulator with one tendon, without loads, from rest.
+    """Pull and release a manipulator, from rest.
 
+    One tendon without loads has an exact answer. Several tendons, and loads, are followed in short steps with cells of
+    finite length; `error_estimate` tells how far answers with half as many of either are away.
     Works under jit, vmap, grad and scan. Derivatives are continuous where fronts move; at a turn they are those of the
-    direction in which the step went.
+    direction in which the step went. With several tendons or loads only first derivatives hold, and 64-bit numbers are
+    needed.
 
     Args:
-        manipulator: a body with one tendon.
-        base_tension: T_base >= 0, N, after each step, in the order in time; between steps it goes straight from one
-            to the next. Or `Displacement([...])`, m, or `TipAngle([...])`, rad, after each step: then the tensions are
-            found. A tendon that would have to push hangs without tension until it is taken up; the result of such a
-            step is `slack`, which is no error, and its displacement is that at which the tendon went slack.
-        before: the largest base tension, N, that the tendon had before it was released to the first step; "rest" for
-            a body that is straight, with a tendon that never had a tension.
+        manipulator: the body.
+        base_tension: T_base >= 0, N, after each step, in the order in time, (steps,) for one tendon or (steps,
+            tendons); between steps it goes straight from one to the next. Or `Displacement([...])`, m, or, for one
+            tendon without loads, `TipAngle([...])`, rad, after each step: then the tensions are found. Several tendons
+            may have an entry (steps,) each, of which some are a `Displacement`. A tendon that would have to push hangs
+            without tension until it is taken up; the result of such a step is `slack`, which is no error, and its
+            displacement is that at which the tendon went slack.
+        loads: one `Loads` that rests on the body before the first step and stays, or one for each step, which begin
+            with none; None for none.
+        before: for one tendon without loads, the largest base tension, N, that it had before it was released to the
+            first step; "rest" for a body with tendons that never had a tension.
         start: the history of the same body that goes on, in the place of `before`.
-        nodes: Gauss nodes in each smooth piece of the body, 4 or more; static.
+        nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the body
+            is cut into four times as many cells.
         max_turns: how many turns may be felt at once, 1 or more; static. Where there are more, the step is
             `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
+            Several tendons, and loads, have no such limit.
+        short_steps: into how many each step is divided with several tendons or loads; static.
         throw: raise where the values are known and a step failed.
 
     Raises:
         SolveError: with `throw`, when a step failed; it names the step.
-        ValueError: for a body with several tendons, a path that is not a list of numbers, both `before` and `start`,
-            nodes below 4 or max_turns below 1.
+        ValueError: for tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns or
+            short_steps below 1, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed.
         TypeError: if an argument has the wrong type.
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"trace: the first argument must be a Manipulator, got {type(manipulator).__name__}")
-    if manipulator.num_tendons != 1:
-        raise ValueError(
-            f"trace: the body has {manipulator.num_tendons} tendons, and the history of several is not known here; "
-            "solve() has each of them slide one way"
-        )
     check_nodes(nodes)
-    if isinstance(max_turns, bool) or not isinstance(max_turns, int) or max_turns < 1:
-        raise ValueError(f"trace: max_turns must be a whole number of 1 or more, got {max_turns!r}")
-    quantity, values = _path(base_tension)
-    history = congruent_history(manipulator, values, _before(before, start, values.dtype), nodes, max_turns, quantity)
+    for name, value in {"max_turns": max_turns, "short_steps": short_steps}.items():
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise ValueError(f"trace: {name} must be a whole number of 1 or more, got {value!r}")
+    if start is not None and not isinstance(start, History):
+        raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
+    if manipulator.num_tendons == 1 and loads is None and not (start and isinstance(start._states, SteppedStates)):
+        quantity, values = _path(base_tension)
+        past = _before(before, start, values.dtype)
+        history = congruent_history(manipulator, values, past, nodes, max_turns, quantity)
+    else:
+        if not isinstance(before, str) or before != "rest":
+            raise ValueError("trace: before= is for one tendon without loads; give earlier tensions as the first steps")
+        history = _in_short_steps(manipulator, base_tension, loads, start, nodes, short_steps)
     if throw:
         _raise_if_failed(history)
     return history
 
 
-def _path(given: ArrayLike | Sequence[float] | Displacement | TipAngle) -> tuple[str, Float[Array, " steps"]]:
+def _in_short_steps(
+    manipulator: Manipulator,
+    base_tension: Driven | TipAngle,
+    loads: Loads | Sequence[Loads] | None,
+    start: History | None,
+    nodes: int,
+    short_steps: int,
+) -> History:
+    path, driven = given_path(manipulator, base_tension, loads)
+    check_weight(manipulator, path.loads)
+    if path.tension.dtype != jnp.float64:
+        raise ValueError(
+            "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
+        )
+    states = None if start is None else start._states
+    kind = Following(driven, isinstance(loads, Loads) and not_per_step(loads), 4 * nodes, short_steps)
+    if isinstance(states, SteppedStates):
+        kind = kind._replace(num_cells=states.num_cells)
+    elif states is not None:
+        raise ValueError("trace: start is a history of one tendon without loads; trace it with loads from rest on")
+    history = stepped_history(manipulator, path, states, kind)
+    return squeezed(history) if manipulator.num_tendons == 1 else history
+
+
+def _path(given: Driven | TipAngle) -> tuple[str, Float[Array, " steps"]]:
     """What is driven, and its values."""
     target = isinstance(given, Displacement | TipAngle)
-    quantity, values = (given.quantity, given.value) if target else ("base_tension", given)
+    quantity, values = (given.quantity, given.value) if target else ("base_tension", cast("ArrayLike", given))
     if isinstance(values, str) or np.ndim(values) != 1 or np.size(values) == 0:
         unit = {"base_tension": "tensions, N", "displacement": "lengths, m", "tip_angle": "angles, rad"}[quantity]
         raise ValueError(
@@ -88,8 +133,6 @@ def _before(before: ArrayLike | Literal["rest"], start: History | None, dtype: j
         raise ValueError(f'trace: before must be "rest" or the largest base tension, N, got {before!r}')
     if start is None:
         return Before(jnp.zeros(0, dtype) if at_rest else jnp.asarray(before, dtype)[None])
-    if not isinstance(start, History):
-        raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
     if not at_rest:
         raise ValueError("trace: before and start both tell what was before; leave one of them out")
     states = start._states
@@ -106,4 +149,8 @@ def _raise_if_failed(history: History) -> None:
         return
     step = int(np.argmax(failed))
     words = RESULTS[jax.tree.map(lambda code: code[step], history.result)]
-    raise SolveError(f"step {step} of the trace, {float(history.base_tension[step]):g} N: {words}")
+    raise SolveError(f"step {step} of the trace, {_in_newton(history.base_tension[step])}: {words}")
+
+
+def _in_newton(base_tension: Float[Array, "*tendons"]) -> str:
+    return ", ".join(f"{float(tension):g}" for tension in np.ravel(base_tension)) + " N"

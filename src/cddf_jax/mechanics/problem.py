@@ -371,7 +371,7 @@ def pull_at_nodes(problem: Problem, values: Nodal) -> Pull:
 def tendon_displacement(problem: Problem, pull: Pull, moment: Float[Array, "P p"]) -> PerTendon:
     """Length of each tendon pulled in at the base since the straight body without tension, m."""
     body = problem.manipulator
-    outside = stretch_rate(body, problem.base_tension) * body.tendon_free_length
+    outside = stretch_rate(body.tendon_compliance, problem.base_tension) * body.tendon_free_length
     tension = tension_of(problem.nodes, problem.base_tension, pull)
     rate = displacement_rate(body, problem.nodes, tension, moment)
     return jnp.sum(problem.panels.gain(rate), axis=0) + outside
@@ -383,22 +383,33 @@ def displacement_rate(
     tension: Float[Array, "P p tendons"],
     moment: Float[Array, "P p"],
 ) -> Float[Array, "P p tendons"]:
-    """By how much a tendon's path shortens and the tendon stretches, per arc length, at the nodes.
+    """By how much a tendon's path shortens and the tendon stretches, per arc length, at the nodes."""
+    kappa = curvature_along(section, tension, moment)
+    return at_nodes(slip_rate, (0, 0, 0, None))(section, kappa, tension, manipulator.tendon_compliance)
+
+
+def slip_rate(section: CrossSection, curvature: Number, tension: PerTendon, compliance: PerTendon) -> PerTendon:
+    """By how much a tendon's path shortens and the tendon stretches, per arc length, at one cross-section.
 
     The path shortens by sqrt(1 + d'^2) - |u_c'|; the tendon stretches by T sqrt(1 + d'^2) / (E A).
+
+    Args:
+        section: the cross-section.
+        curvature: kappa, 1/m.
+        tension: T, N.
+        compliance: 1 / (E A), 1/N.
     """
-    kappa = curvature_along(section, tension, moment)[..., None]
     # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
-    bend, slope = section.side * section.offset * kappa, section.offset_slope
+    bend, slope = section.side * section.offset * curvature, section.offset_slope
     straight = jnp.sqrt(1.0 + slope**2)
     rate = bend * (2.0 - bend) / (straight + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
-    return jnp.where(section.present, rate, 0.0) + stretch_rate(manipulator, tension, section)
+    return jnp.where(section.present, rate, 0.0) + stretch_rate(compliance, tension, section)
 
 
-def stretch_rate(manipulator: Manipulator, tension: Array, section: CrossSection | None = None) -> Array:
+def stretch_rate(compliance: PerTendon, tension: Array, section: CrossSection | None = None) -> Array:
     """By how much a tendon stretches: T / (E A) per length outside the body, in it times sqrt(1 + d'^2) per arc length.
 
     Half of this times T is its elastic energy per length.
     """
     along = tension if section is None else tension * jnp.sqrt(1.0 + section.offset_slope**2)
-    return along * manipulator.tendon_compliance
+    return along * compliance

@@ -90,6 +90,14 @@ for _name, _member in RESULTS._name_to_item.items():
 RESULT_NAMES: tuple[str, ...] = tuple(RESULTS._name_to_item)  # in the order of their codes
 
 
+def first_of(*cases: tuple[Bool[Array, "*lanes"], RESULTS]) -> RESULTS:
+    """The result of the first case that holds."""
+    result = RESULTS.successful
+    for holds, code in reversed(cases):
+        result = RESULTS.where(holds, code, result)
+    return with_words(result)
+
+
 def code_of(result: RESULTS) -> Number:
     """The code of a result, a whole number: traced under jit, an array with one code per lane of a batch."""
     return result._value

@@ -4,6 +4,7 @@ The Jacobian is by every number of the body, the tensions and the loads. The ene
 that is done on the tendons while they are pulled.
 """
 
+from functools import singledispatch
 from typing import NamedTuple
 
 import equinox as eqx
@@ -43,6 +44,7 @@ from .solve import solve
 from .targets import Actuation
 
 
+@singledispatch  # after `trace`: history/compliance.py
 def tip_compliance(
     manipulator: Manipulator,
     base_tension: Actuation,
@@ -217,8 +219,8 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     starts = unspent(base_tension, solution.starts.pull) / solution.starts.ratio
     arriving = jnp.concatenate([base_tension[None], (starts - cut.gain(friction))[:-1]])
     body = problem.manipulator
-    stretching = jnp.sum(tension * stretch_rate(body, tension, section), axis=-1)
-    outside = jnp.sum(base_tension * stretch_rate(body, base_tension) * body.tendon_free_length)
+    stretching = jnp.sum(tension * stretch_rate(body.tendon_compliance, tension, section), axis=-1)
+    outside = jnp.sum(base_tension * stretch_rate(body.tendon_compliance, base_tension) * body.tendon_free_length)
     return _Stage(
         displacement=tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment),
         elastic_energy=jnp.sum(cut.gain(section.stiffness * kappa**2 + stretching)) / 2 + outside / 2,

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..errors import SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
@@ -41,9 +41,9 @@ from .equilibrium import (
     code_of,
     ended_as,
     fields_at,
+    first_of,
     nan_unless,
     tendons_first,
-    with_words,
 )
 from .equilibrium_derivatives import Balance, equilibrate, inside_of_bend
 from .equilibrium_search import Setup
@@ -199,7 +199,7 @@ def _solve(
         direction_contradicted=contradicted,
         error_estimate=nan_unless(solved, truncation + balance.leverage * (solution.residual + round_off)),
         num_iterations=solution.num_iterations.astype(int),
-        result=_first_of(
+        result=first_of(
             (~physical, RESULTS.unphysical),
             (solution.locked, RESULTS.locked),
             (~(solution.converged & balance.load_path.resolved), RESULTS.not_converged),
@@ -230,14 +230,6 @@ def _equilibrium(setup: Setup, given: PerTendon, targets: tuple[Target | None, .
         return reach(setup, given, targets)
     true = zero_as(given) == 0
     return equilibrate(setup, given), Found(miss=jnp.zeros_like(given), reached=true, slack=~true, determined=true)
-
-
-def _first_of(*cases: tuple[Bool[Array, ""], RESULTS]) -> RESULTS:
-    """The result of the first case that holds."""
-    result = RESULTS.successful
-    for holds, code in reversed(cases):
-        result = RESULTS.where(holds, code, result)
-    return with_words(result)
 
 
 # --- what is reported along the body -------------------------------------------------------------

@@ -1,0 +1,108 @@
+"""What a path is given by: tensions or displacements of the tendons and loads, after each step."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..statics.targets import Displacement, TipAngle
+
+Driven = ArrayLike | Displacement | Sequence[ArrayLike | Displacement]
+NUM_AXES = {"tip_force": 1, "tip_moment": 0, "gravity": 1}  # of loads that stay
+
+
+class Path(NamedTuple):
+    """What is given after each step; steps first."""
+
+    tension: Float[Array, "steps tendons"]  # N; zero for a tendon that is driven by its displacement
+    displacement: Float[Array, "steps tendons"]  # m; zero for a tendon whose tension is given
+    loads: Loads | None
+
+
+def _has_targets(base_tension: Driven | TipAngle) -> bool:
+    """Whether something else than a tension is given."""
+    return any(not _is_numbers(entry) for entry in _entries(base_tension))
+
+
+def _entries(base_tension: Driven | TipAngle) -> Sequence[object]:
+    return base_tension if isinstance(base_tension, tuple | list) else [base_tension]
+
+
+def _is_numbers(entry: object) -> bool:
+    return isinstance(entry, float | int | np.ndarray | jax.Array | tuple | list | np.generic)
+
+
+def not_per_step(loads: Loads) -> bool:
+    """Whether loads stay as they are."""
+    return all(np.ndim(getattr(loads, name)) == count for name, count in NUM_AXES.items())
+
+
+def given_path(
+    manipulator: Manipulator, base_tension: Driven | TipAngle, loads: Loads | Sequence[Loads] | None
+) -> tuple[Path, tuple[int, ...]]:
+    """The path, and the numbers of the tendons, from 0, that are driven by their displacement.
+
+    Raises:
+        ValueError: for wrong shapes.
+        TypeError: for what is neither numbers nor `Displacement`.
+    """
+    tension, displacement, driven = _actuation(manipulator, base_tension)
+    return Path(tension, displacement, _loads(loads, tension.shape[0])), driven
+
+
+def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tuple[Array, Array, tuple[int, ...]]:
+    count = manipulator.num_tendons
+    if not _has_targets(base_tension):
+        tension = jnp.asarray(cast("ArrayLike", base_tension))
+        tension = tension.astype(jnp.result_type(float, tension))
+        shape = tension.shape
+        tension = tension[:, None] if tension.ndim == 1 and count == 1 else tension
+        if tension.ndim != 2 or tension.shape[1] != count or tension.shape[0] == 0:
+            raise ValueError(
+                f"trace: base_tension must have the shape (steps, tendons), (steps, {count}) for this body, got {shape}"
+            )
+        return tension, jnp.zeros_like(tension), ()
+    entries = _entries(base_tension)
+    if len(entries) != count:
+        raise ValueError(
+            f"trace: with a Displacement, base_tension must hold one entry per tendon ({count}), got {len(entries)}"
+        )
+    for entry in entries:
+        if not _is_numbers(entry) and not isinstance(entry, Displacement):
+            raise TypeError(
+                f"trace: with several tendons or loads, tensions, N, or a Displacement drive a tendon, not {entry!r}"
+            )
+    driven = tuple(i for i, entry in enumerate(entries) if isinstance(entry, Displacement))
+    values = [jnp.asarray(getattr(entry, "value", entry), float) for entry in entries]
+    if any(value.shape != values[0].shape or value.ndim != 1 or value.size == 0 for value in values):
+        shapes = ", ".join(str(value.shape) for value in values)
+        raise ValueError(f"trace: each tendon must have one number for each step, got the shapes {shapes}")
+    given, by_length = jnp.stack(values, axis=1), jnp.isin(jnp.arange(count), jnp.asarray(driven))
+    return jnp.where(by_length, 0.0, given), jnp.where(by_length, given, 0.0), driven
+
+
+def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int) -> Loads | None:
+    """The loads after each step."""
+    if loads is None:
+        return None
+    if not isinstance(loads, Loads):
+        if not isinstance(loads, tuple | list) or not all(isinstance(entry, Loads) for entry in loads):
+            raise TypeError(f"trace: loads must be a Loads or a list of them, got {type(loads).__name__}")
+        if len(loads) != num_steps:
+            raise ValueError(f"trace: there are {num_steps} steps and {len(loads)} loads; give one for each step")
+        return jax.tree.map(lambda *x: jnp.stack([jnp.asarray(value, float) for value in x]), *loads)
+    arrays = {}
+    for name, num_axes in NUM_AXES.items():
+        value = jnp.asarray(getattr(loads, name), float)
+        shape = value.shape[value.ndim - num_axes :]
+        if value.ndim > num_axes + 1 or (value.ndim == num_axes + 1 and value.shape[0] != num_steps):
+            raise ValueError(
+                f"trace: loads.{name} must have the shape {shape} or {(num_steps, *shape)}, got {value.shape}"
+            )
+        arrays[name] = jnp.broadcast_to(value, (num_steps, *shape))
+    return Loads(**arrays)

@@ -1,0 +1,294 @@
+"""One short step in time of a body whose tendons may slide or rest, solved for all cells at once.
+
+Within a step each tendon obeys Coulomb's law with the slip of that step: where it moved towards the base its share
+sigma of the friction limit is +1, where it moved away -1, and where it did not move the share is whatever balance
+needs. The law is softened by a length delta, sigma = dw / sqrt(dw^2 + delta^2), which shrinks while Newton's method
+goes on, from a tenth of a millimetre to less than the size of an atom: so the method finds where tendons rest.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..mechanics.friction import PerTendon
+from ..numerics.arrays import largest_size, zero_as
+from ..numerics.implicit import slope_along, solve_small
+from .cells import Cells, Edge, along_cell, missing_along
+
+Number = Float[Array, ""]
+PerCell = Float[Array, "P tendons"]
+FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
+LAST_SOFTNESS = 1e-9
+SHRINKING = 0.1
+MAX_PASSES = 60
+LOCATING = 16  # passes after which the place of a front within its cell is held
+TOLERANCE = 1e-10
+LEAST_RATE = 1e-3  # of the largest slip rate: below it a tendon counts as resting where its front is located
+
+
+class Ends(NamedTuple):
+    """What is given at the ends of the body."""
+
+    base_tension: PerTendon  # N; a first guess for a tendon that is driven by its displacement
+    displacement: PerTendon  # m, pulled in at the base; used for such a tendon only
+    tip_moment: Number  # N m
+
+
+class Step(NamedTuple):
+    """The body after a step."""
+
+    edges: Edge  # leading axis P + 1
+    share: PerCell  # sigma of each cell
+    slip_rate: PerCell  # -w' in the middle of each cell
+    converged: Bool[Array, ""]
+
+
+class Setting(eqx.Module):
+    """A body, its loads, and how it is driven."""
+
+    cells: Cells
+    outboard: Float[Array, "P 3 2"]  # N, N, at the starts, middles and ends of the cells
+    driven: tuple[int, ...] = eqx.field(static=True)  # the tendons whose displacement is given
+
+
+class _Sides(NamedTuple):
+    """How fast the slip of this step changes in the neighbours of each cell, as parts of one.
+
+    Where a front lies within a cell, the slip falls to zero along two straight lines of these two slopes.
+    """
+
+    left: PerCell
+    right: PerCell
+
+
+class _Gaps(NamedTuple):
+    """What is missing in the equations."""
+
+    along: Edge  # the integrals over the cells
+    law: PerCell  # Coulomb's law, m
+    driven: Float[Array, " driven"]  # the displacements, m, or the tension of a slack tendon, as a length
+
+
+class _Change(NamedTuple):
+    edges: Edge
+    share: PerCell
+
+
+def after_step(setting: Setting, ends: Ends, before: Step) -> Step:
+    """The body after tensions or displacements at its base, and the loads, have changed a little.
+
+    First derivatives are those of the equations, with the places of fronts within their cells held.
+    """
+    return _after_step((setting, ends, before))[0]
+
+
+@eqx.filter_custom_jvp
+def _after_step(given: tuple[Setting, Ends, Step]) -> tuple[Step, _Sides, Number]:
+    setting, ends, before = given
+    zero = zero_as(ends, before)
+    start = jax.tree.map(lambda x: x if x.dtype == bool else x + zero, _with_ends(setting, before, ends))
+    last = LAST_SOFTNESS * setting.cells.scale
+
+    def unsettled(carry):
+        _, _, softness, change, count = carry
+        return ((change > TOLERANCE) | (softness > last)) & (count < MAX_PASSES)
+
+    def improve(carry):
+        step, sides, softness, _, count = carry
+        along, rate = _missing(setting, step)
+        sides = jax.tree.map(lambda new, old: jnp.where(count < LOCATING, new, old), _sides(before, rate), sides)
+        gaps = _gaps(setting, ends, before, step, sides, softness, along)
+        change = _correction(setting, ends, before, step, sides, softness, gaps)
+        new, size = _changed(setting, ends, step._replace(slip_rate=rate), change)
+        return new, sides, jnp.maximum(SHRINKING * softness, last), size, count + 1.0
+
+    half = jnp.full_like(start.share, 0.5)
+    carry = start, _Sides(half, half), FIRST_SOFTNESS * setting.cells.scale + zero, jnp.inf + zero, zero
+    step, sides, softness, change, _ = jax.lax.while_loop(unsettled, improve, carry)
+    return step._replace(converged=(change <= TOLERANCE) & before.converged), sides, softness
+
+
+@_after_step.def_jvp
+def _(primals, tangents):
+    (given,), (direction,) = primals, tangents
+    step, sides, softness = found = _after_step(given)
+    setting, ends, before = given
+
+    def gaps(given):
+        setting, ends, before = given
+        there = _with_ends(setting, step, ends)
+        return _gaps(setting, ends, before, there, sides, softness, _missing(setting, there)[0]), there.edges
+
+    missing, moved = slope_along(gaps, given, direction)
+    change = _correction(setting, ends, before, step, sides, softness, missing)
+    edges = jax.tree.map(jnp.add, moved, change.edges)
+    constant = jax.tree.map(lambda _: None, found)
+    return found, (constant[0]._replace(edges=edges, share=change.share), *constant[1:])
+
+
+def _changed(setting: Setting, ends: Ends, step: Step, change: _Change) -> tuple[Step, Number]:
+    """The changed step, and how large the change was."""
+    cells = setting.cells
+    share = jnp.clip(step.share + change.share, -1.0, 1.0)
+    moment_scale = cells.sections.stiffness[0, 0] / cells.edges[-1]
+    scale = Edge(jnp.maximum(jnp.max(ends.base_tension), 1e-3), jnp.ones(()), cells.scale, moment_scale)
+    parts = jax.tree.map(lambda x, size: largest_size(x) / size, change.edges, scale)
+    size = jnp.max(jnp.stack([*parts, 1e-3 * largest_size(share - step.share)]))
+    return step._replace(edges=jax.tree.map(jnp.add, step.edges, change.edges), share=share), size
+
+
+def _with_ends(setting: Setting, step: Step, ends: Ends) -> Step:
+    driven = jnp.asarray(setting.driven, int)
+    tension = ends.base_tension.at[driven].set(step.edges.tension[0, driven])
+    edges = step.edges._replace(
+        tension=step.edges.tension.at[0].set(tension), moment=step.edges.moment.at[-1].set(ends.tip_moment)
+    )
+    return step._replace(edges=edges)
+
+
+def _in_cells(edges: Edge) -> tuple[Edge, Edge]:
+    """What holds at the starts and at the ends of the cells."""
+    return jax.tree.map(lambda x: x[:-1], edges), jax.tree.map(lambda x: x[1:], edges)
+
+
+def _missing(setting: Setting, step: Step) -> tuple[Edge, PerCell]:
+    """What is missing in the integrals, and the slip rates in the middle of the cells."""
+    cells = setting.cells
+    along = cells.along(setting.outboard, step.edges, step.share)
+    return jax.vmap(missing_along)(cells.width, along), -along.rates.slip[:, 1]
+
+
+def _sides(before: Step, rate: PerCell) -> _Sides:
+    size = jnp.abs(rate - before.slip_rate)
+    size = size + LEAST_RATE * jnp.max(size) + 1e-12
+    left, right = jnp.concatenate([size[:1], size[:-1]]), jnp.concatenate([size[1:], size[-1:]])
+    return _Sides(left / (left + right), right / (left + right))
+
+
+def _mismatch(softness: Number, sides: _Sides, share: PerCell, at_start: PerCell, at_end: PerCell) -> PerCell:
+    """What is missing in Coulomb's law, m, along cells at whose ends tendons have slipped in this step."""
+
+    def size(slip):
+        return jnp.sqrt(slip**2 + softness**2)
+
+    left, right = sides
+    return share * (right * size(at_start) + left * size(at_end)) - (right * at_start + left * at_end)
+
+
+def _gaps(
+    setting: Setting, ends: Ends, before: Step, step: Step, sides: _Sides, softness: Number, along: Edge
+) -> _Gaps:
+    """What is missing in all equations, of which the integrals are known."""
+    moved = step.edges.slip - before.edges.slip
+    law = _mismatch(softness, sides, step.share, moved[:-1], moved[1:])
+    return _Gaps(along, law, _driven_gap(setting, ends, step.edges))
+
+
+def _driven_gap(setting: Setting, ends: Ends, edges: Edge) -> Float[Array, " driven"]:
+    """By how much a displacement is missed, m; or, if that is less, the tension of a slack tendon, as a length."""
+    driven = jnp.asarray(setting.driven, int)
+    missed = (setting.cells.pulled_in(edges) - ends.displacement)[driven]
+    return jnp.minimum(missed, _per_tension(setting) * edges.tension[0, driven])
+
+
+def _per_tension(setting: Setting) -> Number:
+    """A length per tension by which the two are compared, m/N."""
+    sections = setting.cells.sections
+    return setting.cells.edges[-1] * jnp.max(sections.offset**2) / sections.stiffness[0, 0]
+
+
+# --- the linear equations -------------------------------------------------------------------------
+
+
+def _correction(
+    setting: Setting, ends: Ends, before: Step, step: Step, sides: _Sides, softness: Number, gaps: _Gaps
+) -> _Change:
+    """The change of all unknowns that closes the gaps to first order; linear in the gaps."""
+    blocks = _blocks(setting, before, step, sides, softness)
+    change, by_tension = _swept(blocks, gaps, setting.cells.scale, setting.driven)
+    if not setting.driven:
+        return change
+    push = jax.linearize(partial(_driven_gap, setting, ends), step.edges)[1]
+    slopes = jax.vmap(push)(by_tension.edges).T
+    tension = solve_small(slopes, -(gaps.driven + push(change.edges)))[0]
+    return jax.tree.map(lambda x, k: x + jnp.tensordot(tension, k, 1), change, by_tension)
+
+
+class _Blocks(NamedTuple):
+    """The derivatives of the equations of each cell: integrals of T, phi, w and M, then Coulomb's law.
+
+    Tension and heading are known at the base, slip and moment at the tip.
+    """
+
+    by_start: Float[Array, "P rows known"]  # by tension and heading at the start of the cell
+    here: Float[Array, "P rows rows"]  # by tension and heading at its end, slip and moment at its start, and shares
+    by_end: Float[Array, "P rows sought"]  # by slip and moment at its end
+
+
+def _flat(edge: Edge) -> tuple[Array, Array]:
+    """Tension and heading; slip and moment."""
+    return jnp.append(edge.tension, edge.heading), jnp.append(edge.slip, edge.moment)
+
+
+def _edge(known: Array, sought: Array) -> Edge:
+    return Edge(known[:-1], known[-1], sought[:-1], sought[-1])
+
+
+def _blocks(setting: Setting, before: Step, step: Step, sides: _Sides, softness: Number) -> _Blocks:
+    cells, (starts, ends) = setting.cells, _in_cells(step.edges)
+
+    def equations(inputs, known, here, sought_end):
+        cell, sides, slip_before, slip_before_end = inputs
+        known_end, sought, share = jnp.split(here, [known.size, known.size + sought_end.size])
+        start, end = _edge(known, sought), _edge(known_end, sought_end)
+        missing = missing_along(cell.width, along_cell(cell, start, end, share, cells.stretch))
+        law = _mismatch(softness, sides, share, start.slip - slip_before, end.slip - slip_before_end)
+        return jnp.concatenate([*_flat(missing), law / cells.scale])
+
+    known, sought = jax.vmap(_flat)(starts)
+    known_end, sought_end = jax.vmap(_flat)(ends)
+    here = jnp.concatenate([known_end, sought, step.share], axis=1)
+    slip = before.edges.slip
+    inputs = cells.inputs(setting.outboard), sides, slip[:-1], slip[1:]
+    return _Blocks(*jax.vmap(jax.jacfwd(equations, argnums=(1, 2, 3)))(inputs, known, here, sought_end))
+
+
+def _swept(blocks: _Blocks, gaps: _Gaps, scale: Number, driven: tuple[int, ...]) -> tuple[_Change, _Change]:
+    """The change that closes the gaps, and that by one newton at the base of each driven tendon.
+
+    Going outwards, tension and heading at the end of each cell are found as linear functions of slip and moment there;
+    the way back finds all numbers.
+    """
+    missing = jnp.concatenate([*jax.vmap(_flat)(gaps.along), gaps.law / scale], axis=1)
+    count = blocks.by_end.shape[2]  # of known, and of sought numbers
+    zero = jnp.zeros((count, count), missing.dtype) + zero_as(missing)
+    pulls = jnp.eye(count, dtype=missing.dtype)[:, list(driven)]
+
+    def outwards(carry, inputs):
+        by_sought, known = carry  # at the start of this cell: known = by_sought @ sought + known
+        (by_start, here, by_end), missing = inputs
+        here = here.at[:, count : 2 * count].add(by_start @ by_sought)
+        factors = jax.scipy.linalg.lu_factor(here)
+        slopes = jax.scipy.linalg.lu_solve(factors, -by_end)
+        given = jnp.zeros((missing.size, known.shape[1])).at[:, 0].set(missing)
+        values = jax.scipy.linalg.lu_solve(factors, -(given + by_start @ known))
+        return (slopes[:count], values[:count]), (slopes, values)
+
+    first = zero, jnp.concatenate([zero[:, :1], pulls], axis=1)
+    _, found = jax.lax.scan(outwards, first, (blocks, missing))
+
+    def back(sought, found):
+        slopes, values = found
+        here = slopes @ sought + values
+        return here[count : 2 * count], here
+
+    _, here = jax.lax.scan(back, jnp.zeros_like(first[1]), found, reverse=True)
+    known = jnp.concatenate([first[1][None], here[:, :count]])
+    sought = jnp.concatenate([here[:, count : 2 * count], jnp.zeros_like(first[1])[None]])
+    column = jax.vmap(lambda known, sought, share: _Change(jax.vmap(_edge)(known, sought), share), -1)
+    changes = column(known, sought, here[:, 2 * count :])
+    return jax.tree.map(lambda x: x[0], changes), jax.tree.map(lambda x: x[1:], changes)

@@ -1,0 +1,212 @@
+"""`trace` of several tendons and of loads, followed in short steps.
+
+The expected values are those of `hysteresis.md` (sections 2 and 3: an independent time-stepping simulation), of `solve`
+where every tendon slides one way, of the exact `trace` of one tendon, and properties.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cddf_jax as cddf
+from cddf_jax.statics.equilibrium import RESULTS, code_of
+
+BODY = {
+    "length": 0.140,
+    "outer_radius": (0.020, 0.013),
+    "inner_radius": 0.007,
+    "tendon_offset": 0.010,
+    "youngs_modulus": 1.4e6,
+    "friction_coefficient": 0.42,
+}
+PAIR = cddf.conical(**BODY, num_tendons=2)
+ONE = cddf.conical(**BODY)
+PATH = np.array([[75.0, 20.0], [60.0, 20.0], [40.0, 20.0], [30.0, 20.0]])
+ANGLES = np.array([45.858, 44.148, 31.046, 15.168])  # deg, section 3: steps refined from both sides
+PLACES = jnp.linspace(0.0, 0.140, 9)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return cddf.trace(PAIR, PATH)
+
+
+def test_antagonists_meet_the_table_within_the_error_estimate(pair):
+    error = np.abs(np.asarray(pair.tip_angle) - np.radians(ANGLES))
+    assert np.all(error < np.asarray(pair.error_estimate) + np.radians(1e-3))
+    np.testing.assert_allclose(np.degrees(pair.tip_angle), ANGLES, atol=0.016)
+    np.testing.assert_allclose(pair.tip_tension[1:3], [[50.304, 23.855], [45.013, 17.772]], atol=0.03)
+    np.testing.assert_allclose(1e3 * pair.front[1:3, 0], [52.74, 125.43], atol=0.12)  # neutral points
+    np.testing.assert_allclose(pair.front[1:3, 0], pair.front[1:3, 1], atol=1e-6)  # the same for both
+    np.testing.assert_array_equal(pair.sliding(jnp.array([0.02, 0.1]))[1], [[-1, 1], [1, -1]])
+
+
+@pytest.mark.slow
+def test_refined_antagonists_meet_the_table():
+    rough, fine = (cddf.trace(PAIR, PATH, short_steps=count).tip_angle for count in (32, 64))
+    np.testing.assert_allclose(np.degrees(2 * fine - rough), ANGLES, atol=0.005)  # the error falls with the steps
+
+
+@pytest.mark.slow
+def test_stretch_of_antagonists():
+    stiff, soft = (
+        eqx.tree_at(lambda b: [t.axial_stiffness for t in b.tendons], PAIR, [EA, EA], is_leaf=lambda x: x is None)
+        for EA in (np.asarray(1e6), np.asarray(1e4))
+    )
+    angles = [np.degrees(cddf.trace(body, PATH[:2], short_steps=32).tip_angle[1]) for body in (stiff, soft)]
+    np.testing.assert_allclose(angles, [44.148, 44.28], atol=0.02)  # section 3, a simulation
+
+
+def test_tendons_that_slide_one_way_are_as_in_solve(pair):
+    found = cddf.solve(PAIR, PATH[0])
+    np.testing.assert_allclose(pair.tip_angle[0], found.tip_angle, atol=1e-7)
+    np.testing.assert_allclose(pair.tip_position[0], found.tip_position, atol=1e-8)
+    np.testing.assert_allclose(pair.tendon_displacement[0], found.tendon_displacement, atol=1e-8)
+    fields, expected = pair.at(PLACES), found.at(PLACES)
+    for name in ("tension", "curvature", "position", "heading", "wrap_angle", "normal_force", "friction_force"):
+        one = np.asarray(getattr(fields, name)[0])
+        other = np.asarray(getattr(expected, name))
+        np.testing.assert_allclose(one, other, atol=1e-5 * np.max(np.abs(other)), err_msg=name)
+
+
+def test_ledger_closes(pair):
+    missed = np.asarray(pair.work - pair.stored_energy - pair.friction_loss)
+    np.testing.assert_allclose(missed, 0.0, atol=2e-9 * float(pair.work[0]))
+
+
+LOAD = cddf.Loads(tip_force=(0.0, -1.0))
+
+
+@pytest.fixture(scope="module")
+def loop():
+    """One tendon, which has an exact answer, with loads that are zero."""
+    return cddf.trace(ONE, [75.0, 60.0, 40.0, 20.0, 0.0], cddf.Loads())
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    return cddf.trace(ONE, [40.0, 75.0, 75.0, 60.0, 60.0], LOAD)
+
+
+def test_one_tendon_is_as_the_exact_play(loop):
+    exact = cddf.trace(ONE, loop.base_tension)
+    np.testing.assert_allclose(loop.tip_angle, exact.tip_angle, atol=1e-4)
+    np.testing.assert_allclose(loop.tip_tension, exact.tip_tension, atol=0.03)
+    np.testing.assert_allclose(loop.front, exact.front, atol=2e-5)
+    np.testing.assert_array_equal(loop.sliding(jnp.array([0.02, 0.138]))[1], [-1, 0])
+    # closed forms of section 2, J; the error of the loss falls with the square of the short steps
+    np.testing.assert_allclose(loop.work[0], 415.405749e-3, rtol=1e-6)
+    np.testing.assert_allclose(loop.stored_energy[0], 355.679440e-3, rtol=1e-6)
+    np.testing.assert_allclose(loop.friction_loss[4], 99.331129e-3, rtol=1e-4)
+
+
+def test_loads_that_rest_on_the_body(loaded):
+    for step, tension in ((0, 40.0), (1, 75.0)):
+        found = cddf.solve(ONE, tension, LOAD)
+        np.testing.assert_allclose(loaded.tip_angle[step], found.tip_angle, atol=2e-7)
+        np.testing.assert_allclose(loaded.tip_tension[step], found.tip_tension[0], rtol=1e-6)
+    np.testing.assert_allclose(loaded.tip_position[2], loaded.tip_position[1], atol=1e-7)  # nothing happens
+    missed = np.asarray(loaded.work - loaded.stored_energy - loaded.friction_loss)
+    np.testing.assert_allclose(missed, 0.0, atol=1e-8 * float(loaded.work[1]))
+
+
+def test_splitting_a_step_changes_nothing_beyond_the_error(loaded):
+    split = cddf.trace(ONE, [40.0, 75.0, 67.0, 62.0, 60.0], LOAD)
+    error = float(loaded.error_estimate[3] + split.error_estimate[4])
+    assert abs(float(split.tip_angle[4] - loaded.tip_angle[3])) < error
+
+
+@pytest.mark.slow
+def test_a_history_goes_on(loaded):
+    first = cddf.trace(ONE, [40.0, 75.0], LOAD)
+    second = cddf.trace(ONE, [75.0, 60.0], LOAD, start=first)
+    np.testing.assert_allclose(second.tip_angle, loaded.tip_angle[2:4], atol=1e-10)
+    np.testing.assert_allclose(second.friction_loss, loaded.friction_loss[2:4], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_push_meets_a_stiffer_body_than_the_sliding_one():
+    """A tendon that rests holds the tip: `tip_compliance` of `solve` is that of a tendon that slides."""
+    loads = [cddf.Loads(), cddf.Loads(tip_force=(0.0, -0.05)), cddf.Loads()]
+    pushed = cddf.trace(ONE, [75.0, 75.0, 75.0], loads)
+    given_way = float(pushed.tip_position[0, 1] - pushed.tip_position[1, 1]) / 0.05
+    sliding = float(cddf.tip_compliance(ONE, 75.0)[1, 1])
+    free = float(cddf.tip_compliance(eqx.tree_at(lambda b: b.friction_coefficient, ONE, np.asarray(0.0)), 75.0)[1, 1])
+    assert 0 < given_way < 0.9 * min(sliding, free)
+    assert float(pushed.friction_loss[2]) > float(pushed.friction_loss[0])
+    exact = cddf.trace(ONE, [75.0])  # its compliance takes the same path
+    np.testing.assert_allclose(-cddf.tip_compliance(exact, push=(0.0, -0.05))[1], given_way, rtol=1e-6)
+    harder = -cddf.tip_compliance(exact, push=(0.0, -0.2))[1]
+    assert float(harder) > given_way  # the harder, the more of the tendon slides
+
+
+@pytest.mark.slow
+def test_friction_loads_and_a_second_tendon_do_nothing_where_there_is_none():
+    """Without friction there is no past: every step is that of `solve`."""
+    body = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(0.0))
+    traced = cddf.trace(body, [[30.0, 5.0], [10.0, 5.0]], LOAD)
+    for step, tensions in enumerate(([30.0, 5.0], [10.0, 5.0])):
+        np.testing.assert_allclose(traced.tip_angle[step], cddf.solve(body, tensions, LOAD).tip_angle, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_displacements_drive_and_a_slack_tendon_hangs():
+    # section 2: from 75 N back by 0.5 and 2 mm, then slack, then taken up; the other tendon has no tension
+    start = float(cddf.solve(ONE, 75.0).tendon_displacement[0])
+    wanted = start - np.array([0.0, 0.5e-3, 2e-3, start + 3e-3, start - 8e-3])
+    history = cddf.trace(PAIR, [cddf.Displacement(wanted), np.zeros(5)])
+    np.testing.assert_allclose(history.base_tension[:3, 0], [75.0, 56.100971, 41.836412], rtol=1e-4)
+    np.testing.assert_allclose(history.base_tension[3], 0.0, atol=1e-9)
+    np.testing.assert_allclose(history.tendon_displacement[:3, 0], wanted[:3], atol=1e-12)
+    np.testing.assert_allclose(history.tendon_displacement[3, 0], 0.0, atol=1e-9)
+    slack = int(code_of(RESULTS.slack))
+    np.testing.assert_array_equal(code_of(history.result), [0, 0, 0, slack, 0])
+    taken_up = cddf.solve(ONE, cddf.Displacement(8e-3))
+    np.testing.assert_allclose(history.base_tension[4, 0], taken_up.base_tension[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
+def test_derivatives(mode):
+    """Against differences; the place of a front within its cell is held, which the tolerance allows for."""
+
+    def angle(numbers):
+        body = eqx.tree_at(lambda b: (b.friction_coefficient, b.youngs_modulus), PAIR, (numbers[0], numbers[1] * 1.4e6))
+        path = jnp.array([[75.0, 20.0], [60.0, 20.0]]).at[1, 0].set(60 * numbers[2])
+        return cddf.trace(body, path, short_steps=4, nodes=8).tip_angle[-1]
+
+    at, step = np.array([0.42, 1.0, 1.0]), 1e-3
+    angle = jax.jit(angle)
+    differences = [(angle(at + step * unit) - angle(at - step * unit)) / (2 * step) for unit in np.eye(3)]
+    np.testing.assert_allclose(jax.jit(mode(angle))(at), differences, rtol=5e-3, atol=0.01)
+
+
+@pytest.mark.slow
+def test_a_lane_that_fails_is_alone():
+    def traced(tension):
+        path = jnp.array([[75.0, 20.0], [60.0, 20.0]]).at[1, 0].set(tension)
+        return cddf.trace(PAIR, path, short_steps=4, nodes=8)
+
+    lanes = jax.jit(jax.vmap(traced))(jnp.array([60.0, jnp.nan]))
+    alone = traced(60.0)
+    np.testing.assert_allclose(lanes.tip_angle[0], alone.tip_angle, atol=1e-9)
+    assert np.all(np.isnan(lanes.tip_angle[1]))
+    assert set(np.asarray(code_of(lanes.result))[1].tolist()) == {int(code_of(RESULTS.unphysical))}
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(ValueError, match=r"\(steps, 2\)"):
+        cddf.trace(PAIR, [1.0, 2.0])
+    with pytest.raises(ValueError, match="one entry per tendon"):
+        cddf.trace(PAIR, cddf.Displacement([1e-3]))
+    with pytest.raises(ValueError, match="one number for each step"):
+        cddf.trace(PAIR, [cddf.Displacement([1e-3]), [1.0, 2.0]])
+    with pytest.raises(ValueError, match="2 steps and 1 loads"):
+        cddf.trace(ONE, [1.0, 2.0], [LOAD])
+    with pytest.raises(TypeError, match="must be a Loads"):
+        cddf.trace(ONE, [1.0, 2.0], 3.0)
+    with pytest.raises(ValueError, match="short_steps"):
+        cddf.trace(PAIR, PATH, short_steps=0)
+    with pytest.raises(ValueError, match="start is a history of one tendon"):
+        cddf.trace(ONE, [1.0], LOAD, start=cddf.trace(ONE, [2.0]))
