@@ -61,21 +61,22 @@ def trace(
         max_turns: how many turns may be felt at once, 1 or more; static. Where there are more, the step is
             `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
             Several tendons, and loads, have no such limit.
-        short_steps: into how many each step is divided with several tendons or loads; static.
+        short_steps: into how many each step is divided with several tendons or loads, 2 or more; static. A path of
+            many steps needs fewer.
         throw: raise where the values are known and a step failed.
 
     Raises:
         SolveError: with `throw`, when a step failed; it names the step.
-        ValueError: for tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns or
-            short_steps below 1, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed.
+        ValueError: for tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns
+            below 1, short_steps below 2, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed.
         TypeError: if an argument has the wrong type.
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"trace: the first argument must be a Manipulator, got {type(manipulator).__name__}")
     check_nodes(nodes)
-    for name, value in {"max_turns": max_turns, "short_steps": short_steps}.items():
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ValueError(f"trace: {name} must be a whole number of 1 or more, got {value!r}")
+    for name, value, least in (("max_turns", max_turns, 1), ("short_steps", short_steps, 2)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise ValueError(f"trace: {name} must be a whole number of {least} or more, got {value!r}")
     if start is not None and not isinstance(start, History):
         raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
     if manipulator.num_tendons == 1 and loads is None and not (start and isinstance(start._states, SteppedStates)):
