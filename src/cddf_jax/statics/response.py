@@ -61,8 +61,8 @@ def tip_compliance(
 
     It is the compliance of the sliding branch that `direction` states. A real tendon sticks before it slides: under
     a small disturbance friction holds it, and the tip is stiffer than this. That is `tip_compliance(history, push=...)`
-    after `trace`: the pose (X, Y, phi) over a push (F_X, F_Y), N, by its size; one-sided. At constant tensions C is symmetric
-    without friction, and with friction it is not.
+    after `trace`: the pose (X, Y, phi) over a push (F_X, F_Y), N, by its size; one-sided.
+    At constant tensions C is symmetric without friction, and with friction it is not.
 
     Args:
         manipulator, base_tension, loads, direction, method, nodes: as in `solve`.
