@@ -195,7 +195,8 @@ def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int
         there[0].append(number) if there else points.append([number])
     for numbers in points:
         step = steps[numbers[0]]
-        at, pulled = (x[step], y[step]), step == 0 or x[step] > x[step - 1]
+        others = x[:step][x[:step] != x[step]]  # before it, where it stayed at that tension
+        at, pulled = (x[step], y[step]), others.size == 0 or x[step] > others[-1]
         axes.plot(*at, "o", color=looks.BLACK, zorder=4)
         look: looks.Look = {"ha": "left", "va": "top"} if pulled else {"ha": "right", "va": "bottom"}
         offset, text = (3, -3) if pulled else (-3, 3), _listed([number + 1 for number in numbers])
