@@ -78,6 +78,14 @@ def test_random_paths_against_the_play():
         assert np.max(history.error_estimate) < 1e-9
 
 
+@pytest.mark.slow
+def test_a_path_of_several_blocks():
+    path = np.random.default_rng(2).uniform(5, 90, 150)
+    history = cddf.trace(BODY, path)
+    expected = [play(path[: step + 1], END) for step in range(path.size)]
+    np.testing.assert_allclose(history.tip_tension, expected, rtol=1e-11)
+
+
 def test_the_shape_is_the_integral_of_its_heading():
     history, s = cddf.trace(BODY, [75.0, 40.0, 60.0, 50.0]), np.linspace(0, LENGTH, 20001)
     along = history.at(s)

@@ -5,13 +5,15 @@ curvature, and where it slides the tension is that of `solve` with the direction
 fronts of its open turns the body is therefore congruent to a part of one of these equilibria, see `parts`.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.problem import cut_into_panels
 from ..numerics.arrays import zero_as
@@ -24,10 +26,13 @@ from .driven import Drive, driven
 from .energies import work_and_loss
 from .fronts import cut_at, front_of
 from .history import Energies, History, States
-from .parts import Tip, rotated, slid_up_to, tips
+from .parts import Slid, Tip, rotated, slid_up_to, tips
 from .turns import NOBODY, Turns, open_turns
 
 Number = Float[Array, ""]
+Given = TypeVar("Given")
+Found = TypeVar("Found")
+BLOCK = 64  # steps at a time
 
 
 class CongruentStates(States):
@@ -147,8 +152,8 @@ def _path(
 
 def _with_drive(result: RESULTS, drive: Drive) -> RESULTS:
     found = RESULTS.where(drive.slack, RESULTS.slack, RESULTS.successful)
-    found = RESULTS.where(drive.unreachable, RESULTS.unreachable, found)
-    return with_words(RESULTS.where(code_of(result) == 0, found, result))
+    found = RESULTS.where(code_of(result) == 0, found, result)
+    return with_words(RESULTS.where(drive.unreachable, RESULTS.unreachable, found))
 
 
 def follow(
@@ -157,12 +162,17 @@ def follow(
     """Front and tip after each step of a path that started at rest."""
     from_rest = turns.before == NOBODY
     turned_at = jnp.where(from_rest, path, path[turns.before])
-    front = jax.vmap(partial(front_of, body, nodes))(path, turns.direction, turned_at, from_rest)
-    # the equilibria of a motion and of the one before it, in one batch
-    tension = jnp.concatenate([path, turned_at])
-    direction = jnp.concatenate([turns.direction, jnp.where(from_rest, 1.0, -1.0) * turns.direction])
-    found = jax.vmap(partial(slid_up_to, body, nodes))(tension, direction, jnp.tile(front, 2))
-    own, other = jax.tree.map(lambda x: x[: path.size], found), jax.tree.map(lambda x: x[path.size :], found)
+
+    def step(given: tuple[Number, Number, Number, Bool[Array, ""]]) -> tuple[Number, tuple[Slid, Slid]]:
+        tension, direction, turned_at, from_rest = given
+        front = front_of(body, nodes, tension, direction, turned_at, from_rest)
+        # the equilibria of a motion and of the one before it, in one batch
+        directions = jnp.stack([direction, jnp.where(from_rest, 1.0, -1.0) * direction])
+        found = jax.vmap(partial(slid_up_to, body, nodes, front=front))(jnp.stack([tension, turned_at]), directions)
+        own, other = (jax.tree.map(lambda x, i=i: x[i], found) for i in range(2))
+        return front, (own, other)
+
+    front, (own, other) = _in_blocks(step, (path, turns.direction, turned_at, from_rest))
     return front, tips(body, own, other, turns)
 
 
@@ -176,6 +186,16 @@ def _work_and_loss(states: CongruentStates) -> tuple[Float[Array, " steps"], Flo
         gains = jnp.where(own[:, None], gains, 0.0)
     sums = jnp.cumsum(gains, axis=0)[-states.num_steps :] + (0.0 if states.earlier is None else states.earlier)
     return sums[:, 0], sums[:, 1]
+
+
+def _in_blocks(function: Callable[[Given], Found], given: Given) -> Found:
+    """`jax.vmap`, of so many steps at a time that memory stays small in a batch of bodies."""
+    count = jax.tree.leaves(given)[0].shape[0]
+    if count <= BLOCK:
+        return jax.vmap(function)(given)
+    places = np.minimum(np.arange(-(-count // BLOCK) * BLOCK), count - 1).reshape(-1, BLOCK)
+    found = jax.lax.map(jax.vmap(function), jax.tree.map(lambda x: x[places], given))
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], found)
 
 
 # --- along the body ------------------------------------------------------------------------------
