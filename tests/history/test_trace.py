@@ -290,3 +290,27 @@ def test_wrong_types_and_numbers():
         cddf.trace(BODY, [75.0], start=75.0)  # pyright: ignore[reportArgumentType]
     with pytest.raises(cddf.SolveError, match="step 1 of the trace, -5 N: The body or its load is not physical"):
         cddf.trace(BODY, [75.0, -5.0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("offset", "drag"), [(0.010, None), ((0.010, 0.007), 2.0)])
+def test_the_front_has_its_derivatives(offset, drag):
+    """Against central differences, in both modes; at the tip the front does not move."""
+
+    def front(numbers):
+        mu, modulus, high, low = numbers
+        body = cddf.conical(
+            length=0.140,
+            outer_radius=(0.020, 0.013),
+            inner_radius=0.007,
+            tendon_offset=offset,
+            youngs_modulus=1.4e6 * modulus,
+            friction_coefficient=mu,
+            drag=drag,
+        )
+        return cddf.trace(body, jnp.stack([75.0 * high, 40.0 * low, 55.0])).front
+
+    front, at = jax.jit(front), np.array([0.42, 1.0, 1.0, 1.0])
+    differences = [(front(at + 1e-5 * unit) - front(at - 1e-5 * unit)) / 2e-5 for unit in np.eye(4)]
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(jax.jit(mode(front))(at), np.stack(differences, axis=1), atol=1e-7)

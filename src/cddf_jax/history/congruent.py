@@ -24,7 +24,7 @@ from ..statics.equilibrium import RESULTS, Dense, Fields, code_of, nan_unless, w
 from ..statics.solve import solve
 from .driven import Drive, driven
 from .energies import work_and_loss
-from .fronts import cut_at, front_of
+from .fronts import cut_at, front_of, moving_front
 from .history import Energies, History, States
 from .parts import Slid, Tip, rotated, slid_up_to, tips
 from .turns import NOBODY, Turns, open_turns
@@ -98,9 +98,9 @@ def congruent_history(
     given = wanted, before.open_tension, before.work_and_loss
     body, _, _, (wanted, known, earlier) = one_precision(body, wanted[0], jnp.ones_like(wanted[0]), given)
     path, all_turns, drive = _path(body, nodes, quantity, known, wanted, max_turns)
-    fronts, tip = follow(body, nodes, path, all_turns)
+    fronts, tip, moving = follow(body, nodes, path, all_turns)
 
-    turns, front, tip = jax.tree.map(lambda x: x[-num_steps:], (all_turns, fronts, tip))
+    turns, front, tip = jax.tree.map(lambda x: x[-num_steps:], (all_turns, moving, tip))
     good = tip.solved
     outside = path[-num_steps:] * jnp.sum(body.tendon_compliance * body.tendon_free_length)
     numbers = tip.tension, tip.heading, tip.position, tip.pulled_in + outside, tip.error
@@ -158,8 +158,8 @@ def _with_drive(result: RESULTS, drive: Drive) -> RESULTS:
 
 def follow(
     body: Manipulator, nodes: int, path: Float[Array, " path"], turns: Turns
-) -> tuple[Float[Array, " path"], Tip]:
-    """Front and tip after each step of a path that started at rest."""
+) -> tuple[Float[Array, " path"], Tip, Float[Array, " path"]]:
+    """Front and tip after each step of a path that started at rest, and the fronts with their derivatives."""
     from_rest = turns.before == NOBODY
     turned_at = jnp.where(from_rest, path, path[turns.before])
 
@@ -173,7 +173,8 @@ def follow(
         return front, (own, other)
 
     front, (own, other) = _in_blocks(step, (path, turns.direction, turned_at, from_rest))
-    return front, tips(body, own, other, turns)
+    moving = jax.vmap(partial(moving_front, body))(front, own.tension, other.tension, turns.direction)
+    return front, tips(body, own, other, turns), jnp.where(from_rest, front, moving)
 
 
 @kept_program

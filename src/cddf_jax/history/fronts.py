@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from ..mechanics import bending
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import Pull, tension_rate
-from ..mechanics.problem import Problem, lay_out, tension_of
+from ..mechanics.problem import Problem, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import at_starts_and_ends, refined_zero
 from ..numerics.quadrature import Panels
 from ..robot.manipulator import Manipulator
@@ -30,7 +30,8 @@ def front_of(
 ) -> Number:
     """Where the tension of a motion meets the one at which it turned, m; the tip where all of the tendon slides.
 
-    It has no derivative, and needs none: nothing that is summed along the body jumps at a front.
+    It has no derivative, and needs none: nothing that is summed along the body jumps at a front. See
+    `moving_front`.
 
     Args:
         body: with one tendon.
@@ -52,6 +53,30 @@ def front_of(
         found = jax.lax.fori_loop(0, REFINEMENTS, lambda _, front: refine(front), front)
         front = jnp.where(front < length, found, front)
     return jax.lax.stop_gradient(jnp.where(from_rest, length, front))
+
+
+def moving_front(body: Manipulator, front: Number, here: Number, there: Number, direction: Number) -> Number:
+    """The same front, m, with its derivative: where two motions meet, and by how much their tensions part there.
+
+    Args:
+        body: with one tendon.
+        front: from `front_of`.
+        here, there: the tension at the front of a motion and of the one before it, N; with derivatives.
+        direction: of the motion.
+    """
+    still, apart = jax.lax.stop_gradient((body, front, here, direction)), here - there
+    body, place, tension, direction = still
+    section = guarded_section(body, place)
+
+    def slope(direction: Number) -> Number:
+        kappa = bending.curvature(section, tension[None])
+        turning = bending.turning(section, kappa, tension[None], direction[None])
+        return tension_rate(direction[None], section, turning, tension[None])[0]
+
+    parting = slope(direction) - slope(-direction)
+    moves = (place < body.length) & (parting != 0)
+    change = (apart - jax.lax.stop_gradient(apart)) / jnp.where(moves, parting, 1.0)
+    return front - jnp.where(moves, change, 0.0)
 
 
 def _slide(body: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Problem, Pull]:
