@@ -13,6 +13,7 @@ TOP = float(cddf.solve(BODY, 75.0).tendon_displacement[0])
 PATH = [75.0, 40.0, 60.0, 50.0, 30.0, 80.0, 10.0]
 
 
+@pytest.mark.slow
 def test_a_little_back_from_a_pull():
     """The closed form with the front inside: y_b/y_0 = (2 - K + 2 sqrt(1 - K)) / K, K = exp(mu phi) y_0 / (y_0 + g).
 

@@ -272,7 +272,7 @@ def test_more_turns_than_there_is_room_for():
     [
         (paper_body("exact", num_tendons=2), [1.0], {}, r"\(steps, 2\) for this body"),
         (BODY, 75.0, {}, r"must be a list of tensions, N, one for each step, got the shape \(\)"),
-        (BODY, [[75.0]], {}, r"got the shape \(1, 1\)"),
+        (BODY, [[75.0, 1.0]], {}, r"got the shape \(1, 2\)"),
         (BODY, [], {}, r"got the shape \(0,\)"),
         (BODY, [75.0], {"max_turns": 0}, "max_turns must be a whole number of 1 or more, got 0"),
         (BODY, [75.0], {"nodes": 3}, "nodes must be a whole number of 4 or more"),

@@ -101,7 +101,8 @@ def congruent_history(
     fronts, tip, moving = follow(body, nodes, path, all_turns)
 
     turns, front, tip = jax.tree.map(lambda x: x[-num_steps:], (all_turns, moving, tip))
-    good = tip.solved
+    usable = jnp.isfinite(wanted)
+    good = tip.solved & usable
     outside = path[-num_steps:] * jnp.sum(body.tendon_compliance * body.tendon_free_length)
     numbers = tip.tension, tip.heading, tip.position, tip.pulled_in + outside, tip.error
     tension, angle, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
@@ -116,7 +117,7 @@ def congruent_history(
         num_turns=jnp.sum(turns.open != NOBODY, axis=1),
         tendon_displacement=pulled_in,
         error_estimate=error,
-        result=tip.result if drive is None else jax.vmap(_with_drive)(tip.result, drive),
+        result=tip.result if drive is None else jax.vmap(_with_drive)(tip.result, drive, usable),
         _states=CongruentStates(
             manipulator=body,
             nodes=nodes,
@@ -150,10 +151,11 @@ def _path(
     return jnp.concatenate([known, drive.tension]), turns, drive
 
 
-def _with_drive(result: RESULTS, drive: Drive) -> RESULTS:
+def _with_drive(result: RESULTS, drive: Drive, usable: Bool[Array, ""]) -> RESULTS:
     found = RESULTS.where(drive.slack, RESULTS.slack, RESULTS.successful)
     found = RESULTS.where(code_of(result) == 0, found, result)
-    return with_words(RESULTS.where(drive.unreachable, RESULTS.unreachable, found))
+    found = RESULTS.where(drive.unreachable, RESULTS.unreachable, found)
+    return with_words(RESULTS.where(usable, found, RESULTS.unphysical))
 
 
 def follow(

@@ -7,11 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Fields, nan_unless, tendons_first
 
 
 class States(eqx.Module):
     """What a method knows of the body after each step; one class for each method."""
+
+    manipulator: eqx.AbstractVar[Manipulator]
 
     @property
     @abstractmethod
@@ -66,7 +69,10 @@ class History(eqx.Module):
 
     @property
     def work(self) -> Float[Array, " steps"]:
-        """What the actuators have done since rest, J: the integral of base tension by tendon displacement."""
+        """What actuators and loads have done since the straight body, J.
+
+        That is the integral of base tension by tendon displacement, and that of loads by what they move.
+        """
         return self._energies.work
 
     @property

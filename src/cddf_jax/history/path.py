@@ -23,6 +23,30 @@ class Path(NamedTuple):
     displacement: Float[Array, "steps tendons"]  # m; zero for a tendon whose tension is given
     loads: Loads | None
 
+    def under(self, loads: Loads) -> "Path":
+        """The same path, along which loads stay."""
+        count = self.tension.shape[0]
+        return self._replace(loads=jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), loads))
+
+
+def as_numbers(values: object, name: str) -> Array:
+    """The values as an array of floating-point numbers.
+
+    Raises:
+        ValueError: where they are no numbers, or rows of different lengths.
+    """
+    if any(isinstance(x, jax.Array) for x in jax.tree.leaves(values)):
+        array = jnp.asarray(cast("ArrayLike", values))
+    else:
+        try:
+            array = np.asarray(values)
+        except ValueError:
+            array = np.asarray(None)
+        if array.dtype.kind not in "fiub":
+            raise ValueError(f"{name} must hold numbers, in rows of one length, got {values!r}")
+        array = jnp.asarray(array)
+    return array.astype(jnp.result_type(float, array))
+
 
 def _has_targets(base_tension: Driven | TipAngle) -> bool:
     """Whether something else than a tension is given."""
@@ -58,8 +82,7 @@ def given_path(
 def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tuple[Array, Array, tuple[int, ...]]:
     count = manipulator.num_tendons
     if not _has_targets(base_tension):
-        tension = jnp.asarray(cast("ArrayLike", base_tension))
-        tension = tension.astype(jnp.result_type(float, tension))
+        tension = as_numbers(base_tension, "trace: base_tension")
         shape = tension.shape
         tension = tension[:, None] if tension.ndim == 1 and count == 1 else tension
         if tension.ndim != 2 or tension.shape[1] != count or tension.shape[0] == 0:
@@ -78,7 +101,7 @@ def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tup
                 f"trace: with several tendons or loads, tensions, N, or a Displacement drive a tendon, not {entry!r}"
             )
     driven = tuple(i for i, entry in enumerate(entries) if isinstance(entry, Displacement))
-    values = [jnp.asarray(getattr(entry, "value", entry), float) for entry in entries]
+    values = [as_numbers(getattr(entry, "value", entry), "trace: base_tension") for entry in entries]
     if any(value.shape != values[0].shape or value.ndim != 1 or value.size == 0 for value in values):
         shapes = ", ".join(str(value.shape) for value in values)
         raise ValueError(f"trace: each tendon must have one number for each step, got the shapes {shapes}")

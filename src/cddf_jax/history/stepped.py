@@ -28,7 +28,9 @@ from .path import Path
 from .stepping import Ends, Setting, Step, after_step
 
 Number = Float[Array, ""]
-ACCURACY = 1e-2  # a step with a larger error estimate is called inaccurate
+ACCURACY = 3e-2  # a step with a larger error estimate is called inaccurate
+SAFETY = 2.0  # by which passes may differ less than the fine one is wrong
+LEAST_ERROR = 1e-5  # what the softened law and the stretch of stiff tendons may leave
 AT_LIMIT = 1e-3  # how near its friction limit a tendon slides
 
 
@@ -295,12 +297,14 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         start: the states that the path goes on from; None for rest.
         kind: how to follow it; static.
     """
-    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((manipulator, path))]))
-    asked, tension = manipulator, jnp.min(path.tension, axis=0)
-    ones = jnp.ones_like(tension)
-    manipulator, _, _, (path,) = harmless(manipulator, tension, ones, (path,))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(manipulator)]))
+    usable = jnp.cumprod(_usable(path)) > 0  # up to the first step that is not
+    asked, wanted = manipulator, path
+    ones = jnp.ones_like(path.tension[0])
+    manipulator, _, _, (path,) = harmless(manipulator, ones, ones, (path,))
     path = path._replace(tension=jnp.maximum(path.tension, 0.0))
-    physical = finite & is_physical(asked, tension, ones, lay_out(manipulator, ones, ones, 4, _first(path.loads)))
+    laid_out = lay_out(manipulator, ones, ones, 4, _first(path.loads))
+    physical = usable & finite & is_physical(asked, ones, ones, laid_out)
 
     last = None if start is None else jax.tree.map(lambda x: x[:, -1], start.passes)
     follow = partial(_followed, manipulator, path, kind)
@@ -312,7 +316,8 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     cells = cut_into_cells(manipulator, kind.num_cells)
     moments, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
-    error = jnp.sum(jax.vmap(jax.vmap(partial(_difference, cells)), (None, 0))(tip, others), axis=0)
+    apart = jax.vmap(jax.vmap(partial(_difference, cells)), (None, 0))(tip, others)
+    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0)
     step = moments.step
     good = physical & jnp.all(passes.step.converged, axis=0)
     numbers = jax.vmap(nan_unless)(good, (moments.given.ends, tip, error, fronts[0]))
@@ -323,7 +328,11 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         short = moments.given.ends.displacement - path.displacement > 1e-9 * cells.scale
         slack = jnp.any(short[:, list(kind.driven)], axis=1)
     return History(
-        base_tension=ends.base_tension,
+        base_tension=jnp.where(
+            jnp.isin(jnp.arange(ones.size), jnp.asarray(kind.driven)), ends.base_tension, wanted.tension
+        )
+        if kind.driven
+        else wanted.tension,
         tip_tension=tip.tension,
         tip_angle=tip.heading,
         tip_position=tip.position,
@@ -332,7 +341,7 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         num_turns=None,
         tendon_displacement=ends.displacement,
         error_estimate=error,
-        result=with_words(jax.vmap(_result, (None, 0, 0, 0, 0))(physical, good, crossing[0], error, slack)),
+        result=with_words(jax.vmap(_result)(physical, good, crossing[0], error, slack)),
         _states=states,
     )
 
@@ -362,6 +371,13 @@ def squeezed(history: History) -> History:
         )
 
     return eqx.tree_at(per_tendon, history, [x[:, 0] for x in per_tendon(history)])
+
+
+def _usable(path: Path) -> Bool[Array, " steps"]:
+    """Whether what is given for each step is physical."""
+    numbers = [x.reshape(x.shape[0], -1) for x in jax.tree.leaves(path)]
+    finite = jnp.all(jnp.isfinite(jnp.concatenate(numbers, axis=1)), axis=1)
+    return finite & jnp.all(path.tension >= 0, axis=1)
 
 
 def _last(path: Path) -> Loads:

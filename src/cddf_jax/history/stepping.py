@@ -22,7 +22,7 @@ from .cells import Cells, Edge, along_cell, missing_along
 Number = Float[Array, ""]
 PerCell = Float[Array, "P tendons"]
 FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
-LAST_SOFTNESS = 1e-9
+LAST_SOFTNESS = 1e-13
 SHRINKING = 0.1
 MAX_PASSES = 60
 LOCATING = 16  # passes after which the place of a front within its cell is held

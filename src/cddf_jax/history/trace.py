@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Literal, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +20,7 @@ from ..statics.targets import Displacement, TipAngle
 from . import compliance as compliance  # which tells `tip_compliance` of histories
 from .congruent import Before, CongruentStates, congruent_history
 from .history import History
-from .path import Driven, given_path, not_per_step
+from .path import Driven, as_numbers, given_path, not_per_step
 from .stepped import Following, SteppedStates, squeezed, stepped_history
 
 
@@ -51,11 +52,12 @@ def trace(
             may have an entry (steps,) each, of which some are a `Displacement`. A tendon that would have to push hangs
             without tension until it is taken up; the result of such a step is `slack`, which is no error, and its
             displacement is that at which the tendon went slack.
-        loads: one `Loads` that rests on the body before the first step and stays, or one for each step, which begin
-            with none; None for none.
+        loads: one `Loads` that rests on the body before the first step and stays, or one for each step (a list, or
+            `Loads` whose numbers have a leading axis of steps), which begin with none; None for none. After `start`
+            they go on from those of that history, and None leaves them as they are.
         before: for one tendon without loads, the largest base tension, N, that it had before it was released to the
             first step; "rest" for a body with tendons that never had a tension.
-        start: the history of the same body that goes on, in the place of `before`.
+        start: the history of the same body that goes on, in the place of `before`; with its cells, whatever `nodes`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the body
             is cut into four times as many cells.
         max_turns: how many turns may be felt at once, 1 or more; static. Where there are more, the step is
@@ -79,9 +81,12 @@ def trace(
             raise ValueError(f"trace: {name} must be a whole number of {least} or more, got {value!r}")
     if start is not None and not isinstance(start, History):
         raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
+    if start is not None:
+        _check_same_body(manipulator, start)
     if manipulator.num_tendons == 1 and loads is None and not (start and isinstance(start._states, SteppedStates)):
         quantity, values = _path(base_tension)
         past = _before(before, start, values.dtype)
+        _check_largest(past, start, quantity, values)
         history = congruent_history(manipulator, values, past, nodes, max_turns, quantity)
     else:
         if not isinstance(before, str) or before != "rest":
@@ -90,6 +95,28 @@ def trace(
     if throw:
         _raise_if_failed(history)
     return history
+
+
+def _check_largest(past: Before, start: History | None, quantity: str, values: Array) -> None:
+    """Refuse a largest tension before the first step that is not the largest; where the numbers are known."""
+    if start is not None or past.open_tension.size == 0 or isinstance(past.open_tension, Tracer):
+        return
+    largest = float(past.open_tension[0])
+    first = 0.0 if quantity != "base_tension" or isinstance(values, Tracer) else float(values[0])
+    if largest < max(first, 0.0):
+        raise ValueError(
+            f"trace: before must be the largest base tension up to the first step, {max(first, 0.0):g} N or more, "
+            f"got {largest:g} N"
+        )
+
+
+def _check_same_body(manipulator: Manipulator, start: History) -> None:
+    """Refuse a history of another body; where the numbers are known."""
+    without = [eqx.tree_at(lambda b: b.point_masses, b, ()) for b in (manipulator, start._states.manipulator)]
+    (leaves, one), (others, other) = map(jax.tree.flatten, without)
+    known = not any(isinstance(x, Tracer) for x in [*leaves, *others])
+    if one != other or (known and not all(np.array_equal(a, b) for a, b in zip(leaves, others, strict=True))):
+        raise ValueError("trace: start is the history of another body; trace this one from rest")
 
 
 def _in_short_steps(
@@ -101,6 +128,8 @@ def _in_short_steps(
     short_steps: int,
 ) -> History:
     path, driven = given_path(manipulator, base_tension, loads)
+    if loads is None and start is not None and isinstance(start._states, SteppedStates):
+        path = path.under(start._states.loads)  # they stay as they are
     check_weight(manipulator, path.loads)
     if path.tension.dtype != jnp.float64:
         raise ValueError(
@@ -118,14 +147,18 @@ def _in_short_steps(
 
 def _path(given: Driven | TipAngle) -> tuple[str, Float[Array, " steps"]]:
     """What is driven, and its values."""
+    if isinstance(given, tuple | list) and len(given) == 1 and isinstance(given[0], Displacement | TipAngle):
+        given = given[0]
     target = isinstance(given, Displacement | TipAngle)
     quantity, values = (given.quantity, given.value) if target else ("base_tension", cast("ArrayLike", given))
-    if isinstance(values, str) or np.ndim(values) != 1 or np.size(values) == 0:
+    numbers = as_numbers(values, f"trace: {quantity}")
+    numbers = numbers[:, 0] if numbers.ndim == 2 and numbers.shape[1] == 1 else numbers
+    if numbers.ndim != 1 or numbers.size == 0:
         unit = {"base_tension": "tensions, N", "displacement": "lengths, m", "tip_angle": "angles, rad"}[quantity]
         raise ValueError(
-            f"trace: {quantity} must be a list of {unit}, one for each step, got the shape {np.shape(values)}"
+            f"trace: {quantity} must be a list of {unit}, one for each step, got the shape {numbers.shape}"
         )
-    return quantity, jnp.asarray(values, jnp.result_type(float, jnp.asarray(values)))
+    return quantity, numbers
 
 
 def _before(before: ArrayLike | Literal["rest"], start: History | None, dtype: jnp.dtype) -> Before:
