@@ -99,7 +99,7 @@ def test_one_tendon_is_as_the_exact_play(loop):
     # closed forms of section 2, J; the error of the loss falls with the square of the short steps
     np.testing.assert_allclose(loop.work[0], 415.405749e-3, rtol=1e-6)
     np.testing.assert_allclose(loop.stored_energy[0], 355.679440e-3, rtol=1e-6)
-    np.testing.assert_allclose(loop.friction_loss[4], 99.331129e-3, rtol=1e-4)
+    np.testing.assert_allclose(loop.friction_loss[4], 99.331129e-3, rtol=2e-4)
 
 
 def test_loads_that_rest_on_the_body(loaded):

@@ -31,6 +31,7 @@ Number = Float[Array, ""]
 ACCURACY = 3e-2  # a step with a larger error estimate is called inaccurate
 SAFETY = 2.0  # by which passes may differ less than the fine one is wrong
 LEAST_ERROR = 1e-5  # what the softened law and the stretch of stiff tendons may leave
+LEAST_SLIP = 1e-6  # of the largest slip of a short step; what moves less rests
 AT_LIMIT = 1e-3  # how near its friction limit a tendon slides
 
 
@@ -56,6 +57,7 @@ class Moment(NamedTuple):
     given: _Given
     step: Step
     along: Along  # the cells
+    slid: Float[Array, "P tendons"]  # towards the base in the last short step, m, the mean over a cell
     work: Number  # of actuators and loads since the straight body, J
     friction_loss: Number  # J
 
@@ -95,8 +97,10 @@ class SteppedStates(States):
         return jax.vmap(at_points, (0, 0, None))(self.moments, shapes, arc_length)
 
     def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps *tendons points"]:
-        share = self.moments.step.share[:, self.cells.at(arc_length)]
-        found = jnp.moveaxis(jnp.where(jnp.abs(share) > 1 - AT_LIMIT, jnp.sign(share), 0.0), 1, -1)
+        slid = self.moments.slid
+        moves = jnp.abs(slid) > LEAST_SLIP * jnp.max(jnp.abs(slid), axis=(1, 2), keepdims=True)
+        slides = moves & (jnp.abs(self.moments.step.share) > 1 - AT_LIMIT)
+        found = jnp.moveaxis(jnp.where(slides, jnp.sign(slid), 0.0)[:, self.cells.at(arc_length)], 1, -1)
         return found[:, 0] if found.shape[1] == 1 else found
 
 
@@ -244,7 +248,7 @@ def _at_rest(manipulator: Manipulator, cells: Cells, path: Path, given: _Given, 
     slip = jnp.concatenate([jnp.cumsum(gains[::-1], axis=0)[::-1], slips[:1]])
     edges = edges._replace(slip=slip)
     step = Step(edges, slips[1:], -along.rates.slip[:, 1], good)
-    moment = Moment(given, step, cells.along(given.outboard, edges, slips[1:]), line[0], line[0])
+    moment = Moment(given, step, cells.along(given.outboard, edges, slips[1:]), slips[1:], line[0], line[0])
     return moment._replace(work=_stored(cells, moment))
 
 
@@ -273,6 +277,7 @@ def _moved(cells: Cells, kind: Following, before: Moment, given: _Given) -> Mome
         given,
         step,
         new,
+        slid=(slipped[:-1] + slipped[1:]) / 2,
         work=before.work + jnp.sum(pull * pulled_in) + by_force + by_moment,
         friction_loss=before.friction_loss - lost,
     )
