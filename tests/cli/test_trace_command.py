@@ -33,6 +33,7 @@ def robot(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_a_loop_in_json_and_in_files(answer_of, robot, tmp_path):
     answer = answer_of("trace", robot, "--path", PATH, "--out", tmp_path / "out")
     base, tip, angle, front, lost = TABLE.T

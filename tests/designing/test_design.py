@@ -60,6 +60,7 @@ def uniform(kinematics, thinnest=0.0105, starts=1):
     )
 
 
+@pytest.mark.slow
 @one_kinematics_at_once
 def test_uniform_curvature_has_the_analytic_radius(kinematics):
     """Exact: J = T d exp(-mu kappa s) / (E kappa), design.md section 5.

@@ -64,6 +64,7 @@ def found(tmp_path_factory):
     return read_task(folder / "task.toml").design()
 
 
+@pytest.mark.slow
 def test_a_design_of_least_hysteresis_has_the_width_of_the_closed_form(found):
     assert found.success
     assert found.objectives[0].start == pytest.approx(closed(MU * FLOW / 1.4e6, MU), rel=1e-7)

@@ -86,6 +86,7 @@ def test_a_path_of_several_blocks():
     np.testing.assert_allclose(history.tip_tension, expected, rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_the_shape_is_the_integral_of_its_heading():
     history, s = cddf.trace(BODY, [75.0, 40.0, 60.0, 50.0]), np.linspace(0, LENGTH, 20001)
     along = history.at(s)
@@ -103,6 +104,7 @@ def test_the_shape_is_the_integral_of_its_heading():
     np.testing.assert_allclose(force[far][1:-1], np.abs(slip[far][1:-1]), rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [(150.0, 120.0), (200.0, 150.0)])
 def test_a_front_with_drag_where_the_tendon_would_lock(path):
     """Were all of it to slide out, it would lock; SciPy's solve_ivp ends where the tension is that of the pull."""
@@ -124,6 +126,7 @@ def test_a_front_with_drag_where_the_tendon_would_lock(path):
     assert history.error_estimate[1] < 1e-10
 
 
+@pytest.mark.slow
 def test_with_drag_against_an_integration():
     """What 5 N/m leave after full release: 0.702123 N and 0.544432 degrees, by an independent simulation.
 
@@ -148,6 +151,7 @@ def test_with_drag_against_an_integration():
     np.testing.assert_allclose(history.at(s).tension[1, 0], expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -201,6 +205,7 @@ def test_return_point_memory():
         assert detour.num_turns[-1] == 2
 
 
+@pytest.mark.slow
 def test_a_history_goes_on():
     path = [75.0, 40.0, 60.0, 50.0, 55.0, 30.0]
     whole, first = cddf.trace(BODY, path), cddf.trace(BODY, path[:4])
@@ -234,6 +239,7 @@ def test_derivatives_in_both_modes_are_those_of_the_closed_form():
     np.testing.assert_allclose(forward[1], difference, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_lanes_and_single_precision():
     lanes = jax.jit(jax.vmap(lambda mu: cddf.trace(paper_body("exact", friction_coefficient=mu), PATH, throw=False)))(
         jnp.array([MU, -1.0, 0.2])
@@ -254,6 +260,7 @@ def test_lanes_and_single_precision():
     np.testing.assert_allclose(found.tip_angle, lanes.tip_angle[0], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_more_turns_than_there_is_room_for():
     path = [75.0, 20.0, 70.0, 25.0]
     history = cddf.trace(BODY, path, max_turns=3, throw=False)

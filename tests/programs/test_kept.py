@@ -248,6 +248,7 @@ def test_a_folder_that_others_can_write_to_is_not_trusted(place):
     assert folder.entries() == []
 
 
+@pytest.mark.slow
 def test_an_equilibrium_is_that_of_a_fresh_trace_to_the_last_bit(place, monkeypatch):
     loads = cddf.Loads(tip_force=(0.0, -1.0))
     monkeypatch.setenv(folder.VARIABLE, "off")
@@ -313,6 +314,7 @@ def test_shapes_are_kept_and_those_of_a_user_are_not(place, monkeypatch):
     assert len(TRACED) == len(list(place.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_several_processes_at_once_and_one_that_follows():
     together = fresh_processes(3)
     ((angle, compiled),) = fresh_processes(1)

@@ -32,6 +32,7 @@ def test_a_uniform_cantilever():
     np.testing.assert_allclose(cddf.tip_compliance(body, 0.0), expected, rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_of_a_cylinder_under_a_load():
     """By the force across the tip: against central differences of SciPy's shooting, error h^2, noise 1e-10 / h."""
     body = paper_body("published", outer_radius=(0.015, 0.015))
