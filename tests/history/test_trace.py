@@ -239,7 +239,6 @@ def test_derivatives_in_both_modes_are_those_of_the_closed_form():
     np.testing.assert_allclose(forward[1], difference, rtol=1e-7)
 
 
-@pytest.mark.slow
 def test_lanes_and_single_precision():
     lanes = jax.jit(jax.vmap(lambda mu: cddf.trace(paper_body("exact", friction_coefficient=mu), PATH, throw=False)))(
         jnp.array([MU, -1.0, 0.2])

@@ -50,7 +50,6 @@ def three_tendons(kinematics):
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])
 def test_the_choice_that_no_travel_contradicts(kinematics):
     """Random tensions, seed 0, one lane that fails; where no choice agrees, the fewest contradictions and a mark."""

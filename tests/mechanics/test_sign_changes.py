@@ -203,7 +203,6 @@ def reference_tip(kinematics, numbers):
 published = twice(tip_of("published"))
 
 
-@pytest.mark.slow
 def test_derivatives_across_a_sign_change():
     """Forward and reverse against central differences of the reference: h^2 and its 1e-11 over h leave 1e-6."""
     _, forward, reverse, _ = published(CENTRE)

@@ -77,7 +77,6 @@ def test_hard_lanes_are_what_they_are_alone():
         np.testing.assert_allclose(np.asarray(a)[~ended], np.asarray(b)[~ended], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_jit_is_eager():
     """One tendon: every operation is a call of its own, and with antagonists there are very many."""
 
