@@ -85,7 +85,7 @@ def _slide(body: Manipulator, nodes: int, tension: Number, direction: Number) ->
     return problem, FixedPoint()(problem).nodes.pull
 
 
-def _left(tension: Number, pull: Pull) -> Float[Array, "P p tendons"]:
+def _left(tension: Number, pull: Pull) -> Float[Array, "*points"]:
     return tension - (0.0 if pull.spent is None else pull.spent)
 
 

@@ -273,5 +273,8 @@ def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) ->
         State(*solution.starts, wrap[:-1] + turned, position[:-1]),
         State(*solution.nodes, wrap_at_nodes + turned[:, None], position_at_nodes),
         State(*solution.tip, wrap[-1] + turned[-1], position[-1]),
-        *solution[3:],
+        solution.num_iterations,
+        solution.residual,
+        solution.converged,
+        solution.locked,
     )

@@ -108,7 +108,7 @@ AnyState: TypeAlias = PassState | State
 Kind = TypeVar("Kind", bound=AnyState, covariant=True)
 
 
-class Solution(NamedTuple, Generic[Kind]):
+class Solution(eqx.Module, Generic[Kind]):
     """The answer of a method: the state along the body, and how the iteration ended."""
 
     starts: Kind  # at the start of every panel

@@ -1,6 +1,7 @@
 """A body in equilibrium, with derivatives through all that had to be found for it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -136,7 +137,8 @@ def balance(
     solution = setup.method.finish(problem, values)
     changes = [solution.residual, trial.change]
     changes += [] if setup.loads is None else [jnp.abs(moment_left_at_tip(problem, solution))]
-    solution = solution._replace(
+    solution = replace(
+        solution,
         num_iterations=jnp.maximum(trial.num_passes, solution.num_iterations),
         residual=largest(jnp.stack(changes)),
         converged=found.resolved & jnp.isfinite(solution.residual),
