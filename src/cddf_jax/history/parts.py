@@ -117,7 +117,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     max_turns = turns.open.shape[1]
     slots = jnp.arange(max_turns)
 
-    def add(stack: tuple[Slid, Onward, Number], given: tuple[Slid, Slid, Turns]):
+    def add(stack: tuple[Slid, Onward, Float[Array, " turns"]], given: tuple[Slid, Slid, Turns]):
         own, other, turn = given
         end, onward, tip_tension = jax.tree.map(lambda x: x[jnp.maximum(turn.place - 1, 0)], stack)
         first = turn.before == NOBODY
