@@ -24,7 +24,7 @@ from .fronts import cut_at, first_zero, front_of
 from .turns import NOBODY, Turns
 
 Number = Float[Array, ""]
-WorkAndLoss = Float[Array, "*steps 2"]  # J
+WorkAndLoss = Float[Array, "... 2"]  # J
 REFINEMENTS = 5  # of the tension at which a front passes a place, by Newton's method
 
 
