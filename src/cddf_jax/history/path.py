@@ -12,7 +12,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement, TipAngle
 
-Driven = ArrayLike | Displacement | Sequence[ArrayLike | Displacement]
+Driven = ArrayLike | Displacement | Sequence[ArrayLike | Displacement | Sequence[ArrayLike]]
 NUM_AXES = {"tip_force": 1, "tip_moment": 0, "gravity": 1}  # of loads that stay
 
 
