@@ -346,7 +346,7 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         num_turns=None,
         tendon_displacement=ends.displacement,
         error_estimate=error,
-        result=with_words(jax.vmap(_result)(physical, good, crossing[0], error, slack)),
+        result=jax.vmap(_result)(physical, good, crossing[0], error, slack),
         _states=states,
     )
 
@@ -354,12 +354,14 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
 def _result(
     physical: Bool[Array, ""], good: Bool[Array, ""], crossing: Bool[Array, ""], error: Number, slack: Bool[Array, ""]
 ) -> RESULTS:
-    return first_of(
-        (~physical, RESULTS.unphysical),
-        (~good, RESULTS.not_converged),
-        (crossing, RESULTS.crossing),
-        (error > ACCURACY, RESULTS.inaccurate),
-        (slack, RESULTS.slack),
+    return with_words(
+        first_of(
+            (~physical, RESULTS.unphysical),
+            (~good, RESULTS.not_converged),
+            (crossing, RESULTS.crossing),
+            (error > ACCURACY, RESULTS.inaccurate),
+            (slack, RESULTS.slack),
+        )
     )
 
 

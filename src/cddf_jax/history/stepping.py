@@ -20,7 +20,7 @@ from ..numerics.implicit import slope_along, solve_small
 from .cells import Cells, Edge, along_cell, missing_along
 
 Number = Float[Array, ""]
-PerCell = Float[Array, "P tendons"]
+PerCell = Float[Array, "*P tendons"]  # of all cells; without their axis of one
 FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
 LAST_SOFTNESS = 1e-13
 SHRINKING = 0.1

@@ -44,7 +44,7 @@ class Candidate:
     """
 
     name: str
-    conditions: Mapping[str, ArrayLike]
+    conditions: Mapping[str, ArrayLike | Sequence[ArrayLike]]
     noise: Mapping[str, float | Noise]
     repeats: int = 1
     cost: float = 1.0
