@@ -19,9 +19,7 @@ from .stepped import Following, SteppedStates, stepped_history
 
 
 @tip_compliance.register
-def _(
-    history: History, *, push: ArrayLike | Sequence[ArrayLike] | None = None, short_steps: int = 16
-) -> Float[Array, "3"]:
+def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, short_steps: int = 16) -> Float[Array, "3"]:
     """How the pose of the tip (X, Y, phi) follows a push on it after the last step, by its size: m/N, m/N and rad/N.
 
     One-sided, and the mean over the push: friction holds the tendons, which begin to slide at the base, and further
