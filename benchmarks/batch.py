@@ -24,10 +24,10 @@ import jax.numpy as jnp
 import numba  # pyright: ignore[reportMissingImports]
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax_for_batches
-from cddf_jax.files.artifacts import as_json, write_all
 from cddf_jax.identification.bench import with_parameters
 
 COUNT, LOADED, ROUNDS = 102_400, 16_384, 15
@@ -245,8 +245,7 @@ def main() -> None:
         errors = [f"{row[key]:.1e}" if key in row else "" for key in ("tension error", "position error")]
         lines.append(f"| {name} | {row['us']:.3f} | {row['numba32 over it']:.1f} | " + " | ".join(errors) + " |")
     text = "\n".join(lines) + "\n"
-    print(text)
-    write_all("out/benchmark", {"batch.md": text, "batch.json": as_json(rows)})
+    report("batch", text, rows)
 
 
 if __name__ == "__main__":

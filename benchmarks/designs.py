@@ -17,10 +17,10 @@ from methods import median_time
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.files.artifacts import as_json, write_all
 
 LENGTH, INNER, OFFSET, MODULUS, FRICTION, PULL, ANGLE = 0.14, 0.007, 0.010, 1.4e6, 0.42, 50.0, 1.0
 KNOTS = np.linspace(0.0, LENGTH, 9)
@@ -97,7 +97,7 @@ def by_design() -> np.ndarray:
         cases=cddf.LoadCase(PULL),
     )
     assert found.success, found.result
-    return np.asarray(found.manipulator.outer_radius.values)  # type: ignore[attr-defined]
+    return np.asarray(found.manipulator.outer_radius.values)  # type: ignore[attr-defined]  # a spline, as it was given
 
 
 def error(radii: np.ndarray) -> float:
@@ -129,8 +129,7 @@ def main() -> None:
         f"| {name} | {row['ms']:.3g} | {row['ms'] / base:.2g} | {row['error']:.1e} |" for name, row in rows.items()
     ]
     text = "\n".join([*lines, "", f"The first call of cddf.design compiles: {first:.1f} s.", ""])
-    print(text)
-    write_all("out/benchmark", {"designs.md": text, "designs.json": as_json({"first_s": first, "rows": rows})})
+    report("designs", text, {"first_s": first, "rows": rows})
 
 
 if __name__ == "__main__":

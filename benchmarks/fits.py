@@ -16,10 +16,10 @@ import numpy as np
 from methods import median_time
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq, least_squares
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.files.artifacts import as_json, write_all
 
 DATA = Path(__file__).parents[1] / "data"
 NOISE = {"tip_tension": 0.5, "tip_angle": np.radians(1.0)}
@@ -181,8 +181,7 @@ def main() -> None:
     first = ", ".join(f"{what} {base[f'first {what}']:.3g} s" for what in ("fit", "bootstrap", "profile"))
     lines += ["", f"The first calls of cddf_jax, with compilation: {first}."]
     text = "\n".join(lines) + "\n"
-    write_all("out/benchmark", {"fits.md": text, "fits.json": as_json(results)})
-    print(text)
+    report("fits", text, results)
 
 
 if __name__ == "__main__":

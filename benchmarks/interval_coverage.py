@@ -16,12 +16,12 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
 from cddf_jax.estimation.least_squares import LeastSquaresFit, least_squares_fit
 from cddf_jax.estimation.observations import Noise
-from cddf_jax.files.artifacts import as_json, write_all
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.mechanics.capstan import pulling_tension
 
@@ -163,11 +163,8 @@ def main() -> None:
         results[name] = coverage(simulate(scenario, EXPERIMENTS, BOOTSTRAPPED))
         print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)
     text = markdown(results)
-    print(text)
     about = {"experiments": EXPERIMENTS, "bootstrapped": BOOTSTRAPPED, "replicates": REPLICATES, "seed": SEED}
-    write_all(
-        "out/benchmark", {"interval_coverage.md": text, "interval_coverage.json": as_json(about | {"results": results})}
-    )
+    report("interval_coverage", text, about | {"results": results})
 
 
 if __name__ == "__main__":

@@ -18,10 +18,10 @@ import numpy as np
 from methods import median_time
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.files.artifacts import as_json, write_all
 
 PULL, BATCH, LENGTH, OFFSET, MU, MODULUS = 40.0, 1024, 0.140, 0.010, 0.42, 1.4e6
 FORCES = {
@@ -133,8 +133,7 @@ def main() -> None:
         cells = [(f"{row[c]:.1e}" if "error" in c else f"{row[c]:.3g}") if c in row else "-" for c in columns]
         lines.append(f"| {name} | " + " | ".join(cells) + f" | {row['one'] / unloaded:.3g} |")
     text = "Times in microseconds.\n\n" + "\n".join(lines) + "\n"
-    print(text)
-    write_all("out/benchmark", {"loads.md": text, "loads.json": as_json({"batch": BATCH, "rows": rows})})
+    report("loads", text, {"batch": BATCH, "rows": rows})
 
 
 if __name__ == "__main__":

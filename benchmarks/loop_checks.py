@@ -13,11 +13,12 @@ and all other remarks too.
 from collections.abc import Callable
 
 import numpy as np
-from loop_coverage import NOISE, PATH, SEED, paper, readings
+from loop_coverage import NOISE, PATH, SEED, readings
+from paper import paper_body
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.files.artifacts import as_json, write_all
 
 LOOPS = 200
 OF_ORDER = ("drift from the first row", "the other way round", "than in one by chance")
@@ -71,7 +72,7 @@ CHANGES: dict[str, Change] = {
 
 def noticed(change: Change) -> dict[str, float]:
     """Per cent of the loops with a remark about the order, and with any remark; how far off the modulus is."""
-    body, found = paper(), []
+    body, found = paper_body(), []
     read = readings(body, PATH)
     for k in range(LOOPS):
         rng = np.random.default_rng((SEED, k))
@@ -101,9 +102,7 @@ def main() -> None:
     configure_jax(quick_compilation=False)
     results = {name: noticed(change) for name, change in CHANGES.items()}
     text = markdown(results)
-    print(text)
-    about = {"loops": LOOPS, "seed": SEED, "noticed": results}
-    write_all("out/benchmark", {"loop_checks.md": text, "loop_checks.json": as_json(about)})
+    report("loop_checks", text, {"loops": LOOPS, "seed": SEED, "noticed": results})
 
 
 if __name__ == "__main__":

@@ -9,10 +9,11 @@ of t-statistics. The seed is fixed beforehand, 21; loop k is drawn from (21, k).
 from typing import Any
 
 import numpy as np
+from paper import paper_body
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.files.artifacts import as_json, write_all
 
 LOOPS, SEED = 2000, 21
 UP = np.arange(5.0, 86.0, 5.0)
@@ -20,19 +21,6 @@ PATH = np.concatenate([UP, UP[-2::-1]])  # N
 NOISE = {"tip_tension": 0.1, "tip_angle": float(np.radians(0.5))}  # N, rad
 TRUTH = {"friction_coefficient": 0.42, "youngs_modulus": 1.4e6}
 SCENARIOS = {"tensions and angle": ("tip_tension", "tip_angle"), "angle alone": ("tip_angle",)}
-
-
-def paper() -> cddf.Manipulator:
-    """The paper's body, exact kinematics."""
-    return cddf.conical(
-        length=0.140,
-        outer_radius=(0.020, 0.013),
-        inner_radius=0.007,
-        tendon_offset=0.010,
-        kinematics="exact",
-        friction_coefficient=TRUTH["friction_coefficient"],
-        youngs_modulus=TRUTH["youngs_modulus"],
-    )
 
 
 def readings(body: cddf.Manipulator, path: np.ndarray) -> dict[str, np.ndarray]:
@@ -50,7 +38,7 @@ def table(read: dict[str, np.ndarray], columns: tuple[str, ...], rng: np.random.
 
 def coverage(columns: tuple[str, ...]) -> dict[str, Any]:
     """Per cent of the intervals that hold the truth, and the mean error in standard errors."""
-    body, held, errors, lost = paper(), [], [], 0
+    body, held, errors, lost = paper_body(**TRUTH), [], [], 0
     read = readings(body, PATH)
     for k in range(LOOPS):
         fit = cddf.fit(body, table(read, columns, np.random.default_rng((SEED, k))))
@@ -84,9 +72,7 @@ def main() -> None:
     configure_jax(quick_compilation=False)
     results = {name: coverage(columns) for name, columns in SCENARIOS.items()}
     text = markdown(results)
-    print(text)
-    about = {"loops": LOOPS, "seed": SEED, "results": results}
-    write_all("out/benchmark", {"loop_coverage.md": text, "loop_coverage.json": as_json(about)})
+    report("loop_coverage", text, {"loops": LOOPS, "seed": SEED, "results": results})
 
 
 if __name__ == "__main__":

@@ -14,10 +14,10 @@ from typing import Any
 import jax
 import numpy as np
 from scipy.integrate import cumulative_trapezoid, solve_ivp
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.files.artifacts import as_json, write_all
 from cddf_jax.identification.bench import with_parameters
 
 PULL, BATCH = 75.0, 4096
@@ -124,8 +124,7 @@ def main() -> None:
         cells = [f"{row[c]:.1e}" if "error" in c else f"{row[c]:.3g}" for c in columns if c in row]
         lines.append(f"| {name} | " + " | ".join(cells + ["-"] * (len(columns) - len(cells))) + " |")
     text = "\n".join(lines) + "\n"
-    print(text)
-    write_all("out/benchmark", {"methods.md": text, "methods.json": as_json({"batch": BATCH, "rows": rows})})
+    report("methods", text, {"batch": BATCH, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -13,9 +13,10 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+from paper import paper_body
+from table import report
 
 import cddf_jax as cddf
-from cddf_jax.files.artifacts import as_json, write_all
 
 OUTPUTS = "tip_tension", "tip_position", "result", "error_estimate"
 TIP_FORCE = cddf.Loads(tip_force=(0.0, -1.0))
@@ -51,18 +52,6 @@ def _own(operation) -> tuple[int, Counter]:
                     count += 1 + below
                     calls += called
     return count, calls
-
-
-def paper_body(num_tendons: int = 1) -> cddf.Manipulator:
-    return cddf.conical(
-        length=0.14,
-        outer_radius=(0.020, 0.013),
-        inner_radius=0.007,
-        tendon_offset=0.010,
-        youngs_modulus=1.4e6,
-        friction_coefficient=0.42,
-        num_tendons=num_tendons,
-    )
 
 
 def outputs(equilibrium: cddf.Equilibrium) -> list:
@@ -124,7 +113,7 @@ PROGRAMS = {
 def measure(name: str) -> dict[str, float]:
     """The size of a program, and the seconds that it takes."""
     program, num_tendons = PROGRAMS[name]
-    arguments = jax.tree.map(jnp.asarray, (paper_body(num_tendons), 40.0))
+    arguments = jax.tree.map(jnp.asarray, (paper_body(num_tendons=num_tendons), 40.0))
     started = time.perf_counter()
     lowered = jax.jit(program).lower(*arguments)
     traced = time.perf_counter()
@@ -143,8 +132,7 @@ def main() -> None:
         for name, (size, trace, compiling) in ((name, row.values()) for name, row in rows.items())
     ]
     text = "\n".join(lines) + "\n"
-    print(text)
-    write_all("out/benchmark", {"program_size.md": text, "program_size.json": as_json(rows)})
+    report("program_size", text, rows)
 
 
 if __name__ == "__main__":

@@ -23,11 +23,11 @@ from fits import OFFSET, SECOND_MOMENT, S, iterated
 from methods import median_time
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
 from cddf_jax.estimation.levenberg_marquardt import minimise
-from cddf_jax.files.artifacts import as_json, write_all
 
 LEVELS = np.arange(5.0, 86.0, 5.0)
 NOISE = {"tip_tension": 0.3, "tip_x": 3e-4, "tip_y": 3e-4}
@@ -195,8 +195,7 @@ def main() -> None:
         times = f"{row['ms']:.3g} | {row['ms'] / base:.3g} | {row['ms'] / whole:.3g}"
         lines.append(f"| {name} | {times} | {row['distance']:.1e} |")
     text = "\n".join(lines) + "\n"
-    print(text)
-    write_all("out/benchmark", {"seventeen_levels.md": text, "seventeen_levels.json": as_json(rows)})
+    report("seventeen_levels", text, rows)
 
 
 if __name__ == "__main__":

@@ -22,10 +22,11 @@ from typing import Any
 
 import jax
 import numpy as np
+from paper import paper_body
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax_for_batches
-from cddf_jax.files.artifacts import as_json, write_all
 
 ROUNDS = 3
 FORCE = {"loads": cddf.Loads(tip_force=(0.0, -1.0))}
@@ -44,18 +45,6 @@ ROWS: dict[str, dict[str, Any]] = {
     "100,000 solves, unchecked, by numba": {"solves": 100_000, "numba": True},
     "10,000,000 solves, unchecked, by numba": {"solves": 10_000_000, "numba": True, "rounds": 1},
 }
-
-
-def paper() -> cddf.Manipulator:
-    """The paper's body in the exact kinematics."""
-    return cddf.conical(
-        length=0.140,
-        outer_radius=(0.020, 0.013),
-        inner_radius=0.007,
-        tendon_offset=0.010,
-        youngs_modulus=1.4e6,
-        friction_coefficient=0.42,
-    )
 
 
 def axes(solves: int) -> dict[str, np.ndarray]:
@@ -86,7 +75,7 @@ def child(asked: dict[str, Any]) -> dict[str, float]:
 
     def run(solves: int, name: str) -> Any:
         out = folder / f"{name}.zarr" if asked.get("stored") else None
-        return cddf.sweep(paper(), axes(solves), out=out, **options)
+        return cddf.sweep(paper_body(), axes(solves), out=out, **options)
 
     run(min(asked["solves"], 65_536), "small")
     before, spent, found = peak(), [], None
@@ -112,7 +101,7 @@ def loop(asked: dict[str, Any]) -> dict[str, float]:
         tension, friction = (x.ravel() for x in np.meshgrid(*axes(solves).values(), indexing="ij"))
         return tension, friction, np.full(tension.size, 1.4e6)
 
-    run = batch.numba_loop(paper(), 32)
+    run = batch.numba_loop(paper_body(), 32)
     run(*samples(min(asked["solves"], 65_536)))
     before, spent, found = peak(), [], np.empty((0, 4))
     tension, friction, modulus = samples(asked["solves"])
@@ -121,7 +110,7 @@ def loop(asked: dict[str, Any]) -> dict[str, float]:
         found = run(tension, friction, modulus)
         spent.append(time.perf_counter() - begin)
     memory = peak() - before
-    compliance = 1.0 / float(cddf.closed_form_tension(paper(), 1.0, 0.140)) - 1.0
+    compliance = 1.0 / float(cddf.closed_form_tension(paper_body(), 1.0, 0.140)) - 1.0
     exact = tension / (1 + friction / 0.42 * compliance * tension)
     error = float(np.max(np.abs(found[:, 0] / exact - 1)))
     return {"us a solve": 1e6 * float(np.median(spent)) / tension.size, "memory, MB": memory, "error": error}
@@ -129,7 +118,7 @@ def loop(asked: dict[str, Any]) -> dict[str, float]:
 
 def closed_form_error(found: Any) -> float:
     """The largest relative error of the tip tension, against T / (1 + mu G T / E)."""
-    robot = paper()
+    robot = paper_body()
     compliance = 1.0 / float(cddf.closed_form_tension(robot, 1.0, robot.length)) - 1.0
     worst = 0.0
     for i in range(0, found.sizes["base_tension"], 100):
@@ -170,8 +159,7 @@ def main() -> None:
             f"| {name} | {row['us a solve']:.3g} | {memory} | " + (f"{row['error']:.1e} |" if "error" in row else "|")
         )
     text = "\n".join(lines) + "\n"
-    print(text)
-    write_all("out/benchmark", {"sweeps.md": text, "sweeps.json": as_json(rows)})
+    report("sweeps", text, rows)
 
 
 if __name__ == "__main__":

@@ -7,9 +7,11 @@ the documentation shows. The table of a script that was not run stays as it was,
 import json
 import os
 import platform
+from collections.abc import Mapping
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from cddf_jax.files.artifacts import as_json, write_all
 
@@ -30,6 +32,12 @@ PARTS = {
     "loop_checks": "What a fit of a loop notices",
     "standard_errors": "Standard errors",
 }
+
+
+def report(name: str, text: str, results: Mapping[str, Any]) -> None:
+    """Print the table of a script, and leave it with its results where `main` finds them."""
+    print(text)
+    write_all(FOLDER, {f"{name}.md": text, f"{name}.json": as_json(results)})
 
 
 def main() -> None:

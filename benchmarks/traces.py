@@ -14,21 +14,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from paper import paper_body
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-
-
-def body(friction: Any, drag: float | None) -> cddf.Manipulator:
-    return cddf.conical(
-        length=0.140,
-        outer_radius=(0.020, 0.013),
-        inner_radius=0.007,
-        tendon_offset=0.010,
-        youngs_modulus=1.4e6,
-        friction_coefficient=friction,
-        drag=drag,
-    )
 
 
 def numbers(found: Any) -> tuple[jax.Array, ...]:
@@ -36,11 +25,13 @@ def numbers(found: Any) -> tuple[jax.Array, ...]:
 
 
 def traced(friction: jax.Array, path: jax.Array, drag: float | None) -> tuple[jax.Array, ...]:
-    return numbers(cddf.trace(body(friction, drag), path, throw=False))
+    return numbers(cddf.trace(paper_body(friction_coefficient=friction, drag=drag), path, throw=False))
 
 
 def solved(friction: jax.Array, path: jax.Array, drag: float | None) -> tuple[jax.Array, ...]:
-    return jax.vmap(lambda tension: numbers(cddf.solve(body(friction, drag), tension, throw=False)))(path)
+    return jax.vmap(
+        lambda tension: numbers(cddf.solve(paper_body(friction_coefficient=friction, drag=drag), tension, throw=False))
+    )(path)
 
 
 def play(ratio: np.ndarray, path: np.ndarray) -> np.ndarray:

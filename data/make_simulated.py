@@ -67,6 +67,18 @@ def table(notes: tuple[str, ...], columns: dict[str, tuple[str, np.ndarray]]) ->
     return "\n".join([*(f"# {note}" for note in notes), ",".join(columns), *rows]) + "\n"
 
 
+def truth(paper: cddf.Manipulator, kinematics: str) -> str:
+    """The note that says what was simulated."""
+    numbers = f"mu {paper.friction_coefficient}, E {paper.youngs_modulus / 1e6} MPa"
+    return f"Truth: data/smooth_sil_940.toml ({numbers}), {kinematics}"
+
+
+def readings(base: np.ndarray, tip: np.ndarray, angle: np.ndarray | None = None) -> dict[str, tuple[str, np.ndarray]]:
+    """The columns that a bench reads, N and deg."""
+    columns = {"base_tension [N]": (".2f", base), "tip_tension [N]": (".2f", tip)}
+    return columns if angle is None else columns | {"tip_angle [deg]": (".1f", angle)}
+
+
 def load_cells(paper: cddf.Manipulator) -> str:
     """The paper's load-cell experiment: 5 to 85 N in 5 N steps, six trials."""
     stream = 1
@@ -74,12 +86,10 @@ def load_cells(paper: cddf.Manipulator) -> str:
     notes = (
         NOTE.format(seed=SEED, stream=stream),
         "After the load-cell experiment of Liu et al. (2020), section IV, Fig. 8: 17 levels of 5 to 85 N, six trials.",
-        f"Truth: data/smooth_sil_940.toml (mu {paper.friction_coefficient}, E {paper.youngs_modulus / 1e6} MPa), "
-        "PUBLISHED kinematics.",
+        truth(paper, "PUBLISHED kinematics."),
         *BENCH_NOTES,
     )
-    columns = {"trial": ("d", trial), "base_tension [N]": (".2f", base), "tip_tension [N]": (".2f", tip)}
-    return table(notes, columns)
+    return table(notes, {"trial": ("d", trial), **readings(base, tip)})
 
 
 def tip_angle(paper: cddf.Manipulator) -> str:
@@ -89,18 +99,11 @@ def tip_angle(paper: cddf.Manipulator) -> str:
     notes = (
         NOTE.format(seed=SEED, stream=stream),
         "Tension pairs with the heading of the tip, as a camera would add it: 8 levels of 10 to 80 N, three trials.",
-        f"Truth: data/smooth_sil_940.toml (mu {paper.friction_coefficient}, E {paper.youngs_modulus / 1e6} MPa), "
-        "but EXACT kinematics: fit it with kinematics='exact'.",
+        truth(paper, "but EXACT kinematics: fit it with kinematics='exact'."),
         *BENCH_NOTES,
         f"Tip angle: sd {ANGLE_SD} deg.",
     )
-    columns = {
-        "trial": ("d", trial),
-        "base_tension [N]": (".2f", base),
-        "tip_tension [N]": (".2f", tip),
-        "tip_angle [deg]": (".1f", angle),
-    }
-    return table(notes, columns)
+    return table(notes, {"trial": ("d", trial), **readings(base, tip, angle)})
 
 
 def pulley(paper: cddf.Manipulator) -> str:
@@ -138,18 +141,11 @@ def loop(paper: cddf.Manipulator) -> str:
     notes = (
         NOTE.format(seed=SEED, stream=stream),
         "Pulled from rest and let out again: 17 levels of 5 to 85 N, then 16 levels back to 5 N; steps in their order.",
-        f"Truth: data/smooth_sil_940.toml (mu {paper.friction_coefficient}, E {paper.youngs_modulus / 1e6} MPa), "
-        "but EXACT kinematics: fit it with kinematics='exact'.",
+        truth(paper, "but EXACT kinematics: fit it with kinematics='exact'."),
         f"Noise, normal: base tension sd {BASE_SD} N; tip tension sd {CELL_FLOOR} N, tip angle sd {ANGLE_SD} deg.",
         f"The tip cell is off: gain {LOOP_GAIN}, zero {LOOP_ZERO} N.",
     )
-    columns = {
-        "step": ("d", np.arange(1, levels.size + 1)),
-        "base_tension [N]": (".2f", base),
-        "tip_tension [N]": (".2f", tip),
-        "tip_angle [deg]": (".1f", angle),
-    }
-    return table(notes, columns)
+    return table(notes, {"step": ("d", np.arange(1, levels.size + 1)), **readings(base, tip, angle)})
 
 
 def write(folder: Path) -> None:

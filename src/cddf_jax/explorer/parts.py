@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 import panel as pn
-from bokeh.plotting import figure as BokehFigure  # noqa: N812
+from bokeh.plotting import figure as BokehFigure  # noqa: N812  # a class, in spite of its name
 
 from .model import Control
 
