@@ -134,6 +134,7 @@ _ALL = (
     Quantity("tip_zero", "force"),
     Quantity("pretension", "force"),
     Quantity("angle_zero", "angle"),
+    Quantity("before", "force", "largest base tension before the first row", "Base tension before"),
 )
 QUANTITIES: dict[str, Quantity] = {known.name: known for known in _ALL}
 

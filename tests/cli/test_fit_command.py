@@ -93,6 +93,7 @@ def test_options_of_a_fit(answer_of):
         "bounds": {"friction_coefficient": [0.2, None]},
         "noise": {"pulling_tension": {"floor": 0.1, "fraction": 0.01}},
         "history": False,
+        "before": "rest",
         "per_trial": False,
         "loss": "huber",
         "starts": 3,

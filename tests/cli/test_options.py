@@ -5,8 +5,9 @@ import pytest
 from bodies import paper_body
 
 import cddf_jax as cddf
-from cddf_jax.cli.fit_texts import read_bounds, read_noise, read_priors
+from cddf_jax.cli.fit_texts import read_before, read_bounds, read_noise, read_priors
 from cddf_jax.cli.options import read_data
+from cddf_jax.errors import InputError
 from cddf_jax.estimation.observations import Noise
 from cddf_jax.estimation.parameter_space import Prior, Uniform
 from cddf_jax.files.actuation import read_actuation, read_directions, read_loads
@@ -220,3 +221,11 @@ def test_averaged_holds(tmp_path):
     (plain,), (means,) = read_data([path], None), read_data([path], None, holds_averaged=True)
     assert plain["tip_tension"].tolist() == [4.7, 4.9, 9.2]
     assert means["tip_tension"].tolist() == pytest.approx([4.8, 9.2])
+
+
+def test_what_was_before():
+    assert read_before(None) == "rest"
+    assert read_before("75 N") == 75.0
+    assert read_before("rest, 0.08 kN") == ["rest", 80.0]
+    with pytest.raises(InputError, match=r"--before"):
+        read_before("75")

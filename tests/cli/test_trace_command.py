@@ -109,6 +109,13 @@ def test_a_path_in_a_file(cddf_command, robot, tmp_path, monkeypatch):
     ]
 
 
+def test_what_was_before_the_path(cddf_command, robot):
+    """Released from 75 N, as the table has its third row."""
+    code, out, err = cddf_command("trace", robot, "--path", "40 N", "--before", "75 N")
+    assert (code, err) == (0, "")
+    assert out.startswith("1: released to 40 N, slides out up to 115.09 mm and rests beyond; tip tension 45.123 N")
+
+
 @pytest.mark.parametrize(
     ("path", "message"),
     [

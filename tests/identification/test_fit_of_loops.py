@@ -6,6 +6,7 @@ g = (mu/E) int d/J; the tip angle has a closed form too.
 
 from itertools import pairwise
 
+import equinox as eqx
 import numpy as np
 import pytest
 from bodies import paper_body
@@ -16,6 +17,7 @@ from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
+from cddf_jax.identification.past import Start, starts_of
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports.fit_report import fit_as_markdown, fit_in_words
@@ -198,6 +200,132 @@ def test_a_row_without_a_reading_is_a_step_all_the_same():
     assert "rows without a reading are steps of the path all the same: 1 of 3 rows (row 2 first)" in gap.read_as[0]
     np.testing.assert_array_equal(course_of(gap)[0].readings[0, :3], [10.0, 60.0, 20.0])
     np.testing.assert_array_equal(experiment_of(gap, BODY).read_in["tip_tension"], [0, 2])
+
+
+# --- what was before the first row ---------------------------------------------------------------------
+
+RELEASED = np.array([40.0, 30, 45, 60, 75, 85, 60, 40, 20, 10])
+
+
+def released(before=57.0, tension=RELEASED, **more):
+    """A table whose tendon had a larger tension before its first row: what is left of a path that began there."""
+    tip, angle = (np.asarray(x) for x in _play([before, *tension]))
+    columns = {"base_tension": tension, "tip_tension": tip[1:], "tip_angle": angle[1:], "step": range(len(tension))}
+    return Measurements.from_columns("bench", **columns | more)
+
+
+def _play(path):
+    """Tip tension and tip angle of a path from rest: of `trace`, which is tested by itself."""
+    history = cddf.trace(BODY, path)
+    return history.tip_tension, history.tip_angle
+
+
+def scaled_slopes(free):
+    """Of tip tension and tip angle over their noise by the logarithms of parameters, as the bench has them."""
+    table = released()
+    truth = {"friction_coefficient": MU, "youngs_modulus": E, "before": 57.0}
+    course = course_of(table, starts=[Start(None, "before")])[0]
+    slopes = experiment_of(table, BODY, course=course).evaluate(BODY, truth, 16).derivatives
+    places = [sorted(truth).index(name) for name in free]
+    return [slopes[column][:, places] * [truth[name] for name in free] / NOISE[column] for column in NOISE]
+
+
+def test_slopes_by_what_was_before():
+    """Central differences of traced paths, the second row of which is released from 57 N."""
+    ends = [_play([before, *RELEASED]) for before in (57.0 * (1 - 1e-4), 57.0 * (1 + 1e-4))]
+    expected = [np.asarray(high - low)[1:] / 2e-4 for low, high in zip(*ends, strict=True)]
+    found = scaled_slopes(["before"])
+    for slopes, column, differences in zip(found, NOISE, expected, strict=True):
+        np.testing.assert_allclose(slopes[:, 0] * NOISE[column], differences, atol=1e-5 * np.max(np.abs(differences)))
+    assert np.all(found[0][:3] > 0)  # up to 45 N; 60 N passes what was before
+    assert not np.any(found[0][3:])
+
+
+@pytest.mark.slow
+def test_what_was_before_is_found():
+    """Without noise the truth comes back, whatever friction it started from; stated, it is as good as known."""
+    free = ("friction_coefficient", "youngs_modulus", "before")
+    start = eqx.tree_at(lambda body: body.friction_coefficient, BODY, 0.35)
+    found = cddf.fit(start, released(), free, noise=NOISE)
+    np.testing.assert_allclose([found.value[name] for name in free], [MU, E, 57.0], rtol=1e-6)
+    assert found.status["before"] == "identified"
+    covariance = np.linalg.inv(sum(rows.T @ rows for rows in scaled_slopes(free)))
+    errors = np.sqrt(np.diag(covariance)) * [MU, E, 57.0]
+    np.testing.assert_allclose([found.standard_error[name] for name in free], errors, rtol=1e-3)
+    assert found.pull_alone is None
+    stated = cddf.fit(BODY, released(), noise=NOISE, before=57.0)
+    assert stated.standard_error["friction_coefficient"] <= found.standard_error["friction_coefficient"]
+    np.testing.assert_allclose(stated.value["friction_coefficient"], MU, rtol=1e-6)
+    text = fit_as_markdown(make_report(stated, with_profiles=False))
+    assert "With history: bench. Before the first row: 57 N." in text
+    assert "Without a model of the body" not in text  # which would take the rows for pulled from rest
+    of_report = fit_as_markdown(make_report(found, with_profiles=False))
+    assert "Before the first row: fitted (before)." in of_report
+    assert fit_as_dict(make_report(found, with_profiles=False))["unit"]["before"] == "N"
+
+
+@pytest.mark.slow
+def test_where_nothing_is_left_of_what_was_before():
+    """Released to 5 N, all of the tendon has slid out: 1/5 > 1/60 + 2 g. From rest it ends on the first row."""
+    free = ("friction_coefficient", "youngs_modulus", "before")
+    low = np.array([5.0, *RELEASED[1:]])
+    found = cddf.fit(BODY, released(tension=low), free, noise=NOISE)
+    assert 1 / 60 + 2 * MU / E * COMPLIANCE < 1 / 5
+    assert found.status["before"] == "not identified"
+    assert "felt only where the release to that row has not reached the tip" in found.verdict[-1]
+    from_rest = cddf.fit(BODY, released(before=40.0), free, noise=NOISE)
+    assert from_rest.status["before"] == "at bound"
+    assert "before = 40 N: at bound, at most 40.2" in str(from_rest)
+
+
+def test_trials_begin_in_their_own_ways():
+    """The first at rest, the second released from 60 N: stated one by one, or the second alone to be found."""
+    tip, angle = (np.concatenate([x, y[1:]]) for x, y in zip(_play(RELEASED), _play([60.0, *RELEASED]), strict=True))
+    columns = {"base_tension": np.tile(RELEASED, 2), "trial": np.repeat(["a", "b"], 10), "step": np.tile(range(10), 2)}
+    both = Measurements.from_columns("bench", **columns, tip_tension=tip, tip_angle=angle)
+    start = starts_of([2], "rest", ["before_2"])[0]
+    course = course_of(both, starts=start)[0]
+    assert course.past.parameters == ("", "before_2")
+    np.testing.assert_array_equal(course.path({"before_2": 50.0})[:, 0], [40.0, 50.0])
+    assert course_of(both, starts=starts_of([2], ["rest", 60.0], [])[0])[0].past_in_words == ["rest", "60 N"]
+    assert starts_of([2], ["rest", 70.0], ["before"])[0] == [Start(None), Start(70.0, "before")]
+    assert starts_of([1, 0, 1], "rest", ["before"]) == [[Start(None, "before")], [], [Start(None, "before")]]
+    bench = experiment_of(both, BODY, course=course)
+    truth = {"friction_coefficient": MU, "youngs_modulus": E, "before_2": 60.0}
+    read = bench.predict(BODY, {name: np.asarray(value) for name, value in truth.items()}, 16)
+    np.testing.assert_allclose(read["tip_tension"], tip, rtol=1e-9)
+    np.testing.assert_allclose(read["tip_angle"], angle, rtol=1e-9)
+
+
+def test_a_first_row_may_be_a_release():
+    down = released(direction=[-1, -1, 1, 1, 1, 1, -1, -1, -1, -1])
+    for start in (Start(60.0), Start(None, "before")):
+        course_of(down, starts=[start])
+    with pytest.raises(InputError, match="row 1, column direction: is -1, but base_tension rises there from 0 to 40 N"):
+        course_of(down)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"before": 30.0},
+            "fit: bench: row 1: before must be the largest base tension up to this row, 40 N or more, g",
+        ),
+        (
+            {"before": "up"},
+            "fit: before must be \"rest\" or the largest base tension before the first row, N, got 'up'",
+        ),
+        ({"before": -1.0}, "fit: before must be"),
+        ({"before": [60.0, 60.0]}, "fit: before must hold one entry for each of the 1 trials, got 2"),
+        ({"free": ["before_3"]}, "fit: before_3 is that of trial 3, and there are 1 with a history"),
+        ({"free": ["before"], "history": False}, "fit: before is used with a history only; leave it out, or give hist"),
+        ({"before": 60.0, "history": False}, "fit: before is used with a history only"),
+    ],
+)
+def test_what_cannot_have_been_before(given, message):
+    with pytest.raises(InputError, match=message):
+        cddf.fit(BODY, released(), **given)
 
 
 # --- jitter of the base cell -----------------------------------------------------------------------

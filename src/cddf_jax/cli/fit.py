@@ -35,6 +35,14 @@ NoiseOption = Annotated[
         show_default="estimated from the residuals",
     ),
 ]
+BeforeOption = Annotated[
+    str | None,
+    typer.Option(
+        help='With a history, the largest base tension before the first row, "75 N", or one for each trial, '
+        '"rest, 75 N". To find it: --free before.',
+        show_default="rest",
+    ),
+]
 
 
 def fit(
@@ -46,6 +54,7 @@ def fit(
     bound: Bound = None,
     noise: NoiseOption = None,
     history: options.HistoryOption = None,
+    before: BeforeOption = None,
     loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[
         int | None,
@@ -71,7 +80,7 @@ def fit(
         from ..identification.fit import fit
         from ..reports.fit_report import fit_in_words, write_report
         from ..reports.fit_results import fit_as_dict, make_report
-        from .fit_texts import read_bounds, read_noise, read_priors
+        from .fit_texts import read_before, read_bounds, read_noise, read_priors
 
     found = fit(
         manipulator,
@@ -81,6 +90,7 @@ def fit(
         bounds=read_bounds(bound),
         noise=read_noise(noise),
         history=history,
+        before=read_before(before),
         per_trial=per_trial,
         loss=loss,
         starts=starts,

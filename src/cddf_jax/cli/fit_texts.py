@@ -12,6 +12,7 @@ from ..estimation.parameter_space import Prior, Uniform
 from ..files.manipulator_file import read_toml
 from ..identification.bench import parameter_named
 from ..identification.experiment_design import Candidate
+from ..identification.past import REST, Before, One
 from ..measurements.columns import column_dimension
 from ..units import quantity
 from .options import read_all
@@ -50,6 +51,16 @@ def _bound(name: str, text: str) -> tuple[float | None, float | None]:
 
 def _of_parameter(name: str, text: str, option: str) -> float:
     return quantity(text.strip(), parameter_named(name).dimension, f"{option} {name}")
+
+
+def read_before(text: str | None) -> Before:
+    """ "75 N" for all trials, or one for each: "rest, 75 N"."""
+    entries: list[One] = [_largest(part.strip()) for part in (text or REST).split(",")]
+    return entries if len(entries) > 1 else entries[0]
+
+
+def _largest(text: str) -> One:
+    return REST if text == REST else quantity(text, "force", "--before")
 
 
 def read_noise(texts: Sequence[str] | None) -> dict[str, float | Noise]:

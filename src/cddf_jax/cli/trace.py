@@ -30,6 +30,13 @@ NoiseOption = Annotated[
         "turns.",
     ),
 ]
+BeforeOption = Annotated[
+    str | None,
+    typer.Option(
+        help='The largest base tension before the path, "80 N", from which the tendon is released to its first step.',
+        show_default="rest",
+    ),
+]
 MaxTurns = Annotated[int, typer.Option(help="How many turns may be felt at once.", min=1)]
 
 
@@ -37,6 +44,7 @@ def trace(
     robot: options.Robot,
     path: PathOption,
     noise: NoiseOption = None,
+    before: BeforeOption = None,
     max_turns: MaxTurns = 16,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
@@ -56,10 +64,12 @@ def trace(
     with stage("loading"):
         from ..files.artifacts import as_json as json_text, write_all
         from ..reports import trace_report
+        from ..units import quantity
 
     values, driven = read_path(path, noise)
     with within(robot, ValueError):
-        found = trace_report.traced(manipulator, values, driven, nodes, max_turns)
+        largest = None if before is None else quantity(before, "force", "--before")
+        found = trace_report.traced(manipulator, values, driven, nodes, max_turns, largest)
     answer = trace_report.trace_as_dict(found)
     if out is not None:
         from ..figures.history import history_figure

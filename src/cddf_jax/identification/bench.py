@@ -6,6 +6,7 @@ reads gain * tension + zero; what it reads is counted from a tendon that is alre
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -29,6 +30,7 @@ from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.solve import solve
 from ..units import Dimension, si_unit
 from .course import Course, Traced
+from .past import PARAMETER, is_past
 
 TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
 LANES = 128  # rows are solved in multiples of these: few sizes, so that tables and curves share compiled programs
@@ -65,6 +67,7 @@ PARAMETERS = {
         Parameter("tip_zero", 0.0, False, 0.5),
         Parameter("pretension", 1.0, True, 0.5),  # of every tendon, not read by the cells
         Parameter("angle_zero", 0.0, False, 0.02),
+        Parameter(PARAMETER, 1.0, True, 0.5),  # the largest base tension before the first row, as read
     )
 }
 
@@ -162,7 +165,7 @@ class Bench(eqx.Module):
         by_trial = self.trial is not None and TRIALS in parameters
         deviation = jnp.asarray(parameters[TRIALS])[self.trial] if by_trial else None
         if self.course is not None:
-            tension = _true_tension(parameters, jnp.asarray(self.course.readings)[..., None])[..., 0]
+            tension = _true_tension(parameters, self.course.path(parameters)[..., None])[..., 0]
             of_trial = None if deviation is None else deviation[self.course.first_row]
             return self.course.trace(body, tension, of_trial, nodes)
         tension = _true_tension(parameters, jnp.asarray(self.base_tension))
@@ -196,7 +199,7 @@ class Bench(eqx.Module):
         course = self.course
         if course is not None:
             trial, step = padded((course.trial, course.step))
-            course = Course(course.readings, trial, step, course.first_row, course.max_turns)
+            course = replace(course, trial=trial, step=step)
         with stage(f"solving {rows} rows"):
             answer = _evaluate(Bench(*own, course=course), manipulator, jax.tree.map(np.asarray, parameters), nodes)
         return jax.tree.map(lambda x: np.asarray(x)[:rows], answer)
@@ -260,7 +263,7 @@ def unit_of(name: str) -> str:
 
 
 def parameter_named(name: str) -> Parameter:
-    """What a parameter is; `tip_gain_2` is that of the cell of tendon 2.
+    """What a parameter is; `tip_gain_2` is that of the cell of tendon 2, `before_2` that of trial 2.
 
     Raises:
         InputError: for an unknown name.
@@ -268,6 +271,7 @@ def parameter_named(name: str) -> Parameter:
     stem, _, tendon = name.rpartition("_")
     if tendon.isdigit() and stem.endswith(("_gain", "_zero")) and stem != "angle_zero":
         name = stem
+    name = PARAMETER if is_past(name) else name
     if name not in PARAMETERS:
         raise InputError(f"{name!r} is no parameter that can be fitted; there are {', '.join(PARAMETERS)}")
     return PARAMETERS[name]

@@ -1,15 +1,16 @@
 """The course of a bench: the base tensions of a table in the order in which they were measured, a path for each trial.
 
-Each trial starts from rest: a straight body whose tendon never had a tension.
+Each trial starts from rest, a straight body whose tendon never had a tension, unless its `Past` says otherwise.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
 from ..history.trace import trace
@@ -18,6 +19,8 @@ from ..measurements.jitter import Steady, without_jitter
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS
+from ..units import shown
+from .past import Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of these: few sizes, so that tables share compiled programs
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
@@ -41,11 +44,19 @@ class Course(eqx.Module):
     step: Int[np.ndarray | Array, " rows"]
     first_row: Int[np.ndarray | Array, " trials"]  # a row of each trial
     max_turns: int = eqx.field(static=True)
+    past: Past | None = None  # None: all trials start from rest
 
     @property
     def turns(self) -> bool:
-        """Whether any of the paths comes back."""
-        return bool(np.any(np.diff(np.asarray(self.readings), axis=1) < 0))
+        """Whether any of the paths comes back, or began with a release."""
+        return self.past is not None or bool(np.any(np.diff(np.asarray(self.readings), axis=1) < 0))
+
+    def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path"]:
+        """The readings, N, behind what was before them."""
+        readings = jnp.asarray(self.readings)
+        if self.past is None:
+            return readings
+        return jnp.concatenate([self.past.tension(parameters)[:, None], readings], axis=1)
 
     @property
     def before_turns(self) -> np.ndarray:
@@ -54,12 +65,21 @@ class Course(eqx.Module):
         first = np.where(np.any(falls, axis=1), np.argmax(falls, axis=1), falls.shape[1])
         return np.asarray(self.step) <= first[np.asarray(self.trial)]
 
+    @property
+    def past_in_words(self) -> list[str]:
+        """Of each trial, "rest", "80 N", or "fitted (before)" with the name of the parameter."""
+        if self.past is None:
+            return ["rest"] * len(self.first_row)
+        first, largest = np.asarray(self.readings)[:, 0], np.asarray(self.past.largest)
+        stated = [shown(top, "force") if top > own else "rest" for own, top in zip(first, largest, strict=True)]
+        return [f"fitted ({name})" if name else words for name, words in zip(self.past.parameters, stated, strict=True)]
+
     def trace(self, body: Manipulator, tension: Array, deviation: Array | None, nodes: int) -> Traced:
         """The rows, each after what came before it.
 
         Args:
             body: with one tendon.
-            tension: (trials, steps), true base tensions, N.
+            tension: (trials, path), true base tensions of `path`, N.
             deviation: (trials,), ln(mu of a trial / mu), or None.
             nodes: as of `trace`.
         """
@@ -72,8 +92,8 @@ class Course(eqx.Module):
             found = trace(there, tension, nodes=nodes, max_turns=self.max_turns, throw=False)
             return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.result
 
-        every = jax.vmap(one)(tension, deviation)
-        tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, self.step], every)
+        every, num_before = jax.vmap(one)(tension, deviation), tension.shape[1] - self.readings.shape[1]
+        tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, self.step + num_before], every)
         return Traced(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
 
 
@@ -103,23 +123,28 @@ def has_history(table: Measurements, manipulator: Manipulator, history: bool | N
     return True
 
 
-def course_of(table: Measurements, noise: float | None = None) -> tuple[Course, Steady]:
+def course_of(
+    table: Measurements, noise: float | None = None, starts: Sequence[Start] | None = None
+) -> tuple[Course, Steady]:
     """The rows of a table as steps of paths, and what was done against the jitter of the base cell.
 
     Args:
         table: of a body with one tendon.
         noise: standard deviation of a reading of the base tension, N, as of `without_jitter`.
+        starts: how each trial begins; None: from rest.
 
     Raises:
-        InputError: for a direction that the order of the rows contradicts.
+        InputError: for a direction that the order of the rows contradicts, or a largest tension before a trial that is
+            below its first row.
     """
     rows, labels = len(table), table.columns.get("trial", np.zeros(len(table))).astype(int)
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
     paths, found, first = [], [], []
-    for label in np.unique(labels):
+    starts = [Start(None)] * np.unique(labels).size if starts is None else starts
+    for label, start in zip(np.unique(labels), starts, strict=True):
         own = table.order[labels[table.order] == label]
         steady = without_jitter(table["base_tension"][own], noise)
-        _check_directions(table, own, steady)
+        _check_directions(table, own, steady, start)
         moved = np.append(True, np.diff(steady.tension) != 0)
         trial[own], step[own], tension[own] = len(paths), np.cumsum(moved) - 1, steady.tension
         paths.append(steady.tension[moved])
@@ -128,8 +153,16 @@ def course_of(table: Measurements, noise: float | None = None) -> tuple[Course, 
     longest = max(map(len, paths))
     longest += -longest % STEPS
     readings = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths])
-    course = Course(readings, trial, step, np.array(first), max(map(_most_open, paths)))
-    return course, _together(found, tension)
+    places = [f"{table.name}: {table.place(int(row))}" for row in first]
+    past = past_of(starts, [path[0] for path in paths], places)
+    above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.largest)), 1.0)]
+    most = max(_most_open(np.append(above, path)) for path in paths)
+    return Course(readings, trial, step, np.array(first), most, past), _together(found, tension)
+
+
+def num_paths(table: Measurements) -> int:
+    """How many trials a table holds."""
+    return np.unique(table.columns["trial"]).size if "trial" in table else 1
 
 
 def _together(found: list[Steady], tension: np.ndarray) -> Steady:
@@ -138,13 +171,14 @@ def _together(found: list[Steady], tension: np.ndarray) -> Steady:
     return Steady(tension, largest.noise, largest.least_turn, sum(steady.num_ignored for steady in found))
 
 
-def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady) -> None:
+def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, start: Start) -> None:
     """A direction is a label: the tension must have risen to a row with 1 and fallen to one with -1."""
     if "direction" not in table:
         return
-    before = np.append(0.0, steady.tension[:-1])
+    before = np.append(0.0 if start.largest is None else start.largest, steady.tension[:-1])
     moved = steady.tension - before
     sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(steady.tension))
+    sure[0] &= not start.parameter  # which tells the way to the first row
     wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
     if wrong.size:
         i = int(wrong[0])

@@ -17,8 +17,9 @@ from ..measurements.jitter import Steady
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from . import bench
-from .course import Course, course_of, has_history
+from .course import Course, course_of, has_history, num_paths
 from .order_checks import order_remarks
+from .past import Before, first_guesses, starts_of
 from .predictions import Numbers, Prediction, beyond_the_data, predicted_rows
 from .random_effects import fit_trials
 from .verdict import Look, doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
@@ -147,7 +148,10 @@ class Fit(LeastSquaresFit):
         turned = {
             g.label: g.experiment.course.before_turns[g.there]
             for g in self.groups
-            if isinstance(g.experiment, bench.Bench) and g.experiment.course is not None and g.experiment.course.turns
+            if isinstance(g.experiment, bench.Bench)
+            and g.experiment.course is not None
+            and g.experiment.course.turns
+            and g.experiment.course.past is None
         }
         return determine(self.evidence.within(turned)) if turned else None
 
@@ -167,6 +171,7 @@ def fit(
     bounds: Bounds | None = None,
     noise: Mapping[str, ArrayLike | Noise] | None = None,
     history: bool | None = None,
+    before: Before = "rest",
     per_trial: bool = False,
     loss: str = "linear",
     starts: int | None = None,
@@ -180,9 +185,9 @@ def fit(
     `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`; `direction`, `tip_force_x`,
     `tip_force_y`, `trial`, `step` and `time` are optional.
 
-    With a history, the rows of a trial are steps of a path from rest: pulled, let out and pulled again. Directions
-    follow from it, and a column `direction` is only compared with it. Without, each row counts as sliding one way
-    along the whole tendon.
+    With a history, the rows of a trial are steps of a path: pulled, let out and pulled again. It starts from rest, or
+    as `before` tells. Directions follow from it, and a column `direction` is only compared with it. Without, each row
+    counts as sliding one way along the whole tendon.
 
     Args:
         manipulator: the body; its numbers are the start.
@@ -190,7 +195,8 @@ def fit(
         free: what is fitted, of `bench.PARAMETERS`; None for friction and modulus, of a body without a single modulus
             friction and `stiffness_factor`. It may also be the constant drag per length,
             gain and zero of the cells (`tip_gain`, `base_zero`, `tip_gain_2` for the cell of tendon 2),
-            `pretension`, `angle_zero`, and errors of dimensions (`outer_radius_error`), best with priors.
+            `pretension`, `angle_zero`, and errors of dimensions (`outer_radius_error`), best with priors. With a
+            history it may be `before` (`before_2` for trial 2), the largest base tension before the first row, N.
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
@@ -198,13 +204,16 @@ def fit(
             tells which of its turns a history ignores, one number: 0 for none.
         history: whether rows know what came before them: of one tendon without tip forces, rows in the order of the
             columns `step` or `time`, else in that of the file. None: where a table has one of these columns.
+        before: with a history, what the tendon had before the first row: "rest", or the largest base tension, N, from
+            which it was released to the first row, as the base cell reads it. One for all trials, or a list with one
+            for each, in the order of the tables and of their trials. Of a parameter `before` it is the start.
         per_trial: let friction differ from trial to trial, ln(mu) by a Gaussian whose spread is estimated.
         loss, starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
 
     Raises:
         InputError: for float32, unknown parameters or columns, tables that do not fit the manipulator, a body whose
-            history is not known, directions that the order of the rows contradicts.
+            history is not known, directions that the order of the rows contradicts, `before` below the first row.
         TypeError: if the first argument is not a manipulator.
     """
     if not isinstance(manipulator, Manipulator):
@@ -221,31 +230,34 @@ def fit(
         raise InputError("fit: needs a table of measurements and a free parameter")
     options: dict[str, object] = {
         **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
-        **{"history": history, "per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed, "nodes": nodes},
+        **{"history": history, "before": before, "per_trial": per_trial, "loss": loss, "starts": starts},
+        **{"seed": seed, "nodes": nodes},
     }
     kinds = {name: bench.parameter_named(name) for name in free}
-    before = np.cumsum([0, *(len(_trials(table)) for table in tables)])
+    earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):
-        noise, courses = _courses(manipulator, tables, history, noise or {})
+        noise, courses, guesses = _courses(manipulator, tables, history, before, free, noise or {})
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0])
-        for table, first, course in zip(tables, before, courses, strict=False)
+        for table, first, course in zip(tables, earlier, courses, strict=False)
     )
     model = bench.BenchModel(manipulator, tuple(experiments), nodes)
     steadied = {name: course[1] for name, course in zip(model.names, courses, strict=True) if course}
     groups = bench.groups_of(tables, model)
     start = {name: bench.starting_value(manipulator, name) for name in free}
-    bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive} | dict(bounds or {})
+    start |= {name: guess for name, (guess, _) in guesses.items()}
+    own_bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive}
+    bounds = own_bounds | {name: (low, None) for name, (_, low) in guesses.items()} | dict(bounds or {})
     scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
     data_of = {"observed": {group.label: group.observed for group in groups}, "sigma": noise_of(groups, noise)}
     search = partial(least_squares_fit, model, **data_of, bounds=bounds, loss=loss, seed=seed, prefer_start=True)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         return _conclude(statistics, tables, model, steadied, float("nan"), options)
-    if "friction_coefficient" not in free or before[-1] < 2:
+    if "friction_coefficient" not in free or earlier[-1] < 2:
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
-    statistics, spread = fit_trials(search, int(before[-1]), start, priors or {}, scales, starts)
+    statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
     return _conclude(statistics, tables, model, steadied, spread, options)
 
 
@@ -253,21 +265,25 @@ def _courses(
     manipulator: Manipulator,
     tables: Sequence[Measurements],
     history: bool | None,
+    before: Before,
+    free: Sequence[str],
     noise: Mapping[str, ArrayLike | Noise],
-) -> tuple[Mapping[str, ArrayLike | Noise], list[tuple[Course, Steady] | None]]:
-    """The noise of what is predicted, and by table the course of its rows; None without a history."""
+) -> tuple[Mapping[str, ArrayLike | Noise], list[tuple[Course, Steady] | None], dict[str, tuple[float, float]]]:
+    """The noise of what is predicted; by table the course of its rows, None without a history; guesses of pasts."""
     predicted = {column: given for column, given in noise.items() if column != "base_tension"}
-    own = noise.get("base_tension")
+    own = noise.get("base_tension", np.nan)
     with_history = [has_history(table, manipulator, history) for table in tables]
-    if own is None:
-        return predicted, [course_of(table) if on else None for table, on in zip(tables, with_history, strict=True)]
-    if not any(with_history):
+    counts = [num_paths(table) if on else 0 for table, on in zip(tables, with_history, strict=True)]
+    starts = starts_of(counts, before, free)
+    if "base_tension" in noise and not any(with_history):
         raise InputError("noise of base_tension is used with a history only; leave it out, or give history=True")
-    if isinstance(own, Noise) or np.ndim(own) or not np.all(np.asarray(own) >= 0):
+    if isinstance(own, Noise) or np.ndim(own) or np.any(np.asarray(own) < 0):
         raise InputError("noise of base_tension must be one standard deviation in N, 0 or more")
-    deviation = float(np.asarray(own))
-    courses = [course_of(table, deviation) if on else None for table, on in zip(tables, with_history, strict=True)]
-    return predicted, courses
+    deviation = float(np.asarray(own)) if "base_tension" in noise else None
+    of_tables = zip(tables, with_history, starts, strict=True)
+    courses = [course_of(table, deviation, starts) if on else None for table, on, starts in of_tables]
+    first = [(own, np.asarray(course[0].readings)[:, 0]) for own, course in zip(starts, courses, strict=True) if course]
+    return predicted, courses, first_guesses(manipulator, first)
 
 
 def _trials(table: Measurements) -> tuple[str, ...]:

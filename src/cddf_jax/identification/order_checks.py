@@ -3,6 +3,7 @@
 What creeps drifts from the first row to the last. Rows that were mixed up fit better in another order.
 """
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
@@ -212,7 +213,7 @@ def _read_in_orders(
     assert course is not None
 
     def one(readings: np.ndarray | Array, step: np.ndarray | Array) -> dict[str, Array]:
-        other = Course(readings, course.trial, step, course.first_row, MAX_TURNS)
+        other = replace(course, readings=readings, step=step, max_turns=MAX_TURNS)
         own = eqx.tree_at(lambda b: b.course, bench, other, is_leaf=lambda x: isinstance(x, Course))
         return own.predict(manipulator, parameters, nodes)
 

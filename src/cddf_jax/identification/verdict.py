@@ -14,6 +14,7 @@ from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
 from ..units import preferred, shown
 from .bench import TRIALS, Bench, BenchModel, Parameters, parameter_named, starting_value, unit_of
+from .past import is_past
 
 if TYPE_CHECKING:
     from .fit import Fit
@@ -110,8 +111,9 @@ def fit_warnings(fit: "Fit") -> list[str]:
 
 def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, ...]]]:
     for table, experiment in zip(fit.tables, fit.model.experiments, strict=True):
-        in_order = isinstance(experiment, Bench) and experiment.course is not None
-        yield table, warnings_of(table, in_order=in_order)
+        course = experiment.course if isinstance(experiment, Bench) else None
+        from_rest = course is None or course.past is None
+        yield table, warnings_of(table, in_order=course is not None, from_rest=from_rest)
 
 
 def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
@@ -208,6 +210,11 @@ def _tell_of_shape(tables: Sequence[Measurements]) -> bool:
 
 def _advice(fit: "Fit", lost: set[str]) -> str:
     """What would separate the parameters that these data leave together."""
+    if pasts := sorted(filter(is_past, lost)):
+        return (
+            f"The data do not determine {', '.join(pasts)}: a tension before the first row is felt only where the "
+            "release to that row has not reached the tip. Leave it fixed, or start from rest."
+        )
     if _tell_of_shape(fit.tables):
         return (
             f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "

@@ -18,16 +18,17 @@ _TURNED = (
 _LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are rather degrees than radians
 
 
-def warnings_of(table: "Measurements", *, in_order: bool) -> tuple[str, ...]:
+def warnings_of(table: "Measurements", *, in_order: bool, from_rest: bool = True) -> tuple[str, ...]:
     """One line each, for the report; what is said of columns names the first of them.
 
     Args:
         table: any.
         in_order: whether its rows are taken with their history, in the order in which they were measured.
+        from_rest: whether these begin at rest.
     """
     of_rows = [look(table) for look in (_too_few_rows, _repeated_rows, _one_level)]
     of_order = (_tip_above_base_on_the_way_up, _starts_anew) if in_order else (_tip_above_base, _coming_down)
-    looks = (_below_zero, *of_order, _large_angle)
+    looks = (_below_zero, *(of_order if from_rest else of_order[1:]), _large_angle)
     of_columns = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
     return tuple(filter(None, of_rows + of_columns))
 

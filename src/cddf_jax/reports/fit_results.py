@@ -14,7 +14,7 @@ from ..estimation.determination import Determination
 from ..estimation.profile_likelihood import Profile
 from ..files.artifacts import picked
 from ..files.manipulator_file import manipulator_text
-from ..identification.bench import unit_of
+from ..identification.bench import Bench, unit_of
 from ..identification.fit import Fit
 from ..identification.fit_diagnostics import Normality, normality, own_names
 from ..measurements.jitter import Steady
@@ -90,9 +90,9 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
         return {}
     from ..identification.model_free import COLUMNS, disagreement, model_free_friction
 
-    found = {}
+    found, without_past = {}, _without_past(fit)
     for name, table in zip(fit.alone, fit.tables, strict=True):
-        if len(table) < LEAST_ROWS or not all(column in table for column in COLUMNS):
+        if len(table) < LEAST_ROWS or not all(column in table for column in COLUMNS) or name not in without_past:
             continue
         try:
             friction = model_free_friction(table, in_order=name in fit.steadied)
@@ -105,6 +105,12 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
     return found
 
 
+def _without_past(fit: Fit) -> set[str]:
+    """The tables whose trials all begin at rest, as far as their rows have a history."""
+    named = zip(fit.model.names, fit.model.experiments, strict=True)
+    return {name for name, one in named if not isinstance(one, Bench) or one.course is None or one.course.past is None}
+
+
 def _loops(fit: Fit) -> dict[str, LoopTold]:
     """Of every table with a history and tip tensions, of a tendon parallel to the axis without drag."""
     body = fit.manipulator
@@ -112,9 +118,9 @@ def _loops(fit: Fit) -> dict[str, LoopTold]:
         return {}
     from ..identification.model_free_loop import model_free_loop
 
-    found = {}
+    found, without_past = {}, _without_past(fit)
     for name, table in zip(fit.alone, fit.tables, strict=True):
-        if name not in fit.steadied or "tip_tension" not in table:
+        if name not in fit.steadied or "tip_tension" not in table or name not in without_past:
             continue
         with suppress(InputError):  # not let out far enough
             told, tension = model_free_loop(table), float(table["base_tension"].max())

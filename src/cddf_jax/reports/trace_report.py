@@ -53,26 +53,36 @@ class Cycle(NamedTuple):
 
 
 def traced(
-    manipulator: Manipulator, path: Sequence[float], driven: Dimension, nodes: int, max_turns: int
+    manipulator: Manipulator,
+    path: Sequence[float],
+    driven: Dimension,
+    nodes: int,
+    max_turns: int,
+    before: float | None = None,
 ) -> TracedPath:
-    """Trace a path from rest, with so many points between its steps that loops are smooth.
+    """Trace a path, with so many points between its steps that loops are smooth.
 
     Args:
         manipulator: the body.
         path: base tensions, N, displacements of the tendon, m, or tip angles, rad, after each step; not all 0.
         driven: what they are, "force", "length" or "angle".
         nodes, max_turns: as `trace` takes them.
+        before: the largest base tension before the path, N; None for rest.
 
     Raises:
         SolveError: names the step that failed.
         ValueError: as `trace`.
     """
-    ends = [*([] if path[0] == 0 else [0.0]), *path]
+    known = 0.0 if before is None else before if driven == "force" else path[0]  # where the path comes from
+    ends = [*([] if path[0] == known else [known]), *path]
     legs = np.array_split(np.arange(max(FINE, len(ends)) - 1), len(ends) - 1)
     between = [np.linspace(ends[i], ends[i + 1], len(leg) + 1)[1:] for i, leg in enumerate(legs)]
     values, steps = np.concatenate([ends[:1], *between]), np.cumsum([0, *map(len, legs)])[-len(path) :]
     with stage("tracing"):
-        history = trace(manipulator, TARGETS[driven](values), nodes=nodes, max_turns=max_turns, throw=False)
+        past = "rest" if before is None else before
+        history = trace(
+            manipulator, TARGETS[driven](values), before=past, nodes=nodes, max_turns=max_turns, throw=False
+        )
         codes = np.asarray(code_of(history.result))
         failed = ~np.isin(codes, [code_of(result) for result in (RESULTS.successful, RESULTS.slack)])
         if not np.any(failed):
@@ -112,7 +122,8 @@ def trace_as_dict(found: TracedPath) -> dict[str, object]:
 def trace_in_words(found: TracedPath) -> str:
     """What slid in each step and what it left, the cycles that closed, and where the work went."""
     states = found.states
-    lines = [_step_in_words(states, i, float(found.manipulator.length)) for i in range(len(found.steps))]
+    directions = np.asarray(found.history.direction)[found.steps]
+    lines = [_step_in_words(states, i, directions[i], float(found.manipulator.length)) for i in range(len(found.steps))]
     if len(lines) > STEPS:
         lines = [f"the last {STEPS} of {len(lines):,} steps:", *lines[-STEPS:]]
     for cycle in cycles(states)[-STEPS:]:
@@ -130,16 +141,16 @@ def _work_in_words(work: float, stored: float, lost: float) -> str:
     return f"work put in {shown(work, 'energy')}: {', '.join(parts)}"
 
 
-def _step_in_words(states: dict[str, np.ndarray], i: int, length: float) -> str:
+def _step_in_words(states: dict[str, np.ndarray], i: int, direction: float, length: float) -> str:
     """ "3: released to 40 N, slides out up to 115.09 mm and rests beyond; tip tension 45.1 N, ..."."""
-    tension, before = states["base_tension"][i], states["base_tension"][i - 1] if i else 0.0
+    tension = states["base_tension"][i]
     if not np.any(states["base_tension"][: i + 1]):
         return f"{i + 1}: {shown(tension, 'force')}, at rest"
-    way, slides = ("pulled", "slides in") if tension > before else ("released", "slides out")
+    way, slides = ("pulled", "slides in") if direction > 0 else ("released", "slides out")
     front = states["front"][i]
     where = "along the whole body" if front >= length else f"up to {shown(front, 'length')} and rests beyond"
     how = f"{way} to {shown(tension, 'force')}, {slides} {where}"
-    if tension == before:
+    if i > 0 and tension == states["base_tension"][i - 1]:
         how = f"stays at {shown(tension, 'force')}"
     force, angle = shown(states["tip_tension"][i], "force"), shown(states["tip_angle"][i], "angle")
     pulled_in = shown(states["tendon_displacement"][i], "length")
