@@ -450,3 +450,19 @@ def test_refusals(change, message):
 def test_single_precision_is_refused():
     with jax.enable_x64(False), pytest.raises(InputError, match=r"double precision: call jax\.config\.update"):
         least_squares_fit(line, START, NOISY)
+
+
+def test_a_minimum_at_a_kink():
+    """By hand: (a - 2.5)^2 + (5 max(a - 2, 0) + 1)^2 falls up to a = 2 and rises from there; b = 3 - a."""
+
+    def predict(p):
+        return jnp.stack([p["a"], 5 * jnp.maximum(p["a"] - 2, 0), p["a"] + p["b"], p["b"]])
+
+    start, data = {"a": 1.0, "b": 0.5}, np.array([2.5, -1.0, 3.0, 1.0])
+    found = least_squares_fit(predict, start, data, sigma=1.0)
+    assert found.success
+    assert found.value["a"] == pytest.approx(2.0, abs=1e-6)
+    assert found.value["b"] == pytest.approx(1.0, abs=1e-6)
+    assert "a lies at a kink of the model; the standard errors are those on one side of it" in found.remarks
+    smooth = least_squares_fit(predict, start, np.array([1.5, -1.0, 3.0, 1.0]), sigma=1.0)
+    assert not any("kink" in remark for remark in smooth.remarks)

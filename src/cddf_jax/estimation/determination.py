@@ -82,6 +82,7 @@ class Evidence:
     open_profile: tuple[int, ...] = ()  # parameters that can move far while the sum of squares hardly rises
     bounded_above: tuple[int, ...] = ()  # parameters at the lower bound, with an upper 95 % limit
     random: tuple[int, ...] = ()  # random effects: draws about 0, with a standard deviation that was estimated
+    kink: int | None = None  # the parameter at a kink of the model
     failed: bool = False  # whether the fit failed, so that nothing is identified
 
     def after_failure(self) -> "Evidence":

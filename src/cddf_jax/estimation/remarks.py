@@ -31,6 +31,8 @@ def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
     share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
     data = [(name, k) for name, rows in evidence.rows.items() for k in range(len(rows))]
     for i, name in enumerate(evidence.space.names):
+        if i == evidence.kink:
+            found.append(f"{name} lies at a kink of the model; the standard errors are those on one side of it")
         if evidence.at_bound[i]:
             nearer = evidence.nearest_bound[i]
             otherwise = "" if i in evidence.bounded_above else ", or it has no effect"

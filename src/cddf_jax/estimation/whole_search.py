@@ -20,6 +20,7 @@ from .determination import (
     determine,
     without_nan,
 )
+from .kinks import is_steep, kink_of
 from .levenberg_marquardt import LeastSquaresProblem, Minimum, Outcome, evaluate, hold_one, minimise
 from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
@@ -32,9 +33,6 @@ NOT_SETTLED = "the noise estimates did not settle; give the noise of some data"
 STOPPED_SHORT = "the optimiser stopped short of a minimum; start closer, search from more starts, or allow more steps"
 BETTER_ELSEWHERE = "a better minimum lies elsewhere; start closer, or search from more starts"
 NOISE_ROUNDS = 50
-STEEPEST = 1e-4  # slope of the cost at a minimum, over what residuals and derivatives could make it
-STEEPEST_UNSOLVED = 1e-6  # the same where the optimiser ran out of steps
-EXACT = 1e-3  # root mean square residual, over the noise, below which the slope is rounding
 NOTEWORTHY_FALL = 0.01  # of the sum of squares beside the minimum
 CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
 EXPECTED_PART = 0.5  # of the rise that the curvature foretells: with less the valley is flatter than it seems
@@ -68,9 +66,13 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
     """Weights from residuals, residuals from weights, until they agree; then a look around."""
     minimum, settled = _settle_noise(task, z)
     evidence = _evidence(task, minimum)
+    stopped = is_steep(minimum, evidence)
+    if stopped and (found := kink_of(minimum, evidence)):
+        stopped, (kink, minimum) = False, found
+        evidence = replace(_evidence(task, minimum), kink=kink)
     determination = determine(evidence)
     evidence, least_rise, lower = look_along_valleys(minimum, evidence, determination)
-    result = _result(minimum, evidence, least_rise, settled=settled)
+    result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
     if task.prefer_start and evidence.open_profile:
         minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence.open_profile[0], determination.quantile))
         seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above}
@@ -129,18 +131,14 @@ def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
     return slope / np.sqrt(max(spread, TINY))
 
 
-def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled: bool) -> str:
+def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled: bool, stopped: bool) -> str:
     """ "successful", or what went wrong."""
-    problem, outcome = minimum
+    outcome = minimum.outcome
     if not np.all(np.isfinite(outcome.residual)) or not np.all(np.isfinite(outcome.jacobian)):
         return NO_NUMBER
     if not settled:
         return NOT_SETTLED
-    free = ~evidence.at_bound  # at a bound the sum of squares may well slope
-    column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
-    slope = np.abs(outcome.jacobian.T @ problem.influence(outcome.residual)) / np.maximum(column * total, TINY)
-    exact = total <= EXACT * np.sqrt(outcome.residual.size)
-    if not exact and np.any(slope[free] > (STEEPEST if outcome.solved else STEEPEST_UNSOLVED)):
+    if stopped:
         return STOPPED_SHORT
     if least_rise < -NOTEWORTHY_FALL:
         return BETTER_ELSEWHERE
