@@ -9,20 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bodies import paper_body
 
 import cddf_jax as cddf
 from cddf_jax.statics.equilibrium import RESULTS, code_of
 
-BODY = {
-    "length": 0.140,
-    "outer_radius": (0.020, 0.013),
-    "inner_radius": 0.007,
-    "tendon_offset": 0.010,
-    "youngs_modulus": 1.4e6,
-    "friction_coefficient": 0.42,
-}
-PAIR = cddf.conical(**BODY, num_tendons=2)
-ONE = cddf.conical(**BODY)
+PAIR = paper_body("exact", num_tendons=2)
+ONE = paper_body("exact")
 PATH = np.array([[75.0, 20.0], [60.0, 20.0], [40.0, 20.0], [30.0, 20.0]])
 ANGLES = np.array([45.858, 44.148, 31.046, 15.168])  # deg, section 3: steps refined from both sides
 PLACES = jnp.linspace(0.0, 0.140, 9)

@@ -102,9 +102,10 @@ def congruent_history(
 
     turns, front, tip = jax.tree.map(lambda x: x[-num_steps:], (all_turns, moving, tip))
     usable = jnp.isfinite(wanted)
-    good = tip.solved & usable
+    added = tip.added
+    good = added.solved & usable
     outside = path[-num_steps:] * jnp.sum(body.tendon_compliance * body.tendon_free_length)
-    numbers = tip.tension, tip.heading, tip.position, tip.pulled_in + outside, tip.error
+    numbers = tip.tension, added.heading, added.position, added.pulled_in + outside, added.error
     tension, angle, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
     still_open = turns.open[-1]
     return History(
@@ -117,7 +118,7 @@ def congruent_history(
         num_turns=jnp.sum(turns.open != NOBODY, axis=1),
         tendon_displacement=pulled_in,
         error_estimate=error,
-        result=tip.result if drive is None else jax.vmap(_with_drive)(tip.result, drive, usable),
+        result=added.result if drive is None else jax.vmap(_with_drive)(added.result, drive, usable),
         _states=CongruentStates(
             manipulator=body,
             nodes=nodes,
@@ -126,7 +127,7 @@ def congruent_history(
             path=path,
             turns=all_turns,
             front=fronts,
-            stored_energy=tip.stored + outside * path[-num_steps:] / 2,
+            stored_energy=added.stored + outside * path[-num_steps:] / 2,
             earlier=earlier,
         ),
     )
@@ -144,7 +145,7 @@ def _path(
     if known.size > 0:
         tip = follow(body, nodes, known, turns)[1]
         outside = known * jnp.sum(body.tendon_compliance * body.tendon_free_length)
-        reached = tip.heading if quantity == "tip_angle" else tip.pulled_in + outside
+        reached = tip.added.heading if quantity == "tip_angle" else tip.added.pulled_in + outside
         tensions, values = known[stack.step], reached[stack.step]
     drive, more = driven(body, nodes, quantity, wanted, stack, tensions, values, known.size)
     turns = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), turns, more)

@@ -98,10 +98,10 @@ def _gain(
     bases = jnp.stack([tension, jnp.where(from_rest, tension, turned_at)])
     directions = jnp.stack([direction, jnp.where(from_rest, direction, -direction)])
     found = jax.vmap(partial(slid_up_to, body, nodes, front=front))(bases, directions)
-    values = found.heading
+    values = found.added.heading
     outside = 0.0
     if quantity == "displacement":
-        values = found.pulled_in
+        values = found.added.pulled_in
         outside = (tension - turned_at) * jnp.sum(body.tendon_compliance * body.tendon_free_length)
     return outside + values[0] - jnp.where(from_rest, 0.0, values[1])
 

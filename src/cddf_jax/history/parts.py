@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..mechanics.problem import curvature_along, displacement_rate, guarded_section, tension_of
+from ..mechanics.problem import curvature_along, guarded_section, tension_of
 from ..numerics.arrays import cos_sin, zero_as
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Dense, code_of, with_words
@@ -24,11 +24,9 @@ Number = Float[Array, ""]
 Tree = TypeVar("Tree")
 
 
-class Slid(NamedTuple):
-    """What an equilibrium has gathered between the base and a front; every number is finite."""
+class Onward(NamedTuple):
+    """What a part of a body adds, seen from where it begins; every number is finite."""
 
-    end: Number  # the front, s, m
-    tension: Number  # there, N
     heading: Number  # rad
     position: Float[Array, "2"]  # m
     pulled_in: Number  # m, of the tendon
@@ -38,29 +36,19 @@ class Slid(NamedTuple):
     result: RESULTS
 
 
-class Onward(NamedTuple):
-    """How a body goes on behind a front, seen from there."""
+class Slid(NamedTuple):
+    """An equilibrium between the base and a front."""
 
-    heading: Number
-    position: Float[Array, "2"]
-    pulled_in: Number
-    stored: Number
-    error: Number
-    solved: Bool[Array, ""]
-    result: RESULTS
+    end: Number  # the front, s, m
+    tension: Number  # there, N
+    added: Onward
 
 
 class Tip(NamedTuple):
     """A traced body at its tip."""
 
     tension: Number
-    heading: Number
-    position: Float[Array, "2"]
-    pulled_in: Number
-    stored: Number
-    error: Number
-    solved: Bool[Array, ""]
-    result: RESULTS
+    added: Onward  # from the base on
 
 
 def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number, front: Number) -> Slid:
@@ -81,7 +69,7 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
             found.error_estimate,
         ),
     )
-    return Slid(front, tension, heading, position, pulled_in, stored, error, solved, result)
+    return Slid(front, tension, Onward(heading, position, pulled_in, stored, error, solved, result))
 
 
 def stored_energy(dense: Dense) -> Number:
@@ -92,13 +80,6 @@ def stored_energy(dense: Dense) -> Number:
     kappa = curvature_along(section, tension, moment)
     stretch = tension**2 * jnp.sqrt(1.0 + section.offset_slope**2) * body.tendon_compliance
     return jnp.sum(cut.gain(section.stiffness * kappa**2 + jnp.sum(stretch, axis=-1))) / 2
-
-
-def pulled_in_rate(dense: Dense) -> Float[Array, "P p"]:
-    """By how much the path of the tendon is shorter and the tendon longer, per arc length, at the nodes."""
-    section = jax.vmap(jax.vmap(lambda s: guarded_section(dense.manipulator, s)))(dense.panels.nodes)
-    tension = tension_of(section, dense.base_tension, dense.nodes.pull)
-    return displacement_rate(dense.manipulator, section, tension, dense.nodes.moment)[..., 0]
 
 
 def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
@@ -121,22 +102,22 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
         own, other, turn = given
         end, onward, tip_tension = jax.tree.map(lambda x: x[jnp.maximum(turn.place - 1, 0)], stack)
         first = turn.before == NOBODY
-        between = _between(other, end)
+        between = _between(other.added, end.added)
         rest = _choose(own.end < end.end, _joined(between, onward), onward)
         missed = jnp.abs(own.tension - other.tension) / jnp.where(other.tension > 0, other.tension, 1.0)
         rest = rest._replace(
             error=jnp.maximum(rest.error, jnp.where(own.end < length, missed, 0.0)),
-            solved=rest.solved & end.solved,  # whatever is felt must be known
-            result=_choose(code_of(rest.result) != 0, rest.result, end.result),
+            solved=rest.solved & end.added.solved,  # whatever is felt must be known
+            result=_choose(code_of(rest.result) != 0, rest.result, end.added.result),
         )
         rest = _choose(first, nothing, rest)
         tension = jnp.where(first | (own.end >= length), own.tension, tip_tension)
-        tip = _joined(Onward(*own[2:]), rest)
+        tip = _joined(own.added, rest)
         new = own, rest, tension
         here = slots == turn.place
         stack = jax.tree.map(lambda x, y: jnp.where(here.reshape(-1, *[1] * y.ndim), y, x), stack, new)
         result = with_words(RESULTS.where(turn.too_many, RESULTS.too_many_turns, tip.result))
-        return stack, Tip(tension, *tip._replace(result=result, solved=tip.solved & ~turn.too_many))
+        return stack, Tip(tension, tip._replace(result=result, solved=tip.solved & ~turn.too_many))
 
     first = jax.tree.map(lambda x: jnp.zeros_like(x, shape=(max_turns, *x.shape[1:])), (own, own))
     empty = first[0], jax.tree.map(lambda x: jnp.broadcast_to(x, (max_turns, *x.shape)), nothing), first[0].end
@@ -144,7 +125,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     return jax.lax.scan(add, empty, (own, other, turns))[1]
 
 
-def _between(start: Slid, end: Slid) -> Onward:
+def _between(start: Onward, end: Onward) -> Onward:
     """What lies between two places of one equilibrium, seen from the first."""
     return Onward(
         end.heading - start.heading,
