@@ -10,9 +10,11 @@ import equinox as eqx
 import numpy as np
 import pytest
 from bodies import paper_body
+from matplotlib.figure import Figure
 from test_fit import COMPLIANCE, MU, E
 
 import cddf_jax as cddf
+from cddf_jax import figures
 from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of
@@ -103,6 +105,51 @@ def test_tensions_of_a_loop_tell_the_ratio_alone():
     assert found.status["friction_coefficient"] == found.status["youngs_modulus"] == "not identified"
     assert list(found.combinations) == ["friction_coefficient / youngs_modulus"]
     assert "Tensions of one tendon determine only friction_coefficient / youngs_modulus" in found.verdict[-1]
+
+
+def test_predictions_along_a_loop(fitted):
+    """By the closed forms; the intervals of all readings hold as much as there are parameters (trace of the hat)."""
+    gone = 0.0
+    for column, expected in zip(NOISE, loop(), strict=True):
+        found = fitted.predict(column, LOOP, history=True)
+        np.testing.assert_allclose(found.value, expected, rtol=1e-6)
+        gone += np.sum((found.half_width / 1.959964 / NOISE[column]) ** 2)
+        assert not np.any(found.extrapolated)
+    assert gone == pytest.approx(len(ALL), rel=1e-5)
+    after = fitted.predict("tip_tension", [60.0, 40.0, 20.0], history=True, before=75.0)
+    np.testing.assert_allclose(after.value, loop([75.0, 60.0, 40.0, 20.0])[0][1:], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"before": 75.0}, "predict: before is used with a history only; give history=True"),
+        ({"history": True, "before": 20.0}, "predict: step 1: before must be the largest base tension up to this row"),
+        ({"history": True, "direction": 1}, "predict: a history is that of one tendon without tip force, and directio"),
+        ({"history": True, "tip_force": (0, 1)}, "predict: a history is that of one tendon without tip force"),
+    ],
+)
+def test_paths_that_cannot_be_predicted(fitted, given, message):
+    with pytest.raises(InputError, match=message):
+        fitted.predict("tip_angle", [60.0, 40.0], **given)
+
+
+def test_a_fit_of_a_loop_is_drawn_as_a_loop(fitted):
+    """Lines by the closed form in the order of the path; readings by their branch, the residuals beside them."""
+    axes = figures.draw_fit(fitted, column="tip_angle", axes=Figure().subplots())
+    lines = {line.get_label(): line for line in axes.lines if str(line.get_label()).startswith("model")}
+    for label, first, last in (("model, pulled", 5.0, 85.0), ("model, released", 85.0, 5.0)):
+        x, y = lines[label].get_data()
+        assert (x[0], x[-1]) == (first, last)
+        expected = loop(x if last > first else [*x[:1], *x[1:]])[1]
+        np.testing.assert_allclose(y, np.degrees(expected), rtol=1e-6)
+    markers = {bars.get_label(): bars.lines[0].get_xdata() for bars in axes.containers}
+    assert set(markers) == {"data, pulled", "data, released"}
+    np.testing.assert_allclose(markers["data, pulled"], UP)
+    np.testing.assert_allclose(np.sort(markers["data, released"]), UP[:-1])
+    axes = figures.draw_residuals(fitted, column="tip_angle", axes=Figure().subplots())
+    drawn = sum(len(line.get_xdata()) for line in axes.lines if line.get_marker() in ("o", "v"))
+    assert drawn == LOOP.size
 
 
 @pytest.mark.slow

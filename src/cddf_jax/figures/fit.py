@@ -1,6 +1,7 @@
 """The figures of a fit: data and model, residuals over what was set, and residuals against normal quantiles."""
 
 import re
+from collections.abc import Sequence
 from textwrap import fill
 from typing import NamedTuple
 
@@ -12,12 +13,14 @@ from scipy.special import betaincinv, ndtri
 
 from ..errors import InputError
 from ..identification import fit_diagnostics as diagnostics
-from ..identification.bench import Group, parameter_named
+from ..identification.bench import Bench, Group, parameter_named
+from ..identification.course import Course
 from ..identification.fit import Fit
 from ..measurements.readings import kind_of
 from ..quantities import QUANTITIES, dimension_of
 from ..units import preferred
 from . import looks, style as draw
+from .fit_loops import draw_branches, draw_branches_about_zero, draw_model_loops
 
 DEGREE = np.degrees(1.0)
 PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
@@ -40,9 +43,11 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
     """The readings of a column over base tension, N, and the fitted model with its 95 % band.
 
     Readings of one level are drawn as their mean with one standard deviation. A pulley test is drawn as pulling
-    tension per weight over wrap angle, deg, so that one curve holds every weight. No single curve holds the rows of a
-    table with several tendons, forces on the tip or tendons that slide out: each reading is then drawn over what the
-    model predicts for its row, with the 95 % interval of the prediction.
+    tension per weight over wrap angle, deg, so that one curve holds every weight. Rows that come back are drawn with
+    the model along their path, trial by trial: solid when pulled, dashed when released; markers tell the branch of a
+    reading. No single curve holds the rows of a table with several tendons, forces on the tip or tendons that are said
+    to slide out: each reading is then drawn over what the model predicts for its row, with the 95 % interval of the
+    prediction.
 
     Args:
         fit: of `fit`.
@@ -56,7 +61,10 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
     """
     panel = _panel_of("draw_fit", fit, table, column)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
-        if (curve := panel.curve) is None:
+        if panel.loops and panel.course is not None:
+            draw_model_loops(axes, panel.loops)
+            draw_branches(axes, panel.course, panel.there, panel.x, panel.observed, panel.data_label)
+        elif (curve := panel.curve) is None:
             _draw_over_prediction(axes, panel)
         else:
             low, high = curve.value - curve.half_width, curve.value + curve.half_width
@@ -64,7 +72,7 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
             axes.plot(curve.grid, curve.value, color=looks.BLUE, label="model")
             draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
         axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
-        axes.legend(loc="best", frameon=False)
+        draw.legend_above(axes) if panel.loops else axes.legend(loc="best", frameon=False)
     return axes
 
 
@@ -72,7 +80,8 @@ def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None
     """What the fitted model leaves of a column, observed less predicted, over base tension, N (wrap angle, deg).
 
     Every reading is a dot; over them mean and standard deviation of each level, and about zero the 95 % band of the
-    model. Where no single curve holds the rows, the residuals are drawn over the prediction, as `draw_fit` does.
+    model. With a history markers tell the branch, and the 95 % interval of the model is that of each reading. Where no
+    single curve holds the rows, the residuals are drawn over the prediction, as `draw_fit` does.
 
     Args:
         fit, table, column, axes: as of `draw_fit`.
@@ -86,7 +95,10 @@ def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None
             draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
         elif np.all(np.isfinite(panel.half_width)):
             axes.errorbar(panel.x, 0 * panel.x, yerr=panel.half_width, **INTERVAL)
-        draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None)
+        if panel.loops and panel.course is not None:
+            draw_branches_about_zero(axes, panel.course, panel.there, panel.x, panel.residual)
+        else:
+            draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None)
         axes.set(xlabel=panel.x_label, ylabel=f"Residual ({panel.unit})")
     return axes
 
@@ -137,6 +149,9 @@ class _Panel(NamedTuple):
     y_label: str
     unit: str
     data_label: str
+    there: np.ndarray  # (rows,), in which rows of the table it was read
+    loops: Sequence[diagnostics.ModelCurve] = ()  # the model along the path of each trial that comes back
+    course: Course | None = None
 
 
 def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Panel:
@@ -153,18 +168,25 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     if column == "pulling_tension" and curve is not None:
         weight, curve = rows["weight"][there], curve._replace(grid=DEGREE * curve.grid)
         numbers = DEGREE * rows["wrap_angle"][there], observed / weight, residual / weight
-        return _Panel(*numbers, curve, np.nan, "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N", label)
+        words = "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N"
+        return _Panel(*numbers, curve, np.nan, *words, label, there)
     kind = kind_of(column)
     scale, unit = preferred(dimension_of(kind))
     number = column.removeprefix(kind).replace("_", " ")  # " 2" of tendon 2
     words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
+    base, axis = rows["base_tension"][there], "Base tension (N)"
     if curve is not None:
-        curve = diagnostics.ModelCurve(curve.grid, scale * curve.value, scale * curve.half_width)
-        base = rows["base_tension"][there]
-        return _Panel(base, observed, residual, curve, np.nan, "Base tension (N)", words, unit, label)
-    half, words = scale * diagnostics.half_width(fit, group), words[0].lower() + words[1:]
+        curve = curve._replace(value=scale * curve.value, half_width=scale * curve.half_width)
+        return _Panel(base, observed, residual, curve, np.nan, axis, words, unit, label, there)
+    half = scale * diagnostics.half_width(fit, group)
+    if loops := diagnostics.model_loops(fit, group):
+        assert isinstance(group.experiment, Bench)
+        loops = [loop._replace(value=scale * loop.value, half_width=scale * loop.half_width) for loop in loops]
+        path = loops, group.experiment.course
+        return _Panel(base, observed, residual, None, half, axis, words, unit, label, there, *path)
+    words = words[0].lower() + words[1:]
     labels = f"Predicted {words}", f"Measured {words}"
-    return _Panel(observed - residual, observed, residual, None, half, *labels, unit, label)
+    return _Panel(observed - residual, observed, residual, None, half, *labels, unit, label, there)
 
 
 def _groups(fit: Fit, table: str) -> dict[str, Group]:

@@ -20,7 +20,7 @@ from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS
 from ..units import shown
-from .past import Past, Start, past_of
+from .past import REST, Before, Past, Start, past_of, starts_of
 
 STEPS = 16  # paths are traced in multiples of these: few sizes, so that tables share compiled programs
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
@@ -59,6 +59,15 @@ class Course(eqx.Module):
         return jnp.concatenate([self.past.tension(parameters)[:, None], readings], axis=1)
 
     @property
+    def pulled(self) -> np.ndarray:
+        """(rows,), whether the tension rose to a row."""
+        readings = np.asarray(self.readings)
+        before = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.largest)
+        released = [bool(name) for name in self.past.parameters] if self.past is not None else [False] * len(readings)
+        first = (readings[:, 0] >= before) & ~np.array(released)
+        return np.column_stack([first, np.diff(readings, axis=1) > 0])[self.trial, self.step]
+
+    @property
     def before_turns(self) -> np.ndarray:
         """(rows,), which rows lie before the first turn of their trial."""
         falls = np.diff(np.asarray(self.readings), axis=1) < 0
@@ -95,6 +104,44 @@ class Course(eqx.Module):
         every, num_before = jax.vmap(one)(tension, deviation), tension.shape[1] - self.readings.shape[1]
         tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, self.step + num_before], every)
         return Traced(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
+
+
+def course_along(path: Float[np.ndarray, " steps"], before: Before = REST) -> Course:
+    """One path, every step of which is a row.
+
+    Args:
+        path: base tensions as read, N.
+        before: what the tendon had before, as of `fit`.
+
+    Raises:
+        InputError: where that is below the first step.
+    """
+    past = past_of(starts_of([1], before, ())[0], path[:1].tolist(), ["step 1"])
+    step = np.arange(path.size)
+    return _course([path], np.zeros_like(step), step, np.zeros(1, int), past)
+
+
+def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
+    """The same paths with so many points along each, every one a row, trial by trial; and these paths, N."""
+    paths, readings = [], np.asarray(course.readings)
+    for k in range(len(readings)):
+        steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
+        places = np.union1d(np.linspace(0, steps[-1], points), steps)
+        paths.append(np.interp(places, steps, readings[k, : steps.size]))
+    sizes = [path.size for path in paths]
+    trial, step = np.repeat(np.arange(len(paths)), sizes), np.concatenate([*map(np.arange, sizes)])
+    return _course(paths, trial, step, np.cumsum([0, *sizes[:-1]]), course.past), paths
+
+
+def _course(
+    paths: Sequence[np.ndarray], trial: np.ndarray, step: np.ndarray, first_row: np.ndarray, past: Past | None
+) -> Course:
+    longest = max(map(len, paths))
+    longest += -longest % STEPS
+    readings = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths])
+    above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.largest)), 1.0)]
+    most = max(_most_open(np.append(above, path)) for path in paths)
+    return Course(readings, trial, step, first_row, most, past)
 
 
 def has_history(table: Measurements, manipulator: Manipulator, history: bool | None) -> bool:
@@ -150,14 +197,9 @@ def course_of(
         paths.append(steady.tension[moved])
         found.append(steady)
         first.append(own[0])
-    longest = max(map(len, paths))
-    longest += -longest % STEPS
-    readings = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths])
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
     past = past_of(starts, [path[0] for path in paths], places)
-    above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.largest)), 1.0)]
-    most = max(_most_open(np.append(above, path)) for path in paths)
-    return Course(readings, trial, step, np.array(first), most, past), _together(found, tension)
+    return _course(paths, trial, step, np.array(first), past), _together(found, tension)
 
 
 def num_paths(table: Measurements) -> int:

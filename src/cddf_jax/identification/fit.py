@@ -91,7 +91,14 @@ class Fit(LeastSquaresFit):
         return "\n".join(self.verdict)
 
     def predict(
-        self, column: str, base_tension: Numbers, tip_force: Numbers = (0.0, 0.0), direction: Numbers | None = None
+        self,
+        column: str,
+        base_tension: Numbers,
+        tip_force: Numbers = (0.0, 0.0),
+        direction: Numbers | None = None,
+        *,
+        history: bool = False,
+        before: Before = "rest",
     ) -> Prediction:
         """A reading with its 95 % band.
 
@@ -101,11 +108,14 @@ class Fit(LeastSquaresFit):
             tip_force: N, (2,) or (rows, 2).
             direction: 1 where tendons slide in and -1 where they slide out, broadcast to (rows, tendons); None where
                 it is to be found, as in `solve`.
+            history: whether the base tensions are a path, pulled and released in this order; every turn counts.
+            before: with a history, what the tendon had before: "rest", or the largest base tension, N.
 
         Raises:
-            InputError: for another column, or conditions of other shapes.
+            InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
-        wanted = predicted_rows(base_tension, tip_force, direction, self.manipulator.num_tendons)
+        tendons = self.manipulator.num_tendons
+        wanted = predicted_rows(base_tension, tip_force, direction, tendons, history=history, before=before)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is no reading; there are {', '.join(shown.readings)}")

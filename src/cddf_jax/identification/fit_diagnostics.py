@@ -7,6 +7,7 @@ import numpy as np
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..mechanics.capstan import pulling_tension
 from .bench import TRIALS, Bench, Group
+from .course import between
 from .fit import Fit
 
 SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds
@@ -81,6 +82,21 @@ def model_curve(fit: Fit, group: Group) -> ModelCurve | None:
     return ModelCurve(grid, ratio, fit.band(slope))
 
 
+def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:
+    """The model along the path of each trial of a table that comes back, in the order of the path; [] for others."""
+    bench = group.experiment
+    if not isinstance(bench, Bench) or bench.course is None or bench.on_one_curve:
+        return []
+    course, paths = between(bench.course, GRID)
+    trial = None if bench.trial is None else np.asarray(bench.trial)[bench.course.first_row][course.trial]
+    rows = Bench(np.concatenate(paths)[:, None], (None,), trial=trial, course=course)
+    shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    value, band = shown.readings[group.column], fit.band(shown.derivatives[group.column])
+    ends = np.cumsum([path.size for path in paths])[:-1]
+    parts = (np.split(numbers, ends) for numbers in (value, band))
+    return [ModelCurve(*numbers) for numbers in zip(paths, *parts, strict=True)]
+
+
 def half_width(fit: Fit, group: Group) -> np.ndarray:
     """Of the 95 % intervals of the predictions for what was read of the manipulator, SI."""
     assert isinstance(group.experiment, Bench)
@@ -93,7 +109,8 @@ def has_numbers(fit: Fit, group: Group) -> bool:
     if not np.all(np.isfinite(fit.residuals[group.label])):
         return False
     curve = model_curve(fit, group)
-    return curve is None or bool(np.all(np.isfinite(curve.value)))
+    curves = model_loops(fit, group) if curve is None else [curve]
+    return all(np.all(np.isfinite(curve.value)) for curve in curves)
 
 
 def tables_without_numbers(fit: Fit) -> dict[str, str]:

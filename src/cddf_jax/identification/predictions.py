@@ -6,8 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..errors import InputError
+from ..errors import InputError, within
 from .bench import Bench, BenchModel
+from .course import course_along
+from .past import REST, Before
 
 SPANNED = 1e-9  # of a largest condition: rows this close to the data count as inside
 
@@ -22,11 +24,20 @@ class Prediction(NamedTuple):
     extrapolated: np.ndarray  # True beyond the base tensions or tip forces of the data
 
 
-def predicted_rows(base_tension: Numbers, tip_force: Numbers, direction: Numbers | None, tendons: int) -> Bench:
+def predicted_rows(
+    base_tension: Numbers,
+    tip_force: Numbers,
+    direction: Numbers | None,
+    tendons: int,
+    *,
+    history: bool = False,
+    before: Before = REST,
+) -> Bench:
     """The rows to predict at; arguments as of `Fit.predict`.
 
     Raises:
-        InputError: for numbers that are not finite, tensions below 0, shapes that do not fit.
+        InputError: for numbers that are not finite, tensions below 0, shapes that do not fit, a history of several
+            tendons, of a body under a tip force or with stated directions.
     """
     tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
     stated = {} if direction is None else {"direction": direction}
@@ -46,7 +57,14 @@ def predicted_rows(base_tension: Numbers, tip_force: Numbers, direction: Numbers
             f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), and direction "
             f"that fits; got {', '.join(str(np.shape(given)) for given in (base_tension, tip_force, *stated.values()))}"
         ) from None
-    return Bench(pulled, tuple(way), force if np.any(force) else None)
+    if before != REST and not history:
+        raise InputError("predict: before is used with a history only; give history=True")
+    if not history:
+        return Bench(pulled, tuple(way), force if np.any(force) else None)
+    if tendons > 1 or np.any(force) or stated:
+        raise InputError("predict: a history is that of one tendon without tip force, and directions follow from it")
+    with within("predict"):
+        return Bench(pulled, tuple(way), course=course_along(pulled[:, 0], before))
 
 
 def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
