@@ -52,6 +52,14 @@ def test_stretch_of_antagonists():
     np.testing.assert_allclose(angles, [44.148, 44.28], atol=0.02)  # section 3, a simulation
 
 
+def test_what_came_before_is_the_step_before_the_first(pair):
+    """The same path, whose first step is not told."""
+    found = cddf.trace(PAIR, PATH[1:], before=PATH[0])
+    for name in ("tip_tension", "tip_angle", "front", "tendon_displacement", "work", "friction_loss", "error_estimate"):
+        np.testing.assert_allclose(getattr(found, name), np.asarray(getattr(pair, name))[1:], rtol=1e-9, err_msg=name)
+    np.testing.assert_allclose(found.at(0.07).tension, np.asarray(pair.at(0.07).tension)[1:], rtol=1e-9)
+
+
 def test_tendons_that_slide_one_way_are_as_in_solve(pair):
     found = cddf.solve(PAIR, PATH[0])
     np.testing.assert_allclose(pair.tip_angle[0], found.tip_angle, atol=1e-7)
@@ -211,6 +219,12 @@ def test_bad_input_is_refused():
         cddf.trace(PAIR, PATH, start=alone)
     with pytest.raises(ValueError, match="must hold numbers, in rows of one length"):
         cddf.trace(PAIR, [[75.0, 20.0], [60.0]])
+    with pytest.raises(ValueError, match=r"before must be .rest. or base tensions, N, of the shape .tendons,., .2,."):
+        cddf.trace(PAIR, PATH, before=80.0)
+    with pytest.raises(ValueError, match="before must hold tensions of 0 N or more"):
+        cddf.trace(PAIR, PATH, before=[80.0, -1.0])
+    with pytest.raises(ValueError, match="before= needs tensions along the path"):
+        cddf.trace(PAIR, [cddf.Displacement([1e-3]), [10.0]], before=[80.0, 1.0])
     for push in (None, (0.0, 0.0), (0.0, np.nan), (1.0,)):
         with pytest.raises(ValueError, match="push"):
             cddf.tip_compliance(alone, push=push)

@@ -28,6 +28,18 @@ class Path(NamedTuple):
         count = self.tension.shape[0]
         return self._replace(loads=jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), loads))
 
+    def behind(self, tension: Float[Array, " tendons"], *, loads_stay: bool) -> "Path":
+        """The same path with a step before the first, under loads that stay or under none."""
+
+        def first(loads: Array) -> Array:
+            return jnp.concatenate([loads[:1] if loads_stay else jnp.zeros_like(loads[:1]), loads])
+
+        return Path(
+            jnp.concatenate([tension[None].astype(self.tension.dtype), self.tension]),
+            jnp.concatenate([jnp.zeros_like(self.displacement[:1]), self.displacement]),
+            jax.tree.map(first, self.loads),
+        )
+
 
 def as_numbers(values: object, name: str) -> Array:
     """The values as an array of floating-point numbers.

@@ -380,6 +380,22 @@ def squeezed(history: History) -> History:
     return eqx.tree_at(per_tendon, history, [x[:, 0] for x in per_tendon(history)])
 
 
+def after_first(history: History) -> History:
+    """The history without its first step; all of it failed where that one did."""
+
+    def apart(history: History) -> tuple[States, RESULTS]:
+        return history._states, history.result
+
+    good, states = jnp.isfinite(history.tip_angle[0]), history._states
+    assert isinstance(states, SteppedStates)
+    passes = jax.tree.map(lambda x: x[:, 1:], states.passes)
+    result = jax.tree.map(lambda x: jnp.where(good, x[1:], x[:1]), history.result)
+    numbers = eqx.tree_at(apart, history, (None, None))
+    numbers = nan_unless(good, jax.tree.map(lambda x: x[1:], numbers))
+    own = eqx.tree_at(lambda s: s.passes, states, passes), with_words(result)
+    return eqx.tree_at(apart, numbers, own, is_leaf=lambda x: x is None)
+
+
 def _usable(path: Path) -> Bool[Array, " steps"]:
     """Whether what is given for each step is physical."""
     numbers = [x.reshape(x.shape[0], -1) for x in jax.tree.leaves(path)]

@@ -21,7 +21,7 @@ from . import compliance as compliance  # which tells `tip_compliance` of histor
 from .congruent import Before, CongruentStates, congruent_history
 from .history import History
 from .path import Driven, as_numbers, given_path, not_per_step
-from .stepped import Following, SteppedStates, squeezed, stepped_history
+from .stepped import Following, SteppedStates, after_first, squeezed, stepped_history
 
 
 def trace(
@@ -55,8 +55,9 @@ def trace(
         loads: one `Loads` that rests on the body before the first step and stays, or one for each step (a list, or
             `Loads` whose numbers have a leading axis of steps), which begin with none; None for none. After `start`
             they go on from those of that history, and None leaves them as they are.
-        before: for one tendon without loads, the largest base tension, N, that it had before it was released to the
-            first step; "rest" for a body with tendons that never had a tension.
+        before: the largest base tension, N, that a tendon had before it was released to the first step; "rest" for a
+            body with tendons that never had a tension. Of several tendons, (tendons,), and under loads, it is the step
+            before the first, to which all went straight from rest; loads that change along the path come after it.
         start: the history of the same body that goes on, in the place of `before`; with its cells, whatever `nodes`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the body
             is cut into four times as many cells.
@@ -89,9 +90,7 @@ def trace(
         _check_largest(past, start, quantity, values)
         history = congruent_history(manipulator, values, past, nodes, max_turns, quantity)
     else:
-        if not isinstance(before, str) or before != "rest":
-            raise ValueError("trace: before= is for one tendon without loads; give earlier tensions as the first steps")
-        history = _in_short_steps(manipulator, base_tension, loads, start, nodes, short_steps)
+        history = _in_short_steps(manipulator, base_tension, loads, before, start, nodes, short_steps)
     if throw:
         _raise_if_failed(history)
     return history
@@ -123,11 +122,16 @@ def _in_short_steps(
     manipulator: Manipulator,
     base_tension: Driven | TipAngle,
     loads: Loads | Sequence[Loads] | None,
+    before: ArrayLike | Literal["rest"],
     start: History | None,
     nodes: int,
     short_steps: int,
 ) -> History:
     path, driven = given_path(manipulator, base_tension, loads)
+    loads_stay = isinstance(loads, Loads) and not_per_step(loads)
+    earlier = _earlier(manipulator, before, start, driven)
+    if earlier is not None:
+        path = path.behind(earlier, loads_stay=loads_stay)
     if loads is None and start is not None and isinstance(start._states, SteppedStates):
         path = path.under(start._states.loads)  # they stay as they are
     check_weight(manipulator, path.loads)
@@ -136,13 +140,36 @@ def _in_short_steps(
             "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
         )
     states = None if start is None else start._states
-    kind = Following(driven, isinstance(loads, Loads) and not_per_step(loads), 4 * nodes, short_steps)
+    kind = Following(driven, loads_stay, 4 * nodes, short_steps)
     if isinstance(states, SteppedStates):
         kind = kind._replace(num_cells=states.num_cells)
     elif states is not None:
         raise ValueError("trace: start is a history of one tendon without loads; trace it with loads from rest on")
     history = stepped_history(manipulator, path, states, kind)
+    history = history if earlier is None else after_first(history)
     return squeezed(history) if manipulator.num_tendons == 1 else history
+
+
+def _earlier(
+    manipulator: Manipulator, before: ArrayLike | Literal["rest"], start: History | None, driven: tuple[int, ...]
+) -> Float[Array, " tendons"] | None:
+    """The tensions of the step before the first; None where there is none."""
+    if isinstance(before, str) and before == "rest":
+        return None
+    if start is not None:
+        raise ValueError("trace: before and start both tell what was before; leave one of them out")
+    if driven:
+        raise ValueError("trace: before= needs tensions along the path; give earlier displacements as the first steps")
+    count = manipulator.num_tendons
+    tension = jnp.atleast_1d(as_numbers(before, "trace: before"))
+    if tension.shape != (count,):
+        raise ValueError(
+            f'trace: before must be "rest" or base tensions, N, of the shape (tendons,), ({count},) for this body, got '
+            f"{np.shape(tension)}"
+        )
+    if not isinstance(tension, Tracer) and not np.all((np.asarray(tension) >= 0) & np.isfinite(tension)):
+        raise ValueError(f"trace: before must hold tensions of 0 N or more, got {np.asarray(tension).tolist()}")
+    return tension
 
 
 def _path(given: Driven | TipAngle) -> tuple[str, Float[Array, " steps"]]:
