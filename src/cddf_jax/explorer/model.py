@@ -23,8 +23,9 @@ from ..mechanics.directions import as_directions
 from ..programs.evaluated import evaluated
 from ..programs.kept import kept_program
 from ..quantities import QUANTITIES, Quantity
+from ..robot.cross_section import Kinematics
 from ..robot.loads import Loads
-from ..robot.manipulator import Kinematics, Manipulator
+from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, of_tendon
 from ..robot.reshape import tapered
 from ..statics.description import result_in_words, wall_remarks

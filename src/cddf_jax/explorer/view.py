@@ -19,7 +19,8 @@ from ..quantities import QUANTITIES
 from ..reports.export import fields_csv
 from ..reports.fit_report import fit_in_words
 from ..reports.fit_results import make_report
-from ..robot.manipulator import KINEMATICS, Kinematics
+from ..robot.cross_section import Kinematics
+from ..robot.manipulator import KINEMATICS
 from ..robot.named_numbers import Case
 from .model import Exploration, Picture, Settings, from_si, rounded
 from .parts import column, grid, plot, slider, title, words

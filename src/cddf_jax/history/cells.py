@@ -17,8 +17,9 @@ from jaxtyping import Array, Float, Int
 from ..mechanics import bending
 from ..mechanics.friction import PerTendon, ratio_beyond, tension_rate
 from ..mechanics.problem import Problem, guarded_section, lay_out, moment_rate_of, slip_rate
+from ..robot.cross_section import CrossSection
 from ..robot.loads import Loads
-from ..robot.manipulator import CrossSection, Manipulator
+from ..robot.manipulator import Manipulator
 
 Number = Float[Array, ""]
 STIFFEST = 1e-7  # the least stretch of a tendon, as a part of how far it slides when the body bends

@@ -18,7 +18,8 @@ from ..mechanics.friction import PerTendon
 from ..mechanics.problem import State, displacement_rate, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import num_splits
 from ..numerics.quadrature import Panels, gauss_rule
-from ..robot.manipulator import CrossSection, Manipulator
+from ..robot.cross_section import CrossSection
+from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 from .fronts import cut_at, first_zero, front_of
 from .turns import NOBODY, Turns

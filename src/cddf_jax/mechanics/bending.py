@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics.implicit import slope_along
-from ..robot.manipulator import CrossSection
+from ..robot.cross_section import CrossSection
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 
 Number = Float[Array, ""]

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
@@ -19,10 +20,14 @@ from ..numerics.arrays import all_finite, cos_sin, largest, relative_size
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
+from ..numerics.rotations import cross, rotated, turned_by
+from ..robot.cross_section import CrossSection, SpatialSection
 from ..robot.loads import planar_cross
+from . import space
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
 from .problem import (
     AnyState,
+    Heading,
     Nodal,
     Number,
     PassState,
@@ -35,11 +40,14 @@ from .problem import (
     curvature_along,
     everywhere,
     guarded_section,
+    identity_as,
     moments_of,
     spent_scale,
+    strain_along,
     tension_of,
     turn_at_joint,
     turning_along,
+    wrench_of,
 )
 
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
@@ -66,18 +74,41 @@ def truncation_error(problem: Problem, solution: Solution[AnyState]) -> Number:
     places = cut.edges[:-1, None] + cut.width[:, None] * jnp.asarray(fractions, cut.edges.dtype)
     sections = jax.vmap(jax.vmap(lambda s: guarded_section(problem.manipulator, s)))(places)
     state = jax.tree.map(lambda a, b: cut.resample(a, b, fractions), solution.starts, solution.nodes)
+    rates_of = _shape_rates_in_space if problem.in_space else _shape_rates
+    turning, axis, turned, moment_rate = rates_of(problem, solution, sections, state, fractions)
+    growth = ratio_rate(problem.direction, sections, turning, state.ratio) / solution.tip.ratio
+    spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, solution.tip.pull)
+    spent = [] if spending is None or scale is None else [spending / scale]
+    bending = [moment_rate / problem.moment_scale] if problem.loads is not None else []
+    rates = jnp.concatenate([growth, *spent, axis / cut.edges[-1], turned, *bending], axis=-1)
+    missed = cut.width[:, None] * jnp.abs(jnp.moveaxis(rates, 1, -1) @ jnp.asarray(difference, rates.dtype))
+    return jnp.maximum(SAFETY * largest(jnp.sum(missed, axis=0)), _unseen_turning(problem))
+
+
+def _shape_rates(
+    problem: Problem, solution: Solution[AnyState], sections: CrossSection, state: AnyState, _: np.ndarray
+) -> tuple[Array, Array, Array, Array]:
+    """Turning of the tendons, t, phi' and M_ext' at other places of the panels, in the plane."""
     tension = tension_of(sections, problem.base_tension, state.pull)
     kappa = curvature_along(sections, tension, state.moment)
     axis = axis_of(state.heading)
     moment_rate = -planar_cross(axis, state.force)
     turning = turning_along(sections, kappa, tension, problem.direction, moment_rate)
-    growth = ratio_rate(problem.direction, sections, turning, state.ratio) / solution.tip.ratio
-    spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, solution.tip.pull)
-    spent = [] if spending is None or scale is None else [spending / scale]
-    bending = [moment_rate[..., None] / problem.moment_scale] if problem.loads is not None else []
-    rates = jnp.concatenate([growth, *spent, axis / cut.edges[-1], kappa[..., None], *bending], axis=-1)
-    missed = cut.width[:, None] * jnp.abs(jnp.moveaxis(rates, 1, -1) @ jnp.asarray(difference, rates.dtype))
-    return jnp.maximum(SAFETY * largest(jnp.sum(missed, axis=0)), _unseen_turning(problem))
+    return turning, axis, kappa[..., None], moment_rate[..., None]
+
+
+def _shape_rates_in_space(
+    problem: Problem, solution: Solution[AnyState], sections: SpatialSection, state: AnyState, fractions: np.ndarray
+) -> tuple[Array, Array, Array, Array]:
+    """The same in space; twice the derivative of the rotation, which is an angle."""
+    cut = problem.panels
+    strain = strain_along(sections, problem.base_tension, state)
+    at_nodes_ = strain_along(problem.nodes, problem.base_tension, solution.nodes)
+    rate = cut.extended(_tangents(cut, problem.nodes, at_nodes_)[1], fractions)
+    turning = _turning_in_space(sections, strain, at_nodes(space.tangents, (0, 0))(sections, strain), rate)
+    axis = rotated(state.heading, space.axis_of_strain(strain))
+    turned = 2.0 * turned_by(state.heading, space.curvature_of_strain(strain))
+    return turning, axis, turned, -cross(axis, state.force)
 
 
 def _unseen_turning(problem: Problem) -> Number:
@@ -88,7 +119,7 @@ def _unseen_turning(problem: Problem) -> Number:
         stiffness = body.stiffness(arc_length)
         moments = problem.base_tension * body.offset(arc_length)
         if problem.loads is not None:
-            moments = jnp.append(moments, problem.base_moment)
+            moments = jnp.append(moments, problem.base_moment)  # of a body in space all three
         return moments / jnp.where(stiffness > 0, stiffness, 1.0)
 
     seen = cut.gain(jax.vmap(jax.vmap(bend))(cut.nodes))
@@ -99,8 +130,18 @@ class _Point(NamedTuple):
     """What a pass integrates from the base up to a point, or to each of several points."""
 
     values: Nodal
-    heading: Float[Array, "*points"]  # phi, rad
+    heading: Heading | None  # None in space without loads
     spent: Float[Array, "*points tendons"] | None  # c, N; None without drag
+
+
+class _Shape(NamedTuple):
+    """What follows from tensions and moments at the nodes."""
+
+    turning: Float[Array, "P p tendons"]  # of the tendons, 1/m
+    heading: tuple[Array, Array] | None  # at the edges and the nodes; None in space without loads
+    axis: Float[Array, "P p components"] | None  # the derivative of the position; None without loads
+    moment_rate: Float[Array, "P p *components"] | None  # M_ext', N; None without loads
+    strain: Float[Array, "P p strains"] | None  # of a body in space
 
 
 class _Pass(NamedTuple):
@@ -109,8 +150,7 @@ class _Pass(NamedTuple):
     starts: _Point
     nodes: _Point
     turns: Float[Array, "P tendons"]  # finite angles by which tendons turn where panels start, rad
-    turning: Float[Array, "P p tendons"]  # psi' at the nodes, rad/m
-    axis: Float[Array, "P p 2"] | None  # t at the nodes; None without loads, where a pass has no need of it
+    shape: _Shape
 
 
 class FixedPoint(eqx.Module):
@@ -184,33 +224,85 @@ def _integral(cut: Panels, start: Array | float | None, rate: Array | None) -> t
 
 
 def _pass(problem: Problem, guess: Nodal) -> tuple[_Pass, _Point]:
-    """Curvature and turning that follow from a guess of r and M_ext, and the better r and M_ext that follow from these.
+    """Shape and turning that follow from a guess of r and M_ext, and the better r and M_ext that follow from these.
 
     Returns:
         What is found along the body, and at its tip.
     """
-    cut, section, base, loaded = problem.panels, problem.nodes, at_base(problem), guess.moment is not None
+    cut, section, base = problem.panels, problem.nodes, at_base(problem)
     spent, spent_at_nodes = _integral(cut, 0.0, spent_rate(problem.direction, section, guess.ratio))
     tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent_at_nodes))
-    kappa = curvature_along(section, tension, moments_of(problem, guess))
-    heading, heading_at_nodes = cut.integrate(kappa)
-    axis = axis_of(heading_at_nodes) if loaded else None
-    moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, problem.outboard.nodes)
-    turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
-    scaled = moment_rate * (1.0 / problem.moment_scale) if loaded else None
+    shape = (_shape_in_space if problem.in_space else _shape)(problem, guess, tension)
+    scaled = None if shape.moment_rate is None else shape.moment_rate * (1.0 / problem.moment_scale)
     bending, bending_at_nodes = _integral(cut, base.moment, scaled)
-    gains, within = cut.integrate(_ratio_rates(problem.direction, section, turning, guess.ratio))
-    starts, tip, turns = _across_joints(problem, Nodal(base.ratio + gains, bending), spent)
-    nodes = _Point(Nodal((starts - gains[:-1])[:, None] + within, bending_at_nodes), heading_at_nodes, spent_at_nodes)
+    heading, heading_at_nodes = (None, None) if shape.heading is None else shape.heading
+    frame, frame_at_nodes = (heading, heading_at_nodes) if problem.in_space else (None, None)
+    gains, within = cut.integrate(_ratio_rates(problem.direction, section, shape.turning, guess.ratio))
+    starts, tip, turns = _across_joints(problem, Nodal(base.ratio + gains, bending, frame), spent)
+    ratio = (starts - gains[:-1])[:, None] + within
+    nodes = _Point(Nodal(ratio, bending_at_nodes, frame_at_nodes), heading_at_nodes, spent_at_nodes)
 
-    at_edges = bending, heading, spent
+    at_edges = bending, frame, heading, spent
     at_starts = _point(starts, *jax.tree.map(lambda x: x[:-1], at_edges))
     at_tip = _point(tip, *jax.tree.map(lambda x: x[-1], at_edges))
-    return _Pass(at_starts, nodes, turns, turning, axis), at_tip
+    return _Pass(at_starts, nodes, turns, shape), at_tip
 
 
-def _point(ratio: Array, moment: Array | None, heading: Array, spent: Array | None) -> _Point:
-    return _Point(Nodal(ratio, moment), heading, spent)
+def _shape(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"]) -> _Shape:
+    """In the plane."""
+    section, loaded = problem.nodes, guess.moment is not None
+    kappa = curvature_along(section, tension, moments_of(problem, guess))
+    heading = problem.panels.integrate(kappa)
+    axis = axis_of(heading[1]) if loaded else None
+    moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, problem.outboard.nodes)
+    turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
+    return _Shape(turning, heading, axis, moment_rate if loaded else None, None)
+
+
+def _shape_in_space(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"]) -> _Shape:
+    """In space, where rotations are unknowns as r and M_ext are, and t' is that of the polynomials."""
+    cut, section = problem.panels, problem.nodes
+    wrench = None
+    if guess.frame is not None:
+        wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
+    strain = _strain_in_space(section, tension, wrench)
+    turning = _turning_in_space(section, strain, *_tangents(cut, section, strain))
+    if guess.frame is None:
+        return _Shape(turning, None, None, None, strain)
+    rate = turned_by(guess.frame, space.curvature_of_strain(strain))
+    frame = _integral(cut, identity_as(tension), rate)
+    axis = rotated(guess.frame, space.axis_of_strain(strain))
+    return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain)
+
+
+_strain_in_space = at_nodes(space.strain, (0, 0, 0))
+_turning_in_space = at_nodes(space.turning_in_space, (0, 0, 0, 0))
+
+
+def _tangents(cut: Panels, section: SpatialSection, strain: Array) -> tuple[Array, Array]:
+    """The tangents of the tendons in the frame of the nodes, and their derivatives there."""
+    tangent = at_nodes(space.tangents, (0, 0))(section, strain)
+    return tangent, cut.differentiate(tangent)
+
+
+def _frames(cut: Panels, strain: Array) -> tuple[Array, Array]:
+    """The rotations at the edges and the nodes that follow from the curvature, both (..., 4)."""
+    update = Partial(_turn_on, cut, space.curvature_of_strain(strain))
+    identity = identity_as(strain)
+    guess = jnp.broadcast_to(identity, (*cut.nodes.shape, 4))
+    found = fixed_point(update, guess, tolerance=round_off(strain.dtype), max_passes=64).value
+    edges, nodes = cut.integrate(turned_by(found, space.curvature_of_strain(strain)))
+    return identity + edges, identity + nodes
+
+
+def _turn_on(cut: Panels, curvature: Array, frame: Array) -> Array:
+    return identity_as(frame) + cut.integrate(turned_by(frame, curvature))[1]
+
+
+def _point(
+    ratio: Array, moment: Array | None, frame: Array | None, heading: Array | None, spent: Array | None
+) -> _Point:
+    return _Point(Nodal(ratio, moment, frame), heading, spent)
 
 
 def _improved(problem: Problem, guess: Nodal) -> Nodal:
@@ -236,12 +328,13 @@ def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple
         return edges.ratio[:-1], edges.ratio[-1], jnp.zeros_like(edges.ratio[:-1])
 
     def across(ratio: PerTendon, inputs):
-        joint, gain, spent, moment = inputs
-        turn, beyond = turn_at_joint(problem, joint, Pull(ratio, spent), moment)
+        joint, gain, spent, moment, frame, force = inputs
+        turn, beyond = turn_at_joint(problem, joint, Pull(ratio, spent), moment, frame, force)
         return beyond + gain, (beyond, turn)
 
     gains, moment = jnp.diff(edges.ratio, axis=0), moments_of(problem, edges)
-    inputs = problem.joints, gains, None if spent is None else spent[:-1], moment[:-1]
+    starts = jax.tree.map(lambda x: x[:-1], (spent, moment, edges.frame))
+    inputs = problem.joints, gains, *starts, problem.outboard.starts
     tip, (starts, turns) = jax.lax.scan(across, edges.ratio[0], inputs)
     return starts, tip, turns
 
@@ -251,6 +344,8 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
 
     def state(point: _Point, force: Array) -> PassState:
         values, heading, spent = point
+        if heading is None:
+            heading = jnp.zeros((*values.ratio.shape[:-1], 4), values.ratio.dtype)
         return PassState(Pull(values.ratio, spent), heading, moments_of(problem, values), force)
 
     outboard = problem.outboard
@@ -264,10 +359,20 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
 
 def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) -> Solution[State]:
     """The solution with wrap angle and position, which a pass has no need of."""
-    cut = problem.panels
-    axis = axis_of(along.nodes.heading) if along.axis is None else along.axis
+    cut, shape, axis = problem.panels, along.shape, along.shape.axis
+    if shape.strain is not None and shape.heading is None:
+        frame, frame_at_nodes = _frames(cut, shape.strain)
+        axis = rotated(frame_at_nodes, space.axis_of_strain(shape.strain))
+        solution = eqx.tree_at(
+            lambda found: (found.starts.heading, found.nodes.heading, found.tip.heading),
+            solution,
+            (frame[:-1], frame_at_nodes, frame[-1]),
+        )
+    elif axis is None:
+        assert along.nodes.heading is not None
+        axis = axis_of(along.nodes.heading)
     position, position_at_nodes = cut.integrate(axis)
-    wrap, wrap_at_nodes = cut.integrate(jnp.abs(along.turning))
+    wrap, wrap_at_nodes = cut.integrate(jnp.abs(shape.turning))
     turned = jnp.cumsum(along.turns, axis=0)
     return Solution(
         State(*solution.starts, wrap[:-1] + turned, position[:-1]),

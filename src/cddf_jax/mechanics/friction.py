@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..robot.manipulator import CrossSection
+from ..robot.cross_section import AnySection
 
 PerTendon = Float[Array, "... tendons"]  # at one point or several
 
@@ -25,41 +25,41 @@ class Pull(NamedTuple):
     spent: Float[Array, "*points tendons"] | None = None  # c, N, used up by drag; None without drag
 
 
-def bending_loss(direction: PerTendon, section: CrossSection, tension: PerTendon) -> PerTendon:
+def bending_loss(direction: PerTendon, section: AnySection, tension: PerTendon) -> PerTendon:
     """The loss of T per radian by which the tendon turns, N."""
     return direction * section.friction_coefficient * tension
 
 
-def drag_loss(direction: PerTendon, section: CrossSection, tension: PerTendon) -> PerTendon | None:
+def drag_loss(direction: PerTendon, section: AnySection, tension: PerTendon) -> PerTendon | None:
     """The loss of T per length by drag, N/m: 0 where a tendon that slides in is slack; None without drag."""
     if section.drag is None:
         return None
     return jnp.where((tension > 0) | (direction < 0), direction * section.drag, 0.0)
 
 
-def tension_rate(direction: PerTendon, section: CrossSection, turning: PerTendon, tension: PerTendon) -> PerTendon:
+def tension_rate(direction: PerTendon, section: AnySection, turning: PerTendon, tension: PerTendon) -> PerTendon:
     """T', N/m, of a tendon that turns by psi' = `turning`, rad/m."""
     by_bending = -bending_loss(direction, section, tension) * jnp.abs(turning)
     by_drag = drag_loss(direction, section, tension)
     return by_bending if by_drag is None else by_bending - by_drag
 
 
-def ratio_rate(direction: PerTendon, section: CrossSection, turning: PerTendon, ratio: PerTendon) -> PerTendon:
+def ratio_rate(direction: PerTendon, section: AnySection, turning: PerTendon, ratio: PerTendon) -> PerTendon:
     """The growth r' = direction mu |psi'| |r|, 1/m; r is negative only beyond the point where a tendon locks."""
     return direction * section.friction_coefficient * jnp.abs(turning) * jnp.abs(ratio)
 
 
-def is_proportional(section: CrossSection) -> bool:
+def is_proportional(section: AnySection) -> bool:
     """Whether a tendon loses in proportion to its tension, so that r' is known with T psi' / T_base; static."""
     return section.drag is None
 
 
-def ratio_beyond(direction: PerTendon, section: CrossSection, turn: PerTendon, ratio: PerTendon) -> PerTendon:
+def ratio_beyond(direction: PerTendon, section: AnySection, turn: PerTendon, ratio: PerTendon) -> PerTendon:
     """The ratio r beyond a point where the tendon turns by a finite angle `turn` >= 0, rad."""
     return ratio * jnp.exp(direction * section.friction_coefficient * turn)
 
 
-def spent_rate(direction: PerTendon, section: CrossSection, ratio: PerTendon) -> PerTendon | None:
+def spent_rate(direction: PerTendon, section: AnySection, ratio: PerTendon) -> PerTendon | None:
     """The growth c' = direction w r, N/m; None without drag. It goes on where a tendon is slack."""
     return None if section.drag is None else direction * section.drag * jnp.abs(ratio)
 

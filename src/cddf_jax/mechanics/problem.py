@@ -19,19 +19,23 @@ from jaxtyping import Array, Bool, Float
 
 from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.quadrature import Panels, panels, panels_between
+from ..numerics.rotations import IDENTITY, seen_within
+from ..robot.cross_section import AnySection, CrossSection, SpatialSection
 from ..robot.loads import Loads, force_at_points, force_per_length, planar_cross
-from ..robot.manipulator import CrossSection, Manipulator
-from . import bending
+from ..robot.manipulator import Manipulator
+from . import bending, space
 from .friction import PerTendon, Pull, is_proportional, ratio_beyond, spent_rate, unspent
 
 Number = Float[Array, ""]
+Moment = Float[Array, "*components"]  # a number in the plane, (3,) in space
+Heading = Float[Array, "..."]  # phi, rad, in the plane; a quaternion in space
 
 
 class Joints(NamedTuple):
     """Where two smooth pieces of the body may meet: both sides of the start of every panel, leading axis P."""
 
-    before: CrossSection
-    after: CrossSection
+    before: AnySection
+    after: AnySection
 
 
 class Outboard(NamedTuple):
@@ -40,10 +44,12 @@ class Outboard(NamedTuple):
     That is the force on the tip, the weight per length integrated from there to the tip, and the point masses beyond.
     """
 
-    starts: Float[Array, "P 2"]
-    nodes: Float[Array, "P p 2"]
-    tip: Float[Array, "2"]
-    drops: Float[Array, "P 2"] | None = None  # by which N falls at the start of a panel; None without point masses
+    starts: Float[Array, "P components"]
+    nodes: Float[Array, "P p components"]
+    tip: Float[Array, " components"]
+    drops: Float[Array, "P components"] | None = (
+        None  # by which N falls at the start of a panel; None without point masses
+    )
 
 
 class Problem(eqx.Module):
@@ -53,14 +59,19 @@ class Problem(eqx.Module):
     base_tension: PerTendon
     direction: PerTendon
     panels: Panels
-    base: CrossSection
-    nodes: CrossSection  # leading axes: P panels, p nodes
-    tip: CrossSection
+    base: AnySection
+    nodes: AnySection  # leading axes: P panels, p nodes
+    tip: AnySection
     joints: Joints | None  # None where no tendon can turn by a finite angle
     loads: Loads | None
     outboard: Outboard  # zero without loads
-    base_moment: Number  # M_ext(0), N m; zero without loads
+    base_moment: Moment  # M_ext(0), N m; zero without loads
     moment_scale: Number  # E J / L at the base, N m
+
+    @property
+    def in_space(self) -> bool:
+        """Whether the body may leave the plane; static."""
+        return self.manipulator.in_space
 
     @property
     def is_quadrature(self) -> bool:
@@ -70,6 +81,8 @@ class Problem(eqx.Module):
         exact kinematics if it is parallel to the neutral axis, in the published ones, as kappa / (1 - d kappa), always.
         """
         body = self.manipulator
+        if body.in_space:
+            return False
         straight = body.kinematics == "published" or not body.slanted
         return body.num_tendons == 1 and straight and self.loads is None and is_proportional(self.base)
 
@@ -78,9 +91,9 @@ class PassState(NamedTuple):
     """What a pass integrates along the body; leading axes may be panels and nodes."""
 
     pull: Pull
-    heading: Float[Array, "*points"]  # phi, rad
-    moment: Float[Array, "*points"]  # M_ext, N m
-    force: Float[Array, "*points 2"]  # N, N
+    heading: Heading  # zero where a pass in space without loads has no need of it
+    moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
+    force: Float[Array, "*points components"]  # N, N
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -92,11 +105,11 @@ class State(NamedTuple):
     """All that is integrated along the body: as in a pass, and what follows from it at the end."""
 
     pull: Pull
-    heading: Float[Array, "*points"]  # phi, rad
-    moment: Float[Array, "*points"]  # M_ext, N m
-    force: Float[Array, "*points 2"]  # N, N
+    heading: Heading  # zero where a pass in space without loads has no need of it
+    moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
+    force: Float[Array, "*points components"]  # N, N
     wrap_angle: Float[Array, "*points tendons"]  # theta, rad
-    position: Float[Array, "*points 2"]  # u, m
+    position: Float[Array, "*points components"]  # u, m
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -124,7 +137,8 @@ class Nodal(NamedTuple):
     """The unknowns at the nodes, which each pass improves; everything else follows from them."""
 
     ratio: Float[Array, "P p tendons"]  # r
-    moment: Float[Array, "P p"] | None  # M_ext over its scale; None without loads
+    moment: Float[Array, "P p *components"] | None  # M_ext over its scale; None without loads
+    frame: Float[Array, "P p 4"] | None = None  # the rotation of a body in space under loads
 
 
 @runtime_checkable
@@ -159,7 +173,7 @@ def lay_out(
     nudge = edge_nudge(cut)
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
-    turns = manipulator.kinematics == "exact" and manipulator.slanted and manipulator.breakpoints.shape[0] > 0
+    turns = _may_turn_at_joints(manipulator, loads) and manipulator.breakpoints.shape[0] > 0
     starts = cut.edges[:-1]
     inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip causes no turn there
     base = jax.tree.map(lambda x: x[0], along)
@@ -174,9 +188,23 @@ def lay_out(
         joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside)) if turns else None,
         loads=loads,
         outboard=_outboard(manipulator, cut, loads, splits),
-        base_moment=jnp.zeros_like(cut.edges[-1]),
-        moment_scale=base.stiffness / cut.edges[-1],
+        base_moment=jnp.zeros((3,) if manipulator.in_space else (), cut.edges.dtype),
+        moment_scale=bending_stiffness(base) / cut.edges[-1],
     )
+
+
+def _may_turn_at_joints(manipulator: Manipulator, loads: Loads | None) -> bool:
+    """Whether a tendon may turn by a finite angle where the body is not smooth; static.
+
+    So does a slanted one in the exact kinematics, and in space any one that follows a twist.
+    """
+    twisted = manipulator.in_space and (loads is not None or manipulator.rest_curvature is not None)
+    return manipulator.kinematics == "exact" and (manipulator.slanted or twisted)
+
+
+def bending_stiffness(section: AnySection) -> Float[Array, "*points"]:
+    """E J, N m^2."""
+    return section.stiffness[..., 1] if isinstance(section, SpatialSection) else section.stiffness
 
 
 def cut_into_panels(manipulator: Manipulator, nodes: int, splits: Float[Array, " splits"] | None = None) -> Panels:
@@ -198,7 +226,7 @@ def _joints(manipulator: Manipulator, splits: Float[Array, " splits"] | None) ->
 
 def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None, splits: Array | None) -> Outboard:
     if loads is None:
-        zero = jnp.zeros((*cut.nodes.shape, 2), cut.edges.dtype)
+        zero = jnp.zeros((*cut.nodes.shape, 3 if manipulator.in_space else 2), cut.edges.dtype)
         return Outboard(zero[:, 0], zero, zero[0, 0])
     edges, nodes = cut.integrate(load_rate(manipulator, cut.nodes, loads))
     force = jnp.asarray(loads.tip_force)
@@ -226,12 +254,12 @@ def _with_point_masses(
     return Outboard(along.starts + beyond, along.nodes + beyond[:, None], along.tip + at_tip, drops)
 
 
-def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points 2"]:
+def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points components"]:
     """The distributed dead loads per length, N/m."""
     return force_per_length(loads, manipulator.distributed_mass(arc_length))
 
 
-def loaded_to(problem: Problem, fraction: Number, base_moment: Number) -> Problem:
+def loaded_to(problem: Problem, fraction: Number, base_moment: Moment) -> Problem:
     """The problem under a fraction of all dead loads, with a value of M_ext(0), N m."""
     outboard, loads = jax.tree.map(lambda x: fraction * x, (problem.outboard, problem.loads))
     return eqx.tree_at(
@@ -239,16 +267,17 @@ def loaded_to(problem: Problem, fraction: Number, base_moment: Number) -> Proble
     )
 
 
-def with_tip_force(problem: Problem, tip_force: Float[Array, "2"]) -> Problem:
+def with_tip_force(problem: Problem, tip_force: Float[Array, " components"]) -> Problem:
     """The problem with another force on its tip."""
     more = tip_force - problem.outboard.tip
     starts, nodes, tip, drops = problem.outboard
     return eqx.tree_at(lambda p: p.outboard, problem, Outboard(starts + more, nodes + more, tip + more, drops))
 
 
-def guarded_section(manipulator: Manipulator, arc_length: Number) -> CrossSection:
+def guarded_section(manipulator: Manipulator, arc_length: Number) -> AnySection:
     """The cross-section. EJ is replaced by 1 where it is not positive, so that all numbers are finite."""
-    section = manipulator.cross_section(arc_length)
+    at = manipulator.cross_section_in_space if manipulator.in_space else manipulator.cross_section
+    section = at(arc_length)
     stiffness = jnp.where(section.stiffness > 0, section.stiffness, 1.0)
     return eqx.tree_at(lambda section: section.stiffness, section, stiffness)
 
@@ -261,19 +290,27 @@ def edge_nudge(cut: Panels) -> Number:
 # --- one cross-section ---------------------------------------------------------------------------
 
 
-def tension_of(section: CrossSection, base_tension: PerTendon, pull: Pull) -> PerTendon:
+def tension_of(section: AnySection, base_tension: PerTendon, pull: Pull) -> PerTendon:
     """T, N, zero beyond the anchor. Where a tendon locks, r goes on below zero, and its size stands in."""
     size = jnp.maximum(jnp.abs(pull.ratio), jnp.finfo(pull.ratio.dtype).eps)
     return jnp.where(section.present, unspent(base_tension, pull) / size, 0.0)
 
 
-def curvature_of(problem: Problem, section: CrossSection, state: AnyState) -> Number:
-    """The curvature kappa, 1/m, at one cross-section."""
-    return bending.curvature(section, tension_of(section, problem.base_tension, state.pull), state.moment)
+def strain_of(section: AnySection, base_tension: PerTendon, state: AnyState) -> Array:
+    """The curvature kappa, 1/m, at one cross-section; of a body in space its strain, (strains,)."""
+    tension = tension_of(section, base_tension, state.pull)
+    if isinstance(section, SpatialSection):
+        return space.strain(section, tension, wrench_of(state.heading, state.moment, state.force))
+    return bending.curvature(section, tension, state.moment)
+
+
+def wrench_of(frame: Heading, moment: Array, force: Array) -> space.Wrench:
+    """What the loads put on a cross-section in space, in its own frame."""
+    return space.Wrench(seen_within(frame, moment), seen_within(frame, force))
 
 
 def moment_rate_of(heading: Float[Array, "*points"], force: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
-    """M_ext' = -(t x N), N."""
+    """M_ext' = -(t x N), N, in the plane."""
     return -planar_cross(axis_of(heading), force)
 
 
@@ -290,24 +327,30 @@ def spent_scale(problem: Problem, tip: Pull) -> PerTendon | None:
     return jnp.where(scale > 0, scale, 1.0)
 
 
-def turn_at_joint(problem: Problem, joint: Joints | None, pull: Pull, moment: Number) -> tuple[PerTendon, PerTendon]:
+def turn_at_joint(
+    problem: Problem, joint: Joints | None, pull: Pull, moment: Array, frame: Array | None, force: Array
+) -> tuple[PerTendon, PerTendon]:
     """The finite angle by which a tendon turns where two pieces meet (exact kinematics), and r beyond it."""
     ratio = pull.ratio
     if joint is None:
         return jnp.zeros_like(ratio), ratio
     before, after = joint
+    wrench = None if frame is None else wrench_of(frame, moment, force)
 
-    def angle(section, ratio):
+    def pointing(section, ratio):
         tension = tension_of(section, problem.base_tension, pull._replace(ratio=ratio))
+        if isinstance(section, SpatialSection):
+            return space.tangents(section, space.strain(section, tension, wrench))
         return bending.tangent_angle(section, bending.curvature(section, tension, moment))
 
-    arriving = angle(before, ratio)
+    between = space.turn_between if problem.in_space else lambda one, other: jnp.abs(other - one)
+    arriving = pointing(before, ratio)
 
     def improve(_, guess):  # the angle beyond depends on r there only by mu d d' kappa, so this contracts fast
-        turn = jnp.where(after.present, jnp.abs(angle(after, guess[1]) - arriving), 0.0)
+        turn = jnp.where(after.present, between(arriving, pointing(after, guess[1])), 0.0)
         return turn, ratio_beyond(problem.direction, before, turn, ratio)
 
-    return jax.lax.fori_loop(0, 6, improve, (jnp.zeros_like(arriving), ratio + jnp.zeros_like(arriving)))
+    return jax.lax.fori_loop(0, 6, improve, (jnp.zeros_like(ratio), ratio + zero_as(arriving)))
 
 
 def ones_at_base(problem: Problem) -> PerTendon:
@@ -320,7 +363,28 @@ def at_base(problem: Problem) -> Nodal:
     """What holds at the base."""
     ones = ones_at_base(problem)
     moment = problem.base_moment / problem.moment_scale + zero_as(ones)
-    return Nodal(ones, None if problem.loads is None else moment)
+    if problem.loads is None:
+        return Nodal(ones, None)
+    return Nodal(ones, moment, identity_as(ones) if problem.in_space else None)
+
+
+def unloaded(manipulator: Manipulator, ones: PerTendon, loads: Loads | None) -> Nodal:
+    """The unknowns at any point of a body without friction, on which the loads do not act yet.
+
+    Args:
+        manipulator: the body.
+        ones: r.
+        loads: that will act; None for none.
+    """
+    zero = zero_as(ones)
+    if loads is None:
+        return Nodal(ones, None)
+    return Nodal(ones, zero + jnp.zeros(3), identity_as(ones)) if manipulator.in_space else Nodal(ones, zero)
+
+
+def identity_as(numbers: Array) -> Float[Array, "4"]:
+    """The rotation that turns nothing, made so that under shard_map it varies as the numbers do."""
+    return jnp.asarray(IDENTITY, numbers.dtype) + zero_as(numbers)
 
 
 def everywhere(cut: Panels, values: Nodal) -> Nodal:
@@ -331,12 +395,27 @@ def everywhere(cut: Panels, values: Nodal) -> Nodal:
 
 def nodal(problem: Problem, solution: Solution[AnyState]) -> Nodal:
     """The unknowns of a solution, from which the next pass starts."""
-    return Nodal(solution.nodes.ratio, None if problem.loads is None else solution.nodes.moment / problem.moment_scale)
+    if problem.loads is None:
+        return Nodal(solution.nodes.ratio, None)
+    frame = solution.nodes.heading if problem.in_space else None
+    return Nodal(solution.nodes.ratio, solution.nodes.moment / problem.moment_scale, frame)
 
 
-def moments_of(problem: Problem, values: Nodal) -> Float[Array, "*points"]:
+def moments_of(problem: Problem, values: Nodal) -> Float[Array, "*points_and_components"]:
     """M_ext, N m."""
-    return jnp.zeros_like(values.ratio[..., 0]) if values.moment is None else problem.moment_scale * values.moment
+    if values.moment is not None:
+        return problem.moment_scale * values.moment
+    zero = jnp.zeros_like(values.ratio[..., 0])
+    return jnp.broadcast_to(zero[..., None], (*zero.shape, 3)) if problem.in_space else zero
+
+
+def state_at_nodes(problem: Problem, values: Nodal) -> PassState:
+    """What a pass integrates, as far as it follows from the unknowns alone."""
+    moment = moments_of(problem, values)
+    heading = jnp.zeros_like(values.ratio[..., 0]) if values.frame is None else values.frame
+    if problem.in_space and values.frame is None:
+        heading = jnp.broadcast_to(jnp.asarray(IDENTITY, moment.dtype), (*moment.shape[:-1], 4))
+    return PassState(pull_at_nodes(problem, values), heading, moment, problem.outboard.nodes)
 
 
 def line_up(base: Array, nodes: Array, tip: Array) -> Array:
@@ -344,7 +423,7 @@ def line_up(base: Array, nodes: Array, tip: Array) -> Array:
     return jnp.concatenate([base[None], nodes.reshape(-1, *base.shape), tip[None]])
 
 
-def all_points(problem: Problem, solution: Solution[Kind]) -> tuple[CrossSection, Kind]:
+def all_points(problem: Problem, solution: Solution[Kind]) -> tuple[AnySection, Kind]:
     """The cross-sections and states at base, Gauss nodes and tip."""
     base = problem.base, jax.tree.map(lambda x: x[0], solution.starts)
     return jax.tree.map(line_up, base, (problem.nodes, solution.nodes), (problem.tip, solution.tip))
@@ -355,6 +434,7 @@ def at_nodes(function: Callable[..., Array], in_axes: tuple[int | None, ...]) ->
     return jax.vmap(jax.vmap(function, in_axes), in_axes)
 
 
+strain_along = at_nodes(strain_of, (0, None, 0))
 curvature_along = at_nodes(bending.curvature, (0, 0, 0))
 turning_along = at_nodes(bending.turning, (0, 0, 0, None, 0))
 
@@ -368,12 +448,23 @@ def pull_at_nodes(problem: Problem, values: Nodal) -> Pull:
     return Pull(values.ratio, None if spending is None else problem.panels.integrate(spending)[1])
 
 
-def tendon_displacement(problem: Problem, pull: Pull, moment: Float[Array, "P p"]) -> PerTendon:
-    """Length of each tendon pulled in at the base since the straight body without tension, m."""
+def tendon_displacement(problem: Problem, state: AnyState) -> PerTendon:
+    """Length of each tendon pulled in at the base since the straight body without tension, m.
+
+    Args:
+        problem: the body.
+        state: at its nodes.
+    """
     body = problem.manipulator
     outside = stretch_rate(body.tendon_compliance, problem.base_tension) * body.tendon_free_length
-    tension = tension_of(problem.nodes, problem.base_tension, pull)
-    rate = displacement_rate(body, problem.nodes, tension, moment)
+    tension = tension_of(problem.nodes, problem.base_tension, state.pull)
+    if problem.in_space:
+        strain = strain_along(problem.nodes, problem.base_tension, state)
+        rate = at_nodes(space.slip_rate_in_space, (0, 0, 0, None))(
+            problem.nodes, strain, tension, body.tendon_compliance
+        )
+    else:
+        rate = displacement_rate(body, problem.nodes, tension, state.moment)
     return jnp.sum(problem.panels.gain(rate), axis=0) + outside
 
 

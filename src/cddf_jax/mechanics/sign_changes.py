@@ -60,7 +60,9 @@ class Splits(NamedTuple):
 
 
 def num_splits(manipulator: Manipulator, loads: Loads | None) -> int:
-    """For how many sign changes there is room."""
+    """For how many sign changes there is room; of a body in space none, whose turning has no sign."""
+    if manipulator.in_space:
+        return 0
     own = _turns_on_its_own(manipulator)
     slack = 0 if manipulator.tendon_drag is None else manipulator.num_tendons
     if loads is None and manipulator.num_tendons == 1 and not own:
@@ -110,6 +112,8 @@ def at_starts_and_ends(cut: Panels, turning: Turning) -> Float[Array, "2 P owner
 
 def locate(problem: Problem, state: AnyState) -> Splits:
     """The first sign changes from the base, between neighbouring nodes and on the polynomials through them."""
+    if num_splits(problem.manipulator, problem.loads) == 0:
+        return unsplit(problem.manipulator, problem.loads)
     turning = signed_turning(problem, state)
     starts, ends = at_starts_and_ends(problem.panels, turning)
     points = jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)  # it may change beside an end
@@ -196,6 +200,8 @@ def refined_zero(
 
 def turning_at_splits(problem: Problem, solution: Solution[AnyState], splits: Splits) -> Float[Array, " splits"]:
     """The turning that should vanish at each split; for one that is not needed, its distance from the tip, m."""
+    if splits.arc_length.size == 0:
+        return splits.arc_length
     edges = problem.panels.edges
     starts = at_starts_and_ends(problem.panels, signed_turning(problem, solution.nodes))[0]
     panel = jnp.argmin(jnp.abs(edges[:-1] - splits.arc_length[:, None]), axis=1)

@@ -174,6 +174,14 @@ def solve_small(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> tupl
     return vector / safe, jnp.min(size) / jnp.maximum(jnp.max(size), jnp.finfo(size.dtype).tiny)
 
 
+def solve_definite(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> Float[Array, " n"]:
+    """As `solve_small`, without pivoting: for a matrix whose symmetric part is positive definite."""
+    for k in range(matrix.shape[0]):
+        others = jnp.where(jnp.arange(matrix.shape[0]) == k, 0.0, matrix[:, k]) / matrix[k, k]
+        matrix, vector = matrix - others[:, None] * matrix[k], vector - others * vector[k]
+    return vector / jnp.diagonal(matrix)
+
+
 def without_derivative(tree: Tree) -> Tree:
     """The same numbers as constants, which have no derivatives."""
     arrays, rest = eqx.partition(tree, eqx.is_inexact_array)

@@ -146,6 +146,13 @@ class Panels(eqx.Module):
         inside = jnp.moveaxis(values, 1, -1) @ at_nodes.T  # the matrix on the right, as in `accumulate`
         return jnp.moveaxis(inside + start[..., None] * at_start[:, 0], -1, 1)
 
+    def extended(self, values: Float[Array, "P p *k"], places: np.ndarray) -> Array:
+        """The polynomials through the nodes of the panels alone, at other places in [0, 1] of each."""
+        basis = legendre.legvander(2 * places - 1, self.order - 1)
+        basis = basis @ np.linalg.inv(legendre.legvander(2 * self.rule.nodes - 1, self.order - 1))
+        weights = jnp.asarray(basis, self.edges.dtype)
+        return jnp.moveaxis(jnp.moveaxis(values, 1, -1) @ weights.T, -1, 1)
+
     def _within(self, arc_length: Float[Array, ""]) -> tuple[Int[Array, ""], Float[Array, ""]]:
         """The panel that holds `arc_length`, and where in it that is, from 0 to 1."""
         i = jnp.sum(self.edges[1:-1] <= arc_length)

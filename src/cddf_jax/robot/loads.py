@@ -6,40 +6,65 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .profiles import Number, Scalar, as_number
+from .profiles import Number, as_number
+
+
+def _as_moment(value: object) -> Number:
+    return _as_vector(value) if isinstance(value, tuple | list) else as_number(value)
 
 
 def _as_vector(value: object) -> Number:
-    """Two components, which may be traced one by one."""
+    """Components, which may be traced one by one."""
     parts = jax.tree.leaves(value)
     return jnp.stack(parts) if len(parts) > 1 and any(isinstance(x, jax.Array) for x in parts) else as_number(value)
 
 
 class Loads(eqx.Module):
-    """Dead loads in the fixed frame X-Y at the base, whose X axis the straight body follows.
+    """Dead loads in the fixed frame at the base, whose X axis the straight body follows: X-Y in the plane, or X-Y-Z.
 
     Args:
-        tip_force: F, a force on the tip (X, Y), N.
-        tip_moment: m, a moment on the tip, N m, positive from X to Y.
-        gravity: g, the acceleration of gravity (X, Y), m/s^2; density, mass_per_length and point masses of the body
-            make weights of it.
+        tip_force: F, a force on the tip (X, Y) or (X, Y, Z), N.
+        tip_moment: m, a moment on the tip, N m: a number, positive from X to Y, or in space (X, Y, Z).
+        gravity: g, the acceleration of gravity (X, Y) or (X, Y, Z), m/s^2; density, mass_per_length and point masses
+            of the body make weights of it.
+
+    Where one of them has three components, the body is solved in space; the others may have two.
 
     Raises:
-        ValueError: when tip_force or gravity has not two components.
+        ValueError: when tip_force or gravity has neither two nor three components.
     """
 
-    tip_force: Float[Number, "2"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
-    tip_moment: Scalar = eqx.field(default=0.0, converter=as_number)
-    gravity: Float[Number, "2"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
+    tip_force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
+    tip_moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_moment)
+    gravity: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
 
     def __check_init__(self):
         for name in ("tip_force", "gravity"):
             shape = np.shape(getattr(self, name))
-            if shape[-1:] != (2,):
-                raise ValueError(f"Loads: {name} must have two components (X, Y), got shape {shape}")
+            if shape[-1:] not in ((2,), (3,)):
+                raise ValueError(f"Loads: {name} must have two or three components (X, Y, Z), got shape {shape}")
+
+    @property
+    def in_space(self) -> bool:
+        """Whether one of them has three components; static."""
+        vectors = [np.shape(self.tip_force), np.shape(self.gravity)]
+        along_path = any(len(shape) > 1 for shape in vectors)  # then a row of moments is one of numbers in the plane
+        return any(shape[-1] == 3 for shape in vectors) or (np.shape(self.tip_moment) == (3,) and not along_path)
 
 
-def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> Float[Array, "*points 2"]:
+def loads_in_space(loads: Loads) -> Loads:
+    """The same loads with three components each."""
+
+    def vector(value: Number) -> Number:
+        x = jnp.asarray(value)
+        return x if x.shape[-1] == 3 else jnp.concatenate([x, jnp.zeros_like(x[..., :1])], axis=-1)
+
+    moment = jnp.asarray(loads.tip_moment)
+    about_z = moment if moment.ndim else jnp.stack([jnp.zeros_like(moment), jnp.zeros_like(moment), moment])
+    return Loads(vector(loads.tip_force), about_z, vector(loads.gravity))
+
+
+def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> Float[Array, "*points components"]:
     """What all distributed dead loads together put on the body, N/m: its weight.
 
     A further distributed load is a field of `Loads` and a term here; the solver and its energy take it from here.
@@ -51,7 +76,7 @@ def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> 
     return mass_per_length[..., None] * jnp.asarray(loads.gravity)
 
 
-def force_at_points(loads: Loads, mass: Float[Array, " masses"]) -> Float[Array, "masses 2"]:
+def force_at_points(loads: Loads, mass: Float[Array, " masses"]) -> Float[Array, "masses components"]:
     """The dead load of each point mass, N: its weight."""
     return mass[:, None] * jnp.asarray(loads.gravity)
 

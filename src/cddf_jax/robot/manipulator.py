@@ -1,20 +1,23 @@
 """The manipulator: a conical or free-form body, its tendons and its material, as one pytree."""
 
-from collections.abc import Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
+from ..numerics.arrays import cos_sin
+from .cross_section import CrossSection, Kinematics, SpatialSection
 from .profiles import Constant, Linear, Number, Points, Profile, Scalar, as_number, as_profile, breakpoints
 
-Kinematics = Literal["published", "exact"]
 KINEMATICS = ("published", "exact")
+_STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 Taper = ArrayLike | Sequence[ArrayLike]  # one number, or a pair (base, tip)
 
 
@@ -26,13 +29,22 @@ def _as_optional_profile(value: Profile | ArrayLike | None) -> Profile | None:
     return None if value is None else as_profile(value)
 
 
+def _as_rest_curvature(value: Any) -> tuple[Profile, ...] | None:
+    if value is None:
+        return None
+    parts = tuple(value)
+    if len(parts) != 3:
+        raise ValueError(f"Manipulator: rest_curvature must have three components (twist, y, z), got {len(parts)}")
+    return tuple(as_profile(part) for part in parts)
+
+
 def _as_modulus(value: Profile | ArrayLike | None) -> Profile | Number | None:
     """A number stays a number, named as the whole modulus; what varies along the body is a profile."""
     return _as_optional_profile(value) if callable(value) else _as_optional_number(value)
 
 
 class Tendon(eqx.Module):
-    """A tendon at the distance `offset` from the neutral axis, on side +1 or -1 of it.
+    """A tendon at the distance `offset` from the neutral axis: on side +1 or -1 of it, or at an angle around it.
 
     Args:
         offset: d(s) >= 0, profile or number, m.
@@ -42,9 +54,11 @@ class Tendon(eqx.Module):
         axial_stiffness: E A of the tendon, N; None for a tendon that does not stretch.
         free_length: of the tendon between body and actuator, m, which stretches as well.
         drag: its own w, N/m; None for the manipulator's.
+        angle: around the axis, profile or number, rad, from y to z of the cross-section: a helix is `Linear`. None for
+            a tendon in the plane, at 0 on side +1 and at pi on side -1. A body is in space where a tendon has an angle.
 
     Raises:
-        ValueError: when side is neither +1 nor -1.
+        ValueError: when side is neither +1 nor -1, or there is an angle and a side of -1.
     """
 
     offset: Profile = eqx.field(converter=as_profile)
@@ -54,10 +68,13 @@ class Tendon(eqx.Module):
     axial_stiffness: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     free_length: Scalar = eqx.field(default=0.0, converter=as_number)
     drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    angle: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
 
     def __check_init__(self):
         if self.side not in (+1, -1):
             raise ValueError(f"Tendon: side must be +1 or -1, got {self.side!r}")
+        if self.side == -1 and self.angle is not None:
+            raise ValueError("Tendon: side=-1 is the angle pi; give the angle alone")
 
 
 class PointMass(eqx.Module):
@@ -72,24 +89,11 @@ class PointMass(eqx.Module):
     mass: Scalar = eqx.field(converter=as_number)
 
 
-class CrossSection(eqx.Module):
-    """The properties of a cross-section at one arc length; primes are derivatives along s."""
-
-    stiffness: Float[Array, ""]  # E J, N m^2
-    stiffness_rate: Float[Array, ""]  # (E J)', N m
-    offset: Float[Array, " tendons"]  # d, m
-    offset_slope: Float[Array, " tendons"]  # d', -
-    offset_bend: Float[Array, " tendons"]  # d'', 1/m
-    side: Float[Array, " tendons"]  # sigma, +-1
-    friction_coefficient: Float[Array, " tendons"]  # mu, -
-    drag: Float[Array, " tendons"] | None  # w, N/m, zero beyond the anchor; None where no tendon has any
-    present: Bool[Array, " tendons"]  # false beyond the anchor of a tendon
-    kinematics: Kinematics = eqx.field(static=True)
-    slanted: bool = eqx.field(static=True)  # false when every offset is Constant
-
-
 class Manipulator(eqx.Module):
-    """A tendon-driven continuum manipulator in the plane; SI units.
+    """A tendon-driven continuum manipulator in the plane or in space; SI units.
+
+    It is in space where a tendon has an angle, where the axis is extensible or has a curvature at rest, or where its
+    loads have three components; then it twists as well.
 
     Its bending stiffness is E J, from radii and modulus with J of eq. (12), or `bending_stiffness`. Its weight under
     gravity is that of density, `mass_per_length` and `point_masses` together.
@@ -113,12 +117,19 @@ class Manipulator(eqx.Module):
         bending_stiffness: E I, N m^2, profile or number, in place of the modulus.
         stiffness_factor: by which the stiffness is multiplied, -; None for 1. It is what a fit finds of a body that
             has no single modulus.
+        poissons_ratio: nu of the material, -; the shear modulus is E / (2 (1 + nu)). It matters in space.
+        extensible: whether the axis stretches and shears.
+        rest_curvature: of the body in space without moment, 1/m: three profiles or numbers (twist, about y, about z).
+        torsional_stiffness, axial_stiffness, shear_stiffness: N m^2, N, N, profiles or numbers, in place of what radii,
+            modulus and Poisson's ratio make of them; in space they are required where there are no radii, the latter
+            two where the axis is extensible.
 
     Values are not checked here, as they may be traced: `validate` does that on the host.
 
     Raises:
         ValueError: for unknown kinematics, no tendon, no friction coefficient, one radius without the other, and
-            unless either modulus (with radii) or bending_stiffness is given; for a density without radii.
+            unless either modulus (with radii) or bending_stiffness is given; for a density without radii; in space for
+            published kinematics, or a stiffness that neither is given nor follows from radii.
     """
 
     length: Scalar = eqx.field(converter=as_number)
@@ -135,6 +146,12 @@ class Manipulator(eqx.Module):
     point_masses: tuple[PointMass, ...] = eqx.field(default=(), converter=tuple)
     bending_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
     stiffness_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    poissons_ratio: Scalar = eqx.field(default=0.5, converter=as_number)
+    extensible: bool = eqx.field(default=False, static=True)
+    rest_curvature: tuple[Profile, Profile, Profile] | None = eqx.field(default=None, converter=_as_rest_curvature)
+    torsional_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    axial_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    shear_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
 
     def __check_init__(self):
         if self.kinematics not in KINEMATICS:
@@ -147,6 +164,16 @@ class Manipulator(eqx.Module):
         if self.friction_coefficient is None:
             raise ValueError("Manipulator: friction_coefficient is missing; give mu, 0 for none")
         self._check_stiffness()
+        if self.in_space:
+            self._check_space()
+
+    def _check_space(self):
+        if self.kinematics == "published":
+            raise ValueError("Manipulator: the published kinematics are those of the plane; in space take 'exact'")
+        needed = ("torsional_stiffness", *(("axial_stiffness", "shear_stiffness") if self.extensible else ()))
+        missing = [name for name in needed if getattr(self, name) is None]
+        if missing and not self.has_radii:
+            raise ValueError(f"Manipulator: a body in space without radii needs {' and '.join(missing)}")
 
     def _check_stiffness(self):
         if (self.outer_radius is None) != (self.inner_radius is None):
@@ -177,7 +204,9 @@ class Manipulator(eqx.Module):
         """What may vary along the body, as far as it is there, by name, such as "outer_radius", "tendons.0.offset"."""
         found: dict[str, Any] = {name: getattr(self, name) for name in ("outer_radius", "inner_radius")}
         found |= {f"tendons.{i}.offset": tendon.offset for i, tendon in enumerate(self.tendons)}
-        found |= {name: getattr(self, name) for name in ("youngs_modulus", "bending_stiffness", "mass_per_length")}
+        found |= {f"tendons.{i}.angle": tendon.angle for i, tendon in enumerate(self.tendons)}
+        found |= {name: getattr(self, name) for name in ("youngs_modulus", *_STIFFNESSES, "mass_per_length")}
+        found |= {f"rest_curvature.{i}": part for i, part in enumerate(self.rest_curvature or ())}
         return {name: found[name] for name in found if callable(found[name])}
 
     @property
@@ -207,9 +236,16 @@ class Manipulator(eqx.Module):
         return jnp.concatenate(named) if named else jnp.zeros_like(jnp.asarray(self.length), shape=0)
 
     @property
+    def in_space(self) -> bool:
+        """Whether the body may leave the plane; static."""
+        turned = any(tendon.angle is not None for tendon in self.tendons)
+        return turned or self.extensible or self.rest_curvature is not None
+
+    @property
     def slanted(self) -> bool:
-        """Whether any tendon may change its distance from the neutral axis."""
-        return not all(isinstance(tendon.offset, Constant) for tendon in self.tendons)
+        """Whether any tendon may change its distance from the neutral axis, or wind around it."""
+        places = [place for tendon in self.tendons for place in (tendon.offset, tendon.angle) if place is not None]
+        return not all(isinstance(place, Constant) for place in places)
 
     @property
     def tendon_friction(self) -> Float[Array, " tendons"]:
@@ -287,8 +323,60 @@ class Manipulator(eqx.Module):
             return jnp.full_like(jnp.asarray(curvature), jnp.nan)
         return self.outer_radius(arc_length) * curvature
 
+    def arms(self, arc_length: Float[ArrayLike, ""]) -> Float[Array, "tendons 3"]:
+        """The place rho of each tendon in the cross-section (x, y, z) at one arc length, m; x is along the axis."""
+        offset, none = self.offset(arc_length), jnp.zeros_like(jnp.asarray(arc_length))
+        sides = [none if tendon.side > 0 else none + jnp.pi for tendon in self.tendons]
+        angles = [side if t.angle is None else t.angle(arc_length) for t, side in zip(self.tendons, sides, strict=True)]
+        cosine, sine = cos_sin(jnp.stack(angles))
+        return jnp.stack([jnp.zeros_like(offset), offset * cosine, offset * sine], axis=-1)
+
+    def strain_stiffness(self, arc_length: Float[ArrayLike, ""]) -> Float[Array, " strains"]:
+        """In torsion and twice in bending, N m^2; of an extensible body also along the axis and twice in shear, N."""
+        bending, shear_factor = self.stiffness(arc_length), 0.5 / (1.0 + jnp.asarray(self.poissons_ratio))
+        factor = 1.0 if self.stiffness_factor is None else jnp.asarray(self.stiffness_factor)
+
+        def given_or(given: Profile | None, otherwise: Callable[[], Array]) -> Array:
+            return otherwise() if given is None else factor * given(arc_length)
+
+        torsion = given_or(self.torsional_stiffness, lambda: 2.0 * shear_factor * bending)
+        parts = [torsion, bending, bending]
+        if self.extensible:
+
+            def stretching() -> Array:  # E A
+                return bending * self.area(arc_length) / self.second_moment(arc_length)
+
+            shear = given_or(self.shear_stiffness, lambda: shear_factor * stretching())
+            parts += [given_or(self.axial_stiffness, stretching), shear, shear]
+        return jnp.stack(parts)
+
+    def cross_section_in_space(self, arc_length: Float[ArrayLike, ""]) -> SpatialSection:
+        """Everything that the mechanics needs at one arc length of a body in space."""
+        s = jnp.asarray(arc_length)
+        arm, ahead = jax.jvp(self.arms, (s,), (jnp.ones_like(s),))
+        eye, ends = jnp.eye(3, dtype=s.dtype), [jnp.inf if t.end is None else t.end for t in self.tendons]
+        lever = -jnp.cross(arm[:, None, :], eye).swapaxes(-1, -2)  # u x rho = -[rho]x u
+        rest = jnp.zeros(3, s.dtype)
+        if self.rest_curvature is not None:
+            rest = jnp.stack([part(s) for part in self.rest_curvature])
+        if self.extensible:
+            lever = jnp.concatenate([lever, jnp.broadcast_to(eye, lever.shape)], axis=-1)
+            rest = jnp.concatenate([rest, eye[0]])
+        present, drag = jnp.stack([s <= jnp.asarray(end) for end in ends]), self.tendon_drag
+        return SpatialSection(
+            stiffness=self.strain_stiffness(s),
+            rest=rest,
+            offset=self.offset(s),
+            lever=lever,
+            ahead=ahead if self.extensible else ahead + eye[0],
+            friction_coefficient=self.tendon_friction,
+            drag=None if drag is None else jnp.where(present, drag, 0.0),
+            present=present,
+            parallel=not self.slanted and not self.extensible and self.rest_curvature is None,
+        )
+
     def cross_section(self, arc_length: Float[ArrayLike, ""]) -> CrossSection:
-        """Everything that the mechanics needs at one arc length."""
+        """Everything that the mechanics needs at one arc length of a body in the plane."""
         s = jnp.asarray(arc_length)
         one = jnp.ones_like(s)
         stiffness, stiffness_rate = jax.jvp(self.stiffness, (s,), (one,))
@@ -324,6 +412,15 @@ class Manipulator(eqx.Module):
 
         check_manipulator(self, offsets_outside_wall)
         return self
+
+
+def in_space(manipulator: Manipulator) -> Manipulator:
+    """The same body, whose tendons all have an angle: 0 and pi in the place of the sides +1 and -1."""
+    if all(tendon.angle is not None for tendon in manipulator.tendons):
+        return manipulator
+    angles = {+1: 0.0, -1: np.pi}
+    tendons = [t if t.angle is not None else replace(t, side=1, angle=angles[t.side]) for t in manipulator.tendons]
+    return replace(manipulator, tendons=tuple(tendons))
 
 
 def conical(

@@ -14,11 +14,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..mechanics.directions import Directions, not_stated, stated_directions
-from ..mechanics.problem import Problem
+from ..mechanics.fixed_point import FixedPoint
+from ..mechanics.problem import Method, Problem
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Number
-from .targets import Actuation, CurvatureAt, Target
+from .targets import Actuation, CurvatureAt, Target, TipStiffness
 
 PerTendon = Float[Array, " tendons"]
 Tree = TypeVar("Tree")
@@ -65,12 +66,26 @@ def checked_loads(loads: Loads | None) -> Loads | None:
         return None
     if not isinstance(loads, Loads):
         raise TypeError(f"solve: loads must be a Loads, as in Loads(tip_force=(0.0, -1.0)), got {loads!r}")
-    shapes = {"tip_force": (2,), "tip_moment": (), "gravity": (2,)}
-    for name, shape in shapes.items():
+    shapes = {"tip_force": ((2,), (3,)), "tip_moment": ((), (3,)), "gravity": ((2,), (3,))}
+    for name, allowed in shapes.items():
         found = np.shape(getattr(loads, name))
-        if found != shape:
-            raise ValueError(f"solve: loads.{name} must have shape {shape}, got {found}; batch with jax.vmap")
+        if found not in allowed:
+            known = " or ".join(map(str, allowed))
+            raise ValueError(f"solve: loads.{name} must have shape {known}, got {found}; batch with jax.vmap")
     return loads
+
+
+def check_in_space(method: Method, targets: tuple[Target | None, ...]) -> None:
+    """Refuse what is known in the plane alone.
+
+    Raises:
+        ValueError: names it, and what to take.
+    """
+    if not isinstance(method, FixedPoint):
+        raise ValueError(f"solve: {type(method).__name__} is a method for the plane; take FixedPoint() in space")
+    for target in targets:
+        if isinstance(target, CurvatureAt | TipStiffness):
+            raise ValueError(f"solve: {type(target).__name__} is a target in the plane; in space take another target")
 
 
 def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Directions) -> tuple[PyTree, PyTree]:

@@ -16,18 +16,20 @@ from ..mechanics.friction import PerTendon
 from ..mechanics.problem import (
     AnyState,
     Method,
+    Moment,
     Nodal,
     Number,
     PassState,
     Problem,
     Solution,
     loaded_to,
-    moments_of,
     nodal,
-    pull_at_nodes,
+    state_at_nodes,
     tendon_displacement,
 )
 from ..numerics.arrays import largest, largest_size, relative_size, varying_as, zero_as
+from ..numerics.implicit import solve_small
+from ..numerics.rotations import cross, small_turn
 
 ROUGH = 1e-3  # relative tolerance of the states on the way
 STEADY = 1e-2  # relative tolerance of the slopes on the way
@@ -37,25 +39,28 @@ Flag = Bool[Array, ""]
 
 
 class Headings(NamedTuple):
-    """The heading phi at the nodes and at the tip, rad, or slopes of it along a leading axis K."""
+    """The heading phi at the nodes and at the tip, rad, or slopes of it along a leading axis K.
 
-    nodes: Float[Array, "*K P p"]
-    tip: Float[Array, "*K"]
+    In space it is twice the quaternion, whose change is an angle.
+    """
+
+    nodes: Float[Array, "*K_P_p_and_components"]
+    tip: Float[Array, "*K_and_components"]
 
 
 class Slopes(NamedTuple):
-    """Slopes along a leading axis of two: with respect to M_ext(0), and to the loads or the tensions."""
+    """Slopes along a leading axis: with respect to each component of M_ext(0), last to the loads or the tensions."""
 
     nodal: Nodal
     heading: Headings
-    residual: Float[Array, "2"]  # of the residual moment at the tip
+    residual: Float[Array, "slopes *components"]  # of the residual moment at the tip
 
 
 class Trial(NamedTuple):
     """One corrector iterate at a load fraction: each pass brings it nearer to the equilibrium there."""
 
     nodal: Nodal
-    moment: Number | None  # M_ext(0) over its scale; None without loads
+    moment: Moment | None  # M_ext(0) over its scale; None without loads
     heading: Headings | None  # likewise
     slopes: Slopes | None  # likewise
     near: Flag  # near enough to the equilibrium to take the next step from here
@@ -71,8 +76,27 @@ class Trial(NamedTuple):
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
         if self.slopes is None:
             return self.settled | True  # true on all devices of shard_map over which the others vary
+        if self.moment is not None and self.moment.ndim:
+            return self._stable_in_space
         slope = by_moment(self.slopes.heading)
         return (self.slopes.residual[0] > 0) & (slope.tip > 0) & (largest(-slope.nodes) < 0)
+
+    @property
+    def _stable_in_space(self) -> Flag:
+        """Turns Y of the cross-sections by M_ext(0), and M_ext(L) by M_ext(0): no eigenvalue has become negative.
+
+        Each is judged by the three invariants, which also tell two eigenvalues that became negative together.
+        """
+        assert self.heading is not None
+        assert self.slopes is not None
+        turns = [
+            jnp.moveaxis(small_turn(slope, heading), 0, -1) * 2.0  # headings are twice a quaternion
+            for slope, heading in zip(by_moment(self.slopes.heading), self.heading, strict=True)
+        ]
+        nodes, tip = (jnp.min(_invariants(turn)) for turn in turns)
+        moment = by_moment(self.slopes.residual).T
+        stiffness = jnp.stack([solve_small(turns[1].T, row)[0] for row in moment])  # M_ext(L) by the turn of the tip
+        return (nodes > 0) & (tip > 0) & (jnp.min(_invariants(stiffness + stiffness.T)) > 0)
 
     @property
     def leverage(self) -> Number:
@@ -85,7 +109,7 @@ class Trial(NamedTuple):
         if self.slopes is None:
             return jnp.ones_like(self.change)
         turned, least = largest_size(by_moment(self.slopes.heading)), jnp.finfo(self.change.dtype).eps
-        corrected = turned / jnp.maximum(jnp.abs(self.slopes.residual[0]), least)
+        corrected = turned / jnp.maximum(steepness(self.slopes.residual), least)
         return jnp.maximum(corrected, jnp.sqrt(jnp.maximum(turned, 1.0)))
 
 
@@ -95,7 +119,7 @@ class LoadedBody(NamedTuple):
     problem: Problem
     method: Method
 
-    def at(self, moment: Number, fraction: Number, pull: Number) -> Problem:
+    def at(self, moment: Moment, fraction: Number, pull: Number) -> Problem:
         """The problem at a moment over its scale, a load fraction, and a factor on all base tensions."""
         here = loaded_to(self.problem, fraction, moment * self.problem.moment_scale)
         return eqx.tree_at(lambda problem: problem.base_tension, here, pull * here.base_tension)
@@ -111,32 +135,37 @@ class LoadedBody(NamedTuple):
         """
         if trial.moment is None or trial.slopes is None:
             return self._improve(trial)
-        one = jnp.ones_like(trial.moment)
+        one = jnp.ones_like(trial.change)
 
-        def flow(guess: Nodal, moment: Number, fraction: Number, pull: Number):
+        def flow(guess: Nodal, moment: Moment, fraction: Number, pull: Number):
             here = self.at(moment, fraction, pull)
             solution = self.method.improve(here, guess)
             heading = Headings(solution.nodes.heading, solution.tip.heading)
+            heading = jax.tree.map(lambda x: 2.0 * x, heading) if here.in_space else heading
             return (nodal(here, solution), heading, moment_left_at_tip(here, solution)), solution
 
         def push(*tangents):
             return jax.jvp(flow, (trial.nodal, trial.moment, fraction, one), tangents, has_aux=True)
 
         zero, second = zero_as(trial.moment, fraction), jnp.where(by_loads, one, 0.0)
-        seeds = jnp.stack([jnp.stack([one, zero]), jnp.stack([zero, second]), jnp.stack([zero, one - second])])
+        none = [zero] * max(trial.moment.size, 1)
+        basis = jnp.eye(trial.moment.size, dtype=one.dtype) + zero
+        by_moment_at_base = jnp.concatenate([basis, 0.0 * basis[:1]]) if trial.moment.ndim else jnp.stack([one, zero])
+        seeds = by_moment_at_base, jnp.stack([*none, second]), jnp.stack([*none, one - second])
         (values, heading, residual), slopes, solution = jax.vmap(push, out_axes=(None, 0, None))(
             trial.slopes.nodal, *seeds
         )
         slopes = Slopes(*slopes)
         newton, off = _newton(trial.moment, residual, slopes)
-        rough = (solution.residual > jnp.abs(residual)) & ~solution.converged  # the residual may be that of the pass
+        rough = (solution.residual > magnitude(residual)) & ~solution.converged  # the residual may be that of the pass
         correction = jnp.where(rough, 0.0, newton)
-        sane = jnp.isfinite(newton) & jnp.isfinite(solution.residual) & ~solution.locked
+        sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(slopes.residual - trial.slopes.residual, slopes.residual)
-        enough = ROUGH * jnp.minimum(1.0, jnp.abs(slopes.residual[0]))  # the sign of that slope must be known
+        enough = ROUGH * jnp.minimum(1.0, steepness(slopes.residual))  # the sign of that slope must be known
         settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5)
         near = sane & (jnp.maximum(off, solution.residual) <= enough)
-        steady = jnp.abs(slopes.residual[0] - trial.slopes.residual[0]) <= STEADY * jnp.abs(slopes.residual[0])
+        drifted = magnitude(by_moment(slopes.residual) - by_moment(trial.slopes.residual))
+        steady = drifted <= STEADY * steepness(slopes.residual)
         return trial._replace(
             moment=trial.moment + correction,
             nodal=_moved(values, slopes.nodal, correction),
@@ -167,53 +196,91 @@ class LoadedBody(NamedTuple):
 
     def state(self, trial: Trial, fraction: Number) -> PassState:
         """At the nodes."""
-        problem = self.problem if trial.moment is None else self.at(trial.moment, fraction, jnp.ones_like(trial.moment))
-        moment = moments_of(problem, trial.nodal)
-        heading = jnp.zeros_like(moment) if trial.heading is None else trial.heading.nodes
-        return PassState(pull_at_nodes(problem, trial.nodal), heading, moment, problem.outboard.nodes)
+        problem = self.problem if trial.moment is None else self.at(trial.moment, fraction, jnp.ones_like(trial.change))
+        state = state_at_nodes(problem, trial.nodal)
+        return state if trial.heading is None or problem.in_space else state._replace(heading=trial.heading.nodes)
 
     def travel(self, trial: Trial, fraction: Number) -> PerTendon:
         """How far tendons slide in, m; under loads the rate at which they do while all base tensions rise together."""
 
-        def displacement(guess: Nodal, moment: Number, pull: Number) -> PerTendon:
+        def displacement(guess: Nodal, moment: Moment, pull: Number) -> PerTendon:
             here = self.at(moment, fraction, pull)
-            return tendon_displacement(here, pull_at_nodes(here, guess), moments_of(here, guess))
+            return tendon_displacement(here, state_at_nodes(here, guess))
 
         if trial.moment is None or trial.slopes is None:
-            return tendon_displacement(
-                self.problem, pull_at_nodes(self.problem, trial.nodal), moments_of(self.problem, trial.nodal)
-            )
-        one = jnp.ones_like(trial.moment)
-        by_moment, by_pull = trial.slopes.residual
-        follows = jnp.where(by_pull == 0, 0.0, -by_pull / by_moment)  # of M_ext(0), for M_ext(L) to stay m
-        moved = jax.tree.map(lambda slopes: slopes[1] + follows * slopes[0], trial.slopes.nodal)
+            return tendon_displacement(self.problem, state_at_nodes(self.problem, trial.nodal))
+        one = jnp.ones_like(trial.change)
+        follows = moment_that_follows(trial.slopes.residual)
+        moved = jax.tree.map(lambda slopes: slopes[-1] + along_moment(slopes, follows), trial.slopes.nodal)
         return jax.jvp(displacement, (trial.nodal, trial.moment, one), (moved, follows, one))[1]
 
 
+# --- M_ext(0) is one number in the plane, and three in space ---------------------------------------
+
+
 def by_moment(slopes: Tree) -> Tree:
-    """The slopes with respect to M_ext(0), which stand first."""
-    return jax.tree.map(lambda x: x[0], slopes)
+    """The slopes with respect to M_ext(0), which stand first; in space along an axis of three."""
+    return jax.tree.map(lambda x: x[0] if x.shape[0] == 2 else x[:-1], slopes)
 
 
-def _moved(values: Tree, slopes: Tree, moment: Number) -> Tree:
+def along_moment(slopes: Array, change: Moment) -> Array:
+    """What a change of M_ext(0), over its scale, makes of numbers with these slopes."""
+    return change * slopes[0] if change.ndim == 0 else jnp.tensordot(change, slopes[:-1], 1)
+
+
+def moment_for(residual_slopes: Float[Array, "slopes *components"], change: Moment) -> Moment:
+    """The change of M_ext(0) that changes the residual moment at the tip so."""
+    if change.ndim == 0:
+        return change / residual_slopes[0]
+    return solve_small(residual_slopes[:-1].T, change)[0]
+
+
+def moment_that_follows(residual_slopes: Float[Array, "slopes *components"]) -> Moment:
+    """How M_ext(0) follows the loads or the tensions, for M_ext(L) to stay m."""
+    still = magnitude(residual_slopes[-1]) == 0
+    return jnp.where(still, 0.0, -moment_for(residual_slopes, residual_slopes[-1]))
+
+
+def steepness(residual_slopes: Float[Array, "slopes *components"]) -> Number:
+    """By how much the residual moment at the tip changes at least with M_ext(0); about, where it has components."""
+    slope = by_moment(residual_slopes)
+    if slope.ndim == 0:
+        return jnp.abs(slope)
+    return jnp.abs(_invariants(slope)[2]) / jnp.maximum(largest_size(slope), jnp.finfo(slope.dtype).tiny) ** 2
+
+
+def magnitude(moment: Array) -> Number:
+    """The largest component."""
+    return jnp.abs(moment) if moment.ndim == 0 else largest_size(moment)
+
+
+def _invariants(matrix: Float[Array, "*points 3 3"]) -> Float[Array, "3 *points"]:
+    """The trace, the sum of the principal minors, and the determinant."""
+    a, b, c = (matrix[..., i, :] for i in range(3))
+    trace = a[..., 0] + b[..., 1] + c[..., 2]
+    of_square = jnp.sum(matrix * jnp.swapaxes(matrix, -1, -2), axis=(-2, -1))
+    return jnp.stack([trace, (trace**2 - of_square) / 2, jnp.sum(a * cross(b, c), axis=-1)])
+
+
+def _moved(values: Tree, slopes: Tree, moment: Moment) -> Tree:
     """The values after a change of M_ext(0), over its scale."""
-    return jax.tree.map(lambda x, slope: x + moment * slope[0], values, slopes)
+    return jax.tree.map(lambda x, slope: x + along_moment(slope, moment), values, slopes)
 
 
 def _round_off(x: Array) -> float:
     return 4 * float(jnp.finfo(x.dtype).eps)
 
 
-def _newton(moment: Number, residual: Number, slopes: Slopes) -> tuple[Number, Number]:
+def _newton(moment: Moment, residual: Moment, slopes: Slopes) -> tuple[Moment, Number]:
     """The Newton step of M_ext(0), and the largest angle by which it turns the body, rad."""
-    exact = jnp.abs(residual) <= _round_off(residual)  # also where its slope vanishes
-    step = jnp.where(exact, 0.0, -residual / slopes.residual[0])
-    size = 1 + jnp.abs(moment)
-    turned = jnp.abs(step) * jnp.maximum(1 / size, largest_size(by_moment(slopes.heading)))
-    return step, jnp.where(jnp.abs(step) <= _round_off(step) * size, 0.0, turned)  # less than rounding
+    exact = magnitude(residual) <= _round_off(residual)  # also where its slope vanishes
+    step = jnp.where(exact, 0.0, -moment_for(slopes.residual, residual))
+    size, length = 1 + magnitude(moment), magnitude(step)
+    turned = length * jnp.maximum(1 / size, largest_size(by_moment(slopes.heading)))
+    return step, jnp.where(length <= _round_off(step) * size, 0.0, turned)  # less than rounding
 
 
-def moment_left_at_tip(problem: Problem, solution: Solution[AnyState]) -> Number:
+def moment_left_at_tip(problem: Problem, solution: Solution[AnyState]) -> Moment:
     """M_ext(L) - m over the moment scale."""
     assert problem.loads is not None
     return (solution.tip.moment - problem.loads.tip_moment) / problem.moment_scale
@@ -222,14 +289,17 @@ def moment_left_at_tip(problem: Problem, solution: Solution[AnyState]) -> Number
 def start_from(guess: Nodal, zero: Number) -> Trial:
     """A trial that knows nothing but a guess of the values at the nodes; 0 under shard_map varies as all numbers do."""
     guess, false, true = varying_as(guess, zero), zero > 0, zero == 0
-    heading = slopes = None
+    heading = slopes = moment = None
     if guess.moment is not None:
-        heading = Headings(zero + jnp.zeros(guess.moment.shape, zero.dtype), zero)
-        none = jax.tree.map(jnp.zeros_like, guess), heading, zero
-        slopes = Slopes(*jax.tree.map(lambda x: jnp.stack([x, x]), none))
+        in_space = guess.frame is not None
+        moment = zero + jnp.zeros(3) if in_space else zero
+        shape = guess.frame.shape if guess.frame is not None else guess.moment.shape
+        heading = Headings(zero + jnp.zeros(shape, zero.dtype), zero + jnp.zeros(shape[2:], zero.dtype))
+        none = jax.tree.map(jnp.zeros_like, guess), jax.tree.map(jnp.zeros_like, heading), moment
+        slopes = Slopes(*jax.tree.map(lambda x: jnp.stack([x] * (4 if in_space else 2)), none))
     return Trial(
         nodal=guess,
-        moment=None if slopes is None else zero,
+        moment=moment,
         heading=heading,
         slopes=slopes,
         near=false,

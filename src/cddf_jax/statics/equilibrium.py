@@ -10,12 +10,14 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
-from ..mechanics import bending
-from ..mechanics.problem import State, edge_nudge, guarded_section, moment_rate_of, tension_of
+from ..mechanics.problem import State, edge_nudge, guarded_section, strain_of
 from ..numerics.quadrature import Panels
+from ..numerics.rotations import length_of
 from ..programs.kept import kept_program
-from ..robot.manipulator import CrossSection, Manipulator
+from ..robot.cross_section import SpatialSection
+from ..robot.manipulator import Manipulator
 from ..robot.profiles import Number
+from .fields import AnyFields, fields_at, tendons_first
 
 PerTendon = Float[Array, " tendons"]
 Tree = TypeVar("Tree")
@@ -123,37 +125,26 @@ NOTEWORTHY = (
 )
 
 
-class Fields(eqx.Module):
-    """What varies along the body, at one or several arc lengths; per tendon first."""
-
-    arc_length: Float[Array, "*points"]  # s, m
-    curvature: Float[Array, "*points"]  # kappa, 1/m, positive towards +n
-    heading: Float[Array, "*points"]  # phi, rad
-    position: Float[Array, "*points 2"]  # u, m, in the fixed frame at the base
-    tension: Float[Array, "tendons *points"]  # T, N; zero beyond the anchor of a tendon
-    wrap_angle: Float[Array, "tendons *points"]  # theta, rad, counted from the base
-    normal_force: Float[Array, "tendons *points 2"]  # F_CDDN on the body, N/m, fixed frame
-    friction_force: Float[Array, "tendons *points 2"]  # F_CDDF on the body, N/m, fixed frame
-
-
 class Equilibrium(eqx.Module):
     """A manipulator in static equilibrium.
 
     Where no equilibrium was found, the numbers are NaN and `result` says why. `result` also says when numbers may be
     wrong (`crossing`, `inaccurate`, `direction_contradicted`).
 
-    Every attribute of `Fields` is an attribute here as well, at the base, the Gauss nodes and the tip.
+    Every attribute of `Fields`, or of `SpatialFields` where the body is in space, is an attribute here as well, at the
+    base, the Gauss nodes and the tip.
     """
 
-    along: Fields  # all that varies along the body
-    tip_position: Float[Array, "2"]  # u(L), m
-    tip_angle: Float[Array, ""]  # phi(L), rad
+    along: AnyFields  # all that varies along the body
+    tip_position: Float[Array, " components"]  # u(L), m
+    tip_angle: Float[Array, ""]  # phi(L), rad; in space between the axes of tip and base, from 0 to pi
+    tip_frame: Float[Array, "3 3"] | None  # of a body in space: its columns are the axes of the tip
     tip_tension: Float[Array, " tendons"]  # N; at its anchor for a tendon that ends before the tip
     tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction; without base tension that of bending alone
     tendon_displacement: Float[Array, " tendons"]  # m, pulled in at the base since the straight body: positive
     base_tension: Float[Array, " tendons"]  # N; found where a target stood in its place
     target_miss: Float[Array, " tendons"]  # reached less wanted, in the target's unit; 0 where the tension was given
-    base_moment: Float[Array, ""]  # M_ext(0), N m, that the dead loads put on the base
+    base_moment: Float[Array, "*components"]  # M_ext(0), N m, that the dead loads put on the base
     load_fraction: Float[Array, ""]  # of the loads, up to which there is an equilibrium: 1, or the limit load
     num_load_steps: Int[Array, ""]  # in which the loads were put on; 1 where one step would do, 0 without loads
     stable: Bool[Array, ""]  # at constant base tensions and dead loads, sliding as `direction` says
@@ -173,6 +164,9 @@ class Equilibrium(eqx.Module):
     wrap_angle = property(lambda self: self.along.wrap_angle, doc="theta, rad, (tendons, points).")
     normal_force = property(lambda self: self.along.normal_force, doc="F_CDDN, N/m, (tendons, points, 2).")
     friction_force = property(lambda self: self.along.friction_force, doc="F_CDDF, N/m, (tendons, points, 2).")
+    frame = property(lambda self: self.along.frame, doc="R of a body in space, (points, 3, 3).")
+    twist = property(lambda self: self.along.twist, doc="The twist of a body in space, 1/m, (points,).")
+    path = property(lambda self: self.along.path, doc="The place of each tendon in space, m, (tendons, points, 3).")
 
     @property
     def has_wall(self) -> bool:
@@ -228,7 +222,7 @@ class Equilibrium(eqx.Module):
         """The panels of the solve: they end where the body is not smooth and where the curvature changes its sign."""
         return self._dense.panels
 
-    def at(self, arc_length: ArrayLike) -> Fields:
+    def at(self, arc_length: ArrayLike) -> AnyFields:
         """The same fields anywhere along the body.
 
         Args:
@@ -260,10 +254,9 @@ class Dense(eqx.Module):
         """The integrated state at one arc length."""
         return self.panels.interpolate(self.starts, self.nodes, arc_length)
 
-    def __call__(self, arc_length: Float[Array, ""]) -> Fields:
+    def __call__(self, arc_length: Float[Array, ""]) -> AnyFields:
         """The fields at one arc length, tendons last."""
-        section, state = guarded_section(self.manipulator, arc_length), self.state(arc_length)
-        fields = fields_at(section, self.base_tension, self.direction, arc_length, state)
+        fields = fields_at(self.manipulator, self.base_tension, self.direction, arc_length, self.state)
         inside = (arc_length >= 0) & (arc_length <= self.panels.edges[-1])
         return nan_unless(self.solved & inside, fields)
 
@@ -284,38 +277,20 @@ class Dense(eqx.Module):
 
     def _strain(self, arc_length: Float[Array, ""], state: State) -> Float[Array, ""]:
         section = guarded_section(self.manipulator, arc_length)
-        curvature = bending.curvature(section, tension_of(section, self.base_tension, state.pull), state.moment)
-        return self.manipulator.outer_strain(arc_length, curvature)
+        strain = strain_of(section, self.base_tension, state)
+        if not isinstance(section, SpatialSection):
+            return self.manipulator.outer_strain(arc_length, strain)
+        strain = strain - section.rest
+        bent = jnp.abs(self.manipulator.outer_strain(arc_length, length_of(strain[1:3])))
+        return bent + jnp.abs(strain[3]) if section.extensible else bent
 
 
 _peak_strain = kept_program(eqx.filter_jit(Dense.peak_strain))
 
 
-def fields_at(
-    section: CrossSection, base_tension: PerTendon, direction: PerTendon, arc_length: Float[Array, ""], state: State
-) -> Fields:
-    """The fields at one cross-section, tendons last."""
-    tension = tension_of(section, base_tension, state.pull)
-    kappa = bending.curvature(section, tension, state.moment)
-    rate = bending.rates(section, kappa, tension, direction, moment_rate_of(state.heading, state.force))
-    forces = bending.distributed_forces(section, state.heading, kappa, tension, direction, rate)
-    return Fields(
-        arc_length, kappa, state.heading, state.position, tension, state.wrap_angle, forces.normal, forces.friction
-    )
-
-
-def tendons_first(fields: Fields, points_ndim: int) -> Fields:
-    """Move the axis of the tendons before those of the points."""
-
-    def per_tendon(fields):
-        return fields.tension, fields.wrap_angle, fields.normal_force, fields.friction_force
-
-    return eqx.tree_at(per_tendon, fields, [jnp.moveaxis(x, points_ndim, 0) for x in per_tendon(fields)])
-
-
 @kept_program
 @eqx.filter_jit
-def fields_on(equilibrium: Equilibrium, arc_length: ArrayLike) -> Fields:
+def fields_on(equilibrium: Equilibrium, arc_length: ArrayLike) -> AnyFields:
     """`equilibrium.at`, compiled once for each number of arc lengths."""
     return equilibrium.at(arc_length)
 

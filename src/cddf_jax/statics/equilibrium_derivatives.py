@@ -19,14 +19,16 @@ from ..mechanics.problem import (
     Solution,
     State,
     all_points,
-    curvature_of,
     nodal,
+    strain_of,
     tendon_displacement,
 )
 from ..mechanics.sign_changes import Splits, turning_at_splits
+from ..mechanics.space import course
 from ..numerics.arrays import largest
 from ..numerics.implicit import Unknowns, implicit, without_derivative
-from .corrector import moment_left_at_tip
+from ..robot.cross_section import AnySection, SpatialSection
+from .corrector import magnitude, moment_left_at_tip
 from .equilibrium_search import Settled, Setup, first_guess, place, settle
 from .load_path import LoadPath
 
@@ -43,7 +45,9 @@ class Balance(NamedTuple):
 
 def missing_moment(problem: Problem, solution: Solution[AnyState]) -> Float[Array, " equations"]:
     """The residual moment at the tip, over the moment scale; empty without loads."""
-    return solution.tip.moment[None][:0] if problem.loads is None else moment_left_at_tip(problem, solution)[None]
+    if problem.loads is None:
+        return solution.tip.ratio[:0]
+    return jnp.atleast_1d(moment_left_at_tip(problem, solution))
 
 
 def equilibrate(setup: Setup, base_tension: PerTendon) -> Balance:
@@ -74,7 +78,7 @@ class System(eqx.Module):
     def root(self) -> Unknowns:
         """The unknowns as they were found."""
         load_path, splits = self.settled.load_path, self.settled.splits
-        moment = [] if self.setup.loads is None else [load_path.base_moment[None]]
+        moment = [] if self.setup.loads is None else [jnp.atleast_1d(load_path.base_moment)]
         return jnp.concatenate([*[self.base_tension[i, None] for i in self.unknown], *moment, splits.arc_length])
 
     def problem(self, unknowns: Unknowns) -> Problem:
@@ -82,7 +86,8 @@ class System(eqx.Module):
         tensions, rest = jnp.split(unknowns, [len(self.unknown)])
         load_path, splits = self.settled.load_path, self._splits(unknowns)
         if self.setup.loads is not None:
-            load_path = load_path._replace(base_moment=rest[0])
+            moment = rest[:3] if self.setup.manipulator.in_space else rest[0]
+            load_path = load_path._replace(base_moment=moment)
         tension = self.base_tension.at[jnp.asarray(self.unknown)].set(tensions) if self.unknown else self.base_tension
         return place(self.setup, tension, self.settled._replace(load_path=load_path, splits=splits))
 
@@ -136,7 +141,7 @@ def balance(
     problem = system.problem(root)
     solution = setup.method.finish(problem, values)
     changes = [solution.residual, trial.change]
-    changes += [] if setup.loads is None else [jnp.abs(moment_left_at_tip(problem, solution))]
+    changes += [] if setup.loads is None else [magnitude(moment_left_at_tip(problem, solution))]
     solution = replace(
         solution,
         num_iterations=jnp.maximum(trial.num_passes, solution.num_iterations),
@@ -154,15 +159,22 @@ def _from_scratch(system: System) -> Balance:
     solution = system.setup.method(problem)
     found = found._replace(converged=found.converged & solution.converged)
     pull = solution.nodes.pull
-    travel = travel_under_tension(problem, pull, tendon_displacement(problem, pull, solution.nodes.moment))
+    travel = travel_under_tension(problem, pull, tendon_displacement(problem, solution.nodes))
     return Balance(problem, solution, found, travel, jnp.ones_like(solution.residual))
 
 
 def inside_of_bend(problem: Problem, solution: Solution[State]) -> Float[Array, " points"]:
-    """Sigma d kappa at base, nodes and tip, the largest of all tendons that reach there."""
+    """Sigma d kappa at base, nodes and tip, the largest of all tendons that reach there.
 
-    def inside(section, state):
-        kappa = curvature_of(problem, section, state)
-        return jnp.max(jnp.where(section.present, section.side * section.offset * kappa, -jnp.inf))
+    In space by how much the fibre at a tendon is shorter than the axis at rest.
+    """
+
+    def inside(section: AnySection, state: State) -> Number:
+        strain = strain_of(section, problem.base_tension, state)
+        if isinstance(section, SpatialSection):
+            shorter = 1.0 - course(section, strain)[:, 0]
+        else:
+            shorter = section.side * section.offset * strain
+        return jnp.max(jnp.where(section.present, shorter, -jnp.inf))
 
     return jax.vmap(inside)(*all_points(problem, solution))

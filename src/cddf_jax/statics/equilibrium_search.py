@@ -22,9 +22,11 @@ from ..mechanics.problem import (
     at_base,
     cut_into_panels,
     everywhere,
+    identity_as,
     lay_out,
     loaded_to,
     pull_at_nodes,
+    unloaded,
 )
 from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, unsplit
 from ..numerics.arrays import largest_size, varying_as, zero_as
@@ -72,8 +74,8 @@ class Settled(NamedTuple):
 
 
 def needs_search(manipulator: Manipulator, loads: Loads | None) -> bool:
-    """Whether a moment at the base or sign changes have to be found; static."""
-    return loads is not None or num_splits(manipulator, None) > 0
+    """Whether a moment at the base, sign changes or directions have to be found; static."""
+    return loads is not None or num_splits(manipulator, None) > 0 or manipulator.num_tendons > 1
 
 
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
@@ -92,7 +94,7 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     true = zero == 0
     splits = varying_as(unsplit(setup.manipulator, setup.loads), zero)
     load_path = LoadPath(
-        base_moment=zero,
+        base_moment=zero + jnp.zeros(3) if setup.manipulator.in_space else zero,
         fraction=zero + 1.0 if setup.loads is None else zero,
         num_steps=zero,
         converged=true,
@@ -102,14 +104,15 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     direction = setup.direction + zero
     if not needs_search(setup.manipulator, setup.loads):
         return Settled(direction, load_path, splits, None, None)
-    moment = None if setup.loads is None else zero
-    guess = everywhere(_cut(setup, splits), Nodal(jnp.ones_like(base_tension), moment))
+    guess = everywhere(_cut(setup, splits), unloaded(setup.manipulator, jnp.ones_like(base_tension), setup.loads))
     return Settled(direction, load_path, splits, start_from(guess, zero), base_tension + zero)
 
 
 def first_guess(values: Nodal) -> Nodal:
     """Neither friction nor loads, in the shape of some values."""
-    return Nodal(jnp.ones_like(values.ratio), None if values.moment is None else jnp.zeros_like(values.moment))
+    moment = None if values.moment is None else jnp.zeros_like(values.moment)
+    frame = None if values.frame is None else jnp.zeros_like(values.frame) + identity_as(values.frame)
+    return Nodal(jnp.ones_like(values.ratio), moment, frame)
 
 
 def _cut(setup: Setup, splits: Splits) -> Panels:
@@ -163,7 +166,7 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
     end = jax.lax.while_loop(lambda state: ~state.over, follow, start)
     trial = end.trial
     found = found._replace(
-        base_moment=zero if trial.moment is None else trial.moment,
+        base_moment=found.base_moment if trial.moment is None else trial.moment,
         converged=found.converged & trial.settled,
         stable=jnp.where(trial.num_passes > 0, trial.stable, found.stable),
         resolved=found.resolved & trial.sane & (trial.settled | ~found.converged),
@@ -189,7 +192,8 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
 
     trial = only_if(~state.trial.settled, corrected, state.trial)
     splits = locate(problem, body.state(trial, fraction))
-    distance = largest_size(splits.arc_length - ends.arc_length) / problem.panels.edges[-1]
+    moves = splits.arc_length - ends.arc_length
+    distance = (largest_size(moves) if moves.size else jnp.zeros_like(fraction)) / problem.panels.edges[-1]
     calm = (num_moves < MAX_MOVES) & (trial.change <= ROUGHLY)
     move = (distance > _in_place(fraction)) & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
     over = trial.lost | (trial.settled & ~move)

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..mechanics.problem import Nodal, Number
+from ..mechanics.problem import Moment, Nodal, Number
 from ..mechanics.sign_changes import only_if
 from ..numerics.arrays import computed_once, largest_size, largest_sizes
-from .corrector import Flag, Headings, LoadedBody, Tree, Trial, start_from
+from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
 LARGEST_MISS = 0.2  # rad, by which any cross-section may miss its predicted heading
@@ -26,7 +26,7 @@ MAX_SETTLING = 16  # passes of one try, and once more at the full loads; before 
 class LoadPath(NamedTuple):
     """The end of the path of equilibria."""
 
-    base_moment: Number  # M_ext(0) over the problem's moment scale
+    base_moment: Moment  # M_ext(0) over the problem's moment scale
     fraction: Number  # of the loads, up to which there is an equilibrium; 1 unless the path ended
     num_steps: Number  # steps of the loads
     converged: Flag
@@ -38,8 +38,8 @@ class _Place(NamedTuple):
     """An equilibrium on the path; slopes are along the path, with respect to the load fraction."""
 
     fraction: Number
-    moment: Number
-    moment_slope: Number
+    moment: Moment
+    moment_slope: Moment
     nodal: Nodal
     nodal_slope: Nodal
     heading: Headings
@@ -124,11 +124,10 @@ def _arrive(trial: Trial, fraction: Number) -> _Place:
     assert trial.moment is not None
     assert trial.heading is not None
     assert trial.slopes is not None
-    slope, slope_by_fraction = trial.slopes.residual
-    moment_slope = jnp.where(slope_by_fraction == 0, 0.0, -slope_by_fraction / slope)
+    moment_slope = moment_that_follows(trial.slopes.residual)
 
     def along_path(slopes: Tree) -> Tree:
-        return jax.tree.map(lambda x: x[1] + moment_slope * x[0], slopes)
+        return jax.tree.map(lambda x: x[-1] + along_moment(x, moment_slope), slopes)
 
     return _Place(
         fraction=fraction,

@@ -223,7 +223,7 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     stretching = jnp.sum(tension * stretch_rate(body.tendon_compliance, tension, section), axis=-1)
     outside = jnp.sum(base_tension * stretch_rate(body.tendon_compliance, base_tension) * body.tendon_free_length)
     return _Stage(
-        displacement=tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment),
+        displacement=tendon_displacement(problem, solution.nodes),
         elastic_energy=jnp.sum(cut.gain(section.stiffness * kappa**2 + stretching)) / 2 + outside / 2,
         load_energy=_load_energy(problem, solution),
         arc_length=cut.nodes,

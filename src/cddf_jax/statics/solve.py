@@ -13,17 +13,28 @@ from ..errors import SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
 from ..mechanics.fixed_point import ACCURACY, FixedPoint, truncation_error
 from ..mechanics.friction import unspent
-from ..mechanics.problem import Method, Problem, Solution, State, guarded_section, line_up, tendon_displacement
+from ..mechanics.problem import (
+    Method,
+    Problem,
+    Solution,
+    State,
+    edge_nudge,
+    guarded_section,
+    line_up,
+    tendon_displacement,
+)
 from ..numerics.arrays import largest, zero_as
 from ..numerics.quadrature import panels
+from ..numerics.rotations import as_matrix, tilt
 from ..programs.kept import kept_program
-from ..robot.loads import Loads
-from ..robot.manipulator import Manipulator
+from ..robot.loads import Loads, loads_in_space
+from ..robot.manipulator import Manipulator, in_space
 from ..robot.profiles import Number
 from ..robot.validation import check_weight
 from .arguments import (
     GivenDirections,
     are_on_the_body,
+    check_in_space,
     check_nodes,
     checked_loads,
     harmless,
@@ -37,16 +48,14 @@ from .equilibrium import (
     RESULTS,
     Dense,
     Equilibrium,
-    Fields,
     code_of,
     ended_as,
-    fields_at,
     first_of,
     nan_unless,
-    tendons_first,
 )
 from .equilibrium_derivatives import Balance, equilibrate, inside_of_bend
 from .equilibrium_search import Setup
+from .fields import AnyFields, fields_at, planar_fields, tendons_first
 from .targets import Actuation, Displacement, Target, TipAngle, TipStiffness
 from .tension_search import Found, reach
 
@@ -61,6 +70,7 @@ def solve(
     direction: Directions = None,
     method: Method = FixedPoint(),
     nodes: int = 16,
+    space: bool = False,
     throw: bool = True,
 ) -> Equilibrium:
     """Shape, tension and friction of a manipulator whose tendons are pulled at the base.
@@ -80,6 +90,8 @@ def solve(
         method: `FixedPoint()` or, without loads, `LiteralIteration()`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. The default is accurate to
             1e-8 of the tip tension and 1e-7 of the length.
+        space: solve a body of the plane in space as well. So it is anyway where a tendon has an angle, where loads have
+            three components, and where the body is extensible or has a curvature at rest.
         throw: raise where the values are known and the solve failed. Where they are traced, under jit or
             vmap, nothing is raised; look at `result`.
 
@@ -114,6 +126,9 @@ def solve(
     given, targets = split_actuation(manipulator, base_tension)
     given, direction = per_tendon(manipulator, given, direction)
     loads = checked_loads(loads)
+    if space or manipulator.in_space or (loads is not None and loads.in_space):
+        manipulator, loads = in_space(manipulator), None if loads is None else loads_in_space(loads)
+        check_in_space(method, targets)
     if loads is None and any(isinstance(target, TipStiffness) for target in targets):
         loads = Loads()
     check_weight(manipulator, loads)
@@ -183,12 +198,11 @@ def _solve(
     return Equilibrium(
         along=nan_unless(solved, _along(setup, balance, dense)),
         tip_position=nan_unless(solved, solution.tip.position),
-        tip_angle=nan_unless(solved, solution.tip.heading),
+        tip_angle=nan_unless(solved, tilt(solution.tip.heading) if problem.in_space else solution.tip.heading),
+        tip_frame=nan_unless(solved, as_matrix(solution.tip.heading)) if problem.in_space else None,
         tip_tension=nan_unless(solved, at_tip),
         tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, solution) / solution.tip.ratio),
-        tendon_displacement=nan_unless(
-            solved, tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment)
-        ),
+        tendon_displacement=nan_unless(solved, tendon_displacement(problem, solution.nodes)),
         base_tension=nan_unless(solved, problem.base_tension),
         target_miss=nan_unless(solved, found.miss),
         base_moment=nan_unless(solved, problem.base_moment),
@@ -235,13 +249,17 @@ def _equilibrium(setup: Setup, given: PerTendon, targets: tuple[Target | None, .
 # --- what is reported along the body -------------------------------------------------------------
 
 
-def _along(setup: Setup, balance: Balance, dense: Dense) -> Fields:
+def _along(setup: Setup, balance: Balance, dense: Dense) -> AnyFields:
     """The fields at the base, the Gauss nodes of the smooth pieces of the body, and the tip."""
     problem, solution, body = balance.problem, balance.solution, setup.manipulator
 
     first = jax.tree.map(lambda x: x[0], solution.starts)
     cut, sections, nodes = problem.panels, problem.nodes, solution.nodes
     pieces = panels(cut.edges[-1], body.breakpoints, setup.nodes)
+    if problem.in_space:  # whose forces need derivatives along the polynomials
+        nudge = edge_nudge(cut)
+        arc_length = line_up(cut.edges[0] + nudge, cut.nodes, cut.edges[-1] - nudge)
+        return tendons_first(jax.vmap(partial(_fields_within, dense))(arc_length), 1)
     if pieces.edges.shape != cut.edges.shape:  # panels that end at sign changes are not shown
         cut = pieces
         nodes = jax.vmap(jax.vmap(dense.state))(cut.nodes)
@@ -249,5 +267,9 @@ def _along(setup: Setup, balance: Balance, dense: Dense) -> Fields:
     arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
     sections = jax.tree.map(line_up, problem.base, sections, problem.tip)
     states = jax.tree.map(line_up, first, nodes, solution.tip)
-    fields = jax.vmap(fields_at, (0, None, None, 0, 0))
+    fields = jax.vmap(planar_fields, (0, None, None, 0, 0))
     return tendons_first(fields(sections, problem.base_tension, problem.direction, arc_length, states), 1)
+
+
+def _fields_within(dense: Dense, arc_length: Float[Array, ""]) -> AnyFields:
+    return fields_at(dense.manipulator, dense.base_tension, dense.direction, arc_length, dense.state)

@@ -14,11 +14,13 @@ from ..mechanics.problem import (
     Number,
     Problem,
     Solution,
-    curvature_of,
+    bending_stiffness,
     guarded_section,
+    strain_of,
     tendon_displacement,
     with_tip_force,
 )
+from ..numerics.rotations import tilt
 from ..robot.profiles import Scalar, as_number
 from .equilibrium_derivatives import missing_moment
 from .equilibrium_search import Setup
@@ -50,20 +52,20 @@ class Displacement(eqx.Module):
     value: Scalar = eqx.field(converter=as_number)
 
     def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
-        return tendon_displacement(problem, solution.nodes.pull, solution.nodes.moment)[tendon]
+        return tendon_displacement(problem, solution.nodes)[tendon]
 
     def size(self, setup: Setup) -> Number:
         return jnp.max(setup.manipulator.offset(0.0 * jnp.asarray(setup.manipulator.length)))
 
 
 class TipAngle(eqx.Module):
-    """The heading of the tip phi(L), rad."""
+    """The heading of the tip phi(L), rad; in space the angle between tip and base, from 0 to pi."""
 
     quantity: ClassVar[str] = "tip_angle"
     value: Scalar = eqx.field(converter=as_number)
 
     def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
-        return solution.tip.heading
+        return tilt(solution.tip.heading) if problem.in_space else solution.tip.heading
 
     def size(self, setup: Setup) -> Number:
         return jnp.ones_like(jnp.asarray(setup.manipulator.length))
@@ -108,7 +110,7 @@ class CurvatureAt(eqx.Module):
     def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         arc_length = jnp.asarray(self.arc_length, problem.panels.edges.dtype)
         state = problem.panels.interpolate(solution.starts, solution.nodes, arc_length)
-        return curvature_of(problem, guarded_section(setup.manipulator, arc_length), state)
+        return strain_of(guarded_section(setup.manipulator, arc_length), problem.base_tension, state)
 
     def size(self, setup: Setup) -> Number:
         return 1.0 / jnp.asarray(setup.manipulator.length)
@@ -145,6 +147,6 @@ def bending_tension(setup: Setup) -> Number:
     """The least E J / d^2 along the tendons, N: the scale of tensions at which d kappa comes near 1."""
     body = setup.manipulator
     arc_length = jnp.linspace(0.0, 1.0, 17) * jnp.asarray(body.length)
-    section = jax.vmap(body.cross_section)(arc_length)
+    section = jax.vmap(body.cross_section_in_space if body.in_space else body.cross_section)(arc_length)
     offset = jnp.maximum(section.offset, 1e-3 * jnp.asarray(body.length))
-    return jnp.min(jnp.where(section.present, section.stiffness[:, None] / offset**2, jnp.inf))
+    return jnp.min(jnp.where(section.present, bending_stiffness(section)[:, None] / offset**2, jnp.inf))

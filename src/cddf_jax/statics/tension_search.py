@@ -105,13 +105,20 @@ def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution[A
     return jnp.stack([miss(tendon, target) for tendon, target in wanted.items()])
 
 
+def _num_moments(setup: Setup) -> int:
+    """How many numbers M_ext(0) has."""
+    if setup.loads is None:
+        return 0
+    return 3 if setup.manipulator.in_space else 1
+
+
 def _search(
     setup: Setup, given: PerTendon, wanted: Wanted, scale: Number
 ) -> tuple[_TensionTrial, Bool[Array, " unknowns"]]:
     """Levenberg-Marquardt between slack and the farthest tension; every trial is an equilibrium of its own."""
     which = jnp.asarray(list(wanted))
 
-    count, loaded = len(wanted), setup.loads is not None
+    count, loaded = len(wanted), _num_moments(setup)
 
     def evaluate(tension: Float[Array, " unknowns"]) -> _TensionTrial:
         base_tension = given.at[which].set(scale * tension)
@@ -128,7 +135,8 @@ def _search(
         slopes = slopes_by_unknowns(push, values, root)[1].T
         residual, jacobian = rows[:count], slopes[:count, :count]
         if loaded:  # the base moment follows the tensions so that M_ext(L) stays m
-            jacobian = jacobian - jnp.outer(slopes[:count, count], slopes[count, :count] / slopes[count, count])
+            followed = [solve_small(slopes[count:, count:], slopes[count:, i])[0] for i in range(count)]
+            jacobian = jacobian - slopes[:count, count:] @ jnp.stack(followed, axis=1)
         fine = settled.load_path.converged & solution.converged & (largest(inside_of_bend(problem, solution)) < 1.0)
         fine = fine & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
         cost = jnp.where(fine, jnp.sum(residual**2), jnp.inf)

@@ -1,0 +1,132 @@
+"""The mechanics of one cross-section of a body in space: how it strains, where its tendons point, and what they do.
+
+Frame: x along the axis, y and z across; tendon i lies at rho_i. Its unit tangent is t_i = w_i / |w_i| with
+w_i = v + u x rho_i + rho_i', where u is the curvature and v the strain of the axis, (1, 0, 0) unless it can stretch.
+A tendon of tension T_i puts the force -T_i t_i on the body outboard of the cross-section. Strains x make the energy
+
+    1/2 (x - x*) K (x - x*) + sum T_i |w_i(x)| - M u - N v
+
+least, which is convex; M and N are moment and force of the loads in the frame of the cross-section. Without friction
+that is Rucker and Webster (2011), doi 10.1109/TRO.2011.2160469; in the plane it is the law of `bending`.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..numerics.implicit import slope_along, solve_definite
+from ..numerics.rotations import Vector, cross, length_of
+from ..robot.cross_section import SpatialSection
+from .friction import PerTendon
+
+NEWTON_STEPS = 6
+Strain = Float[Array, " strains"]
+Vectors = Float[Array, "tendons 3"]
+
+
+class Wrench(NamedTuple):
+    """What the loads put on a cross-section, in its frame."""
+
+    moment: Vector  # N m
+    force: Vector  # N
+
+
+def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None) -> Strain:
+    """The curvature u, 1/m, and for an extensible axis v: u alone, or u and v one after the other."""
+    if section.parallel and loads is None:  # no twist, and t = (1, 0, 0)
+        return section.rest - _gradient(section, tension, section.ahead, None) * (1.0 / section.stiffness)
+    return _strain_of_least_energy(section, tension, loads)
+
+
+def curvature_of_strain(strain: Float[Array, "*points strains"]) -> Vector:
+    """The curvature u, 1/m: twist, and bending about y and about z."""
+    return strain[..., :3]
+
+
+def axis_of_strain(strain: Float[Array, "*points strains"]) -> Vector:
+    """The derivative of the position along s, in the frame of the cross-section: v."""
+    if strain.shape[-1] > 3:
+        return strain[..., 3:]
+    return jnp.broadcast_to(jnp.asarray([1.0, 0.0, 0.0], strain.dtype), strain.shape)
+
+
+def course(section: SpatialSection, strain: Strain) -> Vectors:
+    """The derivative w of each tendon's place along s, in the frame of the cross-section."""
+    return section.lever @ strain + section.ahead
+
+
+def tangents(section: SpatialSection, strain: Strain) -> Vectors:
+    """The unit tangent t of each tendon in the frame of the cross-section."""
+    w = course(section, strain)
+    return w / jnp.sqrt(jnp.sum(w**2, axis=-1, keepdims=True))
+
+
+def turn_vectors(strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> Vectors:
+    """How each tangent changes along s in space, seen in the frame of the cross-section, 1/m: t' + u x t."""
+    u = jnp.broadcast_to(curvature_of_strain(strain), tangent.shape)
+    return tangent_rate + cross(u, tangent)
+
+
+def turning_in_space(section: SpatialSection, strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> PerTendon:
+    """The angle per arc length by which each tendon turns, rad/m; zero beyond its anchor."""
+    return jnp.where(section.present, length_of(turn_vectors(strain, tangent, tangent_rate)), 0.0)
+
+
+def turn_between(one: Vectors, other: Vectors) -> PerTendon:
+    """The angle between unit tangents, rad."""
+    apart, together = length_of(other - one), length_of(other + one)
+    return 2.0 * jnp.arctan2(apart, together)
+
+
+def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTendon, compliance: PerTendon) -> PerTendon:
+    """By how much a tendon's path shortens and the tendon stretches, per arc length; as `slip_rate` in the plane."""
+    straight, bent = course(section, section.rest), course(section, strain)
+    length, now = length_of(straight), length_of(bent)
+    shorter = jnp.sum((straight - bent) * (straight + bent), axis=-1) / (length + now)  # without cancellation
+    return jnp.where(section.present, shorter, 0.0) + tension * length * compliance
+
+
+def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loads: Wrench | None) -> Strain:
+    """The derivative of the energy by the strain, without its elastic part."""
+    pull = jnp.einsum("ijk,ij->k", section.lever, tension[:, None] * tangent)
+    if loads is None:
+        return pull
+    acting = loads.moment if not section.extensible else jnp.concatenate([loads.moment, loads.force])
+    return pull - acting
+
+
+@eqx.filter_custom_jvp
+def _strain_of_least_energy(section: SpatialSection, tension: PerTendon, loads: Wrench | None) -> Strain:
+    def newton_step(_, strain):
+        residual, stiffness = _residual(section, tension, loads, strain), _tangent_stiffness(section, tension, strain)
+        return strain - solve_definite(stiffness, residual)
+
+    start = section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
+    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, start)
+
+
+@_strain_of_least_energy.def_jvp
+def _(primals, directions):
+    section, tension, _ = primals
+    found = _strain_of_least_energy(*primals)
+    pushed = slope_along(lambda given: _residual(*given, found), primals, directions)
+    return found, -solve_definite(_tangent_stiffness(section, tension, found), pushed)
+
+
+def _residual(section: SpatialSection, tension: PerTendon, loads: Wrench | None, strain: Strain) -> Strain:
+    elastic = section.stiffness * (strain - section.rest)
+    return elastic + _gradient(section, tension, tangents(section, strain), loads)
+
+
+def _tangent_stiffness(section: SpatialSection, tension: PerTendon, strain: Strain) -> Float[Array, "strains strains"]:
+    """The second derivative of the energy: K + sum T / |w| lever^T (1 - t t^T) lever."""
+    w = course(section, strain)
+    size = jnp.sqrt(jnp.sum(w**2, axis=-1))
+    t = w / size[:, None]
+    along = jnp.einsum("ijk,ij->ik", section.lever, t)
+    per_length = tension / size
+    across = jnp.einsum("ijk,ijl->kl", per_length[:, None, None] * section.lever, section.lever)
+    return jnp.diag(section.stiffness) + across - jnp.einsum("ik,il->kl", per_length[:, None] * along, along)

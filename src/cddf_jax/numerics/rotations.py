@@ -1,0 +1,73 @@
+"""Rotations in space as quaternions (w, x, y, z), which need not have the length 1.
+
+The Gauss nodes of a panel keep the length of a quaternion from one end of the panel to the other; at the nodes
+themselves it is off by the error of the quadrature, and every function here divides by it.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Vector = Float[Array, "*points 3"]
+Quaternion = Float[Array, "*points 4"]
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """The product a x b."""
+
+    def moved(x: Vector) -> Vector:
+        return jnp.concatenate([x[..., 1:], x[..., :1]], axis=-1)
+
+    return moved(a * moved(b) - moved(a) * b)
+
+
+def product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """The rotation q, then p."""
+    w = p[..., :1] * q[..., :1] - jnp.sum(p[..., 1:] * q[..., 1:], axis=-1, keepdims=True)
+    vector = p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + cross(p[..., 1:], q[..., 1:])
+    return jnp.concatenate([w, vector], axis=-1)
+
+
+def inverse(q: Quaternion) -> Quaternion:
+    """The rotation back, of the same length."""
+    return jnp.concatenate([q[..., :1], -q[..., 1:]], axis=-1)
+
+
+def turned_by(q: Quaternion, rate: Vector) -> Quaternion:
+    """The derivative of a rotation whose rate is given in its own axes, rad per unit: q (0, rate) / 2."""
+    w = -jnp.sum(q[..., 1:] * rate, axis=-1, keepdims=True)
+    return 0.5 * jnp.concatenate([w, q[..., :1] * rate + cross(q[..., 1:], rate)], axis=-1)
+
+
+def rotated(q: Quaternion, vector: Vector) -> Vector:
+    """A vector in the axes of the rotation, seen from outside: R v."""
+    across = cross(q[..., 1:], vector)
+    twice = 2.0 / jnp.sum(q**2, axis=-1, keepdims=True)
+    return vector + twice * (q[..., :1] * across + cross(q[..., 1:], across))
+
+
+def seen_within(q: Quaternion, vector: Vector) -> Vector:
+    """A vector from outside, in the axes of the rotation: R^T v."""
+    return rotated(inverse(q), vector)
+
+
+def as_matrix(q: Quaternion) -> Float[Array, "*points 3 3"]:
+    """R, whose columns are the axes of the rotation."""
+    return jnp.stack([rotated(q, jnp.broadcast_to(unit, (*q.shape[:-1], 3))) for unit in jnp.eye(3, dtype=q.dtype)], -1)
+
+
+def small_turn(change: Quaternion, q: Quaternion) -> Vector:
+    """The turn, rad, seen from outside, that a small change of a rotation means."""
+    return 2.0 * product(change, inverse(q))[..., 1:] / jnp.sum(q**2, axis=-1, keepdims=True)
+
+
+def length_of(vector: Float[Array, "*points n"]) -> Float[Array, "*points"]:
+    """The length of a vector, with the derivative zero where it is zero."""
+    square = jnp.sum(vector**2, axis=-1)
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+
+
+def tilt(q: Quaternion) -> Float[Array, "*points"]:
+    """The angle between the first axis and where it is turned, rad, from 0 to pi; at 0 its derivative is zero."""
+    across = length_of(q[..., 2:])
+    return 2.0 * jnp.arctan2(across, length_of(q[..., :2]))

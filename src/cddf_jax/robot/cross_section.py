@@ -1,0 +1,50 @@
+"""What the mechanics needs to know of a cross-section, in the plane and in space."""
+
+from typing import Literal, TypeAlias
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float
+
+Kinematics = Literal["published", "exact"]
+
+
+class CrossSection(eqx.Module):
+    """The properties of a cross-section at one arc length; primes are derivatives along s."""
+
+    stiffness: Float[Array, ""]  # E J, N m^2
+    stiffness_rate: Float[Array, ""]  # (E J)', N m
+    offset: Float[Array, " tendons"]  # d, m
+    offset_slope: Float[Array, " tendons"]  # d', -
+    offset_bend: Float[Array, " tendons"]  # d'', 1/m
+    side: Float[Array, " tendons"]  # sigma, +-1
+    friction_coefficient: Float[Array, " tendons"]  # mu, -
+    drag: Float[Array, " tendons"] | None  # w, N/m, zero beyond the anchor; None where no tendon has any
+    present: Bool[Array, " tendons"]  # false beyond the anchor of a tendon
+    kinematics: Kinematics = eqx.field(static=True)
+    slanted: bool = eqx.field(static=True)  # false when every offset is Constant
+
+
+class SpatialSection(eqx.Module):
+    """The properties of a cross-section of a body in space, whose frame has x along the axis; primes as above.
+
+    The strain is the curvature u (3), and where the axis can stretch and shear also v (3). A tendon follows
+    w = lever strain + ahead, per arc length.
+    """
+
+    stiffness: Float[Array, " strains"]  # torsion and bending twice, N m^2; axial and shear twice, N
+    rest: Float[Array, " strains"]  # the strain without moment and force
+    offset: Float[Array, " tendons"]  # d, m
+    lever: Float[Array, "tendons 3 strains"]  # [rho]x^T, and the identity where the axis can stretch
+    ahead: Float[Array, "tendons 3"]  # rho', and (1, 0, 0) where it cannot
+    friction_coefficient: Float[Array, " tendons"]  # mu, -
+    drag: Float[Array, " tendons"] | None  # as above
+    present: Bool[Array, " tendons"]
+    parallel: bool = eqx.field(static=True)  # whether every tendon follows the axis while there is no twist
+
+    @property
+    def extensible(self) -> bool:
+        """Whether the axis can stretch and shear; static."""
+        return self.rest.shape[-1] > 3
+
+
+AnySection: TypeAlias = CrossSection | SpatialSection
