@@ -16,13 +16,13 @@ from cddf_jax.mechanics.problem import (
     Solution,
     State,
     axis_of,
-    curvature_of,
     edge_nudge,
     guarded_section,
     load_rate,
     moment_rate_of,
     ones_at_base,
     spent_scale,
+    strain_of,
     tension_of,
     turn_at_joint,
 )
@@ -77,7 +77,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
 
     def rate(state: State, arc_length: Number) -> State:
         section = guarded_section(problem.manipulator, arc_length)
-        kappa = curvature_of(problem, section, state)
+        kappa = strain_of(section, problem.base_tension, state)
         moment_rate = moment_rate_of(state.heading, state.force)
         tension = tension_of(section, problem.base_tension, state.pull)
         turning = bending.turning(section, kappa, tension, problem.direction, moment_rate)
@@ -91,7 +91,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
 
     def panel(state, inputs):
         joint, drop, start, end, stops = inputs
-        turn, ratio = turn_at_joint(problem, joint, state.pull, state.moment)
+        turn, ratio = turn_at_joint(problem, joint, state.pull, state.moment, None, state.force)
         state = state._replace(pull=state.pull._replace(ratio=ratio), wrap_angle=state.wrap_angle + turn)
         state = state if drop is None else state._replace(force=state.force - drop)
 

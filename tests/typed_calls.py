@@ -3,6 +3,7 @@
 `python typed_calls.py FOLDER` prints the public names that it called; a wrong annotation or shape ends it.
 """
 
+import dataclasses
 import os
 import sys
 from pathlib import Path
@@ -58,6 +59,10 @@ def statics():
     cddf.tip_compliance(robot, 20.0, nodes=8)
     cddf.tip_jacobian(robot, 20.0, nodes=8)
     cddf.self_contact(eq)
+    winding = dataclasses.replace(robot, tendons=(cddf.Tendon(0.010, angle=cddf.Linear(0.0, 3.0, 0.14)),))
+    there = cddf.solve(winding, 20.0, nodes=8).at(np.array([0.0, 0.07]))
+    assert isinstance(there, cddf.SpatialFields)
+    assert there.twist.shape == (2,)
     history = cddf.trace(robot, [20.0, 10.0], nodes=8)
     with cddf.show_progress():
         cddf.trace(robot, np.array([15.0]), start=history, nodes=8, max_turns=4)

@@ -41,6 +41,7 @@ from .measurements.holds import SerialCorrelation as SerialCorrelation, average_
 from .measurements.table import Measurements as Measurements, read_measurements as read_measurements
 from .measurements.trials import read_tables as read_tables
 from .mechanics.capstan import closed_form_tension as closed_form_tension, pulling_tension as pulling_tension
+from .mechanics.fields import Fields as Fields, SpatialFields as SpatialFields
 from .mechanics.fixed_point import FixedPoint as FixedPoint
 from .progress import show_progress as show_progress
 from .reports.export import as_dataset as as_dataset, as_frame as as_frame
@@ -49,7 +50,7 @@ from .robot.loads import Loads as Loads
 from .robot.manipulator import Manipulator as Manipulator, PointMass as PointMass, Tendon as Tendon, conical as conical
 from .robot.profiles import Constant as Constant, Linear as Linear, Piecewise as Piecewise, Spline as Spline
 from .statics.contact import Contact as Contact, self_contact as self_contact
-from .statics.equilibrium import RESULTS as RESULTS, Equilibrium as Equilibrium, Fields as Fields
+from .statics.equilibrium import RESULTS as RESULTS, Equilibrium as Equilibrium
 from .statics.literal_iteration import (
     IterationHistory as IterationHistory,
     LiteralIteration as LiteralIteration,

@@ -14,11 +14,12 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError
 from ..history.trace import trace
+from ..mechanics.fields import Fields
 from ..numerics.quadrature import Panels, panels
 from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import Equilibrium, Fields
+from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..units import Dimension
 from .load_cases import LoadCase

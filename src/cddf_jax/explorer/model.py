@@ -20,6 +20,7 @@ from ..identification.course import Traced, course_of, has_history
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
+from ..mechanics.fields import Fields
 from ..programs.evaluated import evaluated
 from ..programs.kept import kept_program
 from ..quantities import QUANTITIES, Quantity
@@ -29,7 +30,7 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, of_tendon
 from ..robot.reshape import tapered
 from ..statics.description import result_in_words, wall_remarks
-from ..statics.equilibrium import RESULTS, Equilibrium, Fields, ended_as
+from ..statics.equilibrium import RESULTS, Equilibrium, ended_as
 from ..statics.solve import solve
 from ..statics.targets import TipAngle
 from ..units import round_number

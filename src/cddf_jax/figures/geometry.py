@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError
+from ..mechanics.fields import Fields
 from ..programs.evaluated import evaluated
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.validation import joints
-from ..statics.equilibrium import Equilibrium, Fields, fields_on
+from ..statics.equilibrium import Equilibrium, fields_on
 
 GREATEST_MOMENT_ARC = np.radians(190.0)  # it stays clear of the body behind the tip
 

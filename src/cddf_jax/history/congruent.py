@@ -15,12 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..mechanics.fields import Fields
 from ..mechanics.problem import cut_into_panels
 from ..numerics.arrays import zero_as
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import one_precision
-from ..statics.equilibrium import RESULTS, Dense, Fields, code_of, nan_unless, with_words
+from ..statics.equilibrium import RESULTS, Dense, code_of, nan_unless, with_words
 from ..statics.solve import solve
 from .driven import Drive, driven
 from .energies import work_and_loss

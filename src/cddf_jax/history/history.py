@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from ..mechanics.fields import Fields, tendons_first
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import RESULTS, Fields, nan_unless, tendons_first
+from ..statics.equilibrium import RESULTS, nan_unless
 
 
 class States(eqx.Module):

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ..mechanics.fields import Fields, planar_fields
 from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.problem import State, axis_of, guarded_section, lay_out, stretch_rate
 from ..numerics.arrays import largest_size
@@ -20,7 +21,7 @@ from ..programs.kept import kept_program
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
-from ..statics.equilibrium import RESULTS, Fields, fields_at, first_of, nan_unless, with_words
+from ..statics.equilibrium import RESULTS, first_of, nan_unless, with_words
 from ..statics.solve import solve
 from .cells import Along, Cells, Edge, cut_into_cells, forces_along, integral
 from .history import Energies, History, States
@@ -139,7 +140,7 @@ def _stored(cells: Cells, moment: Moment) -> Number:
     return jnp.sum(jax.vmap(integral)(cells.width, density)) + jnp.sum(cells.free_stretch * edges.tension[0] ** 2) / 2
 
 
-def _fields_at(manipulator: Manipulator, cells: Cells, moment: Moment, shape: _Shape, arc_length: Number) -> Fields:
+def _planar_fields(manipulator: Manipulator, cells: Cells, moment: Moment, shape: _Shape, arc_length: Number) -> Fields:
     """The fields at one arc length, tendons last; cubic polynomials within the cells."""
     i = cells.at(arc_length)
     width = cells.width[i]
@@ -157,7 +158,7 @@ def _fields_at(manipulator: Manipulator, cells: Cells, moment: Moment, shape: _S
         between(shape.position[i], shape.position[i + 1], axis[0], axis[2]),
     )
     section = guarded_section(manipulator, arc_length)
-    fields = fields_at(section, here.tension, moment.step.share[i], arc_length, state)
+    fields = planar_fields(section, here.tension, moment.step.share[i], arc_length, state)
     return nan_unless((arc_length >= 0) & (arc_length <= cells.edges[-1]), fields)
 
 

@@ -20,7 +20,7 @@ from ..numerics.arrays import all_finite, cos_sin, largest, relative_size
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
-from ..numerics.rotations import cross, rotated, turned_by
+from ..numerics.rotations import cross, in_fixed_frame, turned_by
 from ..robot.cross_section import CrossSection, SpatialSection
 from ..robot.loads import planar_cross
 from . import space
@@ -106,7 +106,7 @@ def _shape_rates_in_space(
     at_nodes_ = strain_along(problem.nodes, problem.base_tension, solution.nodes)
     rate = cut.extended(_tangents(cut, problem.nodes, at_nodes_)[1], fractions)
     turning = _turning_in_space(sections, strain, at_nodes(space.tangents, (0, 0))(sections, strain), rate)
-    axis = rotated(state.heading, space.axis_of_strain(strain))
+    axis = in_fixed_frame(state.heading, space.axis_of_strain(strain))
     turned = 2.0 * turned_by(state.heading, space.curvature_of_strain(strain))
     return turning, axis, turned, -cross(axis, state.force)
 
@@ -271,7 +271,7 @@ def _shape_in_space(problem: Problem, guess: Nodal, tension: Float[Array, "P p t
         return _Shape(turning, None, None, None, strain)
     rate = turned_by(guess.frame, space.curvature_of_strain(strain))
     frame = _integral(cut, identity_as(tension), rate)
-    axis = rotated(guess.frame, space.axis_of_strain(strain))
+    axis = in_fixed_frame(guess.frame, space.axis_of_strain(strain))
     return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain)
 
 
@@ -345,7 +345,7 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
     def state(point: _Point, force: Array) -> PassState:
         values, heading, spent = point
         if heading is None:
-            heading = jnp.zeros((*values.ratio.shape[:-1], 4), values.ratio.dtype)
+            heading = jnp.broadcast_to(identity_as(values.ratio), (*values.ratio.shape[:-1], 4))
         return PassState(Pull(values.ratio, spent), heading, moments_of(problem, values), force)
 
     outboard = problem.outboard
@@ -362,7 +362,7 @@ def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) ->
     cut, shape, axis = problem.panels, along.shape, along.shape.axis
     if shape.strain is not None and shape.heading is None:
         frame, frame_at_nodes = _frames(cut, shape.strain)
-        axis = rotated(frame_at_nodes, space.axis_of_strain(shape.strain))
+        axis = in_fixed_frame(frame_at_nodes, space.axis_of_strain(shape.strain))
         solution = eqx.tree_at(
             lambda found: (found.starts.heading, found.nodes.heading, found.tip.heading),
             solution,

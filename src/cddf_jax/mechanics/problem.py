@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.quadrature import Panels, panels, panels_between
-from ..numerics.rotations import IDENTITY, seen_within
+from ..numerics.rotations import IDENTITY, in_own_frame
 from ..robot.cross_section import AnySection, CrossSection, SpatialSection
 from ..robot.loads import Loads, force_at_points, force_per_length, planar_cross
 from ..robot.manipulator import Manipulator
@@ -91,7 +91,7 @@ class PassState(NamedTuple):
     """What a pass integrates along the body; leading axes may be panels and nodes."""
 
     pull: Pull
-    heading: Heading  # zero where a pass in space without loads has no need of it
+    heading: Heading  # the identity where a pass in space without loads has no need of it
     moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
     force: Float[Array, "*points components"]  # N, N
 
@@ -105,7 +105,7 @@ class State(NamedTuple):
     """All that is integrated along the body: as in a pass, and what follows from it at the end."""
 
     pull: Pull
-    heading: Heading  # zero where a pass in space without loads has no need of it
+    heading: Heading  # the identity where a pass in space without loads has no need of it
     moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
     force: Float[Array, "*points components"]  # N, N
     wrap_angle: Float[Array, "*points tendons"]  # theta, rad
@@ -306,7 +306,7 @@ def strain_of(section: AnySection, base_tension: PerTendon, state: AnyState) -> 
 
 def wrench_of(frame: Heading, moment: Array, force: Array) -> space.Wrench:
     """What the loads put on a cross-section in space, in its own frame."""
-    return space.Wrench(seen_within(frame, moment), seen_within(frame, force))
+    return space.Wrench(in_own_frame(frame, moment), in_own_frame(frame, force))
 
 
 def moment_rate_of(heading: Float[Array, "*points"], force: Float[Array, "*points 2"]) -> Float[Array, "*points"]:

@@ -3,6 +3,9 @@
 In the published kinematics and for tendons parallel to the axis all tendons turn with the body, and
 what changes sign is the curvature; in the exact kinematics a slanted tendon has a turning of its own.
 A tendon goes slack where drag has used up its base tension.
+
+In space the turning of a tendon has no sign, and mostly it does not vanish; but it may have a minimum so sharp that it
+is nearly a kink. There panels end as well.
 """
 
 from collections.abc import Callable
@@ -12,24 +15,30 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from ..numerics.arrays import largest, largest_of_each, varying_as, zero_as
+from ..numerics.arrays import largest, largest_of_each, largest_size, varying_as, zero_as
 from ..numerics.quadrature import Panels
+from ..numerics.rotations import cross, length_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
+from . import space
 from .problem import (
     AnyState,
     Number,
     Problem,
     Solution,
+    at_nodes,
     curvature_along,
     edge_nudge,
     moment_rate_of,
+    strain_along,
     tension_of,
     turning_along,
 )
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 Values = TypeVar("Values")
+MINIMA = 4  # of the turning of tendons in space, of which the sharpest counts
+SHARP = 0.25  # of the length: a minimum less near to a kink does no harm
 REFINEMENTS = 5  # by the Illinois rule
 
 
@@ -60,9 +69,10 @@ class Splits(NamedTuple):
 
 
 def num_splits(manipulator: Manipulator, loads: Loads | None) -> int:
-    """For how many sign changes there is room; of a body in space none, whose turning has no sign."""
+    """For how many sign changes there is room; for a body in space, for the panels around one sharp minimum."""
     if manipulator.in_space:
-        return 0
+        even = manipulator.num_tendons == 1 and not manipulator.slanted and manipulator.rest_curvature is None
+        return 0 if even and loads is None else 3
     own = _turns_on_its_own(manipulator)
     slack = 0 if manipulator.tendon_drag is None else manipulator.num_tendons
     if loads is None and manipulator.num_tendons == 1 and not own:
@@ -114,12 +124,46 @@ def locate(problem: Problem, state: AnyState) -> Splits:
     """The first sign changes from the base, between neighbouring nodes and on the polynomials through them."""
     if num_splits(problem.manipulator, problem.loads) == 0:
         return unsplit(problem.manipulator, problem.loads)
+    if problem.in_space:
+        return _around_sharpest_minimum(problem, state)
     turning = signed_turning(problem, state)
-    starts, ends = at_starts_and_ends(problem.panels, turning)
-    points = jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)  # it may change beside an end
+    points = _with_ends(problem.panels, turning)
     both, least = _has_both_signs(problem, points)
     none = varying_as(unsplit(problem.manipulator, problem.loads), zero_as(least))
     return only_if(both, lambda zero: _first_changes(problem, points + zero, least, none), none)
+
+
+def _with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:
+    """The same with its polynomials at the ends of the panels, beside which it may change its sign."""
+    starts, ends = at_starts_and_ends(cut, turning)
+    return jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)
+
+
+def _around_sharpest_minimum(problem: Problem, state: AnyState) -> Splits:
+    """Three places: the minimum of the turning of a tendon that is nearest to a kink, and one on either side of it.
+
+    Near its minimum the turning is the size of a vector c that goes past zero at a distance: like the root of
+    c'^2 ((s - s0)^2 + apart^2). The panels beside it are so short that apart is no small part of their length.
+    """
+    cut, nodes = problem.panels, problem.nodes
+    strain = strain_along(nodes, problem.base_tension, state)
+    tangent = at_nodes(space.tangents, (0, 0))(nodes, strain)
+    turn = at_nodes(space.turn_vectors, (0, 0, 0))(strain, tangent, cut.differentiate(tangent))
+    rate = cut.differentiate(turn)
+    speed = jnp.sum(rate**2, axis=-1)
+    apart = length_of(cross(turn, rate)) / jnp.where(speed > 0, speed, 1.0)
+    growth = jnp.where(nodes.present, jnp.sum(turn * rate, axis=-1), 0.0)
+    length, none = cut.edges[-1], varying_as(unsplit(problem.manipulator, problem.loads), zero_as(growth))
+    places = varying_as(Splits(none.arc_length[:1] + jnp.zeros(MINIMA), jnp.full(MINIMA, -1)), zero_as(growth))
+    places = _first_changes(problem, _with_ends(cut, growth), NEGLIGIBLE * largest_size(growth), places, upwards=True)
+    nearest = jnp.argmin(jnp.abs(cut.nodes.ravel() - places.arc_length[:, None]), axis=1)
+    apart = apart.reshape(-1, apart.shape[-1])[nearest, jnp.maximum(places.owner, 0)]
+    apart = jnp.where((places.owner >= 0) & (speed.max() > 0), apart, length)
+    sharpest = jnp.argmin(apart)
+    place, apart = places.arc_length[sharpest], apart[sharpest]
+    beside = jnp.sqrt(apart * length)
+    around = jnp.clip(jnp.stack([place - beside, place, place + beside]), 0.0, length)
+    return Splits(jnp.where(apart < SHARP * length, around, none.arc_length), none.owner)
 
 
 def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tuple[Bool[Array, ""], Number]:
@@ -133,14 +177,19 @@ def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tu
     return (ahead > least) & (back > least), least
 
 
-def _first_changes(problem: Problem, turning: Float[Array, "P q owners"], least: Number, none: Splits) -> Splits:
+def _first_changes(
+    problem: Problem, turning: Float[Array, "P q owners"], least: Number, none: Splits, upwards: bool = False
+) -> Splits:
+    """The first changes of sign; if it is asked for, only those from below zero to above."""
     cut = problem.panels
     per_panel, owners = turning.shape[1:]
     points, turning = turning.reshape(-1, owners), turning[:, 1:-1]
     arc_length = jnp.concatenate([cut.edges[:-1, None], cut.nodes, cut.edges[1:, None]], axis=1).ravel()
     left_turn, right_turn = points > least, points < -least
     last_left, last_right = _last_before(left_turn), _last_before(right_turn)
-    changes = (left_turn & (last_right > last_left)) | (right_turn & (last_left > last_right))
+    changes = left_turn & (last_right > last_left)
+    if not upwards:
+        changes = changes | (right_turn & (last_left > last_right))
 
     order = _first_of(changes.ravel(), none.owner.shape[0])
     found, at = order < changes.size, jnp.minimum(order, changes.size - 1).astype(jnp.uint32)  # not read from the end
@@ -200,8 +249,8 @@ def refined_zero(
 
 def turning_at_splits(problem: Problem, solution: Solution[AnyState], splits: Splits) -> Float[Array, " splits"]:
     """The turning that should vanish at each split; for one that is not needed, its distance from the tip, m."""
-    if splits.arc_length.size == 0:
-        return splits.arc_length
+    if problem.in_space:  # nothing depends on the places, but for the error of the quadrature
+        return splits.arc_length - jax.lax.stop_gradient(splits.arc_length)
     edges = problem.panels.edges
     starts = at_starts_and_ends(problem.panels, signed_turning(problem, solution.nodes))[0]
     panel = jnp.argmin(jnp.abs(edges[:-1] - splits.arc_length[:, None]), axis=1)

@@ -39,21 +39,22 @@ def turned_by(q: Quaternion, rate: Vector) -> Quaternion:
     return 0.5 * jnp.concatenate([w, q[..., :1] * rate + cross(q[..., 1:], rate)], axis=-1)
 
 
-def rotated(q: Quaternion, vector: Vector) -> Vector:
+def in_fixed_frame(q: Quaternion, vector: Vector) -> Vector:
     """A vector in the axes of the rotation, seen from outside: R v."""
     across = cross(q[..., 1:], vector)
     twice = 2.0 / jnp.sum(q**2, axis=-1, keepdims=True)
     return vector + twice * (q[..., :1] * across + cross(q[..., 1:], across))
 
 
-def seen_within(q: Quaternion, vector: Vector) -> Vector:
+def in_own_frame(q: Quaternion, vector: Vector) -> Vector:
     """A vector from outside, in the axes of the rotation: R^T v."""
-    return rotated(inverse(q), vector)
+    return in_fixed_frame(inverse(q), vector)
 
 
 def as_matrix(q: Quaternion) -> Float[Array, "*points 3 3"]:
     """R, whose columns are the axes of the rotation."""
-    return jnp.stack([rotated(q, jnp.broadcast_to(unit, (*q.shape[:-1], 3))) for unit in jnp.eye(3, dtype=q.dtype)], -1)
+    axes = jnp.broadcast_to(jnp.eye(3, dtype=q.dtype), (*q.shape[:-1], 3, 3))
+    return jnp.swapaxes(in_fixed_frame(q[..., None, :], axes), -1, -2)
 
 
 def small_turn(change: Quaternion, q: Quaternion) -> Vector:

@@ -18,9 +18,10 @@ from ..identification.bench import unit_of
 from ..identification.experiment_design import Plan
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
+from ..mechanics.fields import Fields
 from ..quantities import QUANTITIES
 from ..statics.description import result_in_words
-from ..statics.equilibrium import Equilibrium, Fields, fields_on
+from ..statics.equilibrium import Equilibrium, fields_on
 from ..sweeping.one_solve import COMPONENTS, OUTPUTS
 from ..units import si_unit
 

@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
+from ..mechanics.fields import AnyFields, fields_at, tendons_first
 from ..mechanics.problem import State, edge_nudge, guarded_section, strain_of
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import length_of
@@ -17,7 +18,6 @@ from ..programs.kept import kept_program
 from ..robot.cross_section import SpatialSection
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Number
-from .fields import AnyFields, fields_at, tendons_first
 
 PerTendon = Float[Array, " tendons"]
 Tree = TypeVar("Tree")

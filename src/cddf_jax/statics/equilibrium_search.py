@@ -40,6 +40,7 @@ MAX_ROUNDS = 6
 MAX_MOVES = 12  # of panels that follow the sign changes from pass to pass; then MAX_ROUNDS more of settled bodies
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
 FAR = 1e-3  # of the length: values at the nodes of panels that move less follow to second order in how far
+NEAR_MINIMUM = 1e-5  # of the length, likewise for a sharp minimum in space
 SETTLED = 1e-7  # of the length: a kink that lies so far off the end of a panel costs 1e-14
 
 
@@ -195,7 +196,8 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     moves = splits.arc_length - ends.arc_length
     distance = (largest_size(moves) if moves.size else jnp.zeros_like(fraction)) / problem.panels.edges[-1]
     calm = (num_moves < MAX_MOVES) & (trial.change <= ROUGHLY)
-    move = (distance > _in_place(fraction)) & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
+    in_place = max(_in_place(fraction), NEAR_MINIMUM if problem.in_space else 0.0)
+    move = (distance > in_place) & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
     over = trial.lost | (trial.settled & ~move)
 
     def travelled(zero: Number) -> PerTendon:

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from ..errors import SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
+from ..mechanics.fields import AnyFields, fields_at, planar_fields, tendons_first
 from ..mechanics.fixed_point import ACCURACY, FixedPoint, truncation_error
 from ..mechanics.friction import unspent
 from ..mechanics.problem import (
@@ -18,7 +19,6 @@ from ..mechanics.problem import (
     Problem,
     Solution,
     State,
-    edge_nudge,
     guarded_section,
     line_up,
     tendon_displacement,
@@ -55,7 +55,6 @@ from .equilibrium import (
 )
 from .equilibrium_derivatives import Balance, equilibrate, inside_of_bend
 from .equilibrium_search import Setup
-from .fields import AnyFields, fields_at, planar_fields, tendons_first
 from .targets import Actuation, Displacement, Target, TipAngle, TipStiffness
 from .tension_search import Found, reach
 
@@ -257,8 +256,7 @@ def _along(setup: Setup, balance: Balance, dense: Dense) -> AnyFields:
     cut, sections, nodes = problem.panels, problem.nodes, solution.nodes
     pieces = panels(cut.edges[-1], body.breakpoints, setup.nodes)
     if problem.in_space:  # whose forces need derivatives along the polynomials
-        nudge = edge_nudge(cut)
-        arc_length = line_up(cut.edges[0] + nudge, cut.nodes, cut.edges[-1] - nudge)
+        arc_length = line_up(pieces.edges[0], pieces.nodes, pieces.edges[-1])
         return tendons_first(jax.vmap(partial(_fields_within, dense))(arc_length), 1)
     if pieces.edges.shape != cut.edges.shape:  # panels that end at sign changes are not shown
         cut = pieces

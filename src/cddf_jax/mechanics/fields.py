@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..mechanics import bending, space
-from ..mechanics.friction import PerTendon, tension_rate
-from ..mechanics.problem import State, guarded_section, moment_rate_of, strain_of, tension_of
-from ..numerics.rotations import as_matrix, length_of, rotated
+from ..numerics.rotations import as_matrix, in_fixed_frame, length_of
 from ..robot.cross_section import CrossSection, SpatialSection
 from ..robot.manipulator import Manipulator
+from . import bending, space
+from .friction import PerTendon, tension_rate
+from .problem import State, guarded_section, moment_rate_of, strain_of, tension_of
 
 
 class Fields(eqx.Module):
@@ -115,9 +115,9 @@ def _spatial_fields(
         position=here.position,
         tension=tension,
         wrap_angle=here.wrap_angle,
-        normal_force=rotated(here.heading, tension[:, None] * turn),
-        friction_force=rotated(here.heading, loss[:, None] * tangent),
-        path=here.position + rotated(here.heading, manipulator.arms(arc_length)),
+        normal_force=in_fixed_frame(here.heading, tension[:, None] * turn),
+        friction_force=in_fixed_frame(here.heading, loss[:, None] * tangent),
+        path=here.position + in_fixed_frame(here.heading, manipulator.arms(arc_length)),
     )
 
 

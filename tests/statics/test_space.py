@@ -1,0 +1,244 @@
+"""Bodies in space: the numbers on which two independent codes and a published one agree, and properties."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import PAPER, paper_body
+
+import cddf_jax as cddf
+
+LENGTH = 0.14
+
+
+def in_space(*tendons, **others):
+    numbers = {"outer_radius": cddf.Linear(0.020, 0.013, LENGTH), "inner_radius": 0.007}
+    numbers |= {"youngs_modulus": 1.4e6, "friction_coefficient": 0.42} | others
+    return cddf.Manipulator(length=LENGTH, tendons=tendons, **numbers)
+
+
+def at_angle(angle, offset=0.010):
+    return cddf.Tendon(offset, angle=angle)
+
+
+def helix(turns):
+    return at_angle(cddf.Linear(0.0, 2 * np.pi * turns, LENGTH))
+
+
+# name: body, base tension, loads, tip tension (N), tip position (mm); from two independent derivations and codes
+CASES = {
+    "no angle": (in_space(at_angle(0.0)), 75.0, None, [45.12292701], (117.34384, 60.28179, 0.0)),
+    "quarter of a turn": (in_space(helix(0.25)), 75.0, None, [47.41876687], (118.67079545, 47.51777947, 32.74408991)),
+    "half a turn": (in_space(helix(0.5)), 75.0, None, [54.52936051], (122.12680351, 17.21060405, 47.09759111)),
+    "one turn": (in_space(helix(1.0)), 75.0, None, [42.13217899], (137.46753785, -5.67019229, 12.15926669)),
+    "two tendons": (
+        in_space(at_angle(0.0), at_angle(np.pi / 2)),
+        (40.0, 20.0),
+        None,
+        [28.6776219, 14.33881095],
+        (130.40912322, 36.19224489, 18.09612245),
+    ),
+    "a force across": (
+        in_space(at_angle(0.0)),
+        40.0,
+        cddf.Loads(tip_force=(0.0, 0.0, 0.5)),
+        [29.537997],
+        (132.04836657, 36.77433798, 4.08358246),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_numbers_of_two_independent_codes(name):
+    body, base_tension, loads, tip_tension, tip_mm = CASES[name]
+    found = cddf.solve(body, base_tension, loads)
+    np.testing.assert_allclose(found.tip_tension, tip_tension, rtol=5e-9 if name != "a force across" else 5e-8)
+    np.testing.assert_allclose(1e3 * found.tip_position, tip_mm, atol=2e-7 if name != "no angle" else 5e-6)
+    assert found.error_estimate < 1e-8
+    np.testing.assert_allclose(found.tip_frame.T @ found.tip_frame, np.eye(3), atol=1e-12)
+
+
+def test_a_tendon_that_converges_bends_as_in_the_plane():
+    found = cddf.solve(in_space(at_angle(0.0, cddf.Linear(0.010, 0.005, LENGTH))), 75.0)
+    np.testing.assert_allclose(found.tip_tension, 51.784572, rtol=1e-8)  # of the planar model
+    np.testing.assert_allclose(np.degrees(found.tip_angle), 50.532713, atol=5e-7)
+
+
+def test_a_rigid_helix_has_a_closed_form():
+    turns, offset = 2 * np.pi / LENGTH, 0.010
+    found = cddf.solve(in_space(helix(1.0), youngs_modulus=1.4e16), 75.0)
+    # the tendon turns by a w^2 per arc length of the axis, over sqrt(1 + a^2 w^2)
+    expected = 75.0 * np.exp(-0.42 * offset * turns**2 * LENGTH / np.sqrt(1 + (offset * turns) ** 2))
+    np.testing.assert_allclose(expected, 25.4563817, rtol=2e-9)
+    np.testing.assert_allclose(found.tip_tension, [expected], rtol=1e-9)
+
+
+ROD = {  # of a published code for rods with tendons without friction, Till, Aloi and Rucker (2019)
+    "length": 0.5,
+    "outer_radius": 1e-3,
+    "inner_radius": 0.0,
+    "youngs_modulus": 200e9,
+    "poissons_ratio": 0.25,  # G = 80 GPa
+    "friction_coefficient": 0.0,
+    "density": 8000.0,
+}
+
+
+def test_published_rod_with_a_helical_tendon_stretch_and_shear():
+    body = cddf.Manipulator(
+        tendons=(cddf.Tendon(0.01506, angle=cddf.Linear(0.0, 2 * np.pi, 0.5)),), extensible=True, **ROD
+    )
+    found = cddf.solve(body, 15.0)
+    # there z is along the rod, x and y across: its (x, y, z) are our (y, z, x)
+    np.testing.assert_allclose(1e3 * found.tip_position, (493.268789, 0.073404, 58.159618), atol=2e-6)
+    pulled = cddf.solve(body, 15.0, cddf.Loads(gravity=(0.0, 9.81, 0.0)))
+    np.testing.assert_allclose(1e3 * pulled.tip_position, (493.3483, 12.2099, 58.1888), atol=2e-3)
+
+
+def test_published_rod_with_a_straight_tendon_under_gravity():
+    body = cddf.Manipulator(tendons=(cddf.Tendon(0.01506, angle=0.0),), **ROD)
+    found = cddf.solve(body, 15.0, cddf.Loads(gravity=(0.0, 9.81, 0.0)))
+    np.testing.assert_allclose(1e3 * found.tip_position, (453.239992, 182.216166, 0.0), atol=2e-6)
+
+
+def about_the_axis(vector, angle):
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]]) @ vector
+
+
+def test_all_of_it_may_be_turned_about_the_axis():
+    tendons = (0.3, cddf.Linear(1.2, 2.9, LENGTH))
+    force, by = np.array([0.1, -0.2, 0.3]), 0.9
+    one = cddf.solve(in_space(*map(at_angle, tendons)), (30.0, 10.0), cddf.Loads(tip_force=tuple(force)))
+    other_tendons = (0.3 + by, cddf.Linear(1.2 + by, 2.9 + by, LENGTH))
+    other_loads = cddf.Loads(tip_force=tuple(about_the_axis(force, by)))
+    other = cddf.solve(in_space(*map(at_angle, other_tendons)), (30.0, 10.0), other_loads)
+    np.testing.assert_allclose(other.tip_tension, one.tip_tension, rtol=1e-11)
+    np.testing.assert_allclose(other.tip_position, about_the_axis(one.tip_position, by), atol=1e-12)
+    np.testing.assert_allclose(other.base_moment, about_the_axis(one.base_moment, by), atol=1e-12)
+    np.testing.assert_allclose(other.twist, one.twist, atol=1e-9)
+    np.testing.assert_allclose(other.tip_angle, one.tip_angle, atol=1e-12)
+
+
+@pytest.mark.parametrize("loads", [None, cddf.Loads(tip_force=(0.2, 0.3), tip_moment=0.01)], ids=["free", "loaded"])
+def test_a_body_of_the_plane_in_space(loads):
+    plane, space = (
+        cddf.solve(paper_body("exact", num_tendons=2), (40.0, 10.0), loads, space=space) for space in (False, True)
+    )
+    np.testing.assert_allclose(space.tip_tension, plane.tip_tension, rtol=1e-10)
+    np.testing.assert_allclose(space.tip_position, [*plane.tip_position, 0.0], atol=1e-11)
+    np.testing.assert_allclose(space.tip_angle, plane.tip_angle, atol=1e-10)
+    np.testing.assert_allclose(space.tendon_displacement, plane.tendon_displacement, atol=1e-12)
+    at = np.linspace(0.0, LENGTH, 9)
+    flat, there = plane.at(at), space.at(at)
+    np.testing.assert_allclose(there.curvature[:, 2], flat.curvature, atol=1e-8)
+    np.testing.assert_allclose(there.curvature[:, :2], 0.0, atol=1e-10)
+    np.testing.assert_allclose(there.tension, flat.tension, rtol=1e-10)
+    np.testing.assert_allclose(there.position[:, :2], flat.position, atol=1e-11)
+    np.testing.assert_allclose(there.wrap_angle, flat.wrap_angle, atol=1e-10)
+    np.testing.assert_allclose(there.normal_force[..., :2], flat.normal_force, atol=1e-6)
+    np.testing.assert_allclose(there.friction_force[..., :2], flat.friction_force, atol=1e-6)
+
+
+def test_forces_on_the_body_balance():
+    """Tendon forces along the body, at the anchors and at the base, in sum: T_base t(0) less T_tip t(L)."""
+    found = cddf.solve(in_space(helix(0.25), at_angle(2.0)), (40.0, 25.0), cddf.Loads(tip_force=(0.0, 0.1, 0.2)))
+    x, weights = np.polynomial.legendre.leggauss(40)
+    along = found.at((x + 1) / 2 * LENGTH)
+    total = LENGTH / 2 * np.einsum("p,tpi->ti", weights, along.normal_force + along.friction_force)
+    ends = found.at(np.array([0.0, LENGTH]))
+
+    def pull(tension, place):  # T t: the unit tangent of the path by differences, which is independent of the solver
+        step = 1e-6
+        near = found.at(np.clip(place + step * np.array([-1.0, 0.0, 1.0]), 0.0, LENGTH)).path
+        direction = near[:, 2] - near[:, 0]
+        return tension[:, None] * direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+
+    expected = pull(ends.tension[:, 1], LENGTH) - pull(ends.tension[:, 0], 0.0)
+    np.testing.assert_allclose(total, expected, atol=2e-3)
+
+
+def test_work_of_the_tendons_is_stored_without_friction():
+    """Virtual work: dU/dT = T d(displacement)/dT, with the elastic energy integrated from the curvature."""
+    body = in_space(helix(0.25), friction_coefficient=0.0)
+    x, weights = np.polynomial.legendre.leggauss(24)
+    s = (x + 1) / 2 * LENGTH
+    stiffness = jax.vmap(body.strain_stiffness)(jnp.asarray(s))
+
+    def energy_and_travel(tension):
+        found = cddf.solve(body, tension, throw=False)
+        energy = LENGTH / 4 * jnp.sum(weights[:, None] * stiffness * found.at(s).curvature ** 2)
+        return energy, found.tendon_displacement[0]
+
+    (_, _), (rise, travel) = jax.jvp(energy_and_travel, (30.0,), (1.0,))
+    np.testing.assert_allclose(rise, 30.0 * travel, rtol=1e-9)
+
+
+def test_derivatives_against_differences_in_both_modes():
+    loads = cddf.Loads(tip_force=(0.0, 0.1, 0.3))
+
+    def tip(numbers):
+        angle, tension, mu = numbers
+        body = in_space(at_angle(cddf.Linear(0.2, 0.2 + angle, LENGTH)), friction_coefficient=mu)
+        found = cddf.solve(body, tension, loads, throw=False)
+        return jnp.concatenate([found.tip_position, found.tip_tension, found.tip_angle[None]])
+
+    at, step = jnp.array([1.0, 30.0, 0.4]), jnp.array([1e-5, 1e-4, 1e-5])
+    tip = jax.jit(tip)
+    differences = [(tip(at + h) - tip(at - h)) / (2 * jnp.sum(h)) for h in jnp.diag(step)]
+    forward = jax.jacfwd(tip)(at)
+    np.testing.assert_allclose(forward, jnp.stack(differences, axis=1), rtol=2e-7, atol=1e-9)
+    np.testing.assert_allclose(jax.jacrev(tip)(at), forward, rtol=1e-9, atol=1e-13)
+
+
+def test_a_failing_lane_spoils_no_other():
+    body = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
+    tensions = jnp.array([[20.0, 5.0, 5.0], [jnp.nan, 5.0, 5.0], [5000.0, 0.0, 0.0]])
+
+    def tip(tension):
+        found = cddf.solve(body, tension, throw=False)
+        return found.tip_position, found.result == cddf.RESULTS.successful
+
+    position, good = jax.jit(jax.vmap(tip))(tensions)
+    assert good.tolist() == [True, False, False]
+    np.testing.assert_allclose(position[0], cddf.solve(body, tensions[0]).tip_position, atol=1e-13)
+    gradient = jax.grad(lambda t: jnp.sum(jax.vmap(lambda x: tip(x)[0])(t)[0]))(tensions)
+    assert np.all(np.isfinite(gradient))
+
+
+def test_the_tip_angle_at_zero_has_a_derivative():
+    slope = jax.grad(lambda tension: cddf.solve(in_space(at_angle(0.0)), tension, throw=False).tip_angle)(0.0)
+    assert np.isfinite(slope)
+
+
+def test_an_axis_that_stretches_is_shortened_by_its_tendons():
+    stiff = in_space(at_angle(0.0), at_angle(np.pi), extensible=True, friction_coefficient=0.0)
+    found = cddf.solve(stiff, (20.0, 20.0))
+    # no bend: the force -40 N along the axis shortens it by the integral of 40 / (E A)
+    area = np.pi * (np.linspace(0.020, 0.013, 20001) ** 2 - 0.007**2)
+    shorter = np.trapezoid(40.0 / (1.4e6 * area), dx=LENGTH / 20000)
+    np.testing.assert_allclose(found.tip_position, (LENGTH - shorter, 0.0, 0.0), atol=1e-10)
+
+
+def test_what_space_does_not_know_is_refused():
+    with pytest.raises(ValueError, match="published kinematics are those of the plane"):
+        in_space(at_angle(0.0), kinematics="published")
+    with pytest.raises(ValueError, match="needs torsional_stiffness"):
+        cddf.Manipulator(length=0.1, tendons=(at_angle(0.0),), bending_stiffness=1e-3, friction_coefficient=0.1)
+    with pytest.raises(ValueError, match="three components"):
+        in_space(at_angle(0.0), rest_curvature=(1.0, 2.0))
+    with pytest.raises(ValueError, match="is the angle pi"):
+        cddf.Tendon(0.01, side=-1, angle=0.0)
+    with pytest.raises(ValueError, match="TipStiffness is a target in the plane"):
+        cddf.solve(in_space(at_angle(0.0)), cddf.TipStiffness(100.0))
+
+
+def test_targets_in_space():
+    body = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
+    given = cddf.solve(body, (30.0, 10.0, 5.0))
+    wanted = tuple(cddf.Displacement(x) for x in given.tendon_displacement[:2])
+    found = cddf.solve(body, (*wanted, 5.0), direction=given.direction)
+    np.testing.assert_allclose(found.base_tension, given.base_tension, rtol=1e-7)
+    bent = cddf.solve(in_space(at_angle(0.7)), cddf.TipAngle(0.5))
+    np.testing.assert_allclose(bent.tip_angle, 0.5, atol=1e-9)
+    assert PAPER
