@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body
+from bodies import paper_body
 
 import cddf_jax as cddf
 
@@ -48,7 +48,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [*list(CASES)[:-1], pytest.param("a force across", marks=pytest.mark.slow)])
 def test_numbers_of_two_independent_codes(name):
     body, base_tension, loads, tip_tension, tip_mm = CASES[name]
     found = cddf.solve(body, base_tension, loads)
@@ -84,6 +84,7 @@ ROD = {  # of a published code for rods with tendons without friction, Till, Alo
 }
 
 
+@pytest.mark.slow
 def test_published_rod_with_a_helical_tendon_stretch_and_shear():
     body = cddf.Manipulator(
         tendons=(cddf.Tendon(0.01506, angle=cddf.Linear(0.0, 2 * np.pi, 0.5)),), extensible=True, **ROD
@@ -95,6 +96,7 @@ def test_published_rod_with_a_helical_tendon_stretch_and_shear():
     np.testing.assert_allclose(1e3 * pulled.tip_position, (493.3483, 12.2099, 58.1888), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_published_rod_with_a_straight_tendon_under_gravity():
     body = cddf.Manipulator(tendons=(cddf.Tendon(0.01506, angle=0.0),), **ROD)
     found = cddf.solve(body, 15.0, cddf.Loads(gravity=(0.0, 9.81, 0.0)))
@@ -106,6 +108,7 @@ def about_the_axis(vector, angle):
     return np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]]) @ vector
 
 
+@pytest.mark.slow
 def test_all_of_it_may_be_turned_about_the_axis():
     tendons = (0.3, cddf.Linear(1.2, 2.9, LENGTH))
     force, by = np.array([0.1, -0.2, 0.3]), 0.9
@@ -120,11 +123,13 @@ def test_all_of_it_may_be_turned_about_the_axis():
     np.testing.assert_allclose(other.tip_angle, one.tip_angle, atol=1e-12)
 
 
-@pytest.mark.parametrize("loads", [None, cddf.Loads(tip_force=(0.2, 0.3), tip_moment=0.01)], ids=["free", "loaded"])
+LOADS_OF_THE_PLANE = [None, pytest.param(cddf.Loads(tip_force=(0.2, 0.3), tip_moment=0.01), marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("loads", LOADS_OF_THE_PLANE, ids=["free", "loaded"])
 def test_a_body_of_the_plane_in_space(loads):
-    plane, space = (
-        cddf.solve(paper_body("exact", num_tendons=2), (40.0, 10.0), loads, space=space) for space in (False, True)
-    )
+    body = paper_body("exact", num_tendons=2)
+    plane, space = (cddf.solve(body, (40.0, 10.0), loads, space=space) for space in (False, True))
     np.testing.assert_allclose(space.tip_tension, plane.tip_tension, rtol=1e-10)
     np.testing.assert_allclose(space.tip_position, [*plane.tip_position, 0.0], atol=1e-11)
     np.testing.assert_allclose(space.tip_angle, plane.tip_angle, atol=1e-10)
@@ -140,6 +145,7 @@ def test_a_body_of_the_plane_in_space(loads):
     np.testing.assert_allclose(there.friction_force[..., :2], flat.friction_force, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_forces_on_the_body_balance():
     """Tendon forces along the body, at the anchors and at the base, in sum: T_base t(0) less T_tip t(L)."""
     found = cddf.solve(in_space(helix(0.25), at_angle(2.0)), (40.0, 25.0), cddf.Loads(tip_force=(0.0, 0.1, 0.2)))
@@ -158,6 +164,7 @@ def test_forces_on_the_body_balance():
     np.testing.assert_allclose(total, expected, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_work_of_the_tendons_is_stored_without_friction():
     """Virtual work: dU/dT = T d(displacement)/dT, with the elastic energy integrated from the curvature."""
     body = in_space(helix(0.25), friction_coefficient=0.0)
@@ -174,6 +181,7 @@ def test_work_of_the_tendons_is_stored_without_friction():
     np.testing.assert_allclose(rise, 30.0 * travel, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_against_differences_in_both_modes():
     loads = cddf.Loads(tip_force=(0.0, 0.1, 0.3))
 
@@ -191,6 +199,7 @@ def test_derivatives_against_differences_in_both_modes():
     np.testing.assert_allclose(jax.jacrev(tip)(at), forward, rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_failing_lane_spoils_no_other():
     body = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
     tensions = jnp.array([[20.0, 5.0, 5.0], [jnp.nan, 5.0, 5.0], [5000.0, 0.0, 0.0]])
@@ -233,6 +242,7 @@ def test_what_space_does_not_know_is_refused():
         cddf.solve(in_space(at_angle(0.0)), cddf.TipStiffness(100.0))
 
 
+@pytest.mark.slow
 def test_targets_in_space():
     body = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
     given = cddf.solve(body, (30.0, 10.0, 5.0))
@@ -241,4 +251,17 @@ def test_targets_in_space():
     np.testing.assert_allclose(found.base_tension, given.base_tension, rtol=1e-7)
     bent = cddf.solve(in_space(at_angle(0.7)), cddf.TipAngle(0.5))
     np.testing.assert_allclose(bent.tip_angle, 0.5, atol=1e-9)
-    assert PAPER
+
+
+@pytest.mark.slow
+def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
+    body = in_space(helix(0.25), friction_coefficient=0.0)
+    compliance = cddf.tip_compliance(body, 30.0)
+    assert compliance.shape == (6, 6)
+    np.testing.assert_allclose(compliance, compliance.T, atol=1e-9 * np.max(np.abs(compliance)))  # Maxwell and Betti
+    step = 1e-4
+    moved = [cddf.solve(body, 30.0, cddf.Loads(tip_force=(0.0, 0.0, sign * step))) for sign in (1, -1)]
+    difference = (moved[0].tip_position - moved[1].tip_position) / (2 * step)
+    np.testing.assert_allclose(compliance[:3, 2], difference, rtol=1e-6, atol=1e-9)
+    by_tension = cddf.tip_jacobian(in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2)), (20.0, 5.0, 5.0)).base_tension
+    assert by_tension.shape == (6, 3)

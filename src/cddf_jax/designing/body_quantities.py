@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError
 from ..history.trace import trace
-from ..mechanics.fields import Fields
+from ..mechanics.fields import Fields, in_the_plane
 from ..numerics.quadrature import Panels, panels
 from ..quantities import dimension_of
 from ..robot.loads import Loads
@@ -46,7 +46,7 @@ class BodyView:
     @cached_property
     def along(self) -> Fields:
         """The fields of the equilibrium at the arc lengths."""
-        return self.equilibrium.at(self.arc_length)
+        return in_the_plane(self.equilibrium.at(self.arc_length), "design")
 
     @cached_property
     def anchored(self) -> Bool[Array, "tendons points"]:

@@ -20,7 +20,7 @@ from ..identification.course import Traced, course_of, has_history
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
-from ..mechanics.fields import Fields
+from ..mechanics.fields import Fields, in_the_plane
 from ..programs.evaluated import evaluated
 from ..programs.kept import kept_program
 from ..quantities import QUANTITIES, Quantity
@@ -276,7 +276,7 @@ class Exploration:
 @eqx.filter_jit
 def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Array]:
     equilibrium = _solve(case)
-    return equilibrium, equilibrium.at(arc_length), _peak_strain(equilibrium)
+    return equilibrium, in_the_plane(equilibrium.at(arc_length), "explorer"), _peak_strain(equilibrium)
 
 
 def _peak_strain(equilibrium: Equilibrium) -> Array:

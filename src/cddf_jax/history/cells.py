@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from ..mechanics import bending
 from ..mechanics.friction import PerTendon, ratio_beyond, tension_rate
 from ..mechanics.problem import Problem, guarded_section, lay_out, moment_rate_of, slip_rate
-from ..robot.cross_section import CrossSection
+from ..robot.cross_section import CrossSection, planar
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 
@@ -116,7 +116,7 @@ def _sections(problem: Problem) -> CrossSection:
     cut = problem.panels
     nudge = 1e-9 * cut.width  # a joint belongs to both of its sides
     places = jnp.stack([cut.edges[:-1] + nudge, cut.nodes[:, 1], cut.edges[1:] - nudge], axis=1)
-    return jax.vmap(jax.vmap(partial(guarded_section, problem.manipulator)))(places)
+    return planar(jax.vmap(jax.vmap(partial(guarded_section, problem.manipulator)))(places))
 
 
 def _stretch(manipulator: Manipulator, problem: Problem) -> PerTendon:

@@ -18,7 +18,7 @@ from ..mechanics.friction import PerTendon
 from ..mechanics.problem import State, displacement_rate, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import num_splits
 from ..numerics.quadrature import Panels, gauss_rule
-from ..robot.cross_section import CrossSection
+from ..robot.cross_section import CrossSection, planar
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 from .fronts import cut_at, first_zero, front_of
@@ -106,7 +106,7 @@ class _Slide(NamedTuple):
     def at(self, body: Manipulator, arc_length: Number) -> tuple[CrossSection, PerTendon, Number]:
         """Cross-section, tension, N, and M_ext, N m."""
         section, state = guarded_section(body, arc_length), self.cut.interpolate(self.starts, self.nodes, arc_length)
-        return section, tension_of(section, self.base_tension, state.pull), state.moment
+        return planar(section), tension_of(section, self.base_tension, state.pull), state.moment
 
 
 def _slide(part: Manipulator, nodes: int, direction: Number, tension: Number) -> _Slide:

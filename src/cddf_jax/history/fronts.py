@@ -13,6 +13,7 @@ from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.problem import Problem, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import at_starts_and_ends, refined_zero
 from ..numerics.quadrature import Panels
+from ..robot.cross_section import planar
 from ..robot.manipulator import Manipulator
 
 Number = Float[Array, ""]
@@ -66,7 +67,7 @@ def moving_front(body: Manipulator, front: Number, here: Number, there: Number, 
     """
     still, apart = jax.lax.stop_gradient((body, front, here, direction)), here - there
     body, place, tension, direction = still
-    section = guarded_section(body, place)
+    section = planar(guarded_section(body, place))
 
     def slope(direction: Number) -> Number:
         kappa = bending.curvature(section, tension[None])
@@ -104,9 +105,10 @@ def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction
     """T, N, and T', N/m, at the end of a part of the body."""
     problem = lay_out(part, tension[None], direction[None], nodes)
     value = tension_of(problem.tip, problem.base_tension, FixedPoint()(problem).tip.pull)
-    kappa = bending.curvature(problem.tip, value)
-    turning = bending.turning(problem.tip, kappa, value, problem.direction)
-    return value[0], tension_rate(problem.direction, problem.tip, turning, value)[0]
+    tip = planar(problem.tip)
+    kappa = bending.curvature(tip, value)
+    turning = bending.turning(tip, kappa, value, problem.direction)
+    return value[0], tension_rate(problem.direction, tip, turning, value)[0]
 
 
 def first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..mechanics.problem import curvature_along, guarded_section, tension_of
 from ..numerics.arrays import cos_sin, zero_as
+from ..robot.cross_section import planar
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Dense, code_of, with_words
 from ..statics.solve import solve
@@ -75,7 +76,7 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
 def stored_energy(dense: Dense) -> Number:
     """What body and tendon hold in an equilibrium, J: the integral of E J kappa^2 / 2 + T^2 / (2 E A)."""
     body, cut, moment = dense.manipulator, dense.panels, dense.nodes.moment
-    section = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
+    section = planar(jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes))
     tension = tension_of(section, dense.base_tension, dense.nodes.pull)
     kappa = curvature_along(section, tension, moment)
     stretch = tension**2 * jnp.sqrt(1.0 + section.offset_slope**2) * body.tendon_compliance

@@ -18,6 +18,7 @@ from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.problem import State, axis_of, guarded_section, lay_out, stretch_rate
 from ..numerics.arrays import largest_size
 from ..programs.kept import kept_program
+from ..robot.cross_section import planar
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
@@ -140,7 +141,7 @@ def _stored(cells: Cells, moment: Moment) -> Number:
     return jnp.sum(jax.vmap(integral)(cells.width, density)) + jnp.sum(cells.free_stretch * edges.tension[0] ** 2) / 2
 
 
-def _planar_fields(manipulator: Manipulator, cells: Cells, moment: Moment, shape: _Shape, arc_length: Number) -> Fields:
+def _fields_at(manipulator: Manipulator, cells: Cells, moment: Moment, shape: _Shape, arc_length: Number) -> Fields:
     """The fields at one arc length, tendons last; cubic polynomials within the cells."""
     i = cells.at(arc_length)
     width = cells.width[i]
@@ -157,7 +158,7 @@ def _planar_fields(manipulator: Manipulator, cells: Cells, moment: Moment, shape
         between(shape.wrap_angle[i], shape.wrap_angle[i + 1], turning[0], turning[2]),
         between(shape.position[i], shape.position[i + 1], axis[0], axis[2]),
     )
-    section = guarded_section(manipulator, arc_length)
+    section = planar(guarded_section(manipulator, arc_length))
     fields = planar_fields(section, here.tension, moment.step.share[i], arc_length, state)
     return nan_unless((arc_length >= 0) & (arc_length <= cells.edges[-1]), fields)
 

@@ -76,6 +76,8 @@ def trace(
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"trace: the first argument must be a Manipulator, got {type(manipulator).__name__}")
+    if manipulator.in_space or (isinstance(loads, Loads) and loads.in_space):
+        raise ValueError("trace: the body is in space, and only histories in the plane are known")
     check_nodes(nodes)
     for name, value, least in (("max_turns", max_turns, 1), ("short_steps", short_steps, 2)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:

@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..errors import InputError
 from ..numerics.rotations import as_matrix, in_fixed_frame, length_of
-from ..robot.cross_section import CrossSection, SpatialSection
+from ..robot.cross_section import CrossSection, SpatialSection, planar
 from ..robot.manipulator import Manipulator
 from . import bending, space
 from .friction import PerTendon, tension_rate
@@ -53,6 +54,21 @@ AnyFields: TypeAlias = Fields | SpatialFields
 Varying = TypeVar("Varying", bound=AnyFields)
 
 
+def in_the_plane(fields: AnyFields, asking: str) -> Fields:
+    """The fields of a body in the plane.
+
+    Args:
+        fields: of any body.
+        asking: who asks, for the message.
+
+    Raises:
+        InputError: for those of a body in space.
+    """
+    if isinstance(fields, SpatialFields):
+        raise InputError(f"{asking}: the body is in space, and only bodies in the plane are known here")
+    return fields
+
+
 def fields_at(
     manipulator: Manipulator,
     base_tension: PerTendon,
@@ -71,9 +87,8 @@ def fields_at(
     """
     if manipulator.in_space:
         return _spatial_fields(manipulator, base_tension, direction, arc_length, state)
-    return planar_fields(
-        guarded_section(manipulator, arc_length), base_tension, direction, arc_length, state(arc_length)
-    )
+    section = planar(guarded_section(manipulator, arc_length))
+    return planar_fields(section, base_tension, direction, arc_length, state(arc_length))
 
 
 def planar_fields(

@@ -21,7 +21,7 @@ from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import cross, in_fixed_frame, turned_by
-from ..robot.cross_section import CrossSection, SpatialSection
+from ..robot.cross_section import AnySection
 from ..robot.loads import planar_cross
 from . import space
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
@@ -74,7 +74,7 @@ def truncation_error(problem: Problem, solution: Solution[AnyState]) -> Number:
     places = cut.edges[:-1, None] + cut.width[:, None] * jnp.asarray(fractions, cut.edges.dtype)
     sections = jax.vmap(jax.vmap(lambda s: guarded_section(problem.manipulator, s)))(places)
     state = jax.tree.map(lambda a, b: cut.resample(a, b, fractions), solution.starts, solution.nodes)
-    rates_of = _shape_rates_in_space if problem.in_space else _shape_rates
+    rates_of = _shape_rates_in_space if problem.in_space else _shape_rates_in_plane
     turning, axis, turned, moment_rate = rates_of(problem, solution, sections, state, fractions)
     growth = ratio_rate(problem.direction, sections, turning, state.ratio) / solution.tip.ratio
     spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, solution.tip.pull)
@@ -85,8 +85,8 @@ def truncation_error(problem: Problem, solution: Solution[AnyState]) -> Number:
     return jnp.maximum(SAFETY * largest(jnp.sum(missed, axis=0)), _unseen_turning(problem))
 
 
-def _shape_rates(
-    problem: Problem, solution: Solution[AnyState], sections: CrossSection, state: AnyState, _: np.ndarray
+def _shape_rates_in_plane(
+    problem: Problem, solution: Solution[AnyState], sections: AnySection, state: AnyState, _: np.ndarray
 ) -> tuple[Array, Array, Array, Array]:
     """Turning of the tendons, t, phi' and M_ext' at other places of the panels, in the plane."""
     tension = tension_of(sections, problem.base_tension, state.pull)
@@ -98,7 +98,7 @@ def _shape_rates(
 
 
 def _shape_rates_in_space(
-    problem: Problem, solution: Solution[AnyState], sections: SpatialSection, state: AnyState, fractions: np.ndarray
+    problem: Problem, solution: Solution[AnyState], sections: AnySection, state: AnyState, fractions: np.ndarray
 ) -> tuple[Array, Array, Array, Array]:
     """The same in space; twice the derivative of the rotation, which is an angle."""
     cut = problem.panels
@@ -270,7 +270,8 @@ def _shape_in_space(problem: Problem, guess: Nodal, tension: Float[Array, "P p t
     if guess.frame is None:
         return _Shape(turning, None, None, None, strain)
     rate = turned_by(guess.frame, space.curvature_of_strain(strain))
-    frame = _integral(cut, identity_as(tension), rate)
+    edges, nodes = cut.integrate(rate)
+    frame = identity_as(tension) + edges, identity_as(tension) + nodes
     axis = in_fixed_frame(guess.frame, space.axis_of_strain(strain))
     return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain)
 
@@ -279,7 +280,7 @@ _strain_in_space = at_nodes(space.strain, (0, 0, 0))
 _turning_in_space = at_nodes(space.turning_in_space, (0, 0, 0, 0))
 
 
-def _tangents(cut: Panels, section: SpatialSection, strain: Array) -> tuple[Array, Array]:
+def _tangents(cut: Panels, section: AnySection, strain: Array) -> tuple[Array, Array]:
     """The tangents of the tendons in the frame of the nodes, and their derivatives there."""
     tangent = at_nodes(space.tangents, (0, 0))(section, strain)
     return tangent, cut.differentiate(tangent)

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.quadrature import Panels, panels, panels_between
 from ..numerics.rotations import IDENTITY, in_own_frame
-from ..robot.cross_section import AnySection, CrossSection, SpatialSection
+from ..robot.cross_section import AnySection, CrossSection, SpatialSection, planar
 from ..robot.loads import Loads, force_at_points, force_per_length, planar_cross
 from ..robot.manipulator import Manipulator
 from . import bending, space
@@ -464,7 +464,7 @@ def tendon_displacement(problem: Problem, state: AnyState) -> PerTendon:
             problem.nodes, strain, tension, body.tendon_compliance
         )
     else:
-        rate = displacement_rate(body, problem.nodes, tension, state.moment)
+        rate = displacement_rate(body, planar(problem.nodes), tension, state.moment)
     return jnp.sum(problem.panels.gain(rate), axis=0) + outside
 
 

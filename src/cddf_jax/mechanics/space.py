@@ -110,9 +110,9 @@ def _strain_of_least_energy(section: SpatialSection, tension: PerTendon, loads: 
 
 @_strain_of_least_energy.def_jvp
 def _(primals, directions):
-    section, tension, _ = primals
+    section, tension, _loads = primals
     found = _strain_of_least_energy(*primals)
-    pushed = slope_along(lambda given: _residual(*given, found), primals, directions)
+    pushed = slope_along(lambda given: _residual(given[0], given[1], given[2], found), primals, directions)
     return found, -solve_definite(_tangent_stiffness(section, tension, found), pushed)
 
 

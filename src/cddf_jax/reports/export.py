@@ -18,7 +18,7 @@ from ..identification.bench import unit_of
 from ..identification.experiment_design import Plan
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
-from ..mechanics.fields import Fields
+from ..mechanics.fields import Fields, in_the_plane
 from ..quantities import QUANTITIES
 from ..statics.description import result_in_words
 from ..statics.equilibrium import Equilibrium, fields_on
@@ -114,7 +114,7 @@ def fields_on_grid(equilibrium: Equilibrium) -> Fields:
     Raises:
         InputError: for a batch of equilibria.
     """
-    return fields_on(equilibrium, _stations(equilibrium, None))
+    return in_the_plane(fields_on(equilibrium, _stations(equilibrium, None)), "table of fields")
 
 
 def field_columns(fields: Fields) -> dict[str, np.ndarray]:

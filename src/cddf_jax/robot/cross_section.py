@@ -48,3 +48,15 @@ class SpatialSection(eqx.Module):
 
 
 AnySection: TypeAlias = CrossSection | SpatialSection
+
+
+def planar(section: AnySection) -> CrossSection:
+    """The same, which is known to be of a body in the plane."""
+    assert isinstance(section, CrossSection)
+    return section
+
+
+def spatial(section: AnySection) -> SpatialSection:
+    """The same, which is known to be of a body in space."""
+    assert isinstance(section, SpatialSection)
+    return section

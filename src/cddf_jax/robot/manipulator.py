@@ -29,7 +29,7 @@ def _as_optional_profile(value: Profile | ArrayLike | None) -> Profile | None:
     return None if value is None else as_profile(value)
 
 
-def _as_rest_curvature(value: Any) -> tuple[Profile, ...] | None:
+def _as_rest_curvature(value: Any) -> Any:
     if value is None:
         return None
     parts = tuple(value)

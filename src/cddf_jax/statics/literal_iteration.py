@@ -17,6 +17,7 @@ from ..mechanics.problem import Nodal, Problem, Solution, State, curvature_along
 from ..numerics.implicit import without_derivative
 from ..numerics.iteration import fixed_point
 from ..numerics.quadrature import Panels
+from ..robot.cross_section import planar
 from ..robot.manipulator import Manipulator
 from .arguments import check_nodes, one_precision, per_tendon
 from .solve import solve
@@ -102,7 +103,7 @@ def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tupl
             "LiteralIteration does not know tendons that turn by a finite angle between two pieces of the body; "
             "use FixedPoint"
         )
-    t = jax.vmap(jax.vmap(bending.tangent))(problem.nodes, curvature)
+    t = jax.vmap(jax.vmap(bending.tangent))(planar(problem.nodes), curvature)
     turning = t.turning + t.turning_slope * problem.panels.differentiate(curvature)[..., None]
     return problem.panels.integrate(jnp.where(problem.nodes.present, jnp.abs(turning), 0.0))
 
@@ -110,7 +111,7 @@ def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tupl
 def literal_update(problem: Problem, curvature: Float[Array, "P p"]) -> Float[Array, "P p"]:
     """One update of the paper's algorithm: eq. (14) at the last shape, its double integral done by parts."""
     _, wrap = literal_wrap_angle(problem, curvature)
-    section = problem.nodes
+    section = planar(problem.nodes)
     tension = problem.base_tension * jnp.exp(-problem.direction * section.friction_coefficient * wrap)
     t = jax.vmap(jax.vmap(bending.tangent))(section, curvature)
     moment = jnp.where(section.present, section.side * section.offset * tension * t.along, 0.0)

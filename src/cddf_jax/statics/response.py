@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from ..errors import InputError
 from ..mechanics.directions import Directions
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import PerTendon, tension_rate, unspent
@@ -32,7 +33,8 @@ from ..mechanics.problem import (
 )
 from ..numerics.quadrature import gauss_rule
 from ..programs.kept import kept_program
-from ..robot.loads import Loads
+from ..robot.cross_section import planar
+from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
 from ..robot.validation import check_weight
@@ -53,8 +55,10 @@ def tip_compliance(
     direction: Directions = None,
     method: Method = FixedPoint(),
     nodes: int = 16,
-) -> Float[Array, "3 3"]:
+) -> Float[Array, "pose wrench"]:
     """The compliance C of the tip: how its pose (X, Y, phi) follows a force and a moment on it (F_X, F_Y, m).
+
+    In space it is 6 x 6: position and rotation about X, Y, Z by force and moment, (X, Y, Z) each.
 
     In m/N, and where one of the two is an angle or a moment 1/N, where both are rad/(N m). The tendons are held as
     they are given: by constant base tensions, or by a constant `Displacement`.
@@ -71,15 +75,18 @@ def tip_compliance(
         Row by row the derivatives of X, Y and phi; NaN where `solve` would raise.
     """
     loads = Loads() if loads is None else loads
+    if manipulator.in_space or loads.in_space:
+        loads = loads_in_space(loads)
     by = tip_jacobian(manipulator, base_tension, loads, direction=direction, method=method, nodes=nodes).loads
     assert by is not None
-    return jnp.concatenate([by.tip_force, by.tip_moment[:, None]], axis=1)
+    by_moment = jnp.asarray(by.tip_moment)
+    return jnp.concatenate([by.tip_force, by_moment if by_moment.ndim > 1 else by_moment[:, None]], axis=1)
 
 
 class TipJacobian(eqx.Module):
-    """Derivatives of the tip's pose (X, Y, phi), SI.
+    """Derivatives of the tip's pose (X, Y, phi), SI; in space of position and rotation about X, Y, Z.
 
-    Trees like the arguments of `solve`, with a leading axis of 3 on every number; NaN where `solve` would raise.
+    Trees like the arguments of `solve`, with a leading axis of 3, in space 6, on every number; NaN where `solve` would raise.
     """
 
     manipulator: Manipulator  # e.g. `.manipulator.youngs_modulus`, (3,): m/Pa, m/Pa, rad/Pa
@@ -124,8 +131,17 @@ def _tip_jacobian(arguments: tuple, direction: PyTree, method: Method, nodes: in
 
 
 def tip_pose(equilibrium: Equilibrium) -> Float[Array, "3"]:
-    """The pose of the tip: X and Y, m, and its heading phi, rad."""
-    return jnp.append(equilibrium.tip_position, equilibrium.tip_angle)
+    """The pose of the tip: X and Y, m, and its heading phi, rad.
+
+    In space X, Y, Z, and three angles about these axes by which the tip is turned from where it is: zero, with the
+    derivatives of a rotation.
+    """
+    frame = equilibrium.tip_frame
+    if frame is None:
+        return jnp.append(equilibrium.tip_position, equilibrium.tip_angle)
+    turned = frame @ jax.lax.stop_gradient(frame).T
+    pairs = [(2, 1), (0, 2), (1, 0)]
+    return jnp.append(equilibrium.tip_position, jnp.stack([turned[i, j] - turned[j, i] for i, j in pairs]) / 2)
 
 
 class EnergyBalance(eqx.Module):
@@ -167,6 +183,8 @@ def energy_balance(
         num_steps: Gauss points along the pull. Where the curvature changes sign on the way, or drag leaves a tendon
             slack at first, the balance closes more slowly with them.
     """
+    if manipulator.in_space or (loads is not None and loads.in_space):
+        raise InputError("energy_balance: the body is in space, and only bodies in the plane are known here")
     end = solve(manipulator, base_tension, loads, direction=direction, method=method, nodes=nodes, throw=throw)
     manipulator, tension, direction, loads = one_precision(manipulator, end.base_tension, end._dense.direction, loads)
     return _energy_balance(Setup(manipulator, direction, loads, method, nodes), tension, end.result, num_steps)
@@ -209,9 +227,9 @@ class _Stage(NamedTuple):
 def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     there = equilibrate(setup, base_tension)
     problem, solution, cut = there.problem, there.solution, there.problem.panels
-    section = problem.nodes
+    section = planar(problem.nodes)
     tension = tension_of(section, base_tension, solution.nodes.pull)
-    reel = displacement_rate(problem.manipulator, problem.nodes, tension, solution.nodes.moment)
+    reel = displacement_rate(problem.manipulator, section, tension, solution.nodes.moment)
     edges, inner = cut.integrate(reel)
     kappa = curvature_along(section, tension, solution.nodes.moment)
     moment_rate = moment_rate_of(solution.nodes.heading, solution.nodes.force)
