@@ -263,5 +263,5 @@ def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
     moved = [cddf.solve(body, 30.0, cddf.Loads(tip_force=(0.0, 0.0, sign * step))) for sign in (1, -1)]
     difference = (moved[0].tip_position - moved[1].tip_position) / (2 * step)
     np.testing.assert_allclose(compliance[:3, 2], difference, rtol=1e-6, atol=1e-9)
-    by_tension = cddf.tip_jacobian(in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2)), (20.0, 5.0, 5.0)).base_tension
-    assert by_tension.shape == (6, 3)
+    three = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
+    assert cddf.tip_jacobian(three, jnp.array([20.0, 5.0, 5.0])).base_tension.shape == (6, 3)

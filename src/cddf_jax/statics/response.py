@@ -86,7 +86,8 @@ def tip_compliance(
 class TipJacobian(eqx.Module):
     """Derivatives of the tip's pose (X, Y, phi), SI; in space of position and rotation about X, Y, Z.
 
-    Trees like the arguments of `solve`, with a leading axis of 3, in space 6, on every number; NaN where `solve` would raise.
+    Trees like the arguments of `solve`, with a leading axis of 3, in space 6, on every number; NaN where `solve` would
+    raise.
     """
 
     manipulator: Manipulator  # e.g. `.manipulator.youngs_modulus`, (3,): m/Pa, m/Pa, rad/Pa
