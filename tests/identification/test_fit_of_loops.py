@@ -125,8 +125,7 @@ def test_predictions_along_a_loop(fitted):
     [
         ({"before": 75.0}, "predict: before is used with a history only; give history=True"),
         ({"history": True, "before": 20.0}, "predict: step 1: before must be the largest base tension up to this row"),
-        ({"history": True, "direction": 1}, "predict: a history is that of one tendon without tip force, and directio"),
-        ({"history": True, "tip_force": (0, 1)}, "predict: a history is that of one tendon without tip force"),
+        ({"history": True, "direction": 1}, "predict: with a history directions follow from it; leave direction out"),
     ],
 )
 def test_paths_that_cannot_be_predicted(fitted, given, message):
@@ -209,16 +208,6 @@ def test_a_direction_is_compared_with_the_order():
 
 
 def test_where_the_history_is_not_known():
-    rows = {"base_tension": [10.0, 20.0], "tip_tension": [9.0, 17.0], "step": [0, 1]}
-    loaded = Measurements.from_columns("bench", **rows, tip_force_y=[1.0, 1.0])
-    with pytest.raises(
-        InputError, match=r"fit: bench: .* the history of a body under a tip force cannot be fitted; giv"
-    ):
-        cddf.fit(BODY, loaded)
-    pair = paper_body(num_tendons=2)
-    both = Measurements.from_columns("bench", **rows, base_tension_2=[5.0, 5.0])
-    with pytest.raises(InputError, match=r"the history of 2 tendons cannot be fitted; give history=False"):
-        cddf.fit(pair, both)
     gap = {"base_tension": [10.0, 60.0, 20.0], "tip_tension": [9.0, np.nan, 22.0]}
     with pytest.raises(
         InputError, match="1 rows without a reading are left out, and the path from row to row needs them"
@@ -373,6 +362,78 @@ def test_a_first_row_may_be_a_release():
 def test_what_cannot_have_been_before(given, message):
     with pytest.raises(InputError, match=message):
         cddf.fit(BODY, released(), **given)
+
+
+# --- several tendons, and forces on the tip -------------------------------------------------------------
+
+PAIR = paper_body("exact", num_tendons=2)
+PULLS = np.concatenate([np.linspace(10, 70, 10), np.linspace(64, 4, 10)])
+
+
+def pair_table(**more):
+    """A path of a tendon against another, nothing read that counts."""
+    columns = {"base_tension": PULLS, "base_tension_2": np.full(20, 20.0), "tip_angle": np.zeros(20)}
+    return Measurements.from_columns("pair", step=range(20), **columns | more)
+
+
+def test_the_course_of_several_tendons():
+    """Jitter of either cell is no step; forces that change begin with none, those that stay rest on the body first."""
+    rng = np.random.default_rng(6)
+    second = np.repeat(20.0, 20) + 0.02 * rng.normal(size=20)
+    course, steady = course_of(pair_table(base_tension_2=second))
+    assert course.short_steps == 4
+    assert course.tip_force is None
+    assert course.readings.shape == (1, 20, 2)
+    np.testing.assert_allclose(course.readings[0, :, 0], PULLS)
+    np.testing.assert_allclose(course.readings[0, :, 1], np.mean(second))
+    assert steady.noise == pytest.approx(np.std(second, ddof=1), rel=0.1)
+    np.testing.assert_array_equal(course.before_turns, np.arange(20) < 10)
+    force = np.where(np.arange(20) < 10, -0.2, -0.5)
+    course = course_of(pair_table(tip_force_y=force))[0]
+    np.testing.assert_allclose(course.tip_force[0, :, 1], force)
+    assert not course.force_stays
+    assert course_of(pair_table(tip_force_y=np.full(20, -0.2)))[0].force_stays
+    with pytest.raises(InputError, match="pair: before is that of one tendon; write what came before as rows"):
+        course_of(pair_table(), starts=[Start(60.0)])
+    with pytest.raises(InputError, match="fit: short_steps must be a whole number of 2 or more, got 1"):
+        cddf.fit(PAIR, pair_table(), short_steps=1)
+
+
+@pytest.mark.slow
+def test_a_loop_of_two_tendons_brings_the_truth_back():
+    """Seed stated before; simulated with 16 short steps and twice the cells, fitted with 4 from another start."""
+    rng, noise = np.random.default_rng(20261123), {"tip_tension": 0.1, "tip_tension_2": 0.1, "tip_angle": ANGLE}
+    history = cddf.trace(PAIR, np.stack([PULLS, np.full(20, 20.0)], axis=1), short_steps=16)
+    read = {"tip_tension": history.tip_tension[:, 0], "tip_tension_2": history.tip_tension[:, 1]}
+    read = {name: values + 0.1 * rng.normal(size=20) for name, values in read.items()}
+    read["tip_angle"] = history.tip_angle + ANGLE * rng.normal(size=20)
+    start = eqx.tree_at(lambda b: (b.friction_coefficient, b.youngs_modulus), PAIR, (0.35, 1.2e6))
+    found = cddf.fit(start, pair_table(**read), noise=noise)
+    assert found.success
+    for name, truth in (("friction_coefficient", MU), ("youngs_modulus", E)):
+        low, high = found.confidence_interval[name]
+        assert low < truth < high
+        assert found.standard_error[name] < 0.01 * truth
+        assert found.moved_by_steps[name] < 0.5
+    assert not any("short steps" in warning for warning in found.warnings)
+    report = make_report(found, with_profiles=False)
+    assert "The short steps of the history move the estimates by at most 0." in fit_as_markdown(report)
+    assert found.pull_alone.standard_error["youngs_modulus"] > found.standard_error["youngs_modulus"]
+    path = np.stack([PULLS, np.full(20, 20.0)], axis=1)
+    along = found.predict("tip_angle", path, history=True)
+    np.testing.assert_allclose(along.value, read["tip_angle"] - found.residuals["pair: tip_angle"], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_loop_under_a_tip_force():
+    """One tendon whose weight at the tip rests on the body first, without noise."""
+    path, load = np.array([20.0, 45.0, 70.0, 55.0, 40.0, 20.0]), cddf.Loads(tip_force=(0.0, -0.3))
+    history = cddf.trace(BODY, path, load, short_steps=16)
+    columns = {"base_tension": path, "tip_force_y": np.full(6, -0.3), "step": range(6)}
+    read = {"tip_tension": history.tip_tension, "tip_angle": history.tip_angle}
+    found = cddf.fit(BODY, Measurements.from_columns("bench", **columns, **read), noise=NOISE, short_steps=8)
+    for name, truth in (("friction_coefficient", MU), ("youngs_modulus", E)):
+        assert abs(found.value[name] - truth) < 0.3 * found.standard_error[name]
 
 
 # --- jitter of the base cell -----------------------------------------------------------------------

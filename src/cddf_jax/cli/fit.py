@@ -55,6 +55,10 @@ def fit(
     noise: NoiseOption = None,
     history: options.HistoryOption = None,
     before: BeforeOption = None,
+    short_steps: Annotated[
+        int,
+        typer.Option(help="Into how many each step of a history is divided with several tendons or tip forces.", min=2),
+    ] = 4,
     loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[
         int | None,
@@ -91,6 +95,7 @@ def fit(
         noise=read_noise(noise),
         history=history,
         before=read_before(before),
+        short_steps=short_steps,
         per_trial=per_trial,
         loss=loss,
         starts=starts,

@@ -72,7 +72,7 @@ HistoryOption = Annotated[
     bool | None,
     typer.Option(
         "--history/--no-history",
-        help="Rows know what came before them: one tendon that is pulled and let out, in the order of the rows.",
+        help="Rows know what came before them: tendons that are pulled and let out, in the order of the rows.",
         show_default="where a column step or time tells the order",
     ),
 ]

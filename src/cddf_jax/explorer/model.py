@@ -312,8 +312,9 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
 
 def _experiment(table: Measurements, body: Manipulator) -> Pulley | Bench:
     """A table as the model takes it, with the past of its rows where their order is told and can be followed."""
+    loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
     try:
-        ordered = has_history(table, body, None)
+        ordered = has_history(table, None) and body.num_tendons == 1 and not loaded
     except InputError:
         ordered = False
     return experiment_of(table, body, course=course_of(table)[0] if ordered else None)

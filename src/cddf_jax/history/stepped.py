@@ -304,15 +304,8 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         start: the states that the path goes on from; None for rest.
         kind: how to follow it; static.
     """
-    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(manipulator)]))
-    usable = jnp.cumprod(_usable(path)) > 0  # up to the first step that is not
-    asked, wanted = manipulator, path
-    ones = jnp.ones_like(path.tension[0])
-    manipulator, _, _, (path,) = harmless(manipulator, ones, ones, (path,))
-    path = path._replace(tension=jnp.maximum(path.tension, 0.0))
-    laid_out = lay_out(manipulator, ones, ones, 4, _first(path.loads))
-    physical = usable & finite & is_physical(asked, ones, ones, laid_out)
-
+    wanted, ones = path, jnp.ones_like(path.tension[0])
+    manipulator, path, physical = _checked(manipulator, path)
     last = None if start is None else jax.tree.map(lambda x: x[:, -1], start.passes)
     follow = partial(_followed, manipulator, path, kind)
     rough = _Rough(cells=jnp.array([0.0, 1.0, 0.0]), steps=jnp.array([0.0, 0.0, 1.0]))
@@ -351,6 +344,50 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         result=jax.vmap(_result)(physical, good, crossing[0], error, slack),
         _states=states,
     )
+
+
+def _checked(manipulator: Manipulator, path: Path) -> tuple[Manipulator, Path, Bool[Array, " steps"]]:
+    """Body and path with harmless numbers, and up to which step they were physical."""
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(manipulator)]))
+    usable = jnp.cumprod(_usable(path)) > 0  # up to the first step that is not
+    asked, ones = manipulator, jnp.ones_like(path.tension[0])
+    manipulator, _, _, (path,) = harmless(manipulator, ones, ones, (path,))
+    path = path._replace(tension=jnp.maximum(path.tension, 0.0))
+    laid_out = lay_out(manipulator, ones, ones, 4, _first(path.loads))
+    return manipulator, path, usable & finite & is_physical(asked, ones, ones, laid_out)
+
+
+class Tips(NamedTuple):
+    """The tip after each step; flags are 1 for yes."""
+
+    tension: Float[Array, "steps tendons"]  # N
+    heading: Float[Array, " steps"]  # rad
+    position: Float[Array, "steps 2"]  # m
+    physical: Float[Array, " steps"]
+    good: Float[Array, " steps"]
+    crossing: Float[Array, " steps"]
+
+
+def tips_along(manipulator: Manipulator, path: Path, kind: Following) -> Tips:
+    """The tip along a path from rest, by one pass and without an error estimate; NaN where a step failed.
+
+    Args:
+        manipulator, path, kind: as of `stepped_history`.
+    """
+    manipulator, path, physical = _checked(manipulator, path)
+    none = jnp.zeros((), path.tension.dtype)
+    moments, tip, _, crossing = _followed(manipulator, path, kind, None, _Rough(none, none))
+    good = physical & moments.step.converged
+    tip = jax.vmap(nan_unless)(good, tip)
+    flags = (flag.astype(path.tension.dtype) for flag in (physical, good, crossing))
+    return Tips(tip.tension, tip.heading, tip.position, *flags)
+
+
+def result_of_tips(tips: Tips) -> RESULTS:
+    """How each step ended."""
+    physical, good, crossing = (flag > 0 for flag in (tips.physical, tips.good, tips.crossing))
+    fine = jnp.zeros_like(tips.heading)
+    return with_words(jax.vmap(_result)(physical, good, crossing, fine, fine > 0))
 
 
 def _result(

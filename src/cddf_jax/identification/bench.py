@@ -165,7 +165,7 @@ class Bench(eqx.Module):
         by_trial = self.trial is not None and TRIALS in parameters
         deviation = jnp.asarray(parameters[TRIALS])[self.trial] if by_trial else None
         if self.course is not None:
-            tension = _true_tension(parameters, self.course.path(parameters)[..., None])[..., 0]
+            tension = _true_tension(parameters, self.course.path(parameters))
             of_trial = None if deviation is None else deviation[self.course.first_row]
             return self.course.trace(body, tension, of_trial, nodes)
         tension = _true_tension(parameters, jnp.asarray(self.base_tension))

@@ -13,16 +13,24 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
+from ..history.path import Path
+from ..history.stepped import Following, result_of_tips, tips_along
 from ..history.trace import trace
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
 from ..measurements.table import Measurements
+from ..numerics.differences import with_differences
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS
 from ..units import shown
 from .past import REST, Before, Past, Start, past_of, starts_of
 
 STEPS = 16  # paths are traced in multiples of these: few sizes, so that tables share compiled programs
+FEW_STEPS = 4  # the same of paths that are followed in short steps
+SHORT_STEPS = 4  # of each step of a path without an exact answer
+CELLS = 2  # over the nodes
+ONE_TENDON = "that of one tendon; write what came before as rows of the trial, without readings"
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
@@ -37,26 +45,39 @@ class Traced(NamedTuple):
 
 
 class Course(eqx.Module):
-    """Paths of base tensions, and which step of which path each row of a table is."""
+    """Paths of base tensions, and which step of which path each row of a table is.
 
-    readings: Float[np.ndarray | Array, "trials steps"]  # N, as read, without jitter; the last one is repeated
+    One tendon without tip forces has an exact answer. Others are followed in short steps.
+    """
+
+    readings: Float[np.ndarray | Array, "trials steps *tendons"]  # N, as read, without jitter; the last one is repeated
     trial: Int[np.ndarray | Array, " rows"]  # 0, 1, ... in the order of the paths
     step: Int[np.ndarray | Array, " rows"]
     first_row: Int[np.ndarray | Array, " trials"]  # a row of each trial
     max_turns: int = eqx.field(static=True)
     past: Past | None = None  # None: all trials start from rest
+    tip_force: Float[np.ndarray | Array, "trials steps 2"] | None = None  # N
+    force_stays: bool = eqx.field(default=False, static=True)  # whether it rests on the body before the first step
+    short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
+
+    @property
+    def _falls(self) -> np.ndarray:
+        """(trials, steps - 1), whether any base tension falls."""
+        falls = np.diff(np.asarray(self.readings), axis=1) < 0
+        return np.any(falls, axis=2) if falls.ndim == 3 else falls
 
     @property
     def turns(self) -> bool:
         """Whether any of the paths comes back, or began with a release."""
-        return self.past is not None or bool(np.any(np.diff(np.asarray(self.readings), axis=1) < 0))
+        return self.past is not None or bool(np.any(self._falls))
 
-    def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path"]:
+    def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path tendons"]:
         """The readings, N, behind what was before them."""
         readings = jnp.asarray(self.readings)
+        readings = readings[..., None] if readings.ndim == 2 else readings
         if self.past is None:
             return readings
-        return jnp.concatenate([self.past.tension(parameters)[:, None], readings], axis=1)
+        return jnp.concatenate([self.past.tension(parameters)[:, None, None], readings], axis=1)
 
     @property
     def pulled(self) -> np.ndarray:
@@ -70,7 +91,7 @@ class Course(eqx.Module):
     @property
     def before_turns(self) -> np.ndarray:
         """(rows,), which rows lie before the first turn of their trial."""
-        falls = np.diff(np.asarray(self.readings), axis=1) < 0
+        falls = self._falls
         first = np.where(np.any(falls, axis=1), np.argmax(falls, axis=1), falls.shape[1])
         return np.asarray(self.step) <= first[np.asarray(self.trial)]
 
@@ -79,7 +100,8 @@ class Course(eqx.Module):
         """Of each trial, "rest", "80 N", or "fitted (before)" with the name of the parameter."""
         if self.past is None:
             return ["rest"] * len(self.first_row)
-        first, largest = np.asarray(self.readings)[:, 0], np.asarray(self.past.largest)
+        first = np.asarray(self.readings).reshape(len(self.first_row), -1)[:, 0]
+        largest = np.asarray(self.past.largest)
         stated = [shown(top, "force") if top > own else "rest" for own, top in zip(first, largest, strict=True)]
         return [f"fitted ({name})" if name else words for name, words in zip(self.past.parameters, stated, strict=True)]
 
@@ -87,38 +109,67 @@ class Course(eqx.Module):
         """The rows, each after what came before it.
 
         Args:
-            body: with one tendon.
-            tension: (trials, path), true base tensions of `path`, N.
+            body: whose tendons are pulled.
+            tension: (trials, path, tendons), true base tensions of `path`, N.
             deviation: (trials,), ln(mu of a trial / mu), or None.
-            nodes: as of `trace`.
+            nodes: as of `trace`; in short steps there are twice as many cells.
         """
 
-        def one(tension: Array, deviation: Array | None):
+        def one(tension: Array, force: Array | None, deviation: Array | None):
             there = body
             if deviation is not None:
                 mu = jnp.asarray(body.friction_coefficient) * jnp.exp(deviation)
                 there = eqx.tree_at(lambda m: m.friction_coefficient, body, mu)
-            found = trace(there, tension, nodes=nodes, max_turns=self.max_turns, throw=False)
+            if self.short_steps is not None:
+                return self._in_short_steps(there, tension, force, nodes)
+            found = trace(there, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
             return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.result
 
-        every, num_before = jax.vmap(one)(tension, deviation), tension.shape[1] - self.readings.shape[1]
+        num_before = tension.shape[1] - self.readings.shape[1]
+        force = None if self.tip_force is None else jnp.asarray(self.tip_force)
+        if force is not None and num_before:
+            force = jnp.concatenate([force[:, :1] if self.force_stays else jnp.zeros_like(force[:, :1]), force], axis=1)
+        every = jax.vmap(one)(tension, force, deviation)
         tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, self.step + num_before], every)
         return Traced(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
 
+    def _in_short_steps(self, body: Manipulator, tension: Array, force: Array | None, nodes: int):
+        """One path; derivatives are differences, since those of `trace` hold to some per cent."""
+        assert self.short_steps is not None
+        none = jnp.zeros(tension.shape[0])
+        loads = None if force is None else Loads(force, none, jnp.zeros_like(force))
+        kind = Following((), self.force_stays, CELLS * nodes, self.short_steps)
+        path = Path(tension, jnp.zeros_like(tension), loads)
+        tips = with_differences(lambda given: tips_along(*given, kind), (body, path))
+        return tips.tension, tips.heading, tips.position, result_of_tips(tips)
 
-def course_along(path: Float[np.ndarray, " steps"], before: Before = REST) -> Course:
+
+def course_along(
+    path: Float[np.ndarray, "steps tendons"],
+    tip_force: Float[np.ndarray, "steps 2"],
+    before: Before = REST,
+    short_steps: int = SHORT_STEPS,
+) -> Course:
     """One path, every step of which is a row.
 
     Args:
         path: base tensions as read, N.
+        tip_force: N.
         before: what the tendon had before, as of `fit`.
+        short_steps: into how many each step is divided where the answer is not exact.
 
     Raises:
-        InputError: where that is below the first step.
+        InputError: where that is below the first step, or for several tendons.
     """
-    past = past_of(starts_of([1], before, ())[0], path[:1].tolist(), ["step 1"])
-    step = np.arange(path.size)
-    return _course([path], np.zeros_like(step), step, np.zeros(1, int), past)
+    exact = path.shape[1] == 1 and not np.any(tip_force)
+    past = past_of(starts_of([1], before, ())[0], path[:1, 0].tolist(), ["step 1"])
+    if past is not None and path.shape[1] > 1:
+        raise InputError(f"before is {ONE_TENDON}")
+    step = np.arange(len(path))
+    rows = np.zeros_like(step), step, np.zeros(1, int)
+    if exact:
+        return _course([path[:, 0]], *rows, past)
+    return _stepped_course([path], [tip_force], *rows, past, short_steps)
 
 
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
@@ -144,16 +195,35 @@ def _course(
     return Course(readings, trial, step, first_row, most, past)
 
 
-def has_history(table: Measurements, manipulator: Manipulator, history: bool | None) -> bool:
+def _stepped_course(
+    paths: Sequence[np.ndarray],
+    forces: Sequence[np.ndarray],
+    trial: np.ndarray,
+    step: np.ndarray,
+    first_row: np.ndarray,
+    past: Past | None,
+    short_steps: int,
+) -> Course:
+    longest = max(map(len, paths))
+    longest += -longest % FEW_STEPS
+    readings, force = (
+        np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in every])
+        for every in (paths, forces)
+    )
+    stays = bool(np.all(force == force[:, :1]))
+    tip_force = force if np.any(force) else None
+    return Course(readings, trial, step, first_row, 0, past, tip_force, stays and tip_force is not None, short_steps)
+
+
+def has_history(table: Measurements, history: bool | None) -> bool:
     """Whether the rows of a table are fitted in the order in which they were measured.
 
     Args:
         table: any.
-        manipulator: whose table it is.
         history: as it was asked for; None: where a column says the order.
 
     Raises:
-        InputError: for a body or loads whose history is not known.
+        InputError: where rows between others are missing.
     """
     if "pulling_tension" in table or not (table.ordered if history is None else history):
         return False
@@ -162,44 +232,56 @@ def has_history(table: Measurements, manipulator: Manipulator, history: bool | N
             f"{table.name}: {table.left_out} rows without a reading are left out, and the path from row to row needs "
             "them; add a column step, with which they stay"
         )
-    loaded = any(column.startswith("tip_force") and np.any(values) for column, values in table.columns.items())
-    if manipulator.num_tendons > 1 or loaded:
-        of = f"{manipulator.num_tendons} tendons" if manipulator.num_tendons > 1 else "a body under a tip force"
-        told = f"{table.name}: the rows are in the order of measurement, but the history of {of} cannot be fitted"
-        raise InputError(f"{told}; {WITHOUT}")
     return True
 
 
 def course_of(
-    table: Measurements, noise: float | None = None, starts: Sequence[Start] | None = None
+    table: Measurements,
+    noise: float | None = None,
+    starts: Sequence[Start] | None = None,
+    short_steps: int = SHORT_STEPS,
 ) -> tuple[Course, Steady]:
-    """The rows of a table as steps of paths, and what was done against the jitter of the base cell.
+    """The rows of a table as steps of paths, and what was done against the jitter of the base cells.
 
     Args:
-        table: of a body with one tendon.
+        table: of a body with any tendons.
         noise: standard deviation of a reading of the base tension, N, as of `without_jitter`.
         starts: how each trial begins; None: from rest.
+        short_steps: into how many each step is divided where the answer is not exact.
 
     Raises:
-        InputError: for a direction that the order of the rows contradicts, or a largest tension before a trial that is
-            below its first row.
+        InputError: for a direction of a single tendon that the order of the rows contradicts, a largest tension before
+            a trial that is below its first row, or of several tendons.
     """
     rows, labels = len(table), table.columns.get("trial", np.zeros(len(table))).astype(int)
+    pulled = [column for column in table.columns if column.startswith("base_tension")]
+    force = np.stack([table.columns.get(f"tip_force_{axis}", np.zeros(rows)) for axis in "xy"], axis=1)
+    exact = len(pulled) == 1 and not np.any(force)
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
-    paths, found, first = [], [], []
+    paths, forces, found, first = [], [], [], []
     starts = [Start(None)] * np.unique(labels).size if starts is None else starts
+    if len(pulled) > 1 and not all(start.from_rest for start in starts):
+        raise InputError(f"{table.name}: before is {ONE_TENDON}")
     for label, start in zip(np.unique(labels), starts, strict=True):
         own = table.order[labels[table.order] == label]
-        steady = without_jitter(table["base_tension"][own], noise)
-        _check_directions(table, own, steady, start)
-        moved = np.append(True, np.diff(steady.tension) != 0)
-        trial[own], step[own], tension[own] = len(paths), np.cumsum(moved) - 1, steady.tension
-        paths.append(steady.tension[moved])
-        found.append(steady)
+        steadied = [without_jitter(table[column][own], noise) for column in pulled]
+        if exact:
+            _check_directions(table, own, steadied[0], start)
+        given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
+        moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1))
+        trial[own], step[own], tension[own] = len(paths), np.cumsum(moved) - 1, steadied[0].tension
+        paths.append(given[moved, : len(pulled)])
+        forces.append(given[moved, len(pulled) :])
+        found += steadied
         first.append(own[0])
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
-    past = past_of(starts, [path[0] for path in paths], places)
-    return _course(paths, trial, step, np.array(first), past), _together(found, tension)
+    past = past_of(starts, [path[0, 0] for path in paths], places)
+    of_rows = trial, step, np.array(first)
+    if exact:
+        course = _course([path[:, 0] for path in paths], *of_rows, past)
+    else:
+        course = _stepped_course(paths, forces, *of_rows, past, short_steps)
+    return course, _together(found, tension)
 
 
 def num_paths(table: Measurements) -> int:

@@ -234,7 +234,7 @@ def _experiment(body: Manipulator, candidate: Candidate) -> Pulley | Bench:
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
     table = Measurements.from_columns(name, notes=(), **columns)
-    return experiment_of(table, body, course=course_of(table, 0.0)[0] if has_history(table, body, None) else None)
+    return experiment_of(table, body, course=course_of(table, 0.0)[0] if has_history(table, None) else None)
 
 
 def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candidate]:

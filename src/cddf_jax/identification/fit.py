@@ -17,10 +17,10 @@ from ..measurements.jitter import Steady
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from . import bench
-from .course import Course, course_of, has_history, num_paths
+from .course import SHORT_STEPS, Course, course_of, has_history, num_paths
 from .order_checks import order_remarks
 from .past import Before, first_guesses, starts_of
-from .predictions import Numbers, Prediction, beyond_the_data, predicted_rows
+from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import fit_trials
 from .verdict import Look, doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
 
@@ -115,12 +115,19 @@ class Fit(LeastSquaresFit):
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
         tendons = self.manipulator.num_tendons
-        wanted = predicted_rows(base_tension, tip_force, direction, tendons, history=history, before=before)
+        wanted = predicted_rows(
+            base_tension, tip_force, direction, tendons, history=history, before=before, short_steps=self._short_steps
+        )
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is no reading; there are {', '.join(shown.readings)}")
         band = self.band(shown.derivatives[column])
         return Prediction(shown.readings[column], band, beyond_the_data(wanted, self.model))
+
+    @property
+    def _short_steps(self) -> int:
+        courses = (one.course for one in self.model.experiments if isinstance(one, bench.Bench))
+        return next((one.short_steps for one in courses if one is not None and one.short_steps), SHORT_STEPS)
 
     def place(self, group: str, k: int) -> str:
         """In words, by the row of the file (1, 2, ... where there is none)."""
@@ -165,6 +172,11 @@ class Fit(LeastSquaresFit):
         }
         return determine(self.evidence.within(turned)) if turned else None
 
+    @cached_property
+    def moved_by_steps(self) -> dict[str, float]:
+        """By parameter, how far the short steps of a history move it, over its standard error; {} where none did."""
+        return moved_by_finer_steps(self) if self.success else {}
+
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
         """By group of data, the table whose trials (or rows, without trials) are drawn together, and their labels."""
@@ -182,6 +194,7 @@ def fit(
     noise: Mapping[str, ArrayLike | Noise] | None = None,
     history: bool | None = None,
     before: Before = "rest",
+    short_steps: int = SHORT_STEPS,
     per_trial: bool = False,
     loss: str = "linear",
     starts: int | None = None,
@@ -212,11 +225,13 @@ def fit(
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
             what is not given is estimated, for each column of each table, from the residuals. That of `base_tension`
             tells which of its turns a history ignores, one number: 0 for none.
-        history: whether rows know what came before them: of one tendon without tip forces, rows in the order of the
-            columns `step` or `time`, else in that of the file. None: where a table has one of these columns.
+        history: whether rows know what came before them, in the order of the columns `step` or `time`, else in that of
+            the file. None: where a table has one of these columns.
         before: with a history, what the tendon had before the first row: "rest", or the largest base tension, N, from
             which it was released to the first row, as the base cell reads it. One for all trials, or a list with one
             for each, in the order of the tables and of their trials. Of a parameter `before` it is the start.
+        short_steps: into how many each step of a history is divided with several tendons or tip forces, 2 or more; the
+            report tells what more of them would change.
         per_trial: let friction differ from trial to trial, ln(mu) by a Gaussian whose spread is estimated.
         loss, starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
@@ -236,17 +251,26 @@ def fit(
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
     if "friction_coefficient" in free and all(own):
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
+    if isinstance(short_steps, bool) or not isinstance(short_steps, int) or short_steps < 2:
+        raise InputError(f"fit: short_steps must be a whole number of 2 or more, got {short_steps!r}")
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
     options: dict[str, object] = {
         **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
-        **{"history": history, "before": before, "per_trial": per_trial, "loss": loss, "starts": starts},
+        **{
+            "history": history,
+            "before": before,
+            "short_steps": short_steps,
+            "per_trial": per_trial,
+            "loss": loss,
+            "starts": starts,
+        },
         **{"seed": seed, "nodes": nodes},
     }
     kinds = {name: bench.parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):
-        noise, courses, guesses = _courses(manipulator, tables, history, before, free, noise or {})
+        noise, courses, guesses = _courses(manipulator, tables, history, before, free, noise or {}, short_steps)
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0])
         for table, first, course in zip(tables, earlier, courses, strict=False)
@@ -278,11 +302,12 @@ def _courses(
     before: Before,
     free: Sequence[str],
     noise: Mapping[str, ArrayLike | Noise],
+    short_steps: int,
 ) -> tuple[Mapping[str, ArrayLike | Noise], list[tuple[Course, Steady] | None], dict[str, tuple[float, float]]]:
     """The noise of what is predicted; by table the course of its rows, None without a history; guesses of pasts."""
     predicted = {column: given for column, given in noise.items() if column != "base_tension"}
     own = noise.get("base_tension", np.nan)
-    with_history = [has_history(table, manipulator, history) for table in tables]
+    with_history = [has_history(table, history) for table in tables]
     counts = [num_paths(table) if on else 0 for table, on in zip(tables, with_history, strict=True)]
     starts = starts_of(counts, before, free)
     if "base_tension" in noise and not any(with_history):
@@ -291,8 +316,9 @@ def _courses(
         raise InputError("noise of base_tension must be one standard deviation in N, 0 or more")
     deviation = float(np.asarray(own)) if "base_tension" in noise else None
     of_tables = zip(tables, with_history, starts, strict=True)
-    courses = [course_of(table, deviation, starts) if on else None for table, on, starts in of_tables]
-    first = [(own, np.asarray(course[0].readings)[:, 0]) for own, course in zip(starts, courses, strict=True) if course]
+    courses = [course_of(table, deviation, starts, short_steps) if on else None for table, on, starts in of_tables]
+    known = [(own, course[0].readings) for own, course in zip(starts, courses, strict=True) if course]
+    first = [(own, np.asarray(readings).reshape(len(own), -1)[:, 0]) for own, readings in known]
     return predicted, courses, first_guesses(manipulator, first)
 
 

@@ -83,12 +83,14 @@ def model_curve(fit: Fit, group: Group) -> ModelCurve | None:
 
 
 def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:
-    """The model along the path of each trial of a table that comes back, in the order of the path; [] for others."""
+    """The model along the path of each trial, in its order; [] where it does not come back, or has no exact answer."""
     bench = group.experiment
-    if not isinstance(bench, Bench) or bench.course is None or bench.on_one_curve:
+    course = bench.course if isinstance(bench, Bench) and not bench.on_one_curve else None
+    if not isinstance(bench, Bench) or course is None or course.short_steps is not None:
         return []
-    course, paths = between(bench.course, GRID)
-    trial = None if bench.trial is None else np.asarray(bench.trial)[bench.course.first_row][course.trial]
+    own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)]
+    course, paths = between(course, GRID)
+    trial = None if own is None else own[np.asarray(course.trial)]
     rows = Bench(np.concatenate(paths)[:, None], (None,), trial=trial, course=course)
     shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
     value, band = shown.readings[group.column], fit.band(shown.derivatives[group.column])

@@ -16,6 +16,7 @@ from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from .bench import Bench, Group, Parameters
 from .course import Course
+from .predictions import noise_of_readings
 
 if TYPE_CHECKING:
     from .fit import Fit
@@ -41,12 +42,6 @@ def order_remarks(fit: "Fit") -> list[str]:
     return found
 
 
-def _noise_of(fit: "Fit", group: Group) -> np.ndarray:
-    """(readings,), standard deviations."""
-    problem = fit.minimum.problem
-    return np.ravel(problem.data.noise[problem.groups.index(group.label)])
-
-
 # --- drift -------------------------------------------------------------------------------------------
 
 
@@ -64,7 +59,7 @@ def _drift(fit: "Fit", group: Group, course: Course) -> str:
     last = np.bincount(course.trial, minlength=len(course.first_row)) * 0.0
     np.maximum.at(last, course.trial, course.step)
     time = (course.step / np.maximum(last[course.trial], 1.0) - 0.5)[group.there]
-    noise = _noise_of(fit, group)
+    noise = noise_of_readings(fit, group)
     start = sum(len(evidence.rows[label]) for label in labels[: labels.index(group.label)])
     columns = np.zeros((every.size, 2))
     size = np.max(np.abs(group.observed), initial=1e-300)
@@ -107,7 +102,7 @@ def _mixed_up(fit: "Fit", table: Measurements, bench: Bench, groups: list[Group]
     squares = np.zeros(len(table))
     for group in groups:
         squares[group.there] += fit.standardised_residuals[group.label] ** 2
-    if not np.all(np.isfinite(squares)) or course.readings.size > MOST_STEPS:
+    if not np.all(np.isfinite(squares)) or course.readings.size > MOST_STEPS or course.short_steps is not None:
         return []
     found, now = [], float(np.sum(squares))
     pairs = _suspects(course, squares)
@@ -193,7 +188,7 @@ def _sums_of_squares(fit: "Fit", bench: Bench, groups: list[Group], orders: _Ord
     read = _read_in_orders(plain, body, parameters, orders.readings, orders.step, fit.model.nodes)
     total = np.zeros(LANES)
     for group in groups:
-        noise = _noise_of(fit, group)
+        noise = noise_of_readings(fit, group)
         total += np.sum(((np.asarray(read[group.column])[:, group.there] - group.observed) / noise) ** 2, axis=1)
     return total
 

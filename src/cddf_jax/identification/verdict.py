@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 LARGEST_FRICTION = 2.0  # beyond it a warning
 CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
+LARGEST_MOVE = 0.5  # standard errors, by which short steps may move an estimate in silence
 MOST = 0.5  # part of a table's rows; with more of them without a solution, the fit describes another body
 OUTSIDE = {  # results of rows without a solution, by their names in messages
     "not physical": RESULTS.unphysical,
@@ -84,6 +85,11 @@ def fit_warnings(fit: "Fit") -> list[str]:
         f"of {one.least_turn:.2g} N or less are taken for noise; where they are none, give the noise of base_tension"
         for name, one in fit.steadied.items()
         if one.num_ignored
+    ]
+    found += [
+        f"{name} is moved by {part:.2g} of its standard error by the short steps of the history; give more short_steps"
+        for name, part in fit.moved_by_steps.items()
+        if not part <= LARGEST_MOVE
     ]
     found += repeated_tables(fit.tables)
     if fit.manipulator.kinematics == "published" and _tell_of_shape(fit.tables):

@@ -94,8 +94,8 @@ def _tip_above_base(table: "Measurements", column: str) -> str:
 
 def _tip_above_base_on_the_way_up(table: "Measurements", column: str) -> str:
     """Only of rows at the largest base tension so far: all of the tendon slides in there."""
-    if not column.startswith("tip_tension"):
-        return ""
+    if not column.startswith("tip_tension") or "base_tension_2" in table.columns:
+        return ""  # of several tendons any may slide out while another is pulled
     base, trial = table["base_tension"], table.columns.get("trial", np.zeros(len(table)))
     highest = np.zeros(len(table), bool)
     for label in np.unique(trial):

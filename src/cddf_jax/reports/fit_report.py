@@ -161,7 +161,15 @@ def _goodness(fit: Fit) -> list[str]:
         lines.append(f"Mean relative error of the tip tensions, the measure of Liu et al. (2020): {error}.")
     criteria = ", ".join(f"{name} {value:.5g}" for name, value in fit.information_criteria.items())
     loss = "" if fit.loss == "linear" else f" Loss {fit.loss}."
+    if fit.moved_by_steps:
+        lines.append(short_steps_in_words(fit))
     return [*lines, f"Reduced chi-square {fit.reduced_chi_square:.3g}; {criteria}.{loss}"]
+
+
+def short_steps_in_words(fit: Fit) -> str:
+    """What the short steps of a history leave."""
+    most = max(fit.moved_by_steps.values())
+    return f"The short steps of the history move the estimates by at most {most:.2g} of their standard errors."
 
 
 def _profile_section(report: Report) -> list[str]:
@@ -331,6 +339,7 @@ def fit_in_words(report: Report) -> str:
     if rows := way_back_rows(fit):
         lines += ["", "standard errors of the pull alone, and with the way back:"]
         lines += [f"  {name}: {pull}, {loop}" for name, pull, loop in rows]
+    lines += [short_steps_in_words(fit)] if fit.moved_by_steps else []
     lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
     lines.append(f"kinematics: {fit.manipulator.kinematics}")
     return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
