@@ -94,6 +94,7 @@ def test_options_of_a_fit(answer_of):
         "noise": {"pulling_tension": {"floor": 0.1, "fraction": 0.01}},
         "history": False,
         "before": "rest",
+        "short_steps": 4,
         "per_trial": False,
         "loss": "huber",
         "starts": 3,

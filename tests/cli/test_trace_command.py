@@ -140,9 +140,33 @@ def test_wrong_paths(fails, path, message):
     assert fails("trace", DATA / "smooth_sil_940.toml", "--path", path, files=files).startswith(message)
 
 
-def test_what_cannot_be_traced(fails, two_tendons, robot):
-    assert fails("trace", two_tendons, "--path", "75 N").startswith(f"{two_tendons}: the command follows one tendon")
-    assert fails("trace", robot, "--path", "75 N", "--tip-force", "0 N, 1 N").startswith("No such option: --tip-force")
+def test_what_cannot_be_traced(fails, two_tendons):
+    lengths = fails("trace", two_tendons, "--path", "75, 60 N", "--path", "20, 10, 5 N")
+    assert lengths == "--path: the tendons have 2, 3 steps; give each as many, or one value that stays"
+    assert fails("trace", two_tendons, "--path", "60, 30 deg", "--path", "5 N").startswith("--path: a tip angle drives")
+    assert fails("trace", two_tendons, "--path", "60 N", "--before", "75 N").startswith("--before 75 N: give a tension")
+
+
+@pytest.mark.slow
+def test_two_tendons(answer_of, two_tendons, tmp_path):
+    """Against the table of antagonists that a simulation refined from both sides: deg, within 0.02 deg."""
+    paths = ("--path", "75, 60, 40, 30 N", "--path", "20 N")
+    answer = answer_of("trace", two_tendons, *paths, "--out", tmp_path / "out")
+    np.testing.assert_allclose(np.degrees(answer["tip_angle"]), [45.858, 44.148, 31.046, 15.168], atol=0.02)
+    np.testing.assert_allclose(answer["tip_tension"][1], [50.304, 23.855], atol=0.03)
+    assert (tmp_path / "out" / "trace.png").stat().st_size > 1000
+    loop = np.genfromtxt(tmp_path / "out" / "loop.csv", delimiter=",", names=True, deletechars="")
+    assert loop["base_tension_2_[N]"][-1] == 20.0
+
+
+@pytest.mark.slow
+def test_a_tip_force(cddf_command, robot):
+    """Pulled only, as `solve` has it."""
+    code, out, _ = cddf_command("trace", robot, "--path", "40 N", "--tip-force", "0 N, -0.3 N")
+    angle = cddf.solve(paper_body("exact"), 40.0, cddf.Loads(tip_force=(0.0, -0.3))).tip_angle
+    assert code == 0
+    assert out.startswith("1: the tendon at 40 N slides in along the whole body; tip tension ")
+    assert float(out.split("tip angle ")[1].split(" deg")[0]) == pytest.approx(np.degrees(float(angle)), abs=2e-3)
 
 
 def test_a_step_that_fails(fails, robot):

@@ -9,17 +9,20 @@ from ..progress import stage
 from . import options
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ..units import Dimension
 
 EXAMPLE = 'Example: cddf trace data/smooth_sil_940.toml --path "0 N, 75 N, 40 N, 60 N, 75 N" --out out/trace'
 TABLES = (".csv", ".xlsx")
 PathOption = Annotated[
-    str,
+    list[str],
     typer.Option(
         "--path",
         help='Base tensions in their order in time, from rest, "0 N, 75 N, 40 N", or displacements of the tendon, '
         '"0 mm, 12 mm, 10 mm", or tip angles, "60 deg, 30 deg". Or a CSV or .xlsx file with a column base_tension [N], '
-        "tendon_displacement [mm] or tip_angle [deg]. From one to the next it goes straight.",
+        "tendon_displacement [mm] or tip_angle [deg]. From one to the next it goes straight. Of several tendons, once "
+        'for each; "20 N" alone stays.',
     ),
 ]
 NoiseOption = Annotated[
@@ -33,7 +36,8 @@ NoiseOption = Annotated[
 BeforeOption = Annotated[
     str | None,
     typer.Option(
-        help='The largest base tension before the path, "80 N", from which the tendon is released to its first step.',
+        help='The largest base tension before the path, "80 N", from which the tendon is released to its first step; '
+        'of several tendons one for each, "80 N, 20 N".',
         show_default="rest",
     ),
 ]
@@ -45,6 +49,9 @@ def trace(
     path: PathOption,
     noise: NoiseOption = None,
     before: BeforeOption = None,
+    tip_force: options.TipForce = None,
+    tip_moment: options.TipMoment = None,
+    gravity: options.Gravity = None,
     max_turns: MaxTurns = 16,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
@@ -53,23 +60,24 @@ def trace(
 ) -> None:
     """Pull and release: what slides in each step of a path of base tensions, what it leaves, and what it loses.
 
-    One tendon, without loads. Friction leaves a loop: the way back differs from the way up.
+    Friction leaves a loop: the way back differs from the way up. The answer is exact for one tendon without loads.
+    Several tendons, and loads, which rest on the body first, are followed in short steps.
     """
     manipulator = options.read_robot(robot, kinematics).manipulator
-    if manipulator.num_tendons > 1:
-        raise InputError(
-            f"{robot}: the command follows one tendon, and the body has {manipulator.num_tendons}; "
-            "cddf_jax.trace() in Python follows several"
-        )
     with stage("loading"):
+        from ..files.actuation import read_loads
         from ..files.artifacts import as_json as json_text, write_all
         from ..reports import trace_report
-        from ..units import quantity
 
-    values, driven = read_path(path, noise)
+    loads, count = read_loads(tip_force, tip_moment, gravity), manipulator.num_tendons
+    paths, driven = read_paths(path, noise, count)
+    largest = None if before is None else read_tensions_before(before, count)
     with within(robot, ValueError):
-        largest = None if before is None else quantity(before, "force", "--before")
-        found = trace_report.traced(manipulator, values, driven, nodes, max_turns, largest)
+        if count == 1 and loads is None:
+            past = None if largest is None else largest[0]
+            found = trace_report.traced(manipulator, paths[0], driven[0], nodes, max_turns, past)
+        else:
+            found = trace_report.traced_in_short_steps(manipulator, paths, driven, loads, nodes, largest)
     answer = trace_report.trace_as_dict(found)
     if out is not None:
         from ..figures.history import history_figure
@@ -80,8 +88,43 @@ def trace(
             "loop.csv": trace_report.loop_csv(found),
             "fields.csv": trace_report.fields_csv_of_steps(found),
         }
-        write_all(out, files | render(history_figure(manipulator, found.history, found.steps), "trace"))
+        moves = [max(path) - min(path) if kind == "force" else 0.0 for path, kind in zip(paths, driven, strict=True)]
+        figure = history_figure(manipulator, found.history, found.steps, tendon=moves.index(max(moves)))
+        write_all(out, files | render(figure, "trace"))
     options.print_answer(trace_report.trace_in_words(found), answer, as_json=as_json)
+
+
+def read_paths(texts: "Sequence[str]", noise: str | None, count: int) -> "tuple[list[list[float]], list[Dimension]]":
+    """Paths of all tendons, of one length, and what they measure.
+
+    Raises:
+        InputError: as `read_path`, and for paths that do not fit each other or the tendons.
+    """
+    from ..files.actuation import one_for_each_tendon
+
+    read = one_for_each_tendon("--path", [read_path(text, noise) for text in texts], count)
+    paths: list[list[float]] = [values for values, _ in read]
+    driven: list[Dimension] = [dimension for _, dimension in read]
+    steps = max(map(len, paths))
+    paths = [values * steps if len(values) == 1 else values for values in paths]
+    if any(len(values) != steps for values in paths):
+        lengths = ", ".join(str(len(values)) for values, _ in read)
+        raise InputError(f"--path: the tendons have {lengths} steps; give each as many, or one value that stays")
+    if count > 1 and "angle" in driven:
+        raise InputError("--path: a tip angle drives one tendon alone; give tensions or displacements")
+    if not any(map(any, paths)):
+        raise InputError(f"--path {', '.join(texts)}: nothing moves; give a value other than 0")
+    return paths, driven
+
+
+def read_tensions_before(text: str, count: int) -> list[float]:
+    """ "80 N", or one for each tendon: "80 N, 20 N"."""
+    from ..units import series
+
+    values, _ = series(text, ("force",), "--before")
+    if len(values) != count or min(values) < 0:
+        raise InputError(f"--before {text}: give a tension of 0 N or more for each of {count} tendon(s)")
+    return values
 
 
 def read_path(text: str, noise: str | None = None) -> "tuple[list[float], Dimension]":
@@ -112,8 +155,6 @@ def read_path(text: str, noise: str | None = None) -> "tuple[list[float], Dimens
             raise InputError(
                 f"--path, step {step}: a tendon cannot push, got {written(value, 'force')}; give 0 N or more"
             )
-    if not any(values):
-        raise InputError(f"--path {text}: nothing moves; give a value other than 0")
     return values, driven
 
 

@@ -26,7 +26,9 @@ PULLED: looks.Look = {"color": looks.BLUE, "linestyle": "-", "label": "pulled"}
 RELEASED: looks.Look = {"color": looks.VERMILION, "linestyle": (0, (5, 2)), "label": "released"}
 
 
-def history_figure(manipulator: Manipulator, history: History, steps: Sequence[int] | None = None) -> Figure:
+def history_figure(
+    manipulator: Manipulator, history: History, steps: Sequence[int] | None = None, *, tendon: int = 0
+) -> Figure:
     """Loops of tip tension and tip angle, tension along the body, and where the work goes, with one numbering of steps.
 
     Args:
@@ -38,13 +40,13 @@ def history_figure(manipulator: Manipulator, history: History, steps: Sequence[i
     Raises:
         InputError: when a step failed.
     """
-    steps = _steps(history, steps)
+    steps = _steps(history, steps, tendon)
     with draw.house_style():
         figure, (tension, angle, along, energy) = draw.panel_axes(4, 2, HEIGHT)
-        draw_loop(history, "tip_tension", tension, steps=steps)
-        draw_loop(history, "tip_angle", angle, steps=steps)
-        _draw_along(manipulator, history, "tension", along, steps)
-        draw_energy(history, energy, steps=steps)
+        draw_loop(history, "tip_tension", tension, steps=steps, tendon=tendon)
+        draw_loop(history, "tip_angle", angle, steps=steps, tendon=tendon)
+        _draw_along(manipulator, history, "tension", along, steps, tendon)
+        draw_energy(history, energy, steps=steps, tendon=tendon)
         angle.legend().remove()
         figure.align_ylabels()
     return figure
@@ -74,7 +76,7 @@ def draw_loop(
     """
     if quantity not in LOOPS:
         raise InputError(f"draw_loop: quantity must be one of {', '.join(LOOPS)}, got {quantity!r}")
-    steps = _steps(history, steps)
+    steps = _steps(history, steps, tendon)
     x, y = _of_tendon(history.base_tension, tendon), _of_tendon(getattr(history, quantity), tendon)
     y = QUANTITIES[quantity].shown[0] * y
     with draw.axes_or_new(axes, HEIGHT) as axes:
@@ -83,7 +85,7 @@ def draw_loop(
             axes.plot(x[leg], y[leg], **look)
             draw.draw_arrow(axes, x[leg], y[leg], look["color"])
         _number_points(axes, x, y, steps)
-        axes.set(xlabel=QUANTITIES["base_tension"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
+        axes.set(xlabel=_label(history, "base_tension", tendon), ylabel=_label(history, quantity, tendon))
         axes.margins(0.08, 0.12)
         draw.legend_above(axes)
     return axes
@@ -96,6 +98,7 @@ def draw_history_along(
     axes: Axes | None = None,
     *,
     steps: Sequence[int] | None = None,
+    tendon: int = 0,
 ) -> Axes:
     """A quantity over arc length, mm, after some steps of a history, one line for each; a dot marks its front.
 
@@ -103,12 +106,13 @@ def draw_history_along(
     line share one, and steps before the first tension have none.
 
     Args:
-        manipulator: the body that was traced, with one tendon.
+        manipulator: the body that was traced.
         history: of `trace`.
         quantity: as `draw_along` takes it.
         axes: where to draw; None for a new figure, one column wide.
         steps: which of its steps, from 0, are drawn and bear the numbers 1, 2, ...; unless given the last six of those
             where it turns.
+        tendon: whose tensions and fronts are drawn, from 0.
 
     Raises:
         InputError: for another quantity, for more than six lines, or when a step failed.
@@ -117,13 +121,15 @@ def draw_history_along(
         raise InputError(f"draw_history_along: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
     if steps is not None and len(steps) > LINES:
         raise InputError(f"draw_history_along: {len(steps)} steps are too many lines; choose {LINES} of them")
-    steps = _steps(history, steps)
+    steps = _steps(history, steps, tendon)
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        _draw_along(manipulator, history, quantity, axes, steps)
+        _draw_along(manipulator, history, quantity, axes, steps, tendon)
     return axes
 
 
-def draw_energy(history: History, axes: Axes | None = None, *, steps: Sequence[int] | None = None) -> Axes:
+def draw_energy(
+    history: History, axes: Axes | None = None, *, steps: Sequence[int] | None = None, tendon: int = 0
+) -> Axes:
     """Where the work goes, mJ, over the steps: what is stored, what friction took, and the work put in.
 
     In the exact kinematics the work is the sum of the others.
@@ -132,11 +138,12 @@ def draw_energy(history: History, axes: Axes | None = None, *, steps: Sequence[i
         history: of `trace`; the closer its steps, the smoother the lines.
         axes: where to draw; None for a new figure, one column wide.
         steps: which of its steps, from 0, bear the numbers 1, 2, ...; those where it turns unless given.
+        tendon: whose base tensions stand below the steps, from 0.
 
     Raises:
         InputError: when a step failed.
     """
-    steps = _steps(history, steps)
+    steps = _steps(history, steps, tendon)
     scale = QUANTITIES["work"].shown[0]
     of = history._energies  # all by one program
     work, lost, stored = (scale * np.asarray(energy) for energy in (of.work, of.friction_loss, of.stored_energy))
@@ -152,7 +159,7 @@ def draw_energy(history: History, axes: Axes | None = None, *, steps: Sequence[i
         axes.set(xlabel="Step, base tension (N)", ylabel="Energy (mJ)")
         axes.margins(0.0, 0.05)
         axes.set_ylim(bottom=min(0.0, *stored, *work))
-        _name_steps(axes, _of_tendon(history.base_tension, 0)[steps])
+        _name_steps(axes, _of_tendon(history.base_tension, tendon)[steps])
         draw.legend_above(axes, 3)
     return axes
 
@@ -160,7 +167,14 @@ def draw_energy(history: History, axes: Axes | None = None, *, steps: Sequence[i
 # --- numbers -------------------------------------------------------------------------------------
 
 
-def _steps(history: History, steps: Sequence[int] | None) -> list[int]:
+def _label(history: History, quantity: str, tendon: int) -> str:
+    """Of an axis; with several tendons it names the one."""
+    label = QUANTITIES[quantity].axis_label
+    per_tendon = getattr(history, quantity).ndim == 2
+    return label.replace(" (", f" {tendon + 1} (", 1) if per_tendon else label
+
+
+def _steps(history: History, steps: Sequence[int] | None, tendon: int) -> list[int]:
     """Which steps bear numbers.
 
     Raises:
@@ -168,7 +182,11 @@ def _steps(history: History, steps: Sequence[int] | None) -> list[int]:
     """
     if not np.all(np.isfinite(np.asarray(history.tip_angle))):
         raise InputError("a step of the trace failed, there is no history to draw; see its result")
-    return draw.turning_places(_of_tendon(history.base_tension, 0)) if steps is None else [int(step) for step in steps]
+    return (
+        draw.turning_places(_of_tendon(history.base_tension, tendon))
+        if steps is None
+        else [int(step) for step in steps]
+    )
 
 
 def _of_tendon(values: jax.Array, tendon: int) -> np.ndarray:
@@ -203,26 +221,29 @@ def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int
         axes.annotate(text, at, offset, textcoords="offset points", fontsize=7.5, zorder=5, **look)
 
 
-def _draw_along(manipulator: Manipulator, history: History, quantity: str, axes: Axes, steps: Sequence[int]) -> None:
+def _draw_along(
+    manipulator: Manipulator, history: History, quantity: str, axes: Axes, steps: Sequence[int], tendon: int
+) -> None:
     s = stations(manipulator)
     fields = evaluated(History.at, history, s)
-    tension = _of_tendon(history.base_tension, 0)
+    tension = _of_tendon(history.base_tension, tendon)
     begun = np.flatnonzero(tension)
-    lines = {
-        number: lines_along(manipulator, jax.tree.map(lambda x, step=step: x[step], fields), quantity)[0]
-        for number, step in enumerate(steps, 1)
-        if begun.size and step >= begun[0]
-    }
+
+    def line(step: int) -> np.ndarray:
+        own = lines_along(manipulator, jax.tree.map(lambda x: x[step], fields), quantity)
+        return own[tendon if len(own) == manipulator.num_tendons else 0]
+
+    lines = {number: line(step) for number, step in enumerate(steps, 1) if begun.size and step >= begun[0]}
     fronts = []
     for numbers, look in zip(_alike(lines)[-LINES:], looks.CURVES, strict=False):
-        step, line = steps[numbers[0] - 1], lines[numbers[0]]
+        step, values = steps[numbers[0] - 1], lines[numbers[0]]
         look: looks.Look = look | {"marker": "none", "label": f"{_listed(numbers)}: {tension[step]:.4g} N"}
-        axes.plot(1e3 * s, line, **look)
-        fronts.append((float(_of_tendon(history.front, 0)[step]), line, look["color"]))
+        axes.plot(1e3 * s, values, **look)
+        fronts.append((float(_of_tendon(history.front, tendon)[step]), values, look["color"]))
     dot: looks.Look = {"linestyle": "none", "marker": "o", "markeredgecolor": looks.BLACK}
-    for front, line, color in fronts:
+    for front, values, color in fronts:
         if front < s[-1]:
-            axes.plot(1e3 * front, np.interp(front, s, line), color=color, **dot)
+            axes.plot(1e3 * front, np.interp(front, s, values), color=color, **dot)
     if any(front < s[-1] for front, _, _ in fronts):
         axes.plot([], [], color="white", label="front", **dot)
     axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)

@@ -133,7 +133,7 @@ def field_columns(fields: Fields) -> dict[str, np.ndarray]:
 def history_numbers(history: History) -> dict[str, np.ndarray]:
     """What has a number for each step, step first, by name."""
     known = picked(history, OF_STEPS) | picked(history._energies, ENERGIES)  # all energies by one program
-    return {name: np.asarray(values) for name, values in known.items()}
+    return {name: np.asarray(values) for name, values in known.items() if values is not None}
 
 
 def history_columns(numbers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

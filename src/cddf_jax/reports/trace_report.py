@@ -12,6 +12,7 @@ from ..history.history import History
 from ..history.trace import trace
 from ..programs.evaluated import evaluated
 from ..progress import stage
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULT_NAMES, RESULTS, code_of, result_of
 from ..statics.targets import Displacement, TipAngle
@@ -19,6 +20,7 @@ from ..units import Dimension, shown
 from .export import POINTS, field_columns, history_columns, history_numbers
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
+FINE_IN_STEPS, SHORT_STEPS = 64, 4  # the same where short steps are followed, and into how many each is divided
 STEPS = 20  # of which words are made, at most
 SAME = 1e-9  # of its size, by which the number of two states may differ that are one
 SEEN = 1e-5  # of the work, by which it may differ from its parts in silence
@@ -43,6 +45,11 @@ class TracedPath(NamedTuple):
         """The numbers after the steps of the path."""
         return {name: values[self.steps] for name, values in self.numbers.items()}
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether it is that of one tendon without loads."""
+        return self.history.num_turns is not None
+
 
 class Cycle(NamedTuple):
     """A part of a path that ends in the state in which it began."""
@@ -60,7 +67,7 @@ def traced(
     max_turns: int,
     before: float | None = None,
 ) -> TracedPath:
-    """Trace a path, with so many points between its steps that loops are smooth.
+    """Trace a path of one tendon, with so many points between its steps that loops are smooth.
 
     Args:
         manipulator: the body.
@@ -74,22 +81,73 @@ def traced(
         ValueError: as `trace`.
     """
     known = 0.0 if before is None else before if driven == "force" else path[0]  # where the path comes from
-    ends = [*([] if path[0] == known else [known]), *path]
-    legs = np.array_split(np.arange(max(FINE, len(ends)) - 1), len(ends) - 1)
-    between = [np.linspace(ends[i], ends[i + 1], len(leg) + 1)[1:] for i, leg in enumerate(legs)]
-    values, steps = np.concatenate([ends[:1], *between]), np.cumsum([0, *map(len, legs)])[-len(path) :]
+    values, steps = _with_points_between(np.array(path)[:, None], np.array([known]), FINE)
     with stage("tracing"):
         past = "rest" if before is None else before
         history = trace(
-            manipulator, TARGETS[driven](values), before=past, nodes=nodes, max_turns=max_turns, throw=False
+            manipulator, TARGETS[driven](values[:, 0]), before=past, nodes=nodes, max_turns=max_turns, throw=False
         )
-        codes = np.asarray(code_of(history.result))
-        failed = ~np.isin(codes, [code_of(result) for result in (RESULTS.successful, RESULTS.slack)])
-        if not np.any(failed):
-            return TracedPath(manipulator, history, steps.tolist(), history_numbers(history))
+        _check(history, steps, values, [driven])
+        return TracedPath(manipulator, history, steps.tolist(), history_numbers(history))
+
+
+def traced_in_short_steps(
+    manipulator: Manipulator,
+    paths: Sequence[Sequence[float]],
+    driven: Sequence[Dimension],
+    loads: Loads | None,
+    nodes: int,
+    before: Sequence[float] | None = None,
+) -> TracedPath:
+    """Trace paths of all tendons, or under loads that rest on the body, with points between their steps.
+
+    Args:
+        manipulator: the body.
+        paths: one for each tendon, all of one length: base tensions, N, or displacements, m, after each step.
+        driven: what each of them is, "force" or "length".
+        loads: on the body before the first step; they stay.
+        nodes: as `trace` takes them.
+        before: the base tensions before the paths, N; None for rest.
+
+    Raises:
+        SolveError: names the step that failed.
+        ValueError: as `trace`.
+    """
+    start = np.zeros(len(paths)) if before is None else np.array(before)
+    values, steps = _with_points_between(np.array(paths).T, start, FINE_IN_STEPS)
+    columns = [Displacement(x) if kind == "length" else x for x, kind in zip(values.T, driven, strict=True)]
+    with stage("tracing"):
+        history = trace(
+            manipulator,
+            values if "length" not in driven else columns,
+            loads,
+            nodes=nodes,
+            short_steps=SHORT_STEPS,
+            throw=False,
+        )
+        _check(history, steps, values, driven)
+        return TracedPath(manipulator, history, steps.tolist(), history_numbers(history))
+
+
+def _with_points_between(path: np.ndarray, start: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The path from the start on with so many points, or more, and the places of its own steps."""
+    ends = path if np.array_equal(path[0], start) else np.vstack([start, path])
+    legs = np.array_split(np.arange(max(count, len(ends)) - 1), len(ends) - 1)
+    between = [np.linspace(ends[i], ends[i + 1], len(leg) + 1)[1:] for i, leg in enumerate(legs)]
+    return np.concatenate([ends[:1], *between]), np.cumsum([0, *map(len, legs)])[-len(path) :]
+
+
+def _check(history: History, steps: np.ndarray, values: np.ndarray, driven: Sequence[Dimension]) -> None:
+    codes = np.asarray(code_of(history.result))
+    failed = ~np.isin(codes, [code_of(result) for result in (RESULTS.successful, RESULTS.slack)])
+    if not np.any(failed):
+        return
     first = int(np.argmax(failed))
     step = int(np.searchsorted(steps, first))
-    to, at = shown(path[step], driven), shown(values[first], driven)
+    to, at = (
+        ", ".join(shown(value, kind) for value, kind in zip(values[place], driven, strict=True))
+        for place in (steps[step], first)
+    )
     raise SolveError(f"step {step + 1}, on the way to {to}, at {at}: {RESULTS[result_of(codes[first])]}")
 
 
@@ -122,22 +180,30 @@ def trace_as_dict(found: TracedPath) -> dict[str, object]:
 def trace_in_words(found: TracedPath) -> str:
     """What slid in each step and what it left, the cycles that closed, and where the work went."""
     states = found.states
-    directions = np.asarray(found.history.direction)[found.steps]
-    lines = [_step_in_words(states, i, directions[i], float(found.manipulator.length)) for i in range(len(found.steps))]
+    directions, length = np.asarray(found.history.direction)[found.steps], float(found.manipulator.length)
+    in_words = _step_in_words if found.is_exact else _step_of_tendons
+    lines = [in_words(states, i, directions[i], length) for i in range(len(found.steps))]
     if len(lines) > STEPS:
         lines = [f"the last {STEPS} of {len(lines):,} steps:", *lines[-STEPS:]]
     for cycle in cycles(states)[-STEPS:]:
-        tension, loss = shown(states["base_tension"][cycle.last - 1], "force"), shown(cycle.loss, "energy")
+        tension, loss = _listed(states["base_tension"][cycle.last - 1], "force"), shown(cycle.loss, "energy")
         lines.append(f"cycle from step {cycle.first} to {cycle.last}, closed at {tension}: {loss} lost")
-    lines.append(_work_in_words(*(float(states[name][-1]) for name in ("work", "stored_energy", "friction_loss"))))
+    rest = "by the published kinematics" if found.manipulator.kinematics == "published" else "by the short steps"
+    work, stored, lost = (float(states[name][-1]) for name in ("work", "stored_energy", "friction_loss"))
+    lines.append(_work_in_words(work, stored, lost, rest))
     return "\n".join([*lines, f"error estimate {np.max(found.numbers['error_estimate']):.1e}; successful"])
 
 
-def _work_in_words(work: float, stored: float, lost: float) -> str:
+def _listed(values: np.ndarray, dimension: Dimension) -> str:
+    """ "60 N, 20 N"."""
+    return ", ".join(shown(float(value), dimension) for value in np.ravel(values))
+
+
+def _work_in_words(work: float, stored: float, lost: float, why: str) -> str:
     """ "work put in 415.41 mJ: 355.68 mJ stored, 59.726 mJ lost to friction"."""
     parts = [f"{shown(stored, 'energy')} stored", f"{shown(lost, 'energy')} lost to friction"]
-    if abs(rest := work - stored - lost) > SEEN * work:
-        parts.append(f"{shown(rest, 'energy')} unaccounted for by the published kinematics")
+    if abs(rest := work - stored - lost) > SEEN * abs(work):
+        parts.append(f"{shown(rest, 'energy')} unaccounted for {why}")
     return f"work put in {shown(work, 'energy')}: {', '.join(parts)}"
 
 
@@ -155,6 +221,21 @@ def _step_in_words(states: dict[str, np.ndarray], i: int, direction: float, leng
     force, angle = shown(states["tip_tension"][i], "force"), shown(states["tip_angle"][i], "angle")
     pulled_in = shown(states["tendon_displacement"][i], "length")
     return f"{i + 1}: {how}; tip tension {force}, tip angle {angle}, pulled in {pulled_in}"
+
+
+def _step_of_tendons(states: dict[str, np.ndarray], i: int, directions: np.ndarray, length: float) -> str:
+    """ "2: tendon 1 at 60 N slides out up to 52.7 mm, ...; tip tensions 50.3 N, 23.9 N, tip angle 44.1 deg, ..."."""
+    tensions, fronts = np.ravel(states["base_tension"][i]), np.ravel(states["front"][i])
+    parts = []
+    for number, (tension, front, direction) in enumerate(zip(tensions, fronts, np.ravel(directions), strict=True), 1):
+        way = "slides in" if direction > 0 else "slides out"
+        where = "along the whole body" if front >= length else f"up to {shown(float(front), 'length')}"
+        moves = f"{way} {where}" if front > 0 else "rests at the base"
+        name = f"tendon {number}" if tensions.size > 1 else "the tendon"
+        parts.append(f"{name} at {shown(float(tension), 'force')} {moves}")
+    tips, pulled_in = _listed(states["tip_tension"][i], "force"), _listed(states["tendon_displacement"][i], "length")
+    angle = shown(float(states["tip_angle"][i]), "angle")
+    return f"{i + 1}: {', '.join(parts)}; tip tension {tips}, tip angle {angle}, pulled in {pulled_in}"
 
 
 def loop_csv(found: TracedPath) -> str:
