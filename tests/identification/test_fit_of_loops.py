@@ -322,7 +322,7 @@ def test_trials_begin_in_their_own_ways():
     start = starts_of([2], "rest", ["before_2"])[0]
     course = course_of(both, starts=start)[0]
     assert course.past.parameters == ("", "before_2")
-    np.testing.assert_array_equal(course.path({"before_2": 50.0})[:, 0], [40.0, 50.0])
+    np.testing.assert_array_equal(course.path({"before_2": 50.0})[:, 0, 0], [40.0, 50.0])
     assert course_of(both, starts=starts_of([2], ["rest", 60.0], [])[0])[0].past_in_words == ["rest", "60 N"]
     assert starts_of([2], ["rest", 70.0], ["before"])[0] == [Start(None), Start(70.0, "before")]
     assert starts_of([1, 0, 1], "rest", ["before"]) == [[Start(None, "before")], [], [Start(None, "before")]]
