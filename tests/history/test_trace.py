@@ -4,13 +4,25 @@ On the paper's body in the exact kinematics 1/T is a play of 1/T_base: clipped b
 g(s) = (mu/E) int_0^s d/J, and mu phi is the integral of T over g.
 """
 
+import functools
 from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, code, codes, paper_body
+from bodies import (
+    PAPER,
+    UNIT_CUBE,
+    body_of,
+    code,
+    codes,
+    draw_from,
+    one_kinematics_at_once,
+    paper_body,
+    plain_of,
+)
+from hypothesis import given, settings, strategies as st
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -192,17 +204,42 @@ def test_a_pull_alone_is_a_solve():
         np.testing.assert_allclose(history.tendon_displacement[step], found.tendon_displacement[0], rtol=1e-12)
 
 
-def test_return_point_memory():
-    """Random loops within loops close: what is passed is forgotten, and splitting a motion changes nothing."""
-    rng = np.random.default_rng(5)
-    for _ in range(5):
-        top, bottom = np.sort(rng.uniform(5, 100, 2))[::-1]
-        inner = np.clip(bottom + (top - bottom) * rng.uniform(0, 1, 5), bottom, top)
-        direct = cddf.trace(BODY, [top, bottom])
-        detour = cddf.trace(BODY, [top / 2, top, *inner, bottom])
-        for name in ("tip_tension", "tip_angle", "front"):
-            np.testing.assert_allclose(getattr(detour, name)[-1], getattr(direct, name)[-1], rtol=1e-12)
-        assert detour.num_turns[-1] == 2
+@functools.cache
+def traced_draws(kinematics):
+    """Compiled: two paths over a body of `bodies.draws`."""
+
+    def traced(draw, path):
+        history = cddf.trace(body_of(draw, kinematics), path, throw=False)
+        found = history.tip_tension, history.tip_angle, history.tip_position, history.front
+        return (*found, history.tendon_displacement), history.num_turns, history.result
+
+    return jax.jit(jax.vmap(traced, (None, 0)))
+
+
+@one_kinematics_at_once
+@given(unit=UNIT_CUBE, levels=st.tuples(st.floats(0.05, 1.0), *[st.just(0.0) | st.floats(1e-9, 1.0)] * 5))
+@settings(max_examples=30)
+def test_return_point_memory(kinematics, unit, levels):
+    """Of random bodies on random paths: loops within loops close, and what is passed is forgotten.
+
+    All is pulled to the top first and then stays between top and bottom. Tip tensions are those of the play.
+    """
+    draw = draw_from(unit, kinematics)
+    top = levels[0] * draw.base_tension
+    bottom, *inner, last = (level * top for level in levels[1:])
+    inner, last = np.maximum(inner, bottom), max(last, bottom)
+    detour, direct = [top, *inner, bottom, last, bottom, top], [top, bottom, last, bottom, last, bottom, last, top]
+    numbers, num_turns, result = traced_draws(kinematics)(draw, np.array([detour, direct]))
+    assert set(codes(result)) == {0}
+    for values in numbers:
+        values = np.asarray(values)
+        scale = np.max(np.abs(values))
+        for again, once in (((0, 4), (1, 1)), ((0, 6), (0, 4)), ((0, 7), (0, 0)), ((1, 3), (1, 1))):
+            np.testing.assert_allclose(values[again], values[once], rtol=1e-12, atol=1e-12 * scale)
+    assert num_turns[0, 7] == num_turns[1, 7] == 1
+    end = draw.friction_coefficient / draw.youngs_modulus * plain_of(draw, kinematics).compliance(draw.length)
+    expected = [play(detour[: step + 1], end) for step in range(len(detour))]
+    np.testing.assert_allclose(numbers[0][0], expected, rtol=1e-9, atol=1e-12 * top)
 
 
 @pytest.mark.slow
