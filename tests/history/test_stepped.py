@@ -4,12 +4,14 @@ The expected values are those of `hysteresis.md` (sections 2 and 3: an independe
 where every tendon slides one way, of the exact `trace` of one tendon, and properties.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import paper_body
+from bodies import code, codes, paper_body
 
 import cddf_jax as cddf
 from cddf_jax.statics.equilibrium import RESULTS, code_of
@@ -152,6 +154,67 @@ def test_friction_loads_and_a_second_tendon_do_nothing_where_there_is_none():
     traced = cddf.trace(body, [[30.0, 5.0], [10.0, 5.0]], LOAD)
     for step, tensions in enumerate(([30.0, 5.0], [10.0, 5.0])):
         np.testing.assert_allclose(traced.tip_angle[step], cddf.solve(body, tensions, LOAD).tip_angle, atol=1e-7)
+
+
+def stretching(body, stiffness=2e3, free_length=0.2):
+    tendons = tuple(replace(t, axial_stiffness=stiffness, free_length=free_length) for t in body.tendons)
+    return replace(body, tendons=tendons)
+
+
+def with_masses(body):
+    masses = cddf.PointMass(0.1, 0.05), cddf.PointMass(0.14, 0.02)
+    return replace(body, density=np.asarray(1070.0), point_masses=masses)
+
+
+ALL_LOADS = cddf.Loads(gravity=(0.0, -9.81), tip_force=(0.3, -1.0))
+SLANTED = {"tendon_offset": (0.012, 0.008)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kinematics", ["exact", "published"])
+@pytest.mark.parametrize(
+    ("body", "loads"),
+    [
+        (lambda **k: paper_body(drag=5.0, num_tendons=2, **k), None),
+        (lambda **k: stretching(paper_body(drag=5.0, num_tendons=2, **SLANTED, **k)), None),
+        (lambda **k: with_masses(paper_body(num_tendons=2, **k)), cddf.Loads(gravity=(0.0, -9.81))),
+        (lambda **k: stretching(with_masses(paper_body(drag=5.0, num_tendons=2, **k))), ALL_LOADS),
+        (lambda **k: stretching(with_masses(paper_body(drag=5.0, **k))), ALL_LOADS),
+        (lambda **k: paper_body(**k), cddf.Loads(tip_moment=-0.05)),
+    ],
+    ids=["drag", "slanted, drag, stretch", "gravity, masses", "all of it", "one tendon, all of it", "one, tip moment"],
+)
+def test_a_pull_of_all_tendons_is_a_solve(kinematics, body, loads):
+    """Their tensions grow in proportion, so that every tendon slides one way all along, under loads that stay."""
+    body = body(kinematics=kinematics)
+    shares = np.array([1.0, 0.3])[: body.num_tendons]
+    history = cddf.trace(body, np.outer([30.0, 60.0], shares), loads, nodes=8, short_steps=8)
+    for step, tension in enumerate((30.0, 60.0)):
+        found = cddf.solve(body, tension * shares, loads)
+        error = float(history.error_estimate[step])
+        assert error < 1e-3
+        tips = np.ravel(history.tip_tension[step])
+        np.testing.assert_allclose(tips, found.tip_tension, atol=error * np.max(tips))
+        np.testing.assert_allclose(history.tip_position[step], found.tip_position, atol=error * 0.14)
+        np.testing.assert_allclose(history.tip_angle[step], found.tip_angle, atol=error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drag", [5.0, 20.0, 60.0])
+def test_drag_uses_up_the_first_tensions_from_rest(drag):
+    """A tendon rests from where its drag leaves no tension; once it slides all along, `solve` has the answer."""
+    history = cddf.trace(paper_body("exact", num_tendons=2, drag=drag), [[30.0, 8.0], [60.0, 20.0]])
+    for step, tensions in enumerate(([30.0, 8.0], [60.0, 20.0])):
+        found = cddf.solve(paper_body("exact", num_tendons=2, drag=drag), tensions)
+        np.testing.assert_allclose(history.tip_angle[step], found.tip_angle, atol=1e-6)
+        np.testing.assert_allclose(history.tip_tension[step], found.tip_tension, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_tendon_that_drag_would_make_push_is_told():
+    """Both are let go: drag would have one of them push the body back, and a tendon hangs then, which is not known."""
+    history = cddf.trace(paper_body("exact", num_tendons=2, drag=60.0), [[20.0, 0.0], [0.0, 0.0]], throw=False)
+    assert codes(history.result)[1] == code(RESULTS.inaccurate)
 
 
 @pytest.mark.slow

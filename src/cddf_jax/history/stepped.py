@@ -317,7 +317,7 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     moments, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
     apart = jax.vmap(jax.vmap(partial(_difference, cells)), (None, 0))(tip, others)
-    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0)
+    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(_pushed, cells))(moments, tip)
     step = moments.step
     good = physical & jnp.all(passes.step.converged, axis=0)
     numbers = jax.vmap(nan_unless)(good, (moments.given.ends, tip, error, fronts[0]))
@@ -453,16 +453,27 @@ def _first(loads: Loads | None) -> Loads | None:
 
 def _difference(cells: Cells, tip: _Tip, other: _Tip) -> Number:
     """By how much two passes differ: tip tension (relative), position (per length), angle (rad); the largest."""
-    scale = jnp.maximum(jnp.max(tip.tension), 1e-3)
     return jnp.max(
         jnp.stack(
             [
-                largest_size(tip.tension - other.tension) / scale,
+                largest_size(tip.tension - other.tension) / _tension_scale(cells, tip),
                 largest_size(tip.position - other.position) / cells.edges[-1],
                 jnp.abs(tip.heading - other.heading),
             ]
         )
     )
+
+
+def _tension_scale(cells: Cells, tip: _Tip) -> Number:
+    """What tensions are compared to, N: the largest at the tip, and what drag takes."""
+    drag = cells.sections.drag
+    dragged = 0.0 if drag is None else jnp.max(jnp.sum(cells.width[:, None] * drag[:, 1], axis=0))
+    return jnp.maximum(jnp.max(tip.tension), 1e-3) + dragged
+
+
+def _pushed(cells: Cells, moment: Moment, tip: _Tip) -> Number:
+    """How much a tendon pushes where drag has used up its tension, over what tensions are compared to: it cannot."""
+    return jnp.maximum(-jnp.min(moment.step.edges.tension), 0.0) / _tension_scale(cells, tip)
 
 
 def _crosses(cells: Cells, moment: Moment) -> Bool[Array, ""]:

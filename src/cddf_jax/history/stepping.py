@@ -23,9 +23,12 @@ Number = Float[Array, ""]
 PerCell = Float[Array, "*P tendons"]  # of all cells; without their axis of one
 FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
 LAST_SOFTNESS = 1e-13
-SHRINKING = 0.1
-MAX_PASSES = 60
-LOCATING = 16  # passes after which the place of a front within its cell is held
+SHRINKING = 0.1  # of delta, in each pass
+QUICK_PASSES = 40  # after which all begins again
+SLOW_SHRINKING = 0.3  # from then on, after passes that changed little
+SETTLED = 1e-2
+MAX_PASSES = 200
+LOCATING = 5  # passes with the last delta, after which the place of a front within its cell is held
 TOLERANCE = 1e-10
 LEAST_RATE = 1e-3  # of the largest slip rate: below it a tendon counts as resting where its front is located
 
@@ -91,24 +94,29 @@ def _after_step(given: tuple[Setting, Ends, Step]) -> tuple[Step, _Sides, Number
     setting, ends, before = given
     zero = zero_as(ends, before)
     start = jax.tree.map(lambda x: x if x.dtype == bool else x + zero, _with_ends(setting, before, ends))
-    last = LAST_SOFTNESS * setting.cells.scale
+    first, last = FIRST_SOFTNESS * setting.cells.scale + zero, LAST_SOFTNESS * setting.cells.scale
 
     def unsettled(carry):
-        _, _, softness, change, count = carry
+        _, _, softness, change, count, _ = carry
         return ((change > TOLERANCE) | (softness > last)) & (count < MAX_PASSES)
 
     def improve(carry):
-        step, sides, softness, _, count = carry
+        step, sides, softness, _, count, held = carry
         along, rate = _missing(setting, step)
-        sides = jax.tree.map(lambda new, old: jnp.where(count < LOCATING, new, old), _sides(before, rate), sides)
+        sides = jax.tree.map(lambda new, old: jnp.where(held < LOCATING, new, old), _sides(before, rate), sides)
         gaps = _gaps(setting, ends, before, step, sides, softness, along)
         change = _correction(setting, ends, before, step, sides, softness, gaps)
         new, size = _changed(setting, ends, step._replace(slip_rate=rate), change)
-        return new, sides, jnp.maximum(SHRINKING * softness, last), size, count + 1.0
+        quick, again = count < QUICK_PASSES, count == QUICK_PASSES
+        slowly = jnp.where(size < SETTLED, SLOW_SHRINKING, 1.0)
+        held = jnp.where(again, 0.0, held + (softness <= last))
+        softness = jnp.where(again, first, jnp.maximum(jnp.where(quick, SHRINKING, slowly) * softness, last))
+        new = jax.tree.map(lambda x, y: jnp.where(again, x, y), start, new)
+        return new, sides, softness, size, count + 1.0, held
 
     half = jnp.full_like(start.share, 0.5)
-    carry = start, _Sides(half, half), FIRST_SOFTNESS * setting.cells.scale + zero, jnp.inf + zero, zero
-    step, sides, softness, change, _ = jax.lax.while_loop(unsettled, improve, carry)
+    carry = start, _Sides(half, half), first, jnp.inf + zero, zero, zero
+    step, sides, softness, change, *_ = jax.lax.while_loop(unsettled, improve, carry)
     return step._replace(converged=(change <= TOLERANCE) & before.converged), sides, softness
 
 

@@ -31,10 +31,13 @@ def bending_loss(direction: PerTendon, section: AnySection, tension: PerTendon) 
 
 
 def drag_loss(direction: PerTendon, section: AnySection, tension: PerTendon) -> PerTendon | None:
-    """The loss of T per length by drag, N/m: 0 where a tendon that slides in is slack; None without drag."""
+    """The loss of T per length by drag, N/m: 0 where a tendon that slides in is slack; None without drag.
+
+    A slack tendon has T = 0 exactly. Iterations of `trace` pass through T < 0, and there the law goes on smoothly.
+    """
     if section.drag is None:
         return None
-    return jnp.where((tension > 0) | (direction < 0), direction * section.drag, 0.0)
+    return jnp.where((tension != 0) | (direction < 0), direction * section.drag, 0.0)
 
 
 def tension_rate(direction: PerTendon, section: AnySection, turning: PerTendon, tension: PerTendon) -> PerTendon:
