@@ -101,11 +101,10 @@ def _shape_rates_in_space(
     problem: Problem, solution: Solution[AnyState], sections: AnySection, state: AnyState, fractions: np.ndarray
 ) -> tuple[Array, Array, Array, Array]:
     """The same in space; twice the derivative of the rotation, which is an angle."""
-    cut = problem.panels
-    strain = strain_along(sections, problem.base_tension, state)
-    at_nodes_ = strain_along(problem.nodes, problem.base_tension, solution.nodes)
-    rate = cut.extended(_tangents(cut, problem.nodes, at_nodes_)[1], fractions)
-    turning = _turning_in_space(sections, strain, at_nodes(space.tangents, (0, 0))(sections, strain), rate)
+    cut, strain = problem.panels, strain_along(sections, problem.base_tension, state)
+    tangent = at_nodes(space.tangents, (0, 0))(sections, strain)
+    rate = cut.extended(cut.differentiate(tangent[:, : cut.order]), fractions)  # the first places are the nodes
+    turning = _turning_in_space(sections, strain, tangent, rate)
     axis = in_fixed_frame(state.heading, space.axis_of_strain(strain))
     turned = 2.0 * turned_by(state.heading, space.curvature_of_strain(strain))
     return turning, axis, turned, -cross(axis, state.force)

@@ -101,8 +101,8 @@ def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loa
 @eqx.filter_custom_jvp
 def _strain_of_least_energy(section: SpatialSection, tension: PerTendon, loads: Wrench | None) -> Strain:
     def newton_step(_, strain):
-        residual, stiffness = _residual(section, tension, loads, strain), _tangent_stiffness(section, tension, strain)
-        return strain - solve_definite(stiffness, residual)
+        stiffness = _tangent_stiffness(section, tension, strain)
+        return strain - solve_definite(stiffness, _residual(section, tension, loads, strain))
 
     start = section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
     return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, start)

@@ -17,6 +17,7 @@ from .cross_section import CrossSection, Kinematics, SpatialSection
 from .profiles import Constant, Linear, Number, Points, Profile, Scalar, as_number, as_profile, breakpoints
 
 KINEMATICS = ("published", "exact")
+_TIMES = np.cross(np.eye(3)[None, :], np.eye(3)[:, None]).swapaxes(1, 2)  # [rho, component, u] of u x rho
 _STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 Taper = ArrayLike | Sequence[ArrayLike]  # one number, or a pair (base, tip)
 
@@ -355,7 +356,7 @@ class Manipulator(eqx.Module):
         s = jnp.asarray(arc_length)
         arm, ahead = jax.jvp(self.arms, (s,), (jnp.ones_like(s),))
         eye, ends = jnp.eye(3, dtype=s.dtype), [jnp.inf if t.end is None else t.end for t in self.tendons]
-        lever = -jnp.cross(arm[:, None, :], eye).swapaxes(-1, -2)  # u x rho = -[rho]x u
+        lever = jnp.tensordot(arm, jnp.asarray(_TIMES, s.dtype), 1)  # u x rho by components of u
         rest = jnp.zeros(3, s.dtype)
         if self.rest_curvature is not None:
             rest = jnp.stack([part(s) for part in self.rest_curvature])
