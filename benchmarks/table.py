@@ -19,6 +19,7 @@ FOLDER = Path("out/benchmark")
 KEPT = Path("benchmarks")
 PARTS = {
     "batch": "One solve, batches, gradients, loads",
+    "space": "Batches in space",
     "sweeps": "Sweeps: size, devices, processes, precision, memory",
     "fits": "Fit, bootstrap and profile",
     "seventeen_levels": "Fit of 17 levels with tip positions",

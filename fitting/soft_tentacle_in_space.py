@@ -22,10 +22,10 @@ from soft_tentacle import (
     POSE_ERROR,
     START,
     TABLE,
+    body as planar_body,
     described,
     rms,
 )
-from soft_tentacle import body as planar_body
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
