@@ -118,6 +118,7 @@ class Prediction(eqx.Module):
 def markers(equilibrium: cddf.Equilibrium) -> jax.Array:
     """Positions of the markers in the plane, m. A marker moves with its cross-section."""
     at = equilibrium.at(MARKER)
+    assert isinstance(at, cddf.Fields)
     t = jnp.stack([jnp.cos(at.heading), jnp.sin(at.heading)], axis=-1)
     n = jnp.stack([-jnp.sin(at.heading), jnp.cos(at.heading)], axis=-1)
     return at.position + AHEAD[:, None] * t + (TENDONS[0, 0] * ASIDE)[:, None] * n

@@ -169,7 +169,7 @@ def inside_of_bend(problem: Problem, solution: Solution[State]) -> Float[Array, 
     In space by how much the fibre at a tendon is shorter than the axis at rest.
     """
 
-    def inside(section: AnySection, state: State) -> Number:
+    def inside(section: AnySection, state: AnyState) -> Number:
         strain = strain_of(section, problem.base_tension, state)
         if isinstance(section, SpatialSection):
             shorter = 1.0 - course(section, strain)[:, 0]
