@@ -87,6 +87,7 @@ _ALL = (
     Quantity("tip_angle", "angle", "heading of the tip"),
     Quantity("hysteresis", "angle", "tip angle on the way down less that on the way up, in a loop of the base tension"),
     Quantity("tip_position", "length", "position of the tip"),
+    Quantity("tip_frame", "dimensionless", "axes of the tip, in columns"),
     Quantity("tip_x", "length", title="Tip position X"),
     Quantity("tip_y", "length", title="Tip position Y"),
     Quantity("tip_stiffness", "stiffness"),
@@ -104,7 +105,10 @@ _ALL = (
     # along it
     Quantity("arc_length", "length", symbol="$s$"),
     Quantity("curvature", "curvature", symbol=r"$\kappa$"),
+    Quantity("twist", "curvature"),
     Quantity("heading", "angle", symbol=r"$\phi$"),
+    Quantity("frame", "dimensionless", "axes of the cross-section, in columns"),
+    Quantity("path", "length", "place of the tendon"),
     Quantity("position", "length"),
     Quantity("strain", "dimensionless", symbol=r"$R|\kappa|$", in_percent=True),
     Quantity("crossing", "dimensionless", "curvature times offset; 1 where fibres cross"),

@@ -34,7 +34,11 @@ SAMPLES, VALUES = 3000, 500  # drawn at most: in all, and along each axis
 MARKED = 30  # values up to which a line has a marker at each
 LABELLED = 2  # maps beside each other up to which contours have their numbers
 # which part of an output
-PARTS: dict[str, Callable[[Any], str]] = {"tendon": lambda number: f"of tendon {number + 1}", "component": str}
+PARTS: dict[str, Callable[[Any], str]] = {
+    "tendon": lambda number: f"of tendon {number + 1}",
+    "component": str,
+    "axis": lambda axis: f"axis {axis}",
+}
 
 
 # --- one output ----------------------------------------------------------------------------------
@@ -309,7 +313,7 @@ def name_in_words(name: str) -> str:
     if name in QUANTITIES:
         return QUANTITIES[name].label
     parts = name.removeprefix("loads.").replace("tendons.", "tendon.").split(".")
-    places = COMPONENTS if parts[0] in ("tip_force", "gravity") else range(1, 100)
+    places = COMPONENTS if parts[0] in ("tip_force", "tip_moment", "gravity") else range(1, 100)
     words = " ".join(str(places[int(part)]) if part.isdigit() else part for part in parts).replace("_", " ")
     return words[:1].upper() + words[1:]
 

@@ -22,7 +22,7 @@ from ..mechanics.fields import Fields, in_the_plane
 from ..quantities import QUANTITIES
 from ..statics.description import result_in_words
 from ..statics.equilibrium import Equilibrium, fields_on
-from ..sweeping.one_solve import COMPONENTS, OUTPUTS
+from ..sweeping.one_solve import AXES, COMPONENTS, IN_SPACE, OUTPUTS
 from ..units import si_unit
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ ALONG = ("heading", "curvature", "tension", "normal_force", "friction_force")  #
 def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] | None = None) -> "xarray.Dataset":
     """An equilibrium with labels and units: fields over arc_length (m), tendon (0, 1, ...) and component (X, Y).
 
+    In space there is a third component, Z, and "axis" (x, y, z) of the cross-section.
+
     `to_netcdf`, `to_dataframe` and `to_zarr` of the answer write it.
 
     Args:
@@ -53,8 +55,8 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
     xarray = needed("xarray")
     s = _stations(equilibrium, arc_length)
     fields = fields_on(equilibrium, s)
-    data = {}
-    for name, own in OUTPUTS.items():
+    data, in_space = {}, equilibrium.tip_frame is not None
+    for name, own in (IN_SPACE if in_space else OUTPUTS).items():
         if name == "arc_length" or (name.startswith("peak_strain") and not equilibrium.has_wall):
             continue
         values = getattr(fields, name) if "point" in own else getattr(equilibrium, name)
@@ -65,8 +67,8 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
     coords = {
         "arc_length": ("arc_length", s, {"long_name": "arc length", "units": "m"}),
         "tendon": ("tendon", np.arange(len(equilibrium.base_tension)), {"long_name": "place among the tendons"}),
-        "component": ("component", np.array(COMPONENTS)),
-    }
+        "component": ("component", np.array(COMPONENTS if in_space else COMPONENTS[:2])),
+    } | ({"axis": ("axis", np.array(AXES))} if in_space else {})
     return xarray.Dataset(data, coords, {"result": result_in_words(equilibrium) or "successful"})
 
 

@@ -37,6 +37,11 @@ class Case(eqx.Module):
     loads: Loads | None
     direction: Any  # numbers, or one entry per tendon with None where it is to be found
 
+    @property
+    def in_space(self) -> bool:
+        """Whether body or loads leave the plane; static."""
+        return self.manipulator.in_space or (self.loads is not None and self.loads.in_space)
+
     def number(self, name: str) -> Any:
         """The number of a name.
 

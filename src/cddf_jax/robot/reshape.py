@@ -13,16 +13,23 @@ from .profiles import Constant, Linear, Number, Piecewise, Polyline, Profile, Sp
 
 def stretched(manipulator: Manipulator, length: ArrayLike) -> Manipulator:
     """The body with another length, everything along it in proportion: tapers, knots, joints, anchors, places."""
-    ratio = length / jnp.asarray(manipulator.length)
+    ratio, rest = length / jnp.asarray(manipulator.length), manipulator.rest_curvature
 
     def tendon(old: Tendon) -> Tendon:
-        return replace(old, offset=_stretched(old.offset, ratio), end=None if old.end is None else old.end * ratio)
+        angle, end = old.angle, old.end
+        return replace(
+            old,
+            offset=_stretched(old.offset, ratio),
+            angle=None if angle is None else _stretched(angle, ratio),
+            end=None if end is None else end * ratio,
+        )
 
     return replace(
         manipulator,
         length=length,
         tendons=tuple(tendon(old) for old in manipulator.tendons),
         point_masses=tuple(replace(old, arc_length=old.arc_length * ratio) for old in manipulator.point_masses),
+        rest_curvature=rest and tuple(_stretched(part, ratio) for part in rest),
         **{name: _stretched(old, ratio) for name, old in manipulator.profiles.items() if "." not in name},
     )
 

@@ -16,7 +16,7 @@ from ..statics.arguments import check_nodes
 
 OPTIONS = ("nodes", "method", "kinematics")  # each value is a program of its own
 PATH = "path"  # the attribute of an answer that names the dimension whose base tensions were traced in their order
-RESERVED = ("tendon", "point", "component", "result", "successful")
+RESERVED = ("tendon", "point", "component", "axis", "result", "successful")
 
 
 class Dimension(NamedTuple):
@@ -150,7 +150,7 @@ def _idle(swept: set[str], case: Case, wall_is_seen: bool) -> dict[str, str]:
     for name in ("friction_coefficient", "drag"):
         if name in swept and all(getattr(tendon, name) is not None for tendon in body.tendons):
             found[name] = f"every tendon has its own; let 'tendons.0.{name}' vary"
-    gravity = swept & {"loads.gravity.0", "loads.gravity.1"}
+    gravity = {name for name in swept if name.startswith("loads.gravity.")}
     weightless = loads is None or not np.any(np.asarray(loads.gravity))
     masses = {name for name in swept if name.split(".")[0] in ("density", "mass_per_length", "point_masses")}
     if masses and not gravity and weightless:
@@ -159,6 +159,8 @@ def _idle(swept: set[str], case: Case, wall_is_seen: bool) -> dict[str, str]:
         found[min(gravity)] = "the body has no weight; give it density, mass_per_length or point_masses"
     if not masses and not gravity:
         check_weight(body, loads)
+    if "poissons_ratio" in swept and not case.in_space:
+        found["poissons_ratio"] = "it matters in space; give the tendons an angle"
     dense = "density" in swept or np.any(np.asarray(body.density))
     if not body.stiffened_by_radii and not (dense and (gravity or not weightless)):
         for name in sorted(swept):

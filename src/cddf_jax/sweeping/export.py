@@ -11,10 +11,13 @@ from ..batch.chunks import Layout, even_chunks
 from ..batch.store import in_one_step
 from ..errors import needed
 from ..robot.named_numbers import of_tendon
-from .one_solve import COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
+from .one_solve import AXES, COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
 
 if TYPE_CHECKING:
     import xarray
+
+
+LABELS = {"component": COMPONENTS, "axis": AXES}  # of places along a dimension; others are counted
 
 
 def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
@@ -76,7 +79,7 @@ def labelled(name: str, dims: Sequence[str], shape: Sequence[int]) -> Iterator[t
     """The place and the name of each number of an output: "tip_position.X", "tip_tension_2"; just its name for one."""
     for place in np.ndindex(*shape):
         parts = zip(dims, place, shape, strict=True)
-        ends = (f".{COMPONENTS[i]}" if d == "component" else of_tendon("", i) for d, i, n in parts if n > 1)
+        ends = (f".{LABELS[d][i]}" if d in LABELS else of_tendon("", i) for d, i, n in parts if n > 1)
         yield place, "".join([name, *ends])
 
 

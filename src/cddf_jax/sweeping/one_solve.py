@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..batch.chunks import Coordinate, Variable
-from ..errors import InputError
+from ..errors import InputError, within
 from ..history.history import History
 from ..history.trace import trace
 from ..mechanics.problem import Method
@@ -20,7 +20,8 @@ from ..statics.equilibrium import RESULT_NAMES, RESULTS, Equilibrium, code_of
 from ..statics.solve import solve
 from .axes import Dimension
 
-COMPONENTS = ("X", "Y")
+COMPONENTS = ("X", "Y", "Z")  # in the fixed frame; a body in the plane has the first two
+AXES = ("x", "y", "z")  # of a cross-section of a body in space
 SUCCESSFUL, RESULT = VERDICTS = "successful", "result"
 
 
@@ -52,6 +53,16 @@ OUTPUTS: dict[str, tuple[str, ...]] = {
     "normal_force": ("tendon", "point", "component"),
     "friction_force": ("tendon", "point", "component"),
 }
+# the same of a body in space: curvature is twist and bending about y and z; columns of frames are axes of the body
+IN_SPACE: dict[str, tuple[str, ...]] = {
+    **{name: dims for name, dims in OUTPUTS.items() if name != "heading"},
+    "base_moment": ("component",),
+    "tip_frame": ("component", "axis"),
+    "curvature": ("point", "axis"),
+    "twist": ("point",),
+    "frame": ("point", "component", "axis"),
+    "path": ("tendon", "point", "component"),
+}
 # what can be asked of a `History` beside what an equilibrium has too, and its dimensions beside those of the sweep
 OF_HISTORY: dict[str, tuple[str, ...]] = {
     **{name: OUTPUTS[name] for name in ("tip_position", "tip_angle", "tip_tension", "tendon_displacement")},
@@ -66,11 +77,23 @@ OF_HISTORY: dict[str, tuple[str, ...]] = {
 
 
 def variable(
-    name: str, array: jax.ShapeDtypeStruct, shape: Mapping[str, int], unit_by: str = "", by: str = ""
+    name: str,
+    array: jax.ShapeDtypeStruct,
+    shape: Mapping[str, int],
+    known: Mapping[str, tuple[str, ...]],
+    unit_by: str = "",
+    by: str = "",
 ) -> Variable:
-    """An output of `array`'s shape and type for every solve, or its derivative by what has the unit `unit_by`."""
+    """An output of `array`'s shape and type for every solve, or its derivative by what has the unit `unit_by`.
+
+    Args:
+        name: of the output.
+        array: its shape and type after one solve.
+        shape: of the sweep.
+        known: the dimensions of outputs that are no observables.
+        unit_by, by: the number that it is differentiated by.
+    """
     dims, unit, meaning = tuple(f"{name}_{i}" for i in range(array.ndim)), "", name
-    known = OUTPUTS | OF_HISTORY
     if name in known:
         dims, unit, meaning = known[name], QUANTITIES[name].unit, QUANTITIES[name].words
     if by:
@@ -110,7 +133,9 @@ def coordinates(dimensions: tuple[Dimension, ...], units: Mapping[str, str], var
     if "tendon" in sizes:
         coords["tendon"] = (("tendon",), np.arange(sizes["tendon"]), {"long_name": "place among the tendons"})
     if "component" in sizes:
-        coords["component"] = (("component",), np.array(COMPONENTS), {})
+        coords["component"] = (("component",), np.array(COMPONENTS[: sizes["component"]]), {})
+    if "axis" in sizes:
+        coords["axis"] = (("axis",), np.array(AXES), {"long_name": "axis of the cross-section"})
     return coords
 
 
@@ -185,4 +210,5 @@ def prepared(case: Case, kinematics: str, dtype: np.dtype) -> Case:
             return leaf
         return jnp.asarray(leaf, dtype) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else leaf
 
-    return jax.tree.map(cast, replace(case, manipulator=replace(case.manipulator, kinematics=kinematics)))
+    with within("sweep", ValueError):  # published kinematics are those of the plane
+        return jax.tree.map(cast, replace(case, manipulator=replace(case.manipulator, kinematics=kinematics)))

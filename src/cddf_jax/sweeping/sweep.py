@@ -1,6 +1,7 @@
 """`sweep`: one solve for every combination of what varies, with labels, in chunks that survive a stop."""
 
 import os
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,14 +22,25 @@ from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.problem import Method
 from ..programs.kept import shapes_of
-from ..robot.loads import Loads
+from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, of_tendon
 from ..statics.arguments import check_nodes
 from ..statics.equilibrium import Equilibrium
 from ..statics.targets import Target
 from .axes import PATH, RESERVED, Dimension, check_names, dimensions_of
-from .one_solve import OF_HISTORY, OUTPUTS, RESULT, SUCCESSFUL, OneSolve, coordinates, prepared, slope_name, variable
+from .one_solve import (
+    IN_SPACE,
+    OF_HISTORY,
+    OUTPUTS,
+    RESULT,
+    SUCCESSFUL,
+    OneSolve,
+    coordinates,
+    prepared,
+    slope_name,
+    variable,
+)
 
 if TYPE_CHECKING:
     import xarray
@@ -39,6 +51,7 @@ DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
 Tension = ArrayLike | Target | Sequence[ArrayLike | Target]
 Observable = Callable[[Equilibrium], ArrayLike]
+_OF_SPACE = re.compile(r"loads\.((tip_force|gravity)\.2|tip_moment\.[0-2])")  # components that the plane has not
 
 
 def sweep(
@@ -82,7 +95,8 @@ def sweep(
         chunk: solves between two writes; sized for speed and memory unless given.
 
     Returns:
-        The outputs with the dimensions of the axes first, then "tendon", "point" (along the body), "component" (X, Y).
+        The outputs with the dimensions of the axes first, then "tendon", "point" (along the body), "component" (X, Y,
+        and in space Z), and in space "axis" (x, y, z of the cross-section).
         `result` says how each solve went (its codes are among its attributes) and `successful` where all is well: a
         failed solve is NaN, a doubtful one (crossing, inaccurate, unstable, ...) keeps its numbers. As in `solve`,
         walls and clearances are not checked: call `manipulator.validate()`. Chunks, devices and processes change
@@ -147,6 +161,8 @@ class Sweep:
         loads = self.loads
         if loads is None and any(name.startswith("loads.") for name in names):
             loads = Loads()
+        if loads is not None and (self.manipulator.in_space or any(map(_OF_SPACE.fullmatch, names))):
+            loads = loads_in_space(loads)
         tension, count = self.base_tension, self.manipulator.num_tendons
         if tension is None and {of_tendon("base_tension", i) for i in range(count)} <= set(names):
             tension = np.zeros(count)
@@ -156,6 +172,13 @@ class Sweep:
         with within("sweep", ValueError):
             direction = as_directions(stated_directions(self.direction, count))
         return Case(self.manipulator, tension, loads, direction)
+
+    @property
+    def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
+        """What can be asked for, and its dimensions beside those of the sweep."""
+        if self.history:
+            return OF_HISTORY
+        return IN_SPACE if self.case.in_space else OUTPUTS
 
     @cached_property
     def dtype(self) -> np.dtype:
@@ -216,16 +239,15 @@ class Sweep:
         known = {name for dimension in self.dimensions for name in (dimension.name, *dimension.numbers)}
         if self.base_tension is not None and "base_tension" in known:
             raise InputError("sweep: base_tension is given and an axis; leave one out")
-        there = OF_HISTORY if self.history else OUTPUTS
         for name in self.outputs:
-            if name not in there:
-                of = " of a history" if self.history else ""
-                raise InputError(f"sweep: {name!r} is no output{of}; there are {', '.join(there)}")
+            if name not in self.known_outputs:
+                of = " of a history" if self.history else " in space" if self.case.in_space else ""
+                raise InputError(f"sweep: {name!r} is no output{of}; there are {', '.join(self.known_outputs)}")
         for name in (*self.outputs, *self.observables):
             if name in known:
                 raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")
         for name in self.observables:
-            if name in OUTPUTS or name in RESERVED or "/" in name:
+            if name in OUTPUTS | IN_SPACE or name in RESERVED or "/" in name:
                 raise InputError(f"sweep: no observable can be called {name!r}; give it another name")
             if not callable(self.observables[name]):
                 raise InputError(f"sweep: the observable {name!r} must be a function of an Equilibrium")
@@ -294,7 +316,8 @@ class Sweep:
             if self.path:  # the steps are a dimension of the sweep
                 shapes = {name: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for name, x in shapes.items()}
             for name, base, by in self._names(shapes):
-                new = variable(base, shapes[name], self._shape, self.case.unit(by) if by else "", by)
+                unit_by = self.case.unit(by) if by else ""
+                new = variable(base, shapes[name], self._shape, self.known_outputs, unit_by, by)
                 if found.setdefault(name, new).shape != new.shape:
                     raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
         return found
