@@ -7,8 +7,8 @@ themselves it is off by the error of the quadrature, and every function here div
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-Vector = Float[Array, "*points 3"]
-Quaternion = Float[Array, "*points 4"]
+Vector = Float[Array, "*#points 3"]
+Quaternion = Float[Array, "*#points 4"]
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
