@@ -29,6 +29,7 @@ Dimension = Literal[
     "curvature",
     "stiffness",
     "force per length",
+    "torsional stiffness",
     "bending stiffness",
     "mass per length",
     "mass",
@@ -57,6 +58,7 @@ _UNITS: dict[Dimension, _Units] = {
     "curvature": _Units("1/m", "1/m"),
     "stiffness": _Units("N/m", "N/m"),
     "force per length": _Units("N/m", "N/m"),
+    "torsional stiffness": _Units("N m^2", "N m^2"),
     "bending stiffness": _Units("N m^2", "N m^2"),
     "mass per length": _Units("kg/m", "kg/m"),
     "mass": _Units("kg", "g", "1e-3"),
@@ -105,19 +107,18 @@ def quantity(text: object, dimension: Dimension, what: str) -> float:
     return value
 
 
-def vector(text: str, dimension: Dimension, what: str) -> tuple[float, float]:
-    """The SI values of two components such as "0 N, -5 N", or with one unit for both "0, -5 N".
+def vector(text: str, dimension: Dimension, what: str) -> tuple[float, ...]:
+    """The SI values of components such as "0 N, -5 N", in space three, or with one unit for all "0, -5 N".
 
     Raises:
         InputError: as `quantity`, and for another number of components.
     """
     parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 2:
-        unit = _UNITS[dimension].preferred
-        raise InputError(f"{what} needs two components X, Y, got {text!r}; write for example '0 {unit}, -12.5 {unit}'")
-    parts = _with_their_unit(parts)
-    x, y = (quantity(part, dimension, f"{what} {axis}") for part, axis in zip(parts, "XY", strict=True))
-    return x, y
+    if len(parts) not in (2, 3):
+        unit, wanted = _UNITS[dimension].preferred, "two components X, Y, or three in space"
+        raise InputError(f"{what} needs {wanted}, got {text!r}; write for example '0 {unit}, -12.5 {unit}'")
+    named = zip(_with_their_unit(parts), "XYZ", strict=False)
+    return tuple(quantity(part, dimension, f"{what} {axis}") for part, axis in named)
 
 
 def series(text: str, dimensions: Sequence[Dimension], what: str) -> tuple[list[float], Dimension]:

@@ -135,11 +135,23 @@ def test_units_of_the_loads(texts):
     assert np.asarray(loads.gravity).tolist() == [0.0, -9.81]
 
 
+def test_loads_in_space():
+    loads = read_loads("0, -5, 1 N", "0, 0, 100 N mm", "0, 0, -981 cm/s^2")
+    assert loads is not None
+    found = [np.asarray(load).tolist() for load in (loads.tip_force, loads.tip_moment, loads.gravity)]
+    assert found == [[0.0, -5.0, 1.0], [0.0, 0.0, 0.1], [0.0, 0.0, -9.81]]
+
+
 @pytest.mark.parametrize(
     ("option", "text", "message"),
     [
-        ("--tip-force", "5 N", "needs two components X, Y, got '5 N'; write for example '0 N, -12.5 N'"),
-        ("--tip-force", "1 N, 2 N, 3 N", "needs two components X, Y, got '1 N, 2 N, 3 N'; write for example"),
+        (
+            "--tip-force",
+            "5 N",
+            "needs two components X, Y, or three in space, got '5 N'; write for example '0 N, -12.5 N'",
+        ),
+        ("--tip-force", "1, 2, 3, 4 N", "needs two components X, Y, or three in space, got '1, 2, 3, 4 N'; write for"),
+        ("--tip-force", "1 N, 2 N, 3 m", " Z needs a unit of force, got '3 m'; write for example '12.5 N'"),
         ("--tip-force", "0, -5", " X needs a unit of force, got '0'; write for example '12.5 N'"),
         ("--tip-force", "0 N, -5 mm", " Y needs a unit of force, got '-5 mm'; write for example '12.5 N'"),
         ("--tip-force", "down, 5 N", " X is not a number, got 'down'; write for example '12.5 N'"),
@@ -150,10 +162,10 @@ def test_units_of_the_loads(texts):
         (
             "--tip-moment",
             "0.1 N m, 0",
-            "needs a unit of moment, got '0.1 N m, 0' with the unknown unit 'N m, 0'; write",
+            "is one number in the plane and three in space, got '0.1 N m, 0'; write '0, 0, 0.1 N m'",
         ),
         ("--tip-moment", "strong", "is not a number, got 'strong'; write for example '12.5 N m'"),
-        ("--gravity", "9.81 m/s^2", "needs two components X, Y, got '9.81 m/s^2'; write for example '0 m/s^2, -12.5"),
+        ("--gravity", "9.81 m/s^2", "needs two components X, Y, or three in space, got '9.81 m/s^2'; write"),
         ("--gravity", "0, -9.81 m", " X needs a unit of acceleration, got '0 m'; write for example '12.5 m/s^2'"),
     ],
 )

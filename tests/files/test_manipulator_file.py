@@ -153,6 +153,59 @@ def test_files_that_cannot_be_read(tmp_path):
         read_manipulator(tmp_path / "latin.toml")
 
 
+SPACE = """
+length = "140 mm"
+outer_radius = { base = "20 mm", tip = "13 mm" }
+inner_radius = "7 mm"
+youngs_modulus = "1.4 MPa"
+poissons_ratio = 0.45
+extensible = true
+rest_curvature = ["0 1/m", { base = "2 1/m", tip = "1 1/m" }, "0.5 1/m"]
+torsional_stiffness = "0.02 N m^2"
+axial_stiffness = "1 kN"
+friction_coefficient = 0.42
+[[tendons]]
+offset = "10 mm"
+angle = "120 deg"
+[[tendons]]
+offset = "10 mm"
+angle = { base = "0 deg", tip = "0.5 turn" }
+axial_stiffness = "12 kN"
+"""
+
+
+def test_a_body_in_space(tmp_path):
+    body = read(tmp_path, SPACE)
+    assert float(body.tendons[0].angle(0.1)) == pytest.approx(2 * np.pi / 3, rel=1e-15)
+    assert_identical(body.tendons[1].angle, cddf.Linear(0.0, np.pi, 0.14))
+    rest = (cddf.Constant(0.0), cddf.Linear(2.0, 1.0, 0.14), cddf.Constant(0.5))
+    assert_identical(body.rest_curvature, rest)
+    assert (body.extensible, float(body.poissons_ratio)) == (True, 0.45)
+    assert_identical((body.torsional_stiffness, body.axial_stiffness), (cddf.Constant(0.02), cddf.Constant(1000.0)))
+    assert (body.tendons[1].axial_stiffness, body.shear_stiffness) == (12000.0, None)
+    assert_same_when_read_again(body, tmp_path / "again.toml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"120 deg"', "120", "tendon 1: angle needs a unit of angle, got 120; write for example '12.5 deg'"),
+        ("angle = {", "side = -1\nangle = {", "tendon 2: Tendon: side=-1 is the angle pi; give the angle alone"),
+        ("= true", '= "yes"', "extensible must be true or false, got 'yes'"),
+        ('"0.5 1/m"', "2", "rest_curvature: about z needs a unit of curvature, got 2; write for example '12.5 1/m'"),
+        (', "0.5 1/m"]', "]", "rest_curvature holds three profiles, got"),
+        ('"0.02 N m^2"', "0.02", "torsional_stiffness needs a unit of torsional stiffness, got 0.02"),
+        ("extensible = true", 'kinematics = "published"', "the published kinematics are those of the plane"),
+    ],
+)
+def test_bad_files_of_bodies_in_space(tmp_path, old, new, message):
+    assert old in SPACE
+    with pytest.raises(InputError, match=r"body\.toml: ") as error:
+        read(tmp_path, SPACE.replace(old, new, 1))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
 # --- round trips ---------------------------------------------------------------------------------
 
 

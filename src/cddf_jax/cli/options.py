@@ -33,14 +33,16 @@ Direction = Annotated[
         show_default="found from the travel; 1 for a single tendon",
     ),
 ]
-TipForce = Annotated[str | None, typer.Option(help='Dead load (X, Y) on the tip, with units, "0 N, -5 N".')]
+TipForce = Annotated[str | None, typer.Option(help='Dead load (X, Y), in space (X, Y, Z), on the tip, "0 N, -5 N".')]
 TipMoment = Annotated[
     str | None,
-    typer.Option(help='Moment on the tip with its unit, "0.1 N m", positive from X to Y.'),
+    typer.Option(
+        help='Moment on the tip with its unit, "0.1 N m", positive from X to Y; in space (X, Y, Z), "0, 0, 0.1 N m".'
+    ),
 ]
 Gravity = Annotated[
     str | None,
-    typer.Option(help='Acceleration (X, Y), "0, -9.81 m/s^2". The body needs a mass.'),
+    typer.Option(help='Acceleration (X, Y), in space (X, Y, Z), "0, -9.81 m/s^2". The body needs a mass.'),
 ]
 Data = Annotated[
     list[Path] | None,

@@ -113,6 +113,8 @@ def read_loads(
 ) -> Loads | None:
     """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where no text is given.
 
+    In space each has three components, "0, -5, 1 N", the moment as well.
+
     Args:
         tip_force, tip_moment, gravity: as typed.
         called: how messages call a quantity, by its name.
@@ -124,6 +126,15 @@ def read_loads(
         return None
     return Loads(
         (0.0, 0.0) if tip_force is None else vector(tip_force, "force", called("tip_force")),
-        0.0 if tip_moment is None else quantity(tip_moment, "moment", called("tip_moment")),
+        0.0 if tip_moment is None else _moment(tip_moment, called("tip_moment")),
         (0.0, 0.0) if gravity is None else vector(gravity, "acceleration", called("gravity")),
     )
+
+
+def _moment(text: str, name: str) -> float | tuple[float, ...]:
+    """A number in the plane, three components in space."""
+    if "," not in text:
+        return quantity(text, "moment", name)
+    if text.count(",") != 2:
+        raise InputError(f"{name} is one number in the plane and three in space, got {text!r}; write '0, 0, 0.1 N m'")
+    return vector(text, "moment", name)

@@ -12,7 +12,7 @@
     kinematics = "published"             # optional, "exact" unless given
     offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
     mass_per_length = "0.12 kg/m"        # optional: of what density does not weigh, such as many discs or cables
-    stiffness_factor = 0.93              # optional, 1 unless given: multiplies the bending stiffness, as a fit finds it
+    stiffness_factor = 0.93              # optional, 1 unless given: multiplies all stiffnesses, as a fit finds it
 
     [[tendons]]                          # one such table per tendon
     offset = "10 mm"
@@ -27,10 +27,24 @@
     at = "140 mm"                        # arc length
     mass = "25 g"
 
-Where E I is known, bending_stiffness = "0.02 N m^2" stands in place of youngs_modulus; both radii may then be left out.
+A body is in space where a tendon has an angle around the axis, which is a profile too, with its unit:
 
-A profile (radius, offset, mass_per_length, bending_stiffness, youngs_modulus) is written in one of these forms, in its
-own unit; arc lengths count from the base:
+    poissons_ratio = 0.5                 # optional, 0.5 unless given
+    extensible = true                    # optional: the axis stretches and shears
+    rest_curvature = ["0 1/m", "2 1/m", "0 1/m"]  # optional: of the body without moment: twist, about y, about z
+
+    [[tendons]]
+    offset = "10 mm"
+    angle = "120 deg"                    # "deg", "rad" or "turn"; a helix is { base = "0 deg", tip = "1 turn" }
+
+The angle counts from Y towards Z. Gravity and other loads are vectors in this frame at the base, however it is mounted.
+
+Where E I is known, bending_stiffness = "0.02 N m^2" stands in place of youngs_modulus; both radii may then be left out.
+In space torsional_stiffness (N m^2) stands beside it, and where the axis is extensible axial_stiffness and
+shear_stiffness (N). They replace what radii, modulus and Poisson's ratio make of them; without radii they are required.
+
+A profile (radius, offset, angle, mass_per_length, youngs_modulus, a stiffness, each part of rest_curvature) is written
+in one of these forms, in its own unit; arc lengths count from the base:
 
     "7 mm"                                                               Constant
     { base = "20 mm", tip = "13 mm" }                                    Linear; length = "..." if not the body's
@@ -56,7 +70,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -71,12 +85,18 @@ from .cross_sections import TOLERANCE, CrossSections, SectionColumn, sections_an
 
 _Table = Mapping[str, Any]
 _RADII = ("outer_radius", "inner_radius")
-_PROFILES = (*_RADII, "youngs_modulus", "bending_stiffness", "mass_per_length")
-_NUMBERS = ("friction_coefficient", "density", "drag", "yield_strain", "stiffness_factor")
+_STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
+_PROFILES = (*_RADII, "youngs_modulus", *_STIFFNESSES, "mass_per_length")
+_NUMBERS = ("friction_coefficient", "density", "drag", "yield_strain", "stiffness_factor", "poissons_ratio")
+_TENDON_PROFILES = ("offset", "angle")
 _TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "drag")
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
-_OTHERS = ("kinematics", "offsets_outside_wall", "name", "description", "point_mass", "cross_sections")
+_SWITCHES = ("extensible", "offsets_outside_wall")
+_OTHERS = ("kinematics", "rest_curvature", *_SWITCHES, "name", "description", "point_mass", "cross_sections")
+_UNLESS_GIVEN = {"free_length": 0.0, "poissons_ratio": 0.5}  # what is not written
+_STRAINS = ("twist", "about y", "about z")
 _SECTIONS = "cross_sections"
+Built = TypeVar("Built")
 _FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
 
@@ -101,9 +121,7 @@ def read_robot_file(path: str | os.PathLike[str]) -> RobotFile:
     """As `read_manipulator`, with what else the file says."""
     with within(path, ValueError):
         table = read_toml(path, 'length = "140 mm"')
-        outside = table.get("offsets_outside_wall", False)
-        if not isinstance(outside, bool):
-            raise InputError(f"offsets_outside_wall must be true or false, got {outside!r}")
+        outside, _ = (_switch(table, key) for key in ("offsets_outside_wall", "extensible"))
         _check_top(table)
         sections, columns = _read_sections(table, Path(path).parent) if _SECTIONS in table else (_sections(table), ())
         return RobotFile(_manipulator(table, sections).validate(offsets_outside_wall=outside), columns, outside)
@@ -168,7 +186,8 @@ def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = F
 
 
 def _manipulator(table: _Table, sections: dict[str, Any]) -> Manipulator:
-    found = sections | _values(table, sections["length"])
+    length = sections["length"]
+    found = sections | _values(table, length, _PROFILES)
     modulus = found.get("youngs_modulus")
     if isinstance(modulus, Constant):
         found["youngs_modulus"] = modulus.value  # a plain modulus stays a number, which has the name of the whole
@@ -176,17 +195,38 @@ def _manipulator(table: _Table, sections: dict[str, Any]) -> Manipulator:
     for i, mass in enumerate(_tables(table, "point_mass", "mass"), 1):
         where = f"point_mass {i}: "
         check_keys(where, mass, ("at", "mass"), ())
-        masses.append(PointMass(quantity(mass["at"], "length", f"{where}at"), **_values(mass, 0.0, where)))
-    return Manipulator(**found, point_masses=masses, kinematics=table.get("kinematics", "exact"))
+        masses.append(PointMass(quantity(mass["at"], "length", f"{where}at"), **_values(mass, 0.0, (), where)))
+    return Manipulator(
+        **found,
+        point_masses=masses,
+        kinematics=table.get("kinematics", "exact"),
+        extensible=_switch(table, "extensible"),
+        rest_curvature=_rest_curvature(table["rest_curvature"], length) if "rest_curvature" in table else None,
+    )
 
 
-def _values(table: _Table, length: float, where: str = "") -> dict[str, Any]:
+def _switch(table: _Table, key: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise InputError(f"{key} must be true or false, got {value!r}")
+    return value
+
+
+def _rest_curvature(value: object, length: float) -> list[Profile]:
+    if not isinstance(value, list) or len(value) != len(_STRAINS):
+        remedy = '["0 1/m", "2 1/m", "0 1/m"]: twist, and curvature about y and about z'
+        raise InputError(f"rest_curvature holds three profiles, got {value!r}; write {remedy}")
+    parts = zip(value, _STRAINS, strict=True)
+    return [_profile(part, length, f"rest_curvature: {name}", "curvature") for part, name in parts]
+
+
+def _values(table: _Table, length: float, profiles: Sequence[str], where: str = "") -> dict[str, Any]:
     """The profiles and numbers of a table by key, in SI; `length` is that of the body, m."""
     found: dict[str, Any] = {}
     for key, value in table.items():
-        if key in (*_PROFILES, "offset"):
+        if key in profiles:
             found[key] = _profile(value, length, f"{where}{key}", dimension_of(key))
-        elif key in QUANTITIES:
+        elif key in QUANTITIES and key not in _OTHERS:
             found[key] = quantity(value, dimension_of(key), f"{where}{key}")
     return found
 
@@ -230,8 +270,10 @@ def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[S
         raise InputError(f"tendons: {len(tables)} tables for {len(tendons)} columns of offsets; write as many, or none")
     for i, own in enumerate(tables):
         where = f"tendon {i + 1}: "
-        check_keys(where, own, (), [key for key in _TENDON_NUMBERS if key != "end"])
-        tendons[i] = dataclasses.replace(tendons[i], **_values(own, sections.length, where))
+        check_keys(where, own, (), ["angle", *(key for key in _TENDON_NUMBERS if key != "end")])
+        values = _values(own, sections.length, _TENDON_PROFILES, where)
+        with within(where.removesuffix(": "), ValueError):
+            tendons[i] = dataclasses.replace(tendons[i], **values)
     return sections._replace(tendons=tuple(tendons))._asdict(), columns
 
 
@@ -246,11 +288,12 @@ def _named(value: object, folder: Path) -> tuple[Path, float]:
 
 
 def _tendon(table: _Table, length: float, where: str) -> Tendon:
-    check_keys(where, table, ("offset",), ("side", *_TENDON_NUMBERS))
+    check_keys(where, table, ("offset",), ("side", "angle", *_TENDON_NUMBERS))
     side = table.get("side", 1)
     if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
         raise InputError(f"{where}side must be 1 or -1, got {side!r}")
-    return Tendon(side=int(side), **_values(table, length, where))
+    values = _values(table, length, _TENDON_PROFILES, where)
+    return _built(where.removesuffix(": "), Tendon, side=int(side), **values)
 
 
 def _profile(value: object, length: float, where: str, kind: Dimension) -> Profile:
@@ -284,10 +327,10 @@ def _points(points: Sequence[object], where: str, kind: Dimension) -> tuple[list
     return knots, values
 
 
-def _built(where: str, make: Callable[..., Profile], *arguments: object) -> Profile:
-    """The profile, or its own complaint about the number of values with the place in the file."""
+def _built(where: str, make: Callable[..., Built], *arguments: object, **named: object) -> Built:
+    """The profile or tendon, or its own complaint, about the number of values say, with the place in the file."""
     with within(where, ValueError):
-        return make(*arguments)
+        return make(*arguments, **named)
 
 
 def check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
@@ -311,14 +354,20 @@ def check_keys(where: str, table: _Table, required: Sequence[str], optional: Seq
 
 
 def _table(manipulator: Manipulator) -> dict[str, object]:
-    length = manipulator.length
+    length, rest = manipulator.length, manipulator.rest_curvature or ()
+    bent = [
+        _form(part, length, f"rest_curvature: {name}", "curvature") for part, name in zip(rest, _STRAINS, strict=False)
+    ]
     masses = [{"at": _text(point.arc_length), "mass": _text(point.mass, "mass")} for point in manipulator.point_masses]
     return {
         **_forms(manipulator, ("length", *_PROFILES, *_NUMBERS), length),
         "kinematics": manipulator.kinematics,
+        **({"extensible": True} if manipulator.extensible else {}),
+        **({"rest_curvature": bent} if bent else {}),
         **({"point_mass": masses} if masses else {}),
         "tendons": [
-            {"side": tendon.side} | _forms(tendon, ("offset", *_TENDON_NUMBERS), length, f"tendon {number}: ")
+            ({"side": tendon.side} if tendon.angle is None else {})
+            | _forms(tendon, (*_TENDON_PROFILES, *_TENDON_NUMBERS), length, f"tendon {number}: ")
             for number, tendon in enumerate(manipulator.tendons, 1)
         ],
     }
@@ -330,7 +379,7 @@ def _forms(owner: Manipulator | Tendon, keys: Iterable[str], length: ArrayLike, 
     return {
         key: _form(as_profile(value), length, f"{where}{key}", dimension_of(key))
         for key, value in values.items()
-        if value is not None and not (key == "free_length" and value == 0)
+        if value is not None and not (key in _UNLESS_GIVEN and value == _UNLESS_GIVEN[key])
     }
 
 
