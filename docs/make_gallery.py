@@ -22,6 +22,10 @@ loads = cddf.Loads(tip_force=(0.0, -2.0), gravity=(0.0, -9.81))
 path = np.concatenate([np.linspace(*leg, 40) for leg in ((0.0, 75.0), (75.0, 40.0), (40.0, 60.0), (60.0, 0.0))])
 history = cddf.trace(robot, path)
 bent, loaded = cddf.solve(robot, 75.0), cddf.solve(pair, [60.0, 10.0], loads)
+around = [cddf.Tendon(0.010, angle=i * 2 * np.pi / 3) for i in range(3)]
+section = dict(outer_radius=robot.outer_radius, inner_radius=0.007, youngs_modulus=1.4e6, friction_coefficient=0.42)
+three = cddf.Manipulator(length=0.140, tendons=around, **section)
+in_space = cddf.solve(three, [60.0, 35.0, 5.0])
 
 table = cddf.read_measurements("data/tip_angle_simulated.csv")
 names = "friction_coefficient", "youngs_modulus", "tip_gain"
@@ -55,6 +59,24 @@ PICTURES = (
         "Shape",
         "The bent body to scale under two tendons, a force on the tip and gravity; the rest shape is dotted.",
         "figures.draw_shape(pair, loaded, loads)",
+    ),
+    Picture(
+        "space",
+        "Shape in space",
+        "Three tendons, tensions as colours, shadows on the walls. Tendons are dashed where the body hides them.",
+        "figures.draw_shape(three, in_space)",
+    ),
+    Picture(
+        "view",
+        "Plane view",
+        "The same body from the side; so it is drawn from above and from the front.",
+        'figures.draw_view(three, in_space, "XZ")',
+    ),
+    Picture(
+        "along_curvature",
+        "Curvature in space",
+        "Twist, and bending about both axes of the cross-section.",
+        'figures.draw_along(three, in_space, "curvature")',
     ),
     Picture(
         "force_arrows",

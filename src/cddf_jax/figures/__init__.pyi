@@ -8,7 +8,9 @@ from .along import (
 from .body import (
     draw_force_arrows as draw_force_arrows,
     draw_shape as draw_shape,
+    draw_view as draw_view,
     equilibrium_figure as equilibrium_figure,
+    views_figure as views_figure,
 )
 from .designs import (
     design_figure as design_figure,

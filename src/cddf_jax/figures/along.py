@@ -9,12 +9,13 @@ from matplotlib.figure import Figure
 
 from ..errors import InputError
 from ..files.cross_sections import SectionColumn
+from ..mechanics.fields import SpatialFields
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, breakpoints
 from ..statics.equilibrium import Equilibrium
 from . import looks, style as draw
-from .geometry import ALONG, fields_along, lines_along, stations, with_joints
+from .geometry import ALONG, BENDING, fields_along, lines_along, stations, with_joints
 
 MARKERS = ("", "o", "s", "^", "D", "v", "x")  # one for each round through the dash patterns
 HEIGHT, SECTION_HEIGHT = 2.2, 1.9  # of a panel, inches
@@ -36,9 +37,10 @@ def draw_along(
     Args:
         manipulator: the body that was solved.
         equilibrium: its equilibrium.
-        quantity: "tension" (N); "curvature" (1/m); "normal_force" or "friction_force", the size of the force of a
-            tendon on the body per length (N/m); "strain", the greatest of a cross-section that bends (%); "heading"
-            (deg).
+        quantity: "tension" (N); "curvature" (1/m), in space three lines: twist, and bending about y and about z;
+            "normal_force" or "friction_force", the size of the force of a tendon on the body per length (N/m);
+            "strain", the greatest of a cross-section that bends (%); "heading" (deg), in space the angle between the
+            axes of cross-section and base.
         axes: where to draw; None for a new figure, one column wide.
         style: of the lines, as `Axes.plot` takes it: color, label, ...
 
@@ -48,9 +50,12 @@ def draw_along(
     if quantity not in ALONG:
         raise InputError(f"draw_along: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
     s = stations(manipulator)
-    lines = lines_along(manipulator, fields_along(equilibrium, s), quantity)
+    along = fields_along(equilibrium, s)
+    lines = lines_along(manipulator, along, quantity)
+    parts = isinstance(along, SpatialFields) and quantity == "curvature"
+    names = BENDING if parts else [f"tendon {i + 1}" for i in range(len(lines))]
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        _draw_lines(axes, 1e3 * s, lines, style)
+        _draw_lines(axes, 1e3 * s, lines, names, style)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
         axes.set_xlim(0.0, 1e3 * s[-1] * (1.06 if len(lines) > 1 else 1.0))
         axes.update_datalim([(0.0, 0.0)])
@@ -59,19 +64,19 @@ def draw_along(
     return axes
 
 
-def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, style: looks.Look) -> None:
+def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, names: Sequence[str], style: looks.Look) -> None:
     """Lines with dashes of their own, then markers of their own; of several tendons with its number at the end."""
     count, dashes = len(values), cycle([look["linestyle"] for look in looks.CURVES])
-    for i, (line, dash) in enumerate(zip(values, dashes, strict=False)):
+    for i, (line, name, dash) in enumerate(zip(values, names, dashes, strict=False)):
         marker = MARKERS[i // len(looks.CURVES) % len(MARKERS)]
         look: looks.Look = {"color": looks.BLACK, "linestyle": dash, "marker": marker, "markevery": 25}
-        look |= {"markerfacecolor": "white", "label": f"tendon {i + 1}" if count > 1 else ""}
+        look |= {"markerfacecolor": "white", "label": name if count > 1 else ""}
         axes.plot(s, line, **(look | style))
         if count > 1:
             last = np.flatnonzero(np.isfinite(line))[-1]
             box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
             at = (s[last], line[last])
-            axes.annotate(str(i + 1), at, (3, 0), textcoords="offset points", va="center", fontsize=7.5, bbox=box)
+            axes.annotate(name.split()[-1], at, (3, 0), textcoords="offset points", va="center", fontsize=7.5, bbox=box)
     if count > 1:
         draw.legend_above(axes, 3)
 

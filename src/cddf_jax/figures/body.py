@@ -9,16 +9,21 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.patches import FancyArrowPatch
 from matplotlib.path import Path
 
+from ..errors import InputError
+from ..mechanics.fields import SpatialFields
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..units import round_number
-from . import looks, style as draw
+from . import looks, space, style as draw
 from .along import draw_along
 from .geometry import (
     Body,
+    Drawn,
     bent_body,
+    drawn,
     fields_along,
+    planar_fields_along,
     reached,
     stations,
     straight_body,
@@ -27,6 +32,7 @@ from .geometry import (
     tip_moment_line,
 )
 
+ROOM, VIEWS_WIDTH = 2.2, 6.6  # inches, of a plot in three dimensions and of three views
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 ARROWS = 10  # for each tendon
 LONGEST = 1 / 7  # of the body's length
@@ -34,6 +40,8 @@ LONGEST = 1 / 7  # of the body's length
 
 def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None = None) -> Figure:
     """Body, tendons and loads on the left, with the tension as colour; tension over arc length on the right.
+
+    In space the curvature over arc length stands there too, and three plane views below.
 
     Args:
         manipulator: the body that was solved.
@@ -43,6 +51,8 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
     Raises:
         InputError: when the solve failed and there is no shape to draw.
     """
+    if equilibrium.tip_frame is not None:
+        return _figure_in_space(manipulator, equilibrium, loads)
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)
         shape, tension = figure.subplots(1, 2, width_ratios=(1.5, 1))
@@ -61,21 +71,25 @@ def draw_shape(
     Arrows of loads at the tip have one length: the legend tells their magnitudes, and magnitude and direction of
     gravity. The scale of colours stands beside the axes.
 
+    A body in space is drawn in three dimensions, with shadows on the walls. Tendons are dashed where the body hides
+    them.
+
     Args:
         manipulator: the body that was solved.
         equilibrium: its equilibrium.
         loads: those under which it was solved; None for none.
-        axes: where to draw; None for a new figure, one column wide.
+        axes: where to draw, in space with projection="3d"; None for a new figure, one column wide.
 
     Raises:
-        InputError: when the solve failed and there is no shape to draw.
+        InputError: when the solve failed and there is no shape to draw, or for axes of the wrong kind.
     """
     s = stations(manipulator)
     along = fields_along(equilibrium, s)
+    if isinstance(along, SpatialFields):
+        return _draw_shape_in_space(drawn(manipulator, along, loads), axes)
     body, straight = bent_body(manipulator, along), straight_body(manipulator, s)
     tension = np.where(reached(manipulator, s), along.tension, np.nan)
-    low, high = float(np.nanmin(tension)), float(np.nanmax(tension))
-    norm = Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)  # from 0 where tensions hardly differ
+    norm = space.tension_scale(tension)
     given, around = axes, 0.05 * 1e3 * s[-1]
     with draw.axes_or_new(axes, HEIGHT) as axes:
         axes.plot(*straight.outline.T, color=looks.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
@@ -96,6 +110,118 @@ def draw_shape(
         if given is None:
             draw.figure_of(axes).set_figheight(_fitting_height(axes, 2.6))
     return axes
+
+
+def draw_view(
+    manipulator: Manipulator,
+    equilibrium: Equilibrium,
+    plane: str = "XY",
+    loads: Loads | None = None,
+    axes: Axes | None = None,
+) -> Axes:
+    """A body in space as it is seen along an axis, mm, to scale; else as `draw_shape` draws it.
+
+    Args:
+        manipulator: the body that was solved.
+        equilibrium: its equilibrium, in space.
+        plane: "XY" from above, "XZ" from the side, or "YZ" from the tip towards the base.
+        loads: those under which it was solved; None for none.
+        axes: where to draw; None for a new figure, one column wide.
+
+    Raises:
+        InputError: for another plane, a body in the plane, or when the solve failed.
+    """
+    if plane not in space.VIEWS:
+        raise InputError(f"draw_view: plane must be one of {', '.join(space.VIEWS)}, got {plane!r}")
+    what = _in_space("draw_view", manipulator, equilibrium, loads)
+    norm = space.tension_scale(what.tension)
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        space.draw_in_plane(axes, what, norm, plane)
+        draw.figure_of(axes).colorbar(ScalarMappable(norm, draw.TENSION_COLOURS), ax=axes, label="$T$ (N)", aspect=35)
+        if entries := space.legend_of_loads(what.loads):
+            axes.legend(handles=entries, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, handletextpad=0.2)
+    return axes
+
+
+def views_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None = None) -> Figure:
+    """A body in space in three plane views to one scale, with one scale of tensions.
+
+    Args:
+        manipulator: the body that was solved.
+        equilibrium: its equilibrium, in space.
+        loads: those under which it was solved; None for none.
+
+    Raises:
+        InputError: for a body in the plane, or when the solve failed.
+    """
+    what = _in_space("views_figure", manipulator, equilibrium, loads)
+    norm = space.tension_scale(what.tension)
+    with draw.house_style():
+        height = max(space.height_of_views(what.points, VIEWS_WIDTH), 1.3)
+        figure = draw.placed_figure(draw.DOUBLE_COLUMN, height + 0.25)
+        space.draw_views(figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, 0.0)
+        _scale_of_tension(figure, norm, draw.DOUBLE_COLUMN - 0.52, 0.45, height - 0.6)
+        _legend_of_loads(figure, what.loads)
+    return figure
+
+
+def _in_space(who: str, manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Drawn:
+    along = fields_along(equilibrium, stations(manipulator))
+    if not isinstance(along, SpatialFields):
+        raise InputError(f"{who}: the body is in the plane; draw_shape draws it")
+    return drawn(manipulator, along, loads)
+
+
+def _draw_shape_in_space(what: Drawn, axes: Axes | None) -> Axes:
+    norm = space.tension_scale(what.tension)
+    if axes is not None:
+        room = space.axes_in_space(axes)
+        space.set_room(room, what.points)
+        space.draw_in_space(room, what, norm)
+        draw.figure_of(axes).colorbar(
+            ScalarMappable(norm, draw.TENSION_COLOURS), ax=axes, label="$T$ (N)", aspect=35, shrink=0.7, pad=0.12
+        )
+        return axes
+    with draw.house_style():
+        figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
+        room = space.draw_room(figure, lambda room: space.draw_in_space(room, what, norm), what.points, ROOM, 2.15)
+        _scale_of_tension(figure, norm, draw.SINGLE_COLUMN - 0.46, 0.6, figure.get_figheight() - 0.95)
+        _legend_of_loads(figure, what.loads)
+    return room
+
+
+def _figure_in_space(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Figure:
+    """The body in three dimensions, tension and curvature beside it, three plane views below."""
+    what = _in_space("equilibrium_figure", manipulator, equilibrium, loads)
+    norm = space.tension_scale(what.tension)
+    with draw.house_style():
+        below = space.height_of_views(what.points, VIEWS_WIDTH) + 0.1
+        rows = -(-manipulator.num_tendons // 3)  # of the legend
+        figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.2 + 0.16 * rows)
+        room = space.new_room(figure, 0.1, below + 0.45, 3.0, 2.4)
+        space.set_room(room, what.points)
+        space.fill_room(room, 3.0, 2.4)
+        space.draw_in_space(room, what, norm)
+        for quantity, bottom in (("tension", 1.95), ("curvature", 0.45)):
+            panel = draw.place_in(figure, 4.6, below + bottom, 2.45, 1.1)
+            draw_along(manipulator, equilibrium, quantity, panel)
+            if quantity == "tension":
+                panel.set_xlabel("")
+        space.draw_views(figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, 0.0)
+        _scale_of_tension(figure, norm, 3.72, below + 0.9, 1.6)
+        _legend_of_loads(figure, what.loads)
+    return figure
+
+
+def _scale_of_tension(figure: Figure, norm: Normalize, left: float, bottom: float, height: float) -> None:
+    """The colours of tensions at a place of a figure, inches."""
+    place = draw.place_in(figure, left, bottom, 0.07, height)
+    figure.colorbar(ScalarMappable(norm, draw.TENSION_COLOURS), cax=place, label="$T$ (N)")
+
+
+def _legend_of_loads(figure: Figure, loads: Loads) -> None:
+    if entries := space.legend_of_loads(loads):
+        figure.legend(handles=entries, loc="upper left", ncols=3, columnspacing=1.2, handletextpad=0.3)
 
 
 def _fitting_height(axes: Axes, width: float) -> float:
@@ -148,6 +274,7 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     """The bent body to scale, mm, with the normal and friction force of its tendons per length as arrows.
 
     Both have one scale, told beside the arrows in the corner. The force at which a tendon is anchored is not drawn.
+    In space the legend tells the largest of both.
 
     Args:
         manipulator: the body that was solved.
@@ -158,9 +285,11 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
         InputError: when the solve failed.
     """
     length = float(manipulator.length)
+    if equilibrium.tip_frame is not None:
+        return _draw_forces_in_space(manipulator, equilibrium, axes)
     places = length * (np.arange(ARROWS) + 0.45) / ARROWS
     s = np.unique(np.concatenate([np.linspace(0.0, length, 201), places]))
-    fields, there = fields_along(equilibrium, s), reached(manipulator, s)
+    fields, there = planar_fields_along(equilibrium, s), reached(manipulator, s)
     body = bent_body(manipulator, fields)
     tendons = tendon_paths(manipulator, body, s)
     forces, at = np.stack([fields.normal_force, fields.friction_force]), there & np.isin(s, places)
@@ -174,6 +303,41 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         draw.to_scale(axes)
     return axes
+
+
+def _draw_forces_in_space(manipulator: Manipulator, equilibrium: Equilibrium, axes: Axes | None) -> Axes:
+    length = float(manipulator.length)
+    places = length * (np.arange(ARROWS) + 0.45) / ARROWS
+    s = np.unique(np.concatenate([stations(manipulator), places]))
+    along = fields_along(equilibrium, s)
+    assert isinstance(along, SpatialFields)
+    what, at = drawn(manipulator, along, None), reached(manipulator, s) & np.isin(s, places)
+    forces = np.stack([along.normal_force, along.friction_force])[:, at]
+    strongest = float(np.max(np.linalg.norm(forces, axis=-1), initial=0.0))
+    arrows = forces * (1e3 * LONGEST * length / (strongest or 1.0))
+    points = np.concatenate([what.points, *(what.tendons[at] + arrows)])
+
+    def draw_into(room: space.Axes3D) -> None:
+        space.draw_body_in_space(room, what)
+        for path in what.tendons:
+            room.plot(*path.T, color=looks.BLACK, linewidth=0.5, zorder=5)
+        kinds = zip(("normal", "friction"), (looks.BLUE, looks.VERMILION), forces, arrows, strict=True)
+        for name, color, force, arrow in kinds:
+            most = np.max(np.linalg.norm(force, axis=-1), initial=0.0)
+            look = {"color": color, "linewidth": 0.9, "arrow_length_ratio": 0.25, "zorder": 6}
+            room.quiver(*what.tendons[at].T, *arrow.T, label=f"{name} force, at most {most:.3g} N/m", **look)
+
+    if axes is not None:
+        room = space.axes_in_space(axes)
+        space.set_room(room, points)
+        draw_into(room)
+        room.legend(loc="upper left")
+        return room
+    with draw.house_style():
+        figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
+        room = space.draw_room(figure, draw_into, points, 2.6, 2.4)
+        figure.legend(*room.get_legend_handles_labels(), loc="upper left", ncols=2, columnspacing=1.2)
+    return room
 
 
 def _draw_forces(axes: Axes, points: np.ndarray, forces: np.ndarray, key: float, size: float) -> None:

@@ -13,7 +13,7 @@ from ..robot.manipulator import Manipulator
 from ..units import preferred
 from . import looks, style as draw
 from .along import draw_along
-from .geometry import bent_body, fields_along, stations, straight_body, tendon_paths
+from .geometry import bent_body, planar_fields_along, stations, straight_body, tendon_paths
 
 START: dict[str, Any] = {"color": looks.GREY, "linestyle": (0, (4, 2)), "label": "before"}
 END: dict[str, Any] = {"color": looks.BLUE, "linestyle": "-", "label": "after"}
@@ -59,9 +59,9 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     """
     before, after = design.start, design.manipulator
     s, line = stations(after), LINE * 1e3 * float(after.length)
-    bent = bent_body(after, fields_along(design.equilibria[0], s))
+    bent = bent_body(after, planar_fields_along(design.equilibria[0], s))
     paths = tendon_paths(after, bent, s)
-    old = bent_body(before, fields_along(design.equilibria_at_start[0], stations(before)))
+    old = bent_body(before, planar_fields_along(design.equilibria_at_start[0], stations(before)))
     with draw.axes_or_new(axes, HEIGHT) as axes:
         draw.draw_body(axes, bent)
         axes.plot(*old.outline.T, color=looks.GREY, linewidth=0.6, linestyle=(0, (4, 2)))

@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError
-from ..mechanics.fields import Fields
+from ..mechanics.fields import AnyFields, Fields, SpatialFields, in_the_plane
 from ..programs.evaluated import evaluated
-from ..robot.loads import Loads
+from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.validation import joints
 from ..statics.equilibrium import Equilibrium, fields_on
 
+AROUND = 32  # points around a cross-section
 GREATEST_MOMENT_ARC = np.radians(190.0)  # it stays clear of the body behind the tip
 
 
@@ -45,6 +46,84 @@ class Body(NamedTuple):
         return [np.concatenate([wall, bore[::-1]]) for wall, bore in zip(outside, inside, strict=True)]
 
 
+class SpatialBody(NamedTuple):
+    """A bent body in space as it is drawn: lengths in mm, points along the body first."""
+
+    midline: np.ndarray  # (points, 3)
+    frame: np.ndarray  # (points, 3, 3), whose columns are the axes of the cross-sections
+    outer_radius: np.ndarray
+
+    @property
+    def rings(self) -> np.ndarray:
+        """The outer surface, closed around each cross-section, (points, around, 3)."""
+        return self.rings_of(self.outer_radius)
+
+    def rings_of(self, radius: np.ndarray) -> np.ndarray:
+        """Circles about the midline, (points, around, 3)."""
+        angles = np.linspace(0.0, 2 * np.pi, AROUND + 1)
+        across = np.stack([0.0 * angles, np.cos(angles), np.sin(angles)])
+        return self.midline[:, None] + radius[:, None, None] * np.swapaxes(self.frame @ across, 1, 2)
+
+    def is_behind(self, tendon: np.ndarray, sight: np.ndarray) -> np.ndarray:
+        """Where a line along the body, (points, 3), lies beyond the midline as seen from the direction `sight`."""
+        return (tendon - self.midline) @ sight < 0
+
+    def is_hidden(self, tendon: np.ndarray, sight: np.ndarray) -> np.ndarray:
+        """Where the body hides a line along it, (points, 3), from who looks from the direction `sight`."""
+        arm = tendon - self.midline
+        aside = np.linalg.norm(np.cross(arm, sight / np.linalg.norm(sight)), axis=-1)
+        return self.is_behind(tendon, sight) & (aside < self.outer_radius)
+
+
+class Drawn(NamedTuple):
+    """What is drawn of an equilibrium in space, mm."""
+
+    body: SpatialBody
+    straight: SpatialBody
+    tendons: np.ndarray  # (tendons, points, 3), NaN beyond the anchor
+    tension: np.ndarray  # N, (tendons, points), NaN there too
+    loads: Loads
+
+    @property
+    def length(self) -> float:
+        return float(self.straight.midline[-1, 0])
+
+    @property
+    def plate(self) -> float:
+        """The radius of the plate to which the body is clamped."""
+        return 1.35 * float(max(self.body.outer_radius[0], np.max(np.linalg.norm(self.tendons[:, 0], axis=-1))))
+
+    @property
+    def force_arrow(self) -> np.ndarray:
+        """Start and end of an arrow along the tip force, (2, 3), a fifth of the length; no points without force."""
+        force, tip = np.asarray(self.loads.tip_force), self.body.midline[-1]
+        if not np.any(force):
+            return np.zeros((0, 3))
+        reach = 0.2 * self.length * force / np.linalg.norm(force)
+        ahead = reach @ self.body.frame[-1, :, 0] > -1e-9 * self.length
+        return np.stack([tip, tip + reach] if ahead else [tip - reach, tip])
+
+    @property
+    def moment_arrow(self) -> np.ndarray:
+        """An arc around the tip as its moment turns, (points, 3); no points without moment."""
+        moment = np.asarray(self.loads.tip_moment)
+        if not np.any(moment):
+            return np.zeros((0, 3))
+        about = moment / np.linalg.norm(moment)
+        start = np.cross(about, np.eye(3)[np.argmin(np.abs(about))])
+        start /= np.linalg.norm(start)
+        angles, ring = np.linspace(0.0, 1.5 * np.pi, 61)[:, None], max(1.4 * self.body.outer_radius[-1], 8.0)
+        return self.body.midline[-1] + ring * (np.cos(angles) * start + np.sin(angles) * np.cross(about, start))
+
+    @property
+    def points(self) -> np.ndarray:
+        """All that must be seen, (points, 3)."""
+        side = self.plate * np.array([[0.0, y, z] for y in (-1, 1) for z in (-1, 1)])
+        parts = [side, self.body.rings, self.straight.rings, self.tendons, self.force_arrow, self.moment_arrow]
+        points = np.concatenate([part.reshape(-1, 3) for part in parts])
+        return points[np.all(np.isfinite(points), axis=1)]
+
+
 def stations(manipulator: Manipulator) -> np.ndarray:
     """Arc lengths, m: a grid, joints of the body and ends of tendons, and points close to both sides of each."""
     return with_joints(np.linspace(0.0, float(manipulator.length), 201), evaluated(joints, manipulator))
@@ -57,7 +136,7 @@ def with_joints(grid: np.ndarray, joints: ArrayLike) -> np.ndarray:
     return np.unique(np.concatenate([grid, *(joints + side * 1e-9 * length for side in (-1, 0, 1))]))
 
 
-def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
+def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> AnyFields:
     """The fields at some arc lengths as NumPy arrays.
 
     Raises:
@@ -67,6 +146,15 @@ def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
     if not np.all(np.isfinite(fields.position)):
         raise InputError("the solve failed, there is no shape to draw; see its result")
     return fields
+
+
+def planar_fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
+    """The same of a body in the plane.
+
+    Raises:
+        InputError: for a body in space too.
+    """
+    return in_the_plane(fields_along(equilibrium, arc_length), "figures")
 
 
 def reached(manipulator: Manipulator, arc_length: ArrayLike) -> np.ndarray:
@@ -84,6 +172,32 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
     """The body at rest, its axis at the height `level`, mm."""
     midline = np.stack([arc_length, np.full_like(arc_length, 1e-3 * level)], axis=-1)
     return _body(manipulator, arc_length, midline, 0.0 * arc_length)
+
+
+def spatial_body(manipulator: Manipulator, fields: SpatialFields) -> SpatialBody:
+    """The body in an equilibrium in space, from the fields along it."""
+    outer, _ = _radii(manipulator, np.asarray(fields.arc_length))
+    return SpatialBody(1e3 * np.asarray(fields.position), np.asarray(fields.frame), 1e3 * outer)
+
+
+def straight_spatial_body(manipulator: Manipulator, arc_length: np.ndarray) -> SpatialBody:
+    """The body in space, straight."""
+    outer, _ = _radii(manipulator, arc_length)
+    midline = arc_length[:, None] * np.array([1.0, 0.0, 0.0])
+    return SpatialBody(1e3 * midline, np.broadcast_to(np.eye(3), (len(arc_length), 3, 3)), 1e3 * outer)
+
+
+def drawn(manipulator: Manipulator, along: SpatialFields, loads: Loads | None) -> Drawn:
+    """What is drawn, from the fields along a body."""
+    s = np.asarray(along.arc_length)
+    there = reached(manipulator, s)
+    return Drawn(
+        body=spatial_body(manipulator, along),
+        straight=straight_spatial_body(manipulator, s),
+        tendons=np.where(there[..., None], 1e3 * np.asarray(along.path), np.nan),
+        tension=np.where(there, along.tension, np.nan),
+        loads=loads_in_space(Loads() if loads is None else loads),
+    )
 
 
 def tendon_paths(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> np.ndarray:
@@ -116,6 +230,14 @@ def tip_moment_line(body: Body, loads: Loads, length: float) -> np.ndarray:
     return line if moment else line[:0]
 
 
+def _radii(manipulator: Manipulator, arc_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Outer and inner radius, m; a body without radii is drawn with the offset of its outermost tendon, solid."""
+    if manipulator.has_radii:
+        return evaluated(Manipulator.radii, manipulator, arc_length)
+    outer = np.max(evaluated(Manipulator.offset, manipulator, arc_length), axis=0)
+    return outer, 0.0 * outer
+
+
 def _size(vectors: ArrayLike) -> np.ndarray:
     return np.linalg.norm(vectors, axis=-1)
 
@@ -131,17 +253,38 @@ ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
 }
 
 
-def lines_along(manipulator: Manipulator, along: Fields, quantity: str) -> np.ndarray:
-    """A quantity in the unit of its label, (lines, points): one line, or one for each tendon up to its anchor."""
-    values = np.asarray(ALONG[quantity](manipulator, along))
+# the same of a body in space: curvature is (3, points), twist and bending about y and z
+ALONG_IN_SPACE: dict[str, Callable[[Manipulator, SpatialFields], ArrayLike]] = {
+    "tension": lambda _, along: along.tension,
+    "curvature": lambda _, along: np.asarray(along.curvature).T,
+    "normal_force": lambda _, along: _size(along.normal_force),
+    "friction_force": lambda _, along: _size(along.friction_force),
+    "strain": lambda body, along: 100 * body.outer_strain(along.arc_length, _size(along.curvature[..., 1:])),
+    "heading": lambda _, along: np.degrees(np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))),
+}
+BENDING = ("twist, $x$", "bending, $y$", "bending, $z$")
+
+
+def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np.ndarray:
+    """A quantity in the unit of its label, (lines, points).
+
+    One line, one for each tendon up to its anchor, or for the curvature in space three.
+
+    Raises:
+        InputError: for the strain of an axis that stretches, which is not told along the body.
+    """
+    if isinstance(along, Fields):
+        values = np.asarray(ALONG[quantity](manipulator, along))
+    else:
+        if quantity == "strain" and manipulator.extensible:
+            raise InputError("draw_along: the strain along an axis that stretches is not known; see peak_strain")
+        values = np.asarray(ALONG_IN_SPACE[quantity](manipulator, along))
+        if quantity == "curvature":
+            return values
     return values[None] if values.ndim == 1 else np.where(reached(manipulator, along.arc_length), values, np.nan)
 
 
 def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:
-    """From m; a body without radii is drawn with the offset of its outermost tendon, solid."""
-    if manipulator.has_radii:
-        outer, inner = evaluated(Manipulator.radii, manipulator, arc_length)
-    else:
-        outer = np.max(evaluated(Manipulator.offset, manipulator, arc_length), axis=0)
-        inner = 0.0 * outer
+    """From m."""
+    outer, inner = _radii(manipulator, arc_length)
     return Body(1e3 * midline, heading, 1e3 * outer, 1e3 * inner)

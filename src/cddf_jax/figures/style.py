@@ -64,6 +64,17 @@ def new_figure(width: float, height: float) -> Figure:
     return HouseFigure(figsize=(width, height), layout="constrained")
 
 
+def placed_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches, whose axes are placed by hand: plots in three dimensions do not know their size."""
+    return HouseFigure(figsize=(width, height))
+
+
+def place_in(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Axes at a place of a figure, inches."""
+    across, up = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
 def panel_axes(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
     """A figure of so many panels of one height, in; call it within `house_style`."""
     columns = min(count, columns)
@@ -194,8 +205,13 @@ def draw_arrow(axes: Axes, x: np.ndarray, y: np.ndarray, color: str) -> None:
         return
     place = int(np.clip(np.searchsorted(way, 0.5 * way[-1]), 1, len(x) - 1))
     before, after = np.array([x[place - 1], y[place - 1]]), np.array([x[place], y[place]])
+    draw_head(axes, before, 0.5 * (before + after), color)
+
+
+def draw_head(axes: Axes, before: np.ndarray, end: np.ndarray, color: str) -> None:
+    """The head of an arrow that ends at a point and comes from another one."""
     head = {"arrowstyle": "-|>", "color": color, "linewidth": 0, "mutation_scale": 9, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tuple(0.5 * (before + after)), tuple(before), arrowprops=head)
+    axes.annotate("", tuple(end), tuple(before), arrowprops=head)
 
 
 # --- the body and the forces on it ---------------------------------------------------------------
@@ -210,13 +226,18 @@ def draw_body(axes: Axes, body: Body) -> None:
     axes.set_aspect("equal")
 
 
-def draw_coloured_line(axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize) -> None:
-    """A line with a dark rim, coloured by a value at each of its points (points, 2); none where it is NaN."""
-    axes.plot(*np.where(np.isnan(values)[:, None], np.nan, points).T, color=BLACK, linewidth=2.2, zorder=4)
+def draw_coloured_line(
+    axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize, zorder: float = 4.5, *, rim: bool = True
+) -> None:
+    """A line coloured by a value at each of its points (points, 2), with a dark rim; none where it is NaN."""
+    if rim:
+        dark = np.where(np.isnan(values)[:, None], np.nan, points)
+        axes.plot(*dark.T, color=BLACK, linewidth=2.2, zorder=zorder - 0.5)
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     between = 0.5 * (values[:-1] + values[1:])
     there = np.isfinite(between)
-    look = {"cmap": TENSION_COLOURS, "norm": norm, "linewidth": 1.5, "capstyle": "round", "zorder": 4.5}
+    look = {"cmap": TENSION_COLOURS, "norm": norm, "linewidth": 1.5 if rim else 1.0, "zorder": zorder}
+    look["capstyle"] = "round" if rim else "butt"
     axes.add_collection(LineCollection(list(pieces[there]), array=between[there], **look))
 
 

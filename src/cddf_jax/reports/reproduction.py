@@ -15,7 +15,7 @@ from ..figures import looks, style as draw
 from ..figures.along import draw_along
 from ..figures.body import draw_force_arrows
 from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
-from ..figures.geometry import fields_along, stations
+from ..figures.geometry import planar_fields_along, stations
 from ..files.artifacts import as_json, markdown_table, picked, plain, write_all
 from ..measurements.table import Measurements
 from ..programs.kept import kept_program
@@ -248,7 +248,7 @@ class ComparedNumber(NamedTuple):
 
 def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
     """The numbers of section IV that the paper prints, and those that its figures only show."""
-    fields = fields_along(results.at_pull(PULL), stations(results.manipulator))
+    fields = planar_fields_along(results.at_pull(PULL), stations(results.manipulator))
     history = results.history_at_pull()
     tip, updates = results.tip_tension[np.searchsorted(PULLS, PULL)], int(history.num_updates)
     observed = results.observed

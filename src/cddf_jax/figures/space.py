@@ -1,0 +1,345 @@
+"""The bent body in space, mm: in three dimensions with shadows on the walls, and in three plane views."""
+
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+from mpl_toolkits.mplot3d.axis3d import Axis
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+from scipy.spatial import ConvexHull
+
+from ..errors import InputError
+from ..robot.loads import Loads
+from . import looks, style as draw
+from .geometry import Drawn, SpatialBody
+
+ELEVATION, AZIMUTH = 24.0, -58.0  # deg, from where a body is seen
+# by the name of a plane: the coordinates to the right and up, and the one that points to the reader
+VIEWS = {"XY": (0, 1, 2), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
+TOWARDS = {"XY": (0.0, 0.0, 1.0), "XZ": (0.0, -1.0, 0.0), "YZ": (1.0, 0.0, 0.0)}
+LIGHT = np.array([0.25, -0.45, 0.86])  # from where light falls on a body
+
+
+def tension_scale(tension: np.ndarray) -> Normalize:
+    """The colours of tensions: from the least to the most, or from 0 where they hardly differ."""
+    low, high = float(np.nanmin(tension)), float(np.nanmax(tension))
+    return Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)
+
+
+# --- in three dimensions -------------------------------------------------------------------------
+
+
+def axes_in_space(axes: Axes) -> Axes3D:
+    """Axes that are known to have three dimensions.
+
+    Raises:
+        InputError: for others.
+    """
+    if not isinstance(axes, Axes3D):
+        raise InputError('figures: the body is in space; give axes with projection="3d", or none')
+    return axes
+
+
+def new_room(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes3D:
+    """Axes of three dimensions within a rectangle of a figure, inches; the box of the plot fills it in `fill_room`."""
+    side, across, up = max(width, height), *figure.get_size_inches()
+    place = (left + 0.5 * (width - side), bottom + 0.5 * (height - side), side, side)
+    axes = figure.add_axes((place[0] / across, place[1] / up, side / across, side / up), projection="3d")
+    axes.set_in_layout(False)
+    axes.patch.set_visible(False)
+    return cast(Axes3D, axes)
+
+
+def set_room(axes: Axes3D, points: np.ndarray) -> None:
+    """Limits around points, mm, one scale for all three, white walls."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.08 * np.max(high - low)
+    low, high = low - margin, high + margin
+    low[2] -= margin  # shadows do not touch what throws them
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(tuple(high - low))
+    axes.view_init(ELEVATION, AZIMUTH)
+    axes.set_proj_type("ortho")
+    axes.computed_zorder = False
+    pads = (4.0, 0.0, -3.0)  # points
+    for axis, name, pad in zip(_axis_of(axes), "XYZ", pads, strict=True):
+        axis.set_pane_color((1.0, 1.0, 1.0, 1.0))
+        axis.line.set_linewidth(0.6)
+        axis._axinfo["grid"].update(color=looks.PALE, linewidth=0.4)
+        axis.set_tick_params(pad=-2)
+        axis.labelpad = pad
+        axis.set_label_text(f"${name}$ (mm)")
+
+
+def fill_room(axes: Axes3D, width: float, height: float) -> float:
+    """Enlarge the box of a plot until it fills a rectangle, inches; the height that it takes then, inches."""
+    corners = np.array(list(product(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())))
+    flat = _on_paper(axes, corners)
+    size = np.ptp(flat, axis=0)
+    zoom = float(np.min([width, height] / size))
+    limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
+    axes.set_box_aspect(tuple(np.ptp(limits, axis=1)), zoom=cast(int, zoom))  # any number above 0
+    for axis, step in zip(_axis_of(axes), (4, 2, 1), strict=True):
+        edge = zoom * float(np.linalg.norm(flat[step] - flat[0]))
+        axis.set_major_locator(MaxNLocator(int(np.clip(edge / 0.24, 1, 6)), steps=[1, 2, 5, 10], min_n_ticks=1))
+    return zoom * float(size[1])
+
+
+def draw_room(
+    figure: Figure, draw_into: Callable[[Axes3D], None], points: np.ndarray, width: float, height: float
+) -> Axes3D:
+    """One plot in three dimensions around points, mm, so wide and at most so high, inches; the figure fits around."""
+    room = new_room(figure, 0.12, 0.45, width, height)
+    set_room(room, points)
+    taken = fill_room(room, width, height)
+    figure.set_figheight(taken + 0.8)
+    side = max(width, height)
+    up, across = figure.get_figheight(), figure.get_figwidth()
+    room.set_position((room.get_position().x0, (0.45 + 0.5 * (taken - side)) / up, side / across, side / up))
+    draw_into(room)
+    return room
+
+
+def _axis_of(axes: Axes3D) -> Sequence[Axis]:
+    return cast(Sequence[Axis], (axes.xaxis, axes.yaxis, axes.zaxis))
+
+
+def _on_paper(axes: Axes3D, points: np.ndarray) -> np.ndarray:
+    """Places on the page, inches, (points, 2)."""
+    x, y, z = points.T
+    flat = np.stack(proj_transform(x, y, z, axes.get_proj())[:2], axis=-1)
+    figure = draw.figure_of(axes)
+    side = axes.get_position(original=True).width * figure.get_figwidth()
+    shown = np.array([axes.viewLim.width, axes.viewLim.height])
+    return flat / shown * side
+
+
+def draw_in_space(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
+    """Body, tendons and loads in a room that was set, with their shadows on the walls."""
+    angles = np.radians([ELEVATION, AZIMUTH])
+    sight = np.array([np.cos(angles[1]), np.sin(angles[1]), np.tan(angles[0])])
+    draw_body_in_space(axes, what)
+    for path, tension in zip(what.tendons, what.tension, strict=True):
+        behind, hidden = what.body.is_behind(path, sight), what.body.is_hidden(path, sight)
+        _draw_tendon(axes, path, np.where(behind & ~hidden, tension, np.nan), norm, 3.0)
+        _draw_tendon(axes, path, np.where(behind, np.nan, tension), norm, 6.0)
+        _draw_hidden(axes, path, np.where(hidden, tension, np.nan), norm)
+        axes.plot(*path[np.isfinite(tension)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=7)
+    _draw_loads(axes, what)
+
+
+def draw_body_in_space(axes: Axes3D, what: Drawn) -> None:
+    """The body without its tendons, their numbers, the rest shape dotted, and shadows."""
+    _draw_shadows(axes, what.body)
+    for line in (what.straight.midline, what.straight.rings[-1]):
+        axes.plot(*line.T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=2)
+    _draw_clamp(axes, what)
+    _draw_tube(axes, what.body)
+    _number(axes, what)
+
+
+def silhouette(body: SpatialBody, plane: Sequence[int]) -> list[np.ndarray]:
+    """What a body covers of a plane of two coordinates: a polygon (corners, 2) for each piece between two rings."""
+    flat = body.rings[:, :-1][..., list(plane)]
+    pairs = np.concatenate([flat[:-1], flat[1:]], axis=1)
+    return [pair[ConvexHull(pair, qhull_options="QJ").vertices] for pair in pairs]
+
+
+def shadows(axes: Axes3D, body: SpatialBody) -> list[np.ndarray]:
+    """The polygons (corners, 3) of a body's shadows on the three walls behind it."""
+    walls, polygons = (axes.get_xlim()[0], axes.get_ylim()[1], axes.get_zlim()[0]), []
+    for right, up, across in VIEWS.values():
+        for flat in silhouette(body, (right, up)):
+            polygon = np.full((len(flat), 3), walls[across])
+            polygon[:, [right, up]] = flat
+            polygons.append(polygon)
+    return polygons
+
+
+def _draw_shadows(axes: Axes3D, body: SpatialBody) -> None:
+    look = {"facecolor": looks.PALE, "edgecolor": looks.PALE, "linewidth": 0.3, "zorder": 1}
+    axes.add_collection3d(Poly3DCollection(shadows(axes, body), **look))
+
+
+def _draw_clamp(axes: Axes3D, what: Drawn) -> None:
+    """The plate to which a body is clamped, at X = 0."""
+    angles, radius = np.linspace(0.0, 2 * np.pi, 61), what.plate
+    plate = radius * np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
+    axes.add_collection3d(Poly3DCollection([plate], facecolor="white", edgecolor=looks.BLACK, linewidth=0.7, zorder=2))
+
+
+def _draw_tube(axes: Axes3D, body: SpatialBody) -> None:
+    rings = body.rings
+    faces = np.stack([rings[:-1, :-1], rings[1:, :-1], rings[1:, 1:], rings[:-1, 1:]], axis=2)
+    outward = np.mean(faces, axis=2) - 0.5 * (body.midline[:-1] + body.midline[1:])[:, None]
+    lit = np.clip((outward / np.linalg.norm(outward, axis=-1, keepdims=True)) @ LIGHT, -0.2, 1.0)
+    colours = (0.74 + 0.20 * lit)[..., None].repeat(3, axis=-1).reshape(-1, 3)
+    tube = Poly3DCollection(list(faces.reshape(-1, 4, 3)), facecolors=colours, edgecolors=colours, linewidth=0.3)
+    tube.set(zorder=4, rasterized=True)  # as lines of a PDF its facets would be seen
+    axes.add_collection3d(tube)
+    for ring in (rings[0], rings[-1]):
+        axes.plot(*ring.T, color=looks.GREY, linewidth=0.6, zorder=4.5)
+    cap = Poly3DCollection([rings[-1]], facecolor="white", edgecolor=looks.GREY, linewidth=0.6, zorder=4.5)
+    axes.add_collection3d(cap)
+
+
+def _draw_tendon(axes: Axes3D, path: np.ndarray, tension: np.ndarray, norm: Normalize, zorder: float) -> None:
+    """A line with a dark rim, coloured by tension; none where this is NaN."""
+    if np.count_nonzero(np.isfinite(tension)) < 2:
+        return
+    rim = np.where(np.isnan(tension)[:, None], np.nan, path)
+    axes.plot(*rim.T, color=looks.BLACK, linewidth=2.2, zorder=zorder - 0.5)
+    axes.add_collection3d(_coloured(path, tension, norm, linewidth=1.5, zorder=zorder))
+
+
+def _draw_hidden(axes: Axes3D, path: np.ndarray, tension: np.ndarray, norm: Normalize) -> None:
+    """A dashed line, coloured by tension; none where this is NaN."""
+    if np.count_nonzero(np.isfinite(tension)) >= 2:
+        axes.add_collection3d(_coloured(path, _dashed(path, tension), norm, linewidth=1.0, zorder=5.0))
+
+
+def _dashed(path: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values along a line, NaN in the gaps between dashes of a 48th of its length."""
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(np.nan_to_num(path), axis=0), axis=1)))
+    return np.where((way * 48 / way[-1]).astype(int) % 2 == 0, values, np.nan)
+
+
+def _coloured(
+    path: np.ndarray, values: np.ndarray, norm: Normalize, *, linewidth: float, zorder: float
+) -> Line3DCollection:
+    pieces, between = np.stack([path[:-1], path[1:]], axis=1), 0.5 * (values[:-1] + values[1:])
+    there = np.isfinite(between)
+    look = {"cmap": draw.TENSION_COLOURS, "norm": norm, "capstyle": "round", "zorder": zorder}
+    lines = Line3DCollection(list(pieces[there]), linewidth=linewidth, **look)
+    lines.set_array(between[there])
+    return lines
+
+
+def _number(axes: Axes3D, what: Drawn) -> None:
+    """The number of each tendon beside its base, around the plate."""
+    if len(what.tendons) > 1:
+        for i, path in enumerate(what.tendons):
+            at = (what.plate + 0.04 * what.length) * path[0] / np.linalg.norm(path[0])
+            halo = [withStroke(linewidth=1.5, foreground="white")]
+            axes.text(
+                at[0], at[1], at[2], str(i + 1), ha="center", va="center", fontsize=7.5, zorder=8, path_effects=halo
+            )
+
+
+def _draw_loads(axes: Axes3D, what: Drawn) -> None:
+    arrow, arc = what.force_arrow, what.moment_arrow
+    if len(arrow):
+        look = {"color": looks.VERMILION, "linewidth": 1.3, "arrow_length_ratio": 0.25, "zorder": 9}
+        axes.quiver(*arrow[0], *(arrow[1] - arrow[0]), **look)
+    if len(arc):
+        axes.plot(*arc.T, color=looks.PURPLE, linewidth=1.3, zorder=9)
+        look = {"color": looks.PURPLE, "linewidth": 1.3, "arrow_length_ratio": 2.0, "zorder": 9}
+        axes.quiver(*arc[-3], *(arc[-1] - arc[-3]), **look)
+
+
+# --- in a plane ----------------------------------------------------------------------------------
+
+
+def draw_in_plane(axes: Axes, what: Drawn, norm: Normalize, plane: str) -> None:
+    """What is seen of body, tendons and loads along the third axis, to scale."""
+    right, up, _ = VIEWS[plane]
+    flat, sight = [right, up], np.array(TOWARDS[plane])
+    polygons = silhouette(what.body, flat)
+    axes.add_collection(PolyCollection(polygons, facecolor=looks.GREY, edgecolor=looks.GREY, linewidth=1.2, zorder=4))
+    axes.add_collection(PolyCollection(polygons, facecolor=looks.PALE, edgecolor=looks.PALE, linewidth=0.3, zorder=4))
+    for line in (what.straight.midline, what.straight.rings[-1]):
+        axes.plot(*line[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=2)
+    _draw_plate(axes, what, plane)
+    if what.body.frame[-1, :, 0] @ sight > 0:
+        axes.fill(*what.body.rings[-1][:, flat].T, facecolor="white", edgecolor=looks.GREY, linewidth=0.6, zorder=4.2)
+    for path, tension in zip(what.tendons, what.tension, strict=True):
+        line, behind, hidden = path[:, flat], what.body.is_behind(path, sight), what.body.is_hidden(path, sight)
+        draw.draw_coloured_line(axes, line, np.where(behind, np.nan, tension), norm, 5.0)
+        draw.draw_coloured_line(axes, line, np.where(behind & ~hidden, tension, np.nan), norm, 3.0)
+        dashes = np.where(hidden, _dashed(path, tension), np.nan)
+        draw.draw_coloured_line(axes, line, dashes, norm, 4.4, rim=False)
+        axes.plot(*line[np.isfinite(tension)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=7)
+    _draw_loads_in_plane(axes, what, flat)
+    axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+
+
+LABELS, GAP = 0.45, 0.12  # inches: left of and below each view; to the next one
+
+
+def _extents(points: np.ndarray) -> np.ndarray:
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.05 * np.max(high - low)
+    return np.stack([low - margin, high + margin], axis=1)
+
+
+def _scale_of_views(extents: np.ndarray, width: float) -> float:
+    """Inches per mm of three views beside each other."""
+    across = sum(np.ptp(extents[right]) for right, _, _ in VIEWS.values())
+    return float(min((width - 3 * (LABELS + GAP)) / across, 2.4 / np.max(np.ptp(extents[1:], axis=1))))
+
+
+def height_of_views(points: np.ndarray, width: float) -> float:
+    """Of three views of points, mm, beside each other, inches."""
+    extents = _extents(points)
+    return float(_scale_of_views(extents, width) * np.max(np.ptp(extents[1:], axis=1))) + LABELS
+
+
+def draw_views(
+    figure: Figure, draw_into: Callable[[Axes, str], None], points: np.ndarray, left: float, width: float = 6.6
+) -> list[Axes]:
+    """Three plane views of points, mm, beside each other to one scale, at the foot of a figure."""
+    extents = _extents(points)
+    scale, top, panels = _scale_of_views(extents, width), height_of_views(points, width), []
+    for plane, (right, up, _) in VIEWS.items():
+        wide, high = scale * np.ptp(extents[[right, up]], axis=1)
+        axes = draw.place_in(figure, left + LABELS, LABELS + 0.5 * (top - LABELS - high), wide, high)
+        left += LABELS + wide + GAP
+        draw_into(axes, plane)
+        axes.set(xlim=extents[right], ylim=extents[up])
+        for axis, size in ((axes.xaxis, wide), (axes.yaxis, high)):
+            axis.set_major_locator(MaxNLocator(int(np.clip(size / 0.25, 1, 6)), steps=[1, 2, 5, 10], min_n_ticks=1))
+        panels.append(axes)
+    return panels
+
+
+def _draw_plate(axes: Axes, what: Drawn, plane: str) -> None:
+    """The plate at the base: a line, or from the front a circle."""
+    angles = np.linspace(0.0, 2 * np.pi, 61)
+    edge = what.plate * np.stack([0.0 * angles, np.cos(angles), np.sin(angles)])
+    right, up, _ = VIEWS[plane]
+    axes.plot(edge[right], edge[up], color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=3)
+
+
+def _draw_loads_in_plane(axes: Axes, what: Drawn, flat: list[int]) -> None:
+    for line, color in ((what.force_arrow, looks.VERMILION), (what.moment_arrow, looks.PURPLE)):
+        if len(line):
+            axes.plot(*line[:, flat].T, color=color, linewidth=1.2, zorder=6)
+            draw.draw_head(axes, line[-2, flat], line[-1, flat], color)
+
+
+def legend_of_loads(loads: Loads) -> list[Line2D]:
+    """What the legend says of loads in space: arrows by their size, gravity by its components."""
+    force, moment, gravity = (np.asarray(x) for x in (loads.tip_force, loads.tip_moment, loads.gravity))
+    components = ", ".join(f"{x:.3g}" for x in gravity).replace("-", "\N{MINUS SIGN}")
+    entries = [
+        (f"$F$ = {np.linalg.norm(force):.3g} N", "$\\rightarrow$", looks.VERMILION, force),
+        (f"$m$ = {np.linalg.norm(moment):.3g} N m", r"$\curvearrowleft$", looks.PURPLE, moment),
+        (f"$g$ = ({components}) m/s$^2$", "", looks.BLACK, gravity),
+    ]
+    return [
+        Line2D([], [], marker=marker or "none", color=color, linestyle="none", markersize=9, label=label)
+        for label, marker, color, vector in entries
+        if np.any(vector)
+    ]

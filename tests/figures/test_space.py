@@ -1,0 +1,169 @@
+"""Figures of a body in space, read back from what is drawn: an arc of a circle whose places have closed forms."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from matplotlib.colors import Normalize
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+import cddf_jax as cddf
+from cddf_jax import figures
+from cddf_jax.errors import InputError
+from cddf_jax.figures import body as body_figures, space
+from cddf_jax.figures.geometry import drawn, stations
+
+LENGTH, RADIUS, OFFSET, BEND = 0.2, 0.01, 0.006, 2.0
+LOADS = cddf.Loads(tip_force=(0.0, 0.3, 0.4), tip_moment=(0.02, 0.0, 0.0), gravity=(0.0, 0.0, -9.81))
+TENDONS = cddf.Tendon(OFFSET, angle=np.pi / 2), cddf.Tendon(OFFSET, angle=-np.pi / 2, end=0.15)
+ROBOT = cddf.Manipulator(LENGTH, RADIUS, 0.0, TENDONS, youngs_modulus=1e6, friction_coefficient=0.1)
+
+
+def arc(s):
+    """An arc in the plane of X and Z: tendon 1 on its inner side, tendon 2 on its outer side, their tensions linear."""
+    sine, cosine, none = np.sin(BEND * s), np.cos(BEND * s), 0.0 * s
+    axis, normal = np.stack([cosine, none, sine], -1), np.stack([-sine, none, cosine], -1)
+    position = np.stack([sine, none, 1.0 - cosine], -1) / BEND
+    tension = np.stack([20.0 - 50.0 * s, 8.0 + 10.0 * s])
+    return cddf.SpatialFields(
+        arc_length=s,
+        curvature=np.stack([none, none - BEND, none], -1),  # about y: from z to x
+        frame=np.stack([axis, np.broadcast_to([0.0, 1.0, 0.0], axis.shape), normal], -1),
+        position=position,
+        tension=tension,
+        wrap_angle=np.stack([BEND * s] * 2),
+        normal_force=BEND * tension[..., None] * normal,
+        friction_force=-0.1 * BEND * tension[..., None] * axis,
+        path=np.stack([position + side * OFFSET * normal for side in (1, -1)]),
+    )
+
+
+@pytest.fixture
+def equilibrium(monkeypatch):
+    """What the figures ask of one, without solving."""
+    for module in ("body", "along"):
+        monkeypatch.setattr(f"cddf_jax.figures.{module}.fields_along", lambda _, s: arc(s))
+    return SimpleNamespace(tip_frame=np.eye(3))
+
+
+@pytest.fixture(scope="module")
+def what():
+    return drawn(ROBOT, arc(stations(ROBOT)), LOADS)
+
+
+def test_axes_in_space_are_to_scale_and_in_millimetres(equilibrium):
+    room = figures.draw_shape(ROBOT, equilibrium, LOADS)
+    assert [room.get_xlabel(), room.get_ylabel(), room.get_zlabel()] == ["$X$ (mm)", "$Y$ (mm)", "$Z$ (mm)"]
+    sizes = np.ptp([room.get_xlim(), room.get_ylim(), room.get_zlim()], axis=1)
+    np.testing.assert_allclose(room._box_aspect / sizes, room._box_aspect[0] / sizes[0])
+    labels = [axes.get_ylabel() for axes in room.figure.axes[1:]]
+    assert labels == ["$T$ (N)"]
+    told = [text.get_text() for text in room.figure.legends[0].get_texts()]
+    assert told == ["$F$ = 0.5 N", "$m$ = 0.02 N m", "$g$ = (0, 0, \N{MINUS SIGN}9.81) m/s$^2$"]
+
+
+def test_shadows_lie_on_the_walls(equilibrium, what):
+    room = figures.draw_shape(ROBOT, equilibrium)
+    walls = room.get_xlim()[0], room.get_ylim()[1], room.get_zlim()[0]
+    polygons = space.shadows(room, what.body)
+    on = [[np.all(polygon[:, i] == walls[i]) for i in range(3)] for polygon in polygons]
+    np.testing.assert_array_equal(np.sum(on, axis=0), len(what.body.rings) - 1)
+    # no part of the body touches a wall
+    for across, sign in zip(range(3), (1, -1, 1), strict=True):
+        assert np.min(sign * (what.body.rings[..., across] - walls[across])) > 0
+
+
+def area(polygon):
+    x, y = polygon.T
+    return 0.5 * abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1)))
+
+
+def test_silhouettes(what):
+    """From the side a band as wide as the body, from above the band and half a disc at the tip, from the front too."""
+    side = sum(map(area, space.silhouette(what.body, (0, 2))))
+    assert side == pytest.approx(1e6 * 2 * RADIUS * LENGTH, rel=2e-3)  # exact for an arc (Pappus)
+    corners = np.concatenate(space.silhouette(what.body, (0, 1)))
+    tip = BEND * LENGTH
+    np.testing.assert_allclose(corners[:, 0].max(), 1e3 * (np.sin(tip) / BEND + RADIUS * np.sin(tip)), rtol=1e-6)
+    np.testing.assert_allclose(np.abs(corners[:, 1]).max(), 1e3 * RADIUS, rtol=1e-3)
+
+
+def test_tendons_are_where_they_are_and_end_at_their_anchors(equilibrium, what):
+    room = figures.draw_shape(ROBOT, equilibrium)
+    lines = [x for x in room.collections if isinstance(x, Line3DCollection) and x.get_array() is not None]
+    near, hidden = lines
+    pieces, dashes = np.asarray(near._segments3d), np.asarray(hidden._segments3d)
+    # seen from above and in front: the inner tendon, which runs above the midline, hides nothing and is not hidden
+    np.testing.assert_allclose(pieces[0, 0], [0.0, 0.0, 1e3 * OFFSET], atol=1e-9)
+    assert near.get_array()[0] == pytest.approx(20.0, rel=0.01)
+    radius = np.linalg.norm(pieces[:, 0] - [0.0, 0.0, 1e3 / BEND], axis=-1)
+    np.testing.assert_allclose(radius, 1e3 * (1 / BEND - OFFSET), rtol=1e-9)
+    assert hidden.get_linewidth()[0] < near.get_linewidth()[0]
+    length = np.linalg.norm(np.diff(dashes, axis=1), axis=-1).sum()
+    whole = 1e3 * 0.15 * (1 + BEND * OFFSET)
+    assert 0.3 * whole < length < 0.7 * whole  # dashed
+    assert np.all(np.isnan(what.tendons[1, what.straight.midline[:, 0] > 150.1]))
+
+
+def test_views_have_one_scale(equilibrium):
+    figure = figures.views_figure(ROBOT, equilibrium, LOADS)
+    views = figure.axes[:3]
+    assert [(view.get_xlabel(), view.get_ylabel()) for view in views] == [
+        ("$X$ (mm)", "$Y$ (mm)"),
+        ("$X$ (mm)", "$Z$ (mm)"),
+        ("$Y$ (mm)", "$Z$ (mm)"),
+    ]
+    figure.draw_without_rendering()
+    scales = [np.diff(view.transData.transform([(0, 0), (1, 1)]), axis=0) for view in views]
+    np.testing.assert_allclose(scales, np.broadcast_to(scales[0][0, 0], np.shape(scales)), rtol=1e-6)
+    # in the plane of the bend both tendons are arcs; the reader at -Y sees neither of them hidden by the midline
+    tips = [line.get_xydata()[0] for line in views[1].lines if line.get_marker() == "o"]
+    angle = np.array([BEND * LENGTH, BEND * 0.15])
+    reach = 1 / BEND - np.array([OFFSET, -OFFSET])
+    expected = 1e3 * np.stack([reach * np.sin(angle), 1 / BEND - reach * np.cos(angle)], axis=-1)
+    np.testing.assert_allclose(tips, expected, rtol=1e-9)
+
+
+def test_fields_along_a_body_in_space(equilibrium):
+    figure = figures.equilibrium_figure(ROBOT, equilibrium, LOADS)
+    curvature = next(axes for axes in figure.axes if "Curvature" in axes.get_ylabel())
+    told = {line.get_label(): line.get_ydata() for line in curvature.lines}
+    assert list(told) == ["twist, $x$", "bending, $y$", "bending, $z$"]
+    np.testing.assert_allclose(told["bending, $y$"], -BEND)
+    force = figures.draw_along(ROBOT, equilibrium, "normal_force")
+    np.testing.assert_allclose(force.lines[0].get_ydata()[[0, -1]], [BEND * 20.0, BEND * 10.0])
+    heading = figures.draw_along(ROBOT, equilibrium, "heading").lines[0].get_ydata()
+    assert heading[-1] == pytest.approx(np.degrees(BEND * LENGTH))
+    strain = figures.draw_along(ROBOT, equilibrium, "strain").lines[0].get_ydata()
+    np.testing.assert_allclose(strain, 100 * RADIUS * BEND)
+    told = figures.draw_force_arrows(ROBOT, equilibrium).figure.legends[0].get_texts()
+    assert [text.get_text().split(",")[0] for text in told] == ["normal force", "friction force"]
+
+
+def test_what_is_refused(equilibrium, monkeypatch):
+    flat = figures.new_figure(3.0, 3.0).subplots()
+    with pytest.raises(InputError, match='the body is in space; give axes with projection="3d", or none'):
+        figures.draw_shape(ROBOT, equilibrium, axes=flat)
+    with pytest.raises(InputError, match="draw_view: plane must be one of XY, XZ, YZ, got 'ZX'"):
+        figures.draw_view(ROBOT, equilibrium, "ZX")
+    monkeypatch.setattr(body_figures, "fields_along", lambda *_: None)
+    with pytest.raises(InputError, match="views_figure: the body is in the plane; draw_shape draws it"):
+        figures.views_figure(paper_body(), equilibrium)
+    soft = cddf.Manipulator(LENGTH, RADIUS, 0.0, TENDONS, youngs_modulus=1e6, friction_coefficient=0.1, extensible=True)
+    with pytest.raises(InputError, match="the strain along an axis that stretches is not known"):
+        figures.draw_along(soft, equilibrium, "strain")
+
+
+def test_tensions_that_hardly_differ_have_a_scale_from_zero():
+    scale = space.tension_scale(np.array([5.0, 5.0]))
+    assert isinstance(scale, Normalize)
+    assert (scale.vmin, scale.vmax) == (0.0, 5.0)
+
+
+@pytest.mark.slow
+def test_a_solve_in_space_is_drawn():
+    found = cddf.solve(ROBOT, (2.0, 0.0), nodes=6)
+    room = figures.draw_shape(ROBOT, found)
+    assert "pdf" in next(iter(figures.render(room.figure, "shape")))
+    figures.draw_view(ROBOT, found, "YZ", LOADS)
