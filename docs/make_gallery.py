@@ -36,6 +36,9 @@ plan = cddf.plan(fit, [one for one in candidates if "weight" not in one.name])
 axes = {"base_tension": np.linspace(5.0, 145.0, 15), "friction_coefficient": np.linspace(0.1, 0.6, 6)}
 grid = cddf.sweep(robot, axes, outputs=("tip_tension", "tension_loss"))
 
+pulls = {f"base_tension_{i}": np.linspace(0.0, 60.0, 9) for i in (1, 2, 3)}
+reach = cddf.sweep(three, pulls, outputs=("tip_position", "tip_tension"))
+
 task = dict(free=("outer_radius",), bounds={"outer_radius": (8e-3, 25e-3)}, cases=cddf.LoadCase(50.0))
 angle, strain = cddf.Limit("tip_angle", most=np.pi / 4), cddf.Limit("strain", most=0.105)
 design = cddf.design(robot, cddf.Least("volume"), constraints=[angle, strain], **task)
@@ -149,6 +152,12 @@ PICTURES = (
         "A sweep as a map",
         "Contours over two numbers; where solves are doubtful or failed the map would be blank and hatched.",
         'figures.draw_map(grid, "tension_loss", "base_tension", "friction_coefficient")',
+    ),
+    Picture(
+        "workspace",
+        "Workspace",
+        "Where the tip of three tendons goes. Hollow: part of a tendon sticks, and its direction cannot be told.",
+        "figures.draw_workspace(reach)",
     ),
     Picture(
         "design",

@@ -600,3 +600,20 @@ def test_help_imports_nothing_heavy(run):
     code, text, _ = run("--help")
     assert code == 0
     assert all(option in text for option in ("--over", "--sample", "--dry-run", "--coordinator", "--netcdf"))
+
+
+@pytest.mark.slow
+def test_tips_in_space_are_a_cloud(run, tmp_path):
+    three = [cddf.Tendon(0.010, angle=i * 2 * np.pi / 3) for i in range(3)]
+    body = cddf.Manipulator(LENGTH, 0.015, 0.007, three, youngs_modulus=1.4e6, friction_coefficient=0.42)
+    cddf.write_manipulator(body, tmp_path / "three.toml")
+    pulls = [word for i in (1, 2, 3) for word in ("--over", f"base_tension_{i}=0N,20N")]
+    code, out, _ = run("three.toml", *pulls, "--nodes", "6", "--out", "out", "--csv", "tips.csv")
+    assert code == 0
+    assert "tip_position.Z" in out
+    assert {"sweep_workspace.png", "sweep_workspace.pdf"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    with open(tmp_path / "tips.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    lengths = [sum(float(row[f"tip_position.{x} [m]"]) ** 2 for x in "XYZ") ** 0.5 for row in rows]
+    assert max(lengths) == pytest.approx(LENGTH)  # straight without tension, and where all are equal
+    assert sum(length == pytest.approx(LENGTH, abs=1e-12) for length in lengths) == 2

@@ -57,7 +57,7 @@ def plan(
     found = plan(known, choices, names, criterion=criterion, num=num)
     text, answer = plan_as_markdown(found), plan_as_dict(found)
     if out is not None:
-        from ..figures.plan import draw_plan
+        from ..figures.estimates import draw_plan
         from ..figures.style import figure_of, render
         from ..files.artifacts import as_json as json_text, write_all
 

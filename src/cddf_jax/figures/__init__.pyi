@@ -20,6 +20,7 @@ from .designs import (
 from .estimates import (
     bootstrap_figure as bootstrap_figure,
     draw_correlation as draw_correlation,
+    draw_plan as draw_plan,
     draw_profile as draw_profile,
     profiles_figure as profiles_figure,
 )
@@ -35,7 +36,6 @@ from .history import (
     draw_loop as draw_loop,
     history_figure as history_figure,
 )
-from .plan import draw_plan as draw_plan
 from .style import (
     DOUBLE_COLUMN as DOUBLE_COLUMN,
     SINGLE_COLUMN as SINGLE_COLUMN,
@@ -45,3 +45,4 @@ from .style import (
     save as save,
 )
 from .sweeps import draw_lines as draw_lines, draw_map as draw_map, sweep_figure as sweep_figure
+from .workspace import draw_workspace as draw_workspace, workspace_figure as workspace_figure

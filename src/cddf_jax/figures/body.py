@@ -134,12 +134,16 @@ def draw_view(
     if plane not in space.VIEWS:
         raise InputError(f"draw_view: plane must be one of {', '.join(space.VIEWS)}, got {plane!r}")
     what = _in_space("draw_view", manipulator, equilibrium, loads)
-    norm = space.tension_scale(what.tension)
+    norm, given = space.tension_scale(what.tension), axes
     with draw.axes_or_new(axes, HEIGHT) as axes:
         space.draw_in_plane(axes, what, norm, plane)
         draw.figure_of(axes).colorbar(ScalarMappable(norm, draw.TENSION_COLOURS), ax=axes, label="$T$ (N)", aspect=35)
-        if entries := space.legend_of_loads(what.loads):
-            axes.legend(handles=entries, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, handletextpad=0.2)
+        entries = space.legend_of_loads(what.loads)
+        if entries:
+            look = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "columnspacing": 0.8, "handlelength": 1.2}
+            axes.legend(handles=entries, ncols=2, **look)
+        if given is None:
+            draw.figure_of(axes).set_figheight(_fitting_height(axes, 2.4) + 0.17 * len(entries))
     return axes
 
 
@@ -159,10 +163,19 @@ def views_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Load
     with draw.house_style():
         height = max(space.height_of_views(what.points, VIEWS_WIDTH), 1.3)
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, height + 0.25)
-        space.draw_views(figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, 0.0)
-        _scale_of_tension(figure, norm, draw.DOUBLE_COLUMN - 0.52, 0.45, height - 0.6)
+        space.draw_views(
+            figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, VIEWS_WIDTH
+        )
+        draw.colour_scale(figure, norm, "$T$ (N)", draw.DOUBLE_COLUMN - 0.52, 0.45, height - 0.6)
         _legend_of_loads(figure, what.loads)
     return figure
+
+
+def _draw_views(figure: Figure, what: Drawn, norm: Normalize) -> None:
+    def draw_into(axes: Axes, plane: str) -> None:
+        space.draw_in_plane(axes, what, norm, plane)
+
+    space.draw_views(figure, draw_into, what.points, VIEWS_WIDTH)
 
 
 def _in_space(who: str, manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Drawn:
@@ -185,7 +198,7 @@ def _draw_shape_in_space(what: Drawn, axes: Axes | None) -> Axes:
     with draw.house_style():
         figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
         room = space.draw_room(figure, lambda room: space.draw_in_space(room, what, norm), what.points, ROOM, 2.15)
-        _scale_of_tension(figure, norm, draw.SINGLE_COLUMN - 0.46, 0.6, figure.get_figheight() - 0.95)
+        draw.colour_scale(figure, norm, "$T$ (N)", draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
         _legend_of_loads(figure, what.loads)
     return room
 
@@ -207,16 +220,12 @@ def _figure_in_space(manipulator: Manipulator, equilibrium: Equilibrium, loads: 
             draw_along(manipulator, equilibrium, quantity, panel)
             if quantity == "tension":
                 panel.set_xlabel("")
-        space.draw_views(figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, 0.0)
-        _scale_of_tension(figure, norm, 3.72, below + 0.9, 1.6)
+        space.draw_views(
+            figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, VIEWS_WIDTH
+        )
+        draw.colour_scale(figure, norm, "$T$ (N)", 3.72, below + 0.9, 1.6)
         _legend_of_loads(figure, what.loads)
     return figure
-
-
-def _scale_of_tension(figure: Figure, norm: Normalize, left: float, bottom: float, height: float) -> None:
-    """The colours of tensions at a place of a figure, inches."""
-    place = draw.place_in(figure, left, bottom, 0.07, height)
-    figure.colorbar(ScalarMappable(norm, draw.TENSION_COLOURS), cax=place, label="$T$ (N)")
 
 
 def _legend_of_loads(figure: Figure, loads: Loads) -> None:

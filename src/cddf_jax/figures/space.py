@@ -27,6 +27,7 @@ ELEVATION, AZIMUTH = 24.0, -58.0  # deg, from where a body is seen
 # by the name of a plane: the coordinates to the right and up, and the one that points to the reader
 VIEWS = {"XY": (0, 1, 2), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 TOWARDS = {"XY": (0.0, 0.0, 1.0), "XZ": (0.0, -1.0, 0.0), "YZ": (1.0, 0.0, 0.0)}
+LABELS_OFF = ((0.13, 0.32), (0.13, 0.32), (0.17, 0.42))  # inches between an axis, its numbers and its name
 LIGHT = np.array([0.25, -0.45, 0.86])  # from where light falls on a body
 
 
@@ -60,6 +61,12 @@ def new_room(figure: Figure, left: float, bottom: float, width: float, height: f
     return cast(Axes3D, axes)
 
 
+def sight() -> np.ndarray:
+    """The direction towards the reader."""
+    up, around = np.radians([ELEVATION, AZIMUTH])
+    return np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+
+
 def set_room(axes: Axes3D, points: np.ndarray) -> None:
     """Limits around points, mm, one scale for all three, white walls."""
     low, high = points.min(axis=0), points.max(axis=0)
@@ -71,13 +78,12 @@ def set_room(axes: Axes3D, points: np.ndarray) -> None:
     axes.view_init(ELEVATION, AZIMUTH)
     axes.set_proj_type("ortho")
     axes.computed_zorder = False
-    pads = (4.0, 0.0, -3.0)  # points
-    for axis, name, pad in zip(_axis_of(axes), "XYZ", pads, strict=True):
+    for axis, name in zip(_axis_of(axes), "XYZ", strict=True):
         axis.set_pane_color((1.0, 1.0, 1.0, 1.0))
         axis.line.set_linewidth(0.6)
         axis._axinfo["grid"].update(color=looks.PALE, linewidth=0.4)
         axis.set_tick_params(pad=-2)
-        axis.labelpad = pad
+        axis.labelpad = 0.0
         axis.set_label_text(f"${name}$ (mm)")
 
 
@@ -89,10 +95,24 @@ def fill_room(axes: Axes3D, width: float, height: float) -> float:
     zoom = float(np.min([width, height] / size))
     limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
     axes.set_box_aspect(tuple(np.ptp(limits, axis=1)), zoom=cast(int, zoom))  # any number above 0
-    for axis, step in zip(_axis_of(axes), (4, 2, 1), strict=True):
-        edge = zoom * float(np.linalg.norm(flat[step] - flat[0]))
-        axis.set_major_locator(MaxNLocator(int(np.clip(edge / 0.24, 1, 6)), steps=[1, 2, 5, 10], min_n_ticks=1))
+    edges = zoom * (flat[[4, 2, 1]] - flat[0])  # of the box along X, Y and Z, as they are on the page
+    for axis, edge in zip(_axis_of(axes), edges, strict=True):
+        count = int(np.clip(np.linalg.norm(edge) / 0.24, 1, 6))
+        axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10], min_n_ticks=1))
+    _keep_labels_off(axes, edges)
     return zoom * float(size[1])
+
+
+def _keep_labels_off(axes: Axes3D, edges: np.ndarray) -> None:
+    """Numbers and names at one distance from their axes: Matplotlib lets it depend on the shape of the box."""
+    side = axes.get_position(original=True).width * draw.figure_of(axes).get_figwidth()
+    step = 0.08 * 48 / (144 * side)  # of the box for each point of pad, as in mpl_toolkits.mplot3d.axis3d
+    outward = -edges[1] - edges[2], edges[0] - edges[2], edges[0] + edges[1]
+    for axis, edge, out, (number, name) in zip(_axis_of(axes), edges, outward, LABELS_OFF, strict=True):
+        apart = abs(edge[0] * out[1] - edge[1] * out[0]) / np.linalg.norm(edge)
+        points = np.clip(np.array([number, name]) / (step * apart), 0.0, 300.0)
+        axis.set_tick_params(pad=points[0] - 8)
+        axis.labelpad = points[1] - 21
 
 
 def draw_room(
@@ -102,10 +122,10 @@ def draw_room(
     room = new_room(figure, 0.12, 0.45, width, height)
     set_room(room, points)
     taken = fill_room(room, width, height)
-    figure.set_figheight(taken + 0.8)
-    side = max(width, height)
+    figure.set_figheight(taken + 0.95)
+    side, left = max(width, height), 0.12 + 0.5 * (width - max(width, height))
     up, across = figure.get_figheight(), figure.get_figwidth()
-    room.set_position((room.get_position().x0, (0.45 + 0.5 * (taken - side)) / up, side / across, side / up))
+    room.set_position((left / across, (0.6 + 0.5 * (taken - side)) / up, side / across, side / up))
     draw_into(room)
     return room
 
@@ -126,11 +146,9 @@ def _on_paper(axes: Axes3D, points: np.ndarray) -> np.ndarray:
 
 def draw_in_space(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
     """Body, tendons and loads in a room that was set, with their shadows on the walls."""
-    angles = np.radians([ELEVATION, AZIMUTH])
-    sight = np.array([np.cos(angles[1]), np.sin(angles[1]), np.tan(angles[0])])
     draw_body_in_space(axes, what)
     for path, tension in zip(what.tendons, what.tension, strict=True):
-        behind, hidden = what.body.is_behind(path, sight), what.body.is_hidden(path, sight)
+        behind, hidden = what.body.is_behind(path, sight()), what.body.is_hidden(path, sight())
         _draw_tendon(axes, path, np.where(behind & ~hidden, tension, np.nan), norm, 3.0)
         _draw_tendon(axes, path, np.where(behind, np.nan, tension), norm, 6.0)
         _draw_hidden(axes, path, np.where(hidden, tension, np.nan), norm)
@@ -253,17 +271,17 @@ def _draw_loads(axes: Axes3D, what: Drawn) -> None:
 def draw_in_plane(axes: Axes, what: Drawn, norm: Normalize, plane: str) -> None:
     """What is seen of body, tendons and loads along the third axis, to scale."""
     right, up, _ = VIEWS[plane]
-    flat, sight = [right, up], np.array(TOWARDS[plane])
+    flat, towards = [right, up], np.array(TOWARDS[plane])
     polygons = silhouette(what.body, flat)
     axes.add_collection(PolyCollection(polygons, facecolor=looks.GREY, edgecolor=looks.GREY, linewidth=1.2, zorder=4))
     axes.add_collection(PolyCollection(polygons, facecolor=looks.PALE, edgecolor=looks.PALE, linewidth=0.3, zorder=4))
     for line in (what.straight.midline, what.straight.rings[-1]):
         axes.plot(*line[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=2)
     _draw_plate(axes, what, plane)
-    if what.body.frame[-1, :, 0] @ sight > 0:
+    if what.body.frame[-1, :, 0] @ towards > 0:
         axes.fill(*what.body.rings[-1][:, flat].T, facecolor="white", edgecolor=looks.GREY, linewidth=0.6, zorder=4.2)
     for path, tension in zip(what.tendons, what.tension, strict=True):
-        line, behind, hidden = path[:, flat], what.body.is_behind(path, sight), what.body.is_hidden(path, sight)
+        line, behind, hidden = path[:, flat], what.body.is_behind(path, towards), what.body.is_hidden(path, towards)
         draw.draw_coloured_line(axes, line, np.where(behind, np.nan, tension), norm, 5.0)
         draw.draw_coloured_line(axes, line, np.where(behind & ~hidden, tension, np.nan), norm, 3.0)
         dashes = np.where(hidden, _dashed(path, tension), np.nan)
@@ -296,12 +314,12 @@ def height_of_views(points: np.ndarray, width: float) -> float:
     return float(_scale_of_views(extents, width) * np.max(np.ptp(extents[1:], axis=1))) + LABELS
 
 
-def draw_views(
-    figure: Figure, draw_into: Callable[[Axes, str], None], points: np.ndarray, left: float, width: float = 6.6
-) -> list[Axes]:
-    """Three plane views of points, mm, beside each other to one scale, at the foot of a figure."""
+def draw_views(figure: Figure, draw_into: Callable[[Axes, str], None], points: np.ndarray, width: float) -> list[Axes]:
+    """Three plane views of points, mm, beside each other to one scale, in the middle of a width at a figure's foot."""
     extents = _extents(points)
     scale, top, panels = _scale_of_views(extents, width), height_of_views(points, width), []
+    taken = scale * sum(np.ptp(extents[right]) for right, _, _ in VIEWS.values()) + 3 * (LABELS + GAP)
+    left = 0.5 * (width - taken)
     for plane, (right, up, _) in VIEWS.items():
         wide, high = scale * np.ptp(extents[[right, up]], axis=1)
         axes = draw.place_in(figure, left + LABELS, LABELS + 0.5 * (top - LABELS - high), wide, high)

@@ -14,11 +14,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.style import context
+from matplotlib.ticker import MaxNLocator
 
 from ..errors import InputError
 from ..files.artifacts import write_all
@@ -97,6 +99,13 @@ def panels_figure(
         common_legend(figure, panels)
         figure.align_labels()
     return figure
+
+
+def colour_scale(figure: Figure, norm: Normalize, label: str, left: float, bottom: float, height: float) -> None:
+    """The colours of values at a place of a figure, inches."""
+    ticks = MaxNLocator(6, steps=[1, 2, 5, 10])
+    place = place_in(figure, left, bottom, 0.07, height)
+    figure.colorbar(ScalarMappable(norm, TENSION_COLOURS), cax=place, label=label, ticks=ticks)
 
 
 @contextmanager

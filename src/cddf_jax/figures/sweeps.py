@@ -108,7 +108,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
         remedy = f"choose one, as in dataset.isel({{{name!r}: 0}})"
         raise InputError(f"{who}: {name} varies too, with {others[name]} values; {remedy}")
     answer = answer.swap_dims(dict(zip(own, over, strict=True)))
-    return _shown(_thinned(answer, dict.fromkeys(over, VALUES)), {})[output].transpose(*over, ...)
+    return in_label_units(_thinned(answer, dict.fromkeys(over, VALUES)), {})[output].transpose(*over, ...)
 
 
 def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
@@ -148,7 +148,7 @@ def sweep_figure(
         count = f"{len(kinds.numbers)} axes{' and options' if kinds.options else ''}"
         return f"{count} are too many for one; choose with xarray"
     varied = varied or {name: name_in_words(name) for name in _lists(answer)}
-    shown, swept = _shown(_thinned(answer, kinds.room), varied), answer[RESULT].dims
+    shown, swept = in_label_units(_thinned(answer, kinds.room), varied), answer[RESULT].dims
     each = (part for name in names for _, part in _parts_of(shown[name], swept, PANELS))
     arrays = list(islice(each, PANELS))
     if loops:
@@ -253,7 +253,7 @@ def _maps_figure(arrays: Sequence["xarray.DataArray"], kinds: _Kinds) -> Figure:
 # --- units and words -----------------------------------------------------------------------------
 
 
-def _shown(answer: "xarray.Dataset", words: Mapping[str, str]) -> "xarray.Dataset":
+def in_label_units(answer: "xarray.Dataset", words: Mapping[str, str]) -> "xarray.Dataset":
     """A sweep in the units of its labels, NaN where there is no number; the results are a coordinate of each output."""
     there = answer[RESULT] >= 0
     for array in answer.data_vars.values():
@@ -300,7 +300,7 @@ def _value_words(coordinate: "xarray.DataArray", place: int) -> str:
     return words.strip().replace("-", "\N{MINUS SIGN}")
 
 
-def _axis_label(array: "xarray.DataArray") -> str:
+def axis_label(array: "xarray.DataArray") -> str:
     """What is drawn, which part of an output it is, and the unit: "Tip tension of tendon 2 (N)"."""
     at = {} if array.name in array.coords else array.coords
     parts = [words(at[name].item()) for name, words in PARTS.items() if name in at and not at[name].ndim]
@@ -318,7 +318,7 @@ def name_in_words(name: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def _results_in_words(codes: np.ndarray) -> str:
+def results_in_words(codes: np.ndarray) -> str:
     """What kept some solves from being successful."""
     return ", ".join(RESULT_NAMES[code].replace("_", " ") for code in np.unique(codes) if code != SUCCESSFUL)
 
@@ -345,7 +345,7 @@ def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequenc
         curves.append((x, y, codes, look))
     for x, y, codes, look in curves:
         _draw_others(axes, x, y, codes, look)
-    axes.set(xlabel=_axis_label(array[over]), ylabel=_axis_label(array))
+    axes.set(xlabel=axis_label(array[over]), ylabel=axis_label(array))
     if array.attrs["yes_or_no"]:
         axes.set_ylim(-0.15, 1.15)
         axes.set_yticks([0, 1], ["no", "yes"])
@@ -355,11 +355,11 @@ def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, lo
     """Solves that are doubtful, as hollow markers, and solves that gave no number, as crosses at the foot."""
     others, there = codes != SUCCESSFUL, np.isfinite(y)
     if np.any(doubtful := others & there):
-        label = f"hollow: doubtful, {_results_in_words(codes[doubtful])}"
+        label = f"hollow: doubtful, {results_in_words(codes[doubtful])}"
         hollow = {"linestyle": "none", "markerfacecolor": "white", "markeredgewidth": 0.7, "zorder": 1.9}
         axes.plot(x[doubtful], y[doubtful], label=label, **(look | hollow))
     if np.any(failed := others & ~there):
-        label = f"at the foot: no number, {_results_in_words(codes[failed])}"
+        label = f"at the foot: no number, {results_in_words(codes[failed])}"
         foot = {"transform": axes.get_xaxis_transform(), "markeredgewidth": 0.7, "zorder": 4, "label": label}
         axes.plot(x[failed], np.full(failed.sum(), 0.03), "x", color=looks.BLACK, **foot)
 
@@ -370,10 +370,10 @@ def _draw_maps(panels: Sequence[Axes], arrays: Sequence["xarray.DataArray"], x: 
     numbers = [np.ma.masked_invalid(array.values) for array in sure]
     levels = _levels(np.ma.stack(numbers).compressed())
     norm, points = BoundaryNorm(levels, 256), (arrays[0][x].values, arrays[0][y].values)
-    lost = _results_in_words(np.array([array[RESULT].values for array in arrays]))
+    lost = results_in_words(np.array([array[RESULT].values for array in arrays]))
     for panel, values in zip(panels, numbers, strict=True):
         panel.set(xlim=points[0][[0, -1]], ylim=points[1][[0, -1]], axisbelow=False)
-        panel.set(xlabel=_axis_label(arrays[0][x]), ylabel=_axis_label(arrays[0][y]))
+        panel.set(xlabel=axis_label(arrays[0][x]), ylabel=axis_label(arrays[0][y]))
         if values.count():
             panel.contourf(*points, values, levels=levels, cmap=draw.TENSION_COLOURS, norm=norm)
         within = [level for level in levels if values.count() and values.min() < level < values.max()]
@@ -385,7 +385,7 @@ def _draw_maps(panels: Sequence[Axes], arrays: Sequence["xarray.DataArray"], x: 
             look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
             panel.add_patch(Rectangle((0, 0), 1, 1, transform=panel.transAxes, label=f"hatched: {lost}", **look))
     scale = ScalarMappable(norm, draw.TENSION_COLOURS)
-    draw.figure_of(panels[0]).colorbar(scale, ax=list(panels), label=_axis_label(arrays[0]), pad=0.02, aspect=25)
+    draw.figure_of(panels[0]).colorbar(scale, ax=list(panels), label=axis_label(arrays[0]), pad=0.02, aspect=25)
 
 
 def _levels(there: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from ..batch.store import ZarrStore
 from ..batch.work import COPIES
 from ..errors import InputError
 from ..progress import stage
+from ..robot.named_numbers import of_tendon
 from ..statics.equilibrium import RESULTS
 from ..statics.targets import Target
 from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
@@ -144,6 +145,7 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
     """Write exports, figures and the JSON; where they are, and what has no place in them."""
     from ..figures.style import render
     from ..figures.sweeps import left_out_of_figure, name_in_words, sweep_figure
+    from ..figures.workspace import workspace_figure
     from ..files.artifacts import as_json, write_all
 
     if places.netcdf is not None:
@@ -154,6 +156,8 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
     figure = sweep_figure(answer, work.outputs, {name: _target(work, name) or name_in_words(name) for name in varied})
     folder, stem = places.store.parent, places.store.stem
     files = {} if isinstance(figure, str) else render(figure, stem)
+    if _is_cloud(answer):
+        files |= render(workspace_figure(answer, _colour_of_tips(work)), f"{stem}_workspace")
     name = f"{stem}.json"
     paths: Json = {
         "store": str(places.store),
@@ -167,6 +171,21 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
     }
     write_all(folder, {**files, name: as_json(summary | {"paths": paths})})
     return paths
+
+
+def _is_cloud(answer: "xarray.Dataset") -> bool:
+    """Whether there are tips in space to be drawn as a cloud."""
+    tips = answer.data_vars.get("tip_position")
+    return tips is not None and answer.sizes["component"] == 3 and bool(tips.notnull().all("component").any())
+
+
+def _colour_of_tips(work: Sweep) -> str:
+    """What colours the dots: the sum of the base tensions where all of them vary, or else the first number."""
+    names, count = [name for axis in work.dimensions for name in axis.numbers], work.manipulator.num_tendons
+    tensions = {of_tendon("base_tension", i) for i in range(count)}
+    alone = "base_tension" in names and "tip_tension" in work.outputs  # which tells the number of tendons
+    known = "base_tension" in work.outputs or (tensions <= set(names) and "tip_tension" in work.outputs) or alone
+    return "total_tension" if known else names[0]
 
 
 def _target(work: Sweep, name: str) -> str:
