@@ -54,6 +54,7 @@ def test_stretch_of_antagonists():
     np.testing.assert_allclose(angles, [44.148, 44.28], atol=0.02)  # section 3, a simulation
 
 
+@pytest.mark.slow
 def test_what_came_before_is_the_step_before_the_first(pair):
     """The same path, whose first step is not told."""
     found = cddf.trace(PAIR, PATH[1:], before=PATH[0])
@@ -62,6 +63,7 @@ def test_what_came_before_is_the_step_before_the_first(pair):
     np.testing.assert_allclose(found.at(0.07).tension, np.asarray(pair.at(0.07).tension)[1:], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_tendons_that_slide_one_way_are_as_in_solve(pair):
     found = cddf.solve(PAIR, PATH[0])
     np.testing.assert_allclose(pair.tip_angle[0], found.tip_angle, atol=1e-7)

@@ -133,6 +133,7 @@ def test_paths_that_cannot_be_predicted(fitted, given, message):
         fitted.predict("tip_angle", [60.0, 40.0], **given)
 
 
+@pytest.mark.slow
 def test_a_fit_of_a_loop_is_drawn_as_a_loop(fitted):
     """Lines by the closed form in the order of the path; readings by their branch, the residuals beside them."""
     axes = figures.draw_fit(fitted, column="tip_angle", axes=Figure().subplots())
@@ -266,6 +267,7 @@ def scaled_slopes(free):
     return [slopes[column][:, places] * [truth[name] for name in free] / NOISE[column] for column in NOISE]
 
 
+@pytest.mark.slow
 def test_slopes_by_what_was_before():
     """Central differences of traced paths, the second row of which is released from 57 N."""
     ends = [_play([before, *RELEASED]) for before in (57.0 * (1 - 1e-4), 57.0 * (1 + 1e-4))]
@@ -314,6 +316,7 @@ def test_where_nothing_is_left_of_what_was_before():
     assert "before = 40 N: at bound, at most 40.2" in str(from_rest)
 
 
+@pytest.mark.slow
 def test_trials_begin_in_their_own_ways():
     """The first at rest, the second released from 60 N: stated one by one, or the second alone to be found."""
     tip, angle = (np.concatenate([x, y[1:]]) for x, y in zip(_play(RELEASED), _play([60.0, *RELEASED]), strict=True))
