@@ -94,6 +94,9 @@ def files():
 
 def identification():
     fit = cddf.fit(robot, [pulley, tensions], nodes=8)
+    head = cddf.BenchSetting(markers={"head": cddf.Marker(0.08, (0.0, 0.011))}, given={"camera_x": 0.01})
+    seen = cddf.Measurements.from_columns("head", base_tension=[20.0], **{"y@head": [0.005]})
+    cddf.fit(robot, [pulley, seen], setting=head, nodes=8, noise={"y@head": 1e-3})
     fit.profile("friction_coefficient")
     fit.bootstrap("parametric", 8)
     fit.predict("tip_tension", [20.0, 40.0])

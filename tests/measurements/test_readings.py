@@ -6,9 +6,10 @@ from bodies import paper_body
 
 import cddf_jax as cddf
 from cddf_jax.identification.bench import experiment_of
-from cddf_jax.measurements.readings import READINGS, columns_of, kind_of
+from cddf_jax.measurements.readings import NAMED, columns_of, kind_of
 from cddf_jax.quantities import QUANTITIES
 
+READINGS = {name: kind for name, kind in NAMED.items() if not kind.in_space}  # of a body in the plane
 MU, E = 0.35, 1.2e6
 TRUTH = {"friction_coefficient": MU, "youngs_modulus": E}
 PULLS = np.array([10.0, 30.0, 50.0])

@@ -15,8 +15,8 @@ from jaxtyping import Array, ArrayLike, Float
 from ..errors import InputError
 from ..figures.geometry import stations
 from ..files.manipulator_file import manipulator_text
-from ..identification.bench import Bench, Pulley, experiment_of, reading, starting_value, stiffness_parameter
-from ..identification.course import Traced, course_of, has_history
+from ..identification.bench import Bench, Pulley, experiment_of, starting_value, stiffness_parameter
+from ..identification.course import Shown, course_of, has_history
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
@@ -323,12 +323,12 @@ def _experiment(table: Measurements, body: Manipulator) -> Pulley | Bench:
 @kept_program
 @eqx.filter_jit
 def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
-    equilibrium = rows.solve(body, {}, NODES)
-    readings = tuple(reading(equilibrium, column, {}) for column in rows.columns)
-    return dict(zip(rows.columns, _where_good(equilibrium, readings), strict=True))
+    shown = rows.shown(body, {}, NODES)
+    readings = rows.readings(shown, rows.columns, {})
+    return dict(zip(readings, _where_good(shown, tuple(readings.values())), strict=True))
 
 
-def _where_good(equilibrium: Equilibrium | Traced, numbers: tuple) -> tuple:
+def _where_good(equilibrium: Equilibrium | Shown, numbers: tuple) -> tuple:
     good = (equilibrium.result == GOOD[0]) | (equilibrium.result == GOOD[1])
     return tuple(jnp.where(good, number, jnp.nan) for number in numbers)
 

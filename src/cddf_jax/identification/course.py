@@ -34,14 +34,15 @@ ONE_TENDON = "that of one tendon; write what came before as rows of the trial, w
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
-class Traced(NamedTuple):
-    """What instruments read of traced bodies, rows first, as an `Equilibrium` has it."""
+class Shown(NamedTuple):
+    """What instruments without errors show of bodies, rows first."""
 
     tip_tension: Float[Array, "rows tendons"]
     tip_angle: Float[Array, " rows"]
-    tip_position: Float[Array, "rows 2"]
+    tip_position: Float[Array, "rows components"]
     result: RESULTS
     direction_contradicted: Bool[Array, "rows tendons"]
+    markers: Float[Array, "rows markers components"] | None = None
 
 
 class Course(eqx.Module):
@@ -105,7 +106,7 @@ class Course(eqx.Module):
         stated = [shown(top, "force") if top > own else "rest" for own, top in zip(first, largest, strict=True)]
         return [f"fitted ({name})" if name else words for name, words in zip(self.past.parameters, stated, strict=True)]
 
-    def trace(self, body: Manipulator, tension: Array, deviation: Array | None, nodes: int) -> Traced:
+    def trace(self, body: Manipulator, tension: Array, deviation: Array | None, nodes: int) -> Shown:
         """The rows, each after what came before it.
 
         Args:
@@ -131,7 +132,7 @@ class Course(eqx.Module):
             force = jnp.concatenate([force[:, :1] if self.force_stays else jnp.zeros_like(force[:, :1]), force], axis=1)
         every = jax.vmap(one)(tension, force, deviation)
         tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, self.step + num_before], every)
-        return Traced(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
+        return Shown(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
 
     def _in_short_steps(self, body: Manipulator, tension: Array, force: Array | None, nodes: int):
         """One path; derivatives are differences, since those of `trace` hold to some per cent."""

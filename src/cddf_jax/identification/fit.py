@@ -1,7 +1,7 @@
 """`fit`: friction, modulus and the errors of the bench from measurements, and what these do not determine."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -103,9 +103,10 @@ class Fit(LeastSquaresFit):
         """A reading with its 95 % band.
 
         Args:
-            column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x" or "tip_y".
+            column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x", "tip_y", "tip_z" of a body in space, or that
+                of a marker of the data, "x@120mm".
             base_tension: N, (rows,) where every tendon is pulled alike, or (rows, tendons).
-            tip_force: N, (2,) or (rows, 2).
+            tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
             direction: 1 where tendons slide in and -1 where they slide out, broadcast to (rows, tendons); None where
                 it is to be found, as in `solve`.
             history: whether the base tensions are a path, pulled and released in this order; every turn counts.
@@ -118,11 +119,18 @@ class Fit(LeastSquaresFit):
         wanted = predicted_rows(
             base_tension, tip_force, direction, tendons, history=history, before=before, short_steps=self._short_steps
         )
+        wanted = replace(wanted, setting=self._setting(column))
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is no reading; there are {', '.join(shown.readings)}")
         band = self.band(shown.derivatives[column])
         return Prediction(shown.readings[column], band, beyond_the_data(wanted, self.model))
+
+    def _setting(self, column: str) -> bench.AllRows:
+        """Of the first table with that column, or else of the first table of the manipulator."""
+        found = [one for one in self.model.experiments if isinstance(one, bench.Bench)]
+        with_it = [one for one in found if column in one.columns]
+        return next((one.setting for one in with_it or found), bench.AllRows())
 
     @property
     def _short_steps(self) -> int:
@@ -192,6 +200,7 @@ def fit(
     *,
     bounds: Bounds | None = None,
     noise: Mapping[str, ArrayLike | Noise] | None = None,
+    setting: bench.BenchSetting = bench.PLAIN,
     history: bool | None = None,
     before: Before = "rest",
     short_steps: int = SHORT_STEPS,
@@ -205,8 +214,8 @@ def fit(
 
     A table with `weight`, `pulling_tension` and `wrap_angle` is a pulley test and determines friction alone.
     Any other has `base_tension` (and `base_tension_2`, ... for further tendons) and one or more of
-    `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`; `direction`, `tip_force_x`,
-    `tip_force_y`, `trial`, `step` and `time` are optional.
+    `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`, `tip_z` of a body in space, and markers
+    (`x@120mm`); `direction`, `tip_force_x`, `tip_force_y`, `tip_force_z`, `trial`, `step` and `time` are optional.
 
     With a history, the rows of a trial are steps of a path: pulled, let out and pulled again. It starts from rest, or
     as `before` tells. Directions follow from it, and a column `direction` is only compared with it. Without, each row
@@ -218,13 +227,16 @@ def fit(
         free: what is fitted, of `bench.PARAMETERS`; None for friction and modulus, of a body without a single modulus
             friction and `stiffness_factor`. It may also be the constant drag per length,
             gain and zero of the cells (`tip_gain`, `base_zero`, `tip_gain_2` for the cell of tendon 2),
-            `pretension`, `angle_zero`, and errors of dimensions (`outer_radius_error`), best with priors. With a
+            `pretension`, `angle_zero`, the pose of the camera that sees tip and markers (`camera_x`, ...,
+            `camera_turn_z`), the direction of gravity (`gravity_turn_x`, ...), and errors of dimensions
+            (`outer_radius_error`, `tendon_angle_error`), best with priors. With a
             history it may be `before` (`before_2` for trial 2), the largest base tension before the first row, N.
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
             what is not given is estimated, for each column of each table, from the residuals. That of `base_tension`
             tells which of its turns a history ignores, one number: 0 for none.
+        setting: what all rows share: constant loads such as gravity, places of markers, known numbers of the bench.
         history: whether rows know what came before them, in the order of the columns `step` or `time`, else in that of
             the file. None: where a table has one of these columns.
         before: with a history, what the tendon had before the first row: "rest", or the largest base tension, N, from
@@ -258,6 +270,9 @@ def fit(
     options: dict[str, object] = {
         **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
         **{
+            "loads": None if setting.loads is None else {n: np.asarray(v) for n, v in vars(setting.loads).items()},
+            "markers": {name: marker._asdict() for name, marker in setting.markers.items()},
+            "given": dict(setting.given),
             "history": history,
             "before": before,
             "short_steps": short_steps,
@@ -272,13 +287,13 @@ def fit(
     with within("fit"):
         noise, courses, guesses = _courses(manipulator, tables, history, before, free, noise or {}, short_steps)
     experiments = (
-        bench.experiment_of(table, manipulator, int(first), course and course[0])
+        bench.experiment_of(table, manipulator, int(first), course and course[0], setting)
         for table, first, course in zip(tables, earlier, courses, strict=False)
     )
     model = bench.BenchModel(manipulator, tuple(experiments), nodes)
     steadied = {name: course[1] for name, course in zip(model.names, courses, strict=True) if course}
     groups = bench.groups_of(tables, model)
-    start = {name: bench.starting_value(manipulator, name) for name in free}
+    start = {name: bench.starting_value(manipulator, name, setting.given) for name in free}
     start |= {name: guess for name, (guess, _) in guesses.items()}
     own_bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive}
     bounds = own_bounds | {name: (low, None) for name, (_, low) in guesses.items()} | dict(bounds or {})

@@ -91,7 +91,7 @@ def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:
     own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)]
     course, paths = between(course, GRID)
     trial = None if own is None else own[np.asarray(course.trial)]
-    rows = Bench(np.concatenate(paths)[:, None], (None,), trial=trial, course=course)
+    rows = Bench(np.concatenate(paths)[:, None], (None,), trial=trial, course=course, setting=bench.setting)
     shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
     value, band = shown.readings[group.column], fit.band(shown.derivatives[group.column])
     ends = np.cumsum([path.size for path in paths])[:-1]

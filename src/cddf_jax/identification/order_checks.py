@@ -183,7 +183,7 @@ def _by_chance(course: Course) -> _Orders:
 
 def _sums_of_squares(fit: "Fit", bench: Bench, groups: list[Group], orders: _Orders) -> np.ndarray:
     """(orders,), of the residuals over the noise, at the estimate; NaN where there is no solution."""
-    plain = Bench(bench.base_tension, (None,), trial=bench.trial, columns=bench.columns, course=bench.course)
+    plain = replace(bench, name="", read_in={})
     body, parameters = fit.model.manipulator, jax.tree.map(np.asarray, fit.parameters)
     read = _read_in_orders(plain, body, parameters, orders.readings, orders.step, fit.model.nodes)
     total = np.zeros(LANES)

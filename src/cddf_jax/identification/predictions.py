@@ -63,11 +63,13 @@ def predicted_rows(
     try:
         pulled = np.broadcast_to(tension, (rows, tendons))
         way = np.broadcast_to(np.asarray(direction, np.float64), (rows, tendons)).T if stated else (None,) * tendons
-        force = np.broadcast_to(np.asarray(tip_force, np.float64), (rows, 2))
+        components = 3 if np.shape(tip_force)[-1:] == (3,) else 2
+        force = np.broadcast_to(np.asarray(tip_force, np.float64), (rows, components))
     except ValueError:
+        got = ", ".join(str(np.shape(given)) for given in (base_tension, tip_force, *stated.values()))
         raise InputError(
-            f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), and direction "
-            f"that fits; got {', '.join(str(np.shape(given)) for given in (base_tension, tip_force, *stated.values()))}"
+            f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), in space of three "
+            f"components, and direction that fits; got {got}"
         ) from None
     if before != REST and not history:
         raise InputError("predict: before is used with a history only; give history=True")
@@ -84,7 +86,9 @@ def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
     """Which rows lie outside what the data span, of any tendon's base tension or any component of the tip force."""
 
     def conditions(bench: Bench) -> np.ndarray:
-        force = np.zeros((len(bench.base_tension), 2)) if bench.tip_force is None else bench.tip_force
+        force = np.zeros((len(bench.base_tension), 3))
+        if bench.tip_force is not None:
+            force[:, : np.shape(bench.tip_force)[1]] = bench.tip_force
         return np.concatenate([bench.base_tension, force], axis=1)
 
     measured = [conditions(e) for e in model.experiments if isinstance(e, Bench)]

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
-from ..measurements.readings import OF_SHAPE
+from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
@@ -134,7 +134,7 @@ def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
         )
         by_trial = "trial" in table and TRIALS not in fit.parameters
         lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
-        if lost and group.column in OF_SHAPE and isinstance(experiment, Bench):
+        if lost and of_shape(group.column) and isinstance(experiment, Bench):
             # what the body would show with the parameters that it was given with
             start = {n: v if n.startswith(TRIALS) else starting_value(body, n) for n, v in fit.parameters.items()}
             shown_at_start = experiment.evaluate(body, start, nodes).readings[group.column][group.there]
@@ -211,7 +211,7 @@ def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) 
 
 def _tell_of_shape(tables: Sequence[Measurements]) -> bool:
     """Whether the tables hold tip angles or positions."""
-    return any(column in table for table in tables for column in OF_SHAPE)
+    return any(of_shape(column) for table in tables for column in table.columns)
 
 
 def _advice(fit: "Fit", lost: set[str]) -> str:

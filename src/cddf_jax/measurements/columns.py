@@ -7,16 +7,17 @@ from ..errors import InputError
 from ..files.table_header import short
 from ..quantities import QUANTITIES
 from ..units import Dimension
-from .readings import READINGS, kind_of
+from .markers import marker_column
+from .readings import NAMED, kind_of
 
 ORDER = ("step", "time")  # the order in which rows were measured
 _WITHOUT_UNIT = ("trial", "direction", "step")
 COLUMNS = (
-    *("trial", *ORDER, "direction", "base_tension", *READINGS, "tip_force_x", "tip_force_y"),
+    *("trial", *ORDER, "direction", "base_tension", *NAMED, "tip_force_x", "tip_force_y", "tip_force_z"),
     *("wrap_angle", "weight", "pulling_tension"),
 )
 PULLEY = ("wrap_angle", "weight", "pulling_tension")
-PER_TENDON = ("base_tension", "direction", *(name for name, kind in READINGS.items() if kind.per_tendon))
+PER_TENDON = ("base_tension", "direction", *(name for name, kind in NAMED.items() if kind.per_tendon))
 # other spellings, in small letters and without what separates words
 _SPELLINGS = {
     "tbase": "base_tension",
@@ -26,8 +27,10 @@ _SPELLINGS = {
     "angletip": "tip_angle",
     "xtip": "tip_x",
     "ytip": "tip_y",
+    "ztip": "tip_z",
     "ftipx": "tip_force_x",
     "ftipy": "tip_force_y",
+    "ftipz": "tip_force_z",
     "trialno": "trial",
     "trialnr": "trial",
     "trialnumber": "trial",
@@ -45,6 +48,8 @@ DIRECTIONS = {word: way for words, way in ((_IN, "1"), (_OUT, "-1")) for word in
 
 def column_meant(name: str) -> str | None:
     """The column that a name in a file means, `base_tension` for "T base" or "Tbase_1"; None where it is none."""
+    if marker := marker_column(name):
+        return "@".join(marker)
     stem, number = _parts(name)
     column = _SPELLINGS.get(stem)
     if column is None or not number or (column in PER_TENDON and number == "1"):
@@ -61,7 +66,7 @@ def column_resembled(name: str) -> str | None:
     close = get_close_matches(written, COLUMNS, 1, _LIKENESS)
     if not close or close[0] in written:  # base_tension_set is qualified, not misspelt
         return None
-    other_component = re.fullmatch(".*_[a-z]", written) and written[:-1] == close[0][:-1]  # tip_force_z
+    other_component = re.fullmatch(".*_[a-z]", written) and written[:-1] == close[0][:-1]  # tip_force_n
     return None if other_component else close[0]
 
 
@@ -79,6 +84,8 @@ def column_dimension(column: str) -> Dimension | None:
     Raises:
         InputError: for an unknown column.
     """
+    if marker_column(column):
+        return "length"
     stem, _, tendon = column.rpartition("_")
     if stem in PER_TENDON and re.fullmatch("[2-9]|[1-9][0-9]+", tendon):
         column = stem

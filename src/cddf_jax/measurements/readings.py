@@ -5,8 +5,10 @@ table is called by the name of its kind; where every tendon has one, `tip_tensio
 of the second.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
+
+from .markers import marker_column
 
 
 class Reading(NamedTuple):
@@ -16,6 +18,8 @@ class Reading(NamedTuple):
     per_tendon: bool = False
     by_cell: bool = False  # a tension as a load cell reads it, gain * (tension - pretension) + zero
     zero: str = ""  # the parameter of a bench that is added to what is true
+    in_space: bool = False  # whether only a body in space has it
+    of_marker: bool = False  # markers last; its columns are those of `markers.marker_column`
 
 
 READINGS = {
@@ -23,16 +27,28 @@ READINGS = {
     "tip_angle": Reading(lambda found: found.tip_angle, zero="angle_zero"),
     "tip_x": Reading(lambda found: found.tip_position[..., 0]),
     "tip_y": Reading(lambda found: found.tip_position[..., 1]),
+    "tip_z": Reading(lambda found: found.tip_position[..., 2], in_space=True),
+    "marker_x": Reading(lambda found: found.markers[..., 0], of_marker=True),
+    "marker_y": Reading(lambda found: found.markers[..., 1], of_marker=True),
+    "marker_z": Reading(lambda found: found.markers[..., 2], of_marker=True, in_space=True),
 }
-OF_SHAPE = tuple(name for name, kind in READINGS.items() if not kind.per_tendon)  # in which the kinematics differ
+NAMED = {name: kind for name, kind in READINGS.items() if not kind.of_marker}  # whose names are those of columns
 
 
 def kind_of(column: str) -> str:
-    """The kind of reading of a column, "tip_tension" of "tip_tension_2"; "" for a column that is not a reading."""
+    """The kind of a reading, "tip_tension" of "tip_tension_2", "marker_x" of "x@120mm"; "" of any other column."""
     stem, _, tendon = column.rpartition("_")
-    if tendon.isdigit() and stem in READINGS and READINGS[stem].per_tendon:
+    if tendon.isdigit() and stem in NAMED and NAMED[stem].per_tendon:
         return stem
-    return column if column in READINGS else ""
+    if marker := marker_column(column):
+        return f"marker_{marker[0]}"
+    return column if column in NAMED else ""
+
+
+def of_shape(column: str) -> bool:
+    """Whether a column tells of the shape of the body, in which the kinematics differ."""
+    kind = kind_of(column)
+    return bool(kind) and not READINGS[kind].per_tendon
 
 
 def tendon_number(column: str) -> int:
@@ -46,6 +62,11 @@ def of_tendons(name: str, num_tendons: int) -> list[str]:
     return [name, *(f"{name}_{i}" for i in range(2, num_tendons + 1))]
 
 
-def columns_of(num_tendons: int) -> list[str]:
-    """Every column that a manipulator can show."""
-    return [c for name, kind in READINGS.items() for c in of_tendons(name, num_tendons if kind.per_tendon else 1)]
+def columns_of(num_tendons: int, markers: Sequence[str] = (), *, in_space: bool = False) -> list[str]:
+    """Every column that a manipulator with these markers can show."""
+    found = []
+    for name, kind in READINGS.items():
+        if in_space or not kind.in_space:
+            own = [f"{name[-1]}@{marker}" for marker in markers]
+            found += own if kind.of_marker else of_tendons(name, num_tendons if kind.per_tendon else 1)
+    return found

@@ -9,8 +9,9 @@
 | base_tension, base_tension_2, ... | force | pull at the base on tendon 1, 2, ... |
 | tip_tension, tip_tension_2, ... | force | the same tendon's tension at its tip end |
 | tip_angle | angle | phi(L) |
-| tip_x, tip_y | length | u(L) in the frame at the base |
-| tip_force_x, tip_force_y | force | known dead load on the tip |
+| tip_x, tip_y, tip_z | length | u(L) in the frame at the base, tip_z of a body in space |
+| x@120mm, y@120mm, z@120mm | length | a marker at that arc length; `x@head` is one whose place `fit` is given |
+| tip_force_x, tip_force_y, tip_force_z | force | known dead load on the tip |
 | direction, direction_2, ... | none | +1 where the tendon slides in (pulled), -1 out; without it: as `solve` finds it |
 | wrap_angle | angle | pulley test: angle of contact |
 | weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |

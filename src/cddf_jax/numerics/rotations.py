@@ -28,6 +28,12 @@ def product(p: Quaternion, q: Quaternion) -> Quaternion:
     return jnp.concatenate([w, vector], axis=-1)
 
 
+def of_turn(turn: Vector) -> Quaternion:
+    """The rotation about an axis: its direction is that of `turn`, its angle, rad, the length of it."""
+    angle = length_of(turn)[..., None]
+    return jnp.concatenate([jnp.cos(angle / 2), jnp.sinc(angle / (2 * jnp.pi)) / 2 * turn], axis=-1)
+
+
 def inverse(q: Quaternion) -> Quaternion:
     """The rotation back, of the same length."""
     return jnp.concatenate([q[..., :1], -q[..., 1:]], axis=-1)

@@ -1,0 +1,149 @@
+"""Fits to tips and markers: in the plane, and of a helix as a turned camera sees them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from scipy.spatial.transform import Rotation
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+from cddf_jax.identification.bench import PLAIN, experiment_of
+from cddf_jax.measurements.columns import column_meant
+
+MU, E = 0.35, 1.2e6
+HEAD = cddf.Marker(0.080, (0.002, 0.011, 0.004))
+
+
+def in_plane(**numbers):
+    return paper_body("exact", **numbers)
+
+
+def winding(**numbers):
+    """The paper's body with a helix of a quarter of a turn."""
+    return dataclasses.replace(
+        paper_body("exact", **numbers), tendons=(cddf.Tendon(0.010, angle=cddf.Linear(0.0, np.pi / 2, 0.14)),)
+    )
+
+
+def test_names_of_marker_columns():
+    assert column_meant("X @ 120 mm") == "x@120mm"
+    assert column_meant("z@head") == "z@head"
+    assert column_meant("F tip z") == "tip_force_z"
+
+
+def test_markers_of_a_file(tmp_path):
+    """Millimetres in the file, metres in the table."""
+    path = tmp_path / "bench.csv"
+    path.write_text("base_tension [N], x@120mm [mm], y@head (mm)\n10, 118, 11.5\n")
+    table = cddf.read_measurements(path)
+    np.testing.assert_allclose([table["x@120mm"][0], table["y@head"][0]], [0.118, 0.0115])
+
+
+def test_a_marker_on_the_axis_at_the_tip_is_the_tip():
+    body, pulls = in_plane(), np.array([10.0, 40.0])
+    columns = {"tip_x": [0.0, 0.0], "tip_y": [0.0, 0.0], "x@140mm": [0.0, 0.0], "y@140mm": [0.0, 0.0]}
+    table = cddf.Measurements.from_columns("zeros", base_tension=pulls, **columns)
+    shown = experiment_of(table, body).evaluate(body, {"camera_turn_z": np.pi / 2, "camera_x": 0.1}, 16).readings
+    np.testing.assert_allclose(shown["x@140mm"], shown["tip_x"], atol=1e-12)
+    np.testing.assert_allclose(shown["y@140mm"], shown["tip_y"], atol=1e-12)
+    straight = [cddf.solve(body, pull).tip_position for pull in pulls]
+    np.testing.assert_allclose(shown["tip_x"], [0.1 - y for _, y in straight], atol=1e-12)  # a quarter of a turn
+    np.testing.assert_allclose(shown["tip_y"], [x for x, _ in straight], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("columns", "setting", "words"),
+    [
+        ({"tip_z": [0.01]}, PLAIN, "the body is in the plane; give its tendons an angle"),
+        ({"x@head": [0.01]}, PLAIN, "no marker of that name is given"),
+        ({"x@200mm": [0.01]}, PLAIN, "at 200 mm, but the body is 140 mm long"),
+        ({"x@head": [0.01]}, cddf.BenchSetting(markers={"head": cddf.Marker(-0.01)}), "at -10 mm"),
+    ],
+)
+def test_what_cannot_be_read(columns, setting, words):
+    table = cddf.Measurements.from_columns("bench", base_tension=[10.0], **columns)
+    with pytest.raises(InputError, match=words):
+        cddf.fit(in_plane(), table, setting=setting)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"), [({"youngs_modulus": 1e6}, "is no number of the bench"), ({"tip_gain": np.nan}, "finite")]
+)
+def test_what_cannot_be_given(given, words):
+    with pytest.raises(InputError, match=words):
+        cddf.BenchSetting(given=given)
+
+
+def test_what_turns_out_of_the_plane():
+    table = cddf.Measurements.from_columns("bench", base_tension=[10.0], tip_x=[0.13])
+    with pytest.raises(InputError, match="camera_turn_x turns a body out of its plane"):
+        cddf.fit(in_plane(), table, ["camera_turn_x"])
+
+
+def test_a_history_in_space_is_refused():
+    table = cddf.Measurements.from_columns("bench", base_tension=[10.0, 5.0], step=[1, 2], tip_z=[0.01, 0.0])
+    with pytest.raises(InputError, match="a history with a body in space is not known yet"):
+        cddf.fit(winding(), table)
+
+
+def seen(position):
+    """As the camera sees it, by SciPy's rotations."""
+    return Rotation.from_rotvec(CAMERA[3:]).apply(np.array(position)) + CAMERA[:3]
+
+
+CAMERA = np.array([0.01, -0.02, 0.03, 0.3, -0.2, 0.1])
+POSE = [f"{name}_{axis}" for name in ("camera", "camera_turn") for axis in "xyz"]
+
+
+@pytest.mark.slow
+def test_a_helix_a_marker_and_the_pose_of_a_camera():
+    """Positions of `solve`, turned by SciPy, bring friction, modulus and pose back; the angle of the tendon, too, hides
+    in the turn of the camera about the axis."""
+    body, pulls = winding(friction_coefficient=MU, youngs_modulus=E), np.linspace(10.0, 70.0, 7)
+    found = [cddf.solve(body, pull) for pull in pulls]
+    at = [one.at(HEAD.arc_length) for one in found]
+    head = seen([here.position + here.frame @ np.array(HEAD.offset) for here in at])
+    tip = seen([one.tip_position for one in found])
+    columns = {f"{axis}@head": head[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"tip_{axis}": tip[:, i] for i, axis in enumerate("xyz")}
+    columns["tip_tension"] = np.array([one.tip_tension[0] for one in found])
+    table = cddf.Measurements.from_columns("simulated", base_tension=pulls, **columns)
+    noise = {column: 0.05 if column == "tip_tension" else 1e-4 for column in columns}
+    free = ["friction_coefficient", "youngs_modulus", *POSE]
+    options = {"setting": cddf.BenchSetting(markers={"head": HEAD}), "noise": noise}
+    fit = cddf.fit(winding(), table, free, **options)
+    assert fit.success
+    np.testing.assert_allclose([fit.value[name] for name in POSE], CAMERA, atol=1e-8)
+    assert fit.value["friction_coefficient"] == pytest.approx(MU, rel=1e-7)
+    assert fit.value["youngs_modulus"] == pytest.approx(E, rel=1e-7)
+    there = fit.predict("z@head", pulls[:2])
+    np.testing.assert_allclose(there.value, head[:2, 2], atol=1e-9)
+
+    turned = cddf.fit(winding(), table, [*free, "tendon_angle_error"], **options)
+    assert turned.status["tendon_angle_error"] == "not identified"
+    assert turned.status["friction_coefficient"] == "identified"
+
+
+@pytest.mark.slow
+def test_the_direction_of_gravity_and_a_known_cell():
+    """In the plane: tips under gravity that is turned by 0.2 rad, and a tip cell that reads 3 % too much."""
+    robot = in_plane(friction_coefficient=MU, youngs_modulus=E, density=1070.0)
+    down, turn = np.array([0.0, -9.81]), 0.2
+    cos, sin = np.cos(turn), np.sin(turn)
+    loads = cddf.Loads(gravity=np.array([[cos, -sin], [sin, cos]]) @ down)
+    pulls = np.linspace(10.0, 70.0, 7)
+    found = [cddf.solve(robot, pull, loads) for pull in pulls]
+    table = cddf.Measurements.from_columns(
+        "simulated",
+        base_tension=pulls,
+        tip_tension=[1.03 * float(one.tip_tension[0]) for one in found],
+        **{f"tip_{axis}": [float(one.tip_position[i]) for one in found] for i, axis in enumerate("xy")},
+    )
+    setting = cddf.BenchSetting(cddf.Loads(gravity=down), given={"tip_gain": 1.03})
+    noise = {"tip_tension": 0.05, "tip_x": 1e-4, "tip_y": 1e-4}
+    free = ["friction_coefficient", "youngs_modulus", "gravity_turn_z"]
+    fit = cddf.fit(in_plane(density=1070.0), table, free, setting=setting, noise=noise)
+    assert fit.success
+    np.testing.assert_allclose([fit.value[name] for name in free], [MU, E, turn], rtol=1e-5)
