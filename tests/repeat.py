@@ -16,4 +16,8 @@ def repeated(results, folder):
     options = dict(results["options"])
     options["noise"] = {k: Noise(**v) if isinstance(v, dict) else v for k, v in options["noise"].items()}
     options["priors"] = {k: (Prior if "mean" in v else Uniform)(**v) for k, v in options["priors"].items()}
+    setting = options["setting"]
+    loads = None if setting["loads"] is None else cddf.Loads(**setting["loads"])
+    markers = {name: cddf.Marker(**marker) for name, marker in setting["markers"].items()}
+    options["setting"] = cddf.BenchSetting(loads, markers, setting["given"])
     return cddf.fit(cddf.read_manipulator(robot), tables, **options)

@@ -92,6 +92,7 @@ def test_options_of_a_fit(answer_of):
         "priors": {"friction_coefficient": {"low": 0.1, "high": 0.6}},
         "bounds": {"friction_coefficient": [0.2, None]},
         "noise": {"pulling_tension": {"floor": 0.1, "fraction": 0.01}},
+        "setting": {"loads": None, "markers": {}, "given": {}},
         "history": False,
         "before": "rest",
         "short_steps": 4,

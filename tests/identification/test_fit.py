@@ -308,7 +308,7 @@ def test_a_prediction_that_the_data_do_not_hold_has_no_band(pulley_alone):
         (("tip_angle", [np.nan]), "base_tension must hold finite numbers"),
         (("tip_angle", [5.0], (0.0, np.inf)), "tip_force must hold finite numbers"),
         (("tip_angle", [[10.0, 5.0]]), r"needs base_tension \(rows,\) or \(rows, 1\)"),
-        (("tip_angle", [10.0, 20.0], [1.0, 2.0, 3.0]), r"tip_force \(2,\) or \(rows, 2\)"),
+        (("tip_angle", [10.0, 20.0], [1.0, 2.0, 3.0, 4.0]), r"tip_force \(2,\) or \(rows, 2\)"),
     ],
 )
 def test_conditions_that_are_none(pulley_alone, arguments, message):

@@ -190,6 +190,12 @@ class BenchSetting:
             if not 2 <= len(marker.offset) <= 3 or not np.all(np.isfinite([marker.arc_length, *marker.offset])):
                 raise InputError(f"markers: {name} needs an arc length and an offset (x, y) or (x, y, z), got {marker}")
 
+    def as_dict(self) -> dict[str, object]:
+        """For `json`; loads in SI units."""
+        loads = None if self.loads is None else {name: np.asarray(value) for name, value in vars(self.loads).items()}
+        markers = {name: marker._asdict() for name, marker in self.markers.items()}
+        return {"loads": loads, "markers": markers, "given": dict(self.given)}
+
 
 PLAIN = BenchSetting()
 

@@ -269,18 +269,8 @@ def fit(
         raise InputError("fit: needs a table of measurements and a free parameter")
     options: dict[str, object] = {
         **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
-        **{
-            "loads": None if setting.loads is None else {n: np.asarray(v) for n, v in vars(setting.loads).items()},
-            "markers": {name: marker._asdict() for name, marker in setting.markers.items()},
-            "given": dict(setting.given),
-            "history": history,
-            "before": before,
-            "short_steps": short_steps,
-            "per_trial": per_trial,
-            "loss": loss,
-            "starts": starts,
-        },
-        **{"seed": seed, "nodes": nodes},
+        **{"setting": setting.as_dict(), "history": history, "before": before, "short_steps": short_steps},
+        **{"per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed, "nodes": nodes},
     }
     kinds = {name: bench.parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
