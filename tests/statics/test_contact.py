@@ -42,6 +42,14 @@ def test_a_tube_touches_itself_from_a_full_circle_on(angle):
     assert found.distance < 2 * RADIUS
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("angle", "touches"), [(350.0, False), (365.0, True)])
+def test_the_same_tube_in_space(angle, touches):
+    """Bent to a circle in a plane that lies askew, 0.7 rad about the axis: it meets itself as in the plane."""
+    body = replace(ROD, tendons=(cddf.Tendon(OFFSET, angle=0.7),))
+    assert (cddf.self_contact(bent(angle, body)) is not None) == touches
+
+
 @pytest.mark.parametrize(("bend", "touches"), [(0.9, True), (1.1, False)])
 def test_a_hairpin_whose_legs_lie_on_each_other(bend, touches):
     """Stiff leg, soft half turn, stiff leg: the legs are two bend radii apart, two radii of the rod touch."""

@@ -269,3 +269,12 @@ def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
     np.testing.assert_allclose(compliance[:3, 2], difference, rtol=1e-6, atol=1e-9)
     three = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
     assert cddf.tip_jacobian(three, jnp.array([20.0, 5.0, 5.0])).base_tension.shape == (6, 3)
+
+
+def test_a_body_and_its_equilibrium_in_words():
+    """The words have the numbers of the case of a quarter of a turn."""
+    body, pull, *_, tip = CASES["quarter of a turn"]
+    assert "angle 0 deg at the base, 90 deg at s = 140 mm" in str(body)
+    said = str(cddf.solve(body, pull))
+    assert f"tip at ({tip[0]:.3f}, {tip[1]:.3f}, {tip[2]:.3f}) mm" in said
+    assert "from the axis of the base" in said

@@ -12,7 +12,12 @@ from ..units import Dimension, shown
 from .manipulator import Manipulator, Tendon
 from .profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
 
-_PROFILES = ("outer_radius", "inner_radius", "bending_stiffness", "mass_per_length", "youngs_modulus")
+_PROFILES = (
+    *("outer_radius", "inner_radius", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness"),
+    *("mass_per_length", "youngs_modulus"),
+)
+_STRAINS = ("twist", "about y", "about z")
+_ALSO_ZERO = ("friction_coefficient", "poissons_ratio")
 _MATERIAL = ("youngs_modulus", "stiffness_factor", "friction_coefficient", "density", "drag", "yield_strain")
 _OF_TENDON = ("friction_coefficient", "end", "axial_stiffness", "free_length", "drag")
 
@@ -23,16 +28,22 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
     if any(isinstance(leaf, Tracer) for leaf in leaves) or np.ndim(manipulator.length) > 0:
         return eqx.tree_pformat(manipulator)
     length = float(manipulator.length)
-    varies = callable(manipulator.youngs_modulus)
+    varies, known = callable(manipulator.youngs_modulus), _MATERIAL
+    if manipulator.in_space:
+        known = (*known[:2], "poissons_ratio", *known[2:])
     return "\n".join(
         [
-            f"Manipulator of {shown(length, 'length')}, {manipulator.kinematics} kinematics",
+            _first_line(manipulator, length),
             *(
                 f"{name} {_profile(as_profile(getattr(manipulator, name)), length, dimension_of(name))}"
                 for name in _PROFILES
                 if getattr(manipulator, name) is not None and (name != "youngs_modulus" or varies)
             ),
-            ", ".join(_numbers(manipulator, _MATERIAL[1:] if varies else _MATERIAL)),
+            *(
+                f"rest_curvature {name} {_profile(part, length, 'curvature')}"
+                for name, part in zip(_STRAINS, manipulator.rest_curvature or (), strict=False)
+            ),
+            ", ".join(_numbers(manipulator, known[1:] if varies else known)),
             *(
                 f"point mass {i}: {shown(point.mass, 'mass')} at s = {shown(point.arc_length, 'length')}"
                 for i, point in enumerate(manipulator.point_masses, 1)
@@ -42,19 +53,27 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
     )
 
 
+def _first_line(manipulator: Manipulator, length: float) -> str:
+    stretches = ", its axis stretches and shears" if manipulator.extensible else ""
+    kind = f"in space{stretches}" if manipulator.in_space else f"{manipulator.kinematics} kinematics"
+    return f"Manipulator of {shown(length, 'length')}, {kind}"
+
+
 def _numbers(owner: Manipulator | Tendon, names: Sequence[str]) -> list[str]:
-    """Names and numbers of what is there; of all but friction, zero is the same as absent."""
+    """Names and numbers of what is there; of all but `_ALSO_ZERO`, zero is the same as absent."""
     values = {name: getattr(owner, name) for name in names}
     return [
         f"{name} {shown(value, dimension_of(name))}"
         for name, value in values.items()
-        if value is not None and (value or name == "friction_coefficient")
+        if value is not None and (value or name in _ALSO_ZERO)
     ]
 
 
 def _tendon(tendon: Tendon, length: float) -> str:
-    offset = _profile(tendon.offset, length if tendon.end is None else float(tendon.end))
-    return ", ".join([f"offset {offset}", f"side {tendon.side:+d}", *_numbers(tendon, _OF_TENDON)])
+    end = length if tendon.end is None else float(tendon.end)
+    offset = _profile(tendon.offset, end)
+    place = f"side {tendon.side:+d}" if tendon.angle is None else f"angle {_profile(tendon.angle, end, 'angle')}"
+    return ", ".join([f"offset {offset}", place, *_numbers(tendon, _OF_TENDON)])
 
 
 def _profile(profile: Profile, length: float, kind: Dimension = "length") -> str:

@@ -15,6 +15,7 @@ from .equilibrium import Dense, Equilibrium
 
 STATIONS = 401
 TURNS = np.pi / 2  # a body whose headings differ by less: pi R apart, the axis has gone on by pi R cos(pi/4) > 2 R
+PROJECTIONS, NEAR = 60, 1e-4  # of points on two cylinders; of their radii, what counts as touching
 FLAT = 1e-9  # of the length: what overlaps by less only touches
 
 
@@ -29,9 +30,10 @@ class Contact(NamedTuple):
 def self_contact(equilibrium: Equilibrium) -> Contact | None:
     """Where the wall of a bent body touches or overlaps another part of itself; None where it does not.
 
-    The body in the plane is the strip u(s) +- R_outer(s) n(s). It is cut into quadrilaterals at 401 arc lengths and at
+    A body in the plane is the strip u(s) +- R_outer(s) n(s). It is cut into quadrilaterals at 401 arc lengths and at
     its joints, and two of them count that share a point and lie farther apart along the body than pi times the larger
     of their radii. Nearer ones share a point where the bend is sharper than the radius, R kappa > 1, only.
+    A body in space is a row of cylinders between the same arc lengths.
     A tube bent to a full circle, 2 pi, touches itself with its ends. Of several places that touch, it is the pair
     whose neutral axes are nearest to each other for its radii. Clamp, tendons and disks are not looked at.
 
@@ -44,22 +46,34 @@ def self_contact(equilibrium: Equilibrium) -> Contact | None:
     if isinstance(equilibrium.tip_angle, Tracer) or np.ndim(equilibrium.tip_angle) > 0:
         raise ValueError("self_contact: needs one equilibrium, not a batch and not traced; take one lane out of it")
     body = equilibrium._dense.manipulator
-    if not equilibrium.has_wall or not np.ptp(equilibrium.heading) >= TURNS:  # neither where it is NaN
+    if not equilibrium.has_wall or not _comes_round(equilibrium):
         return None
     s = _stations(float(body.length), np.asarray(body.breakpoints, float))
     along = jax.tree.map(np.asarray, _centre_line(equilibrium._dense, s))
     radius = np.asarray(body.radii(s)[0])
     i, j = _far_pairs(s, along.position, radius)
-    normal = np.stack([-np.sin(along.heading), np.cos(along.heading)], axis=-1)
-    upper, lower = (along.position + sign * radius[:, None] * normal for sign in (+1, -1))
-    parts = np.stack([lower[:-1], lower[1:], upper[1:], upper[:-1]], axis=1)
-    touching = _share_a_point(parts[i], parts[j], FLAT * s[-1])
+    if equilibrium.in_space:
+        touching = _cylinders_touch(along.position, radius, i, j)
+    else:
+        normal = np.stack([-np.sin(along.heading), np.cos(along.heading)], axis=-1)
+        upper, lower = (along.position + sign * radius[:, None] * normal for sign in (+1, -1))
+        parts = np.stack([lower[:-1], lower[1:], upper[1:], upper[:-1]], axis=1)
+        touching = _share_a_point(parts[i], parts[j], FLAT * s[-1])
     if not np.any(touching):
         return None
     i, j = i[touching], j[touching]
     distance = np.linalg.norm(along.position[i] - along.position[j + 1], axis=-1)
     nearest = np.argmin(distance / (radius[i] + radius[j + 1]))
     return Contact(float(s[i[nearest]]), float(s[j[nearest] + 1]), float(distance[nearest]))
+
+
+def _comes_round(equilibrium: Equilibrium) -> bool:
+    """Whether the body turns far enough to meet itself; False where it is not known."""
+    if not equilibrium.in_space:
+        return bool(np.ptp(equilibrium.heading) >= TURNS)
+    tangent = np.asarray(equilibrium.frame)[:, :, 0]
+    mean = np.sum(tangent, axis=0)
+    return bool(np.min(tangent @ mean) <= np.cos(TURNS / 2) * np.linalg.norm(mean))
 
 
 @kept_program
@@ -74,13 +88,41 @@ def _stations(length: float, joints: np.ndarray) -> np.ndarray:
 
 
 def _far_pairs(s: np.ndarray, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of quadrilaterals that are far apart along the body, and near enough in the plane to be looked at."""
-    reach = np.maximum(radius[:-1], radius[1:]) + np.diff(s)  # of a quadrilateral from its first neutral point
+    """Pairs of pieces that are far apart along the body, and whose axes are near enough to be looked at."""
+    reach = np.maximum(radius[:-1], radius[1:]) + np.diff(s)  # of a piece from its first neutral point
     i, j = np.triu_indices(len(reach), 1)
     apart = s[j] - s[i + 1]
     far = apart > np.pi * np.maximum(reach[i], reach[j])
     near = np.linalg.norm(position[i] - position[j], axis=-1) <= reach[i] + reach[j]
     return i[far & near], j[far & near]
+
+
+def _cylinders_touch(position: np.ndarray, radius: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """Whether pieces i and j of a tube share a point: projections on each in turn lead to the points that are nearest.
+
+    Args:
+        position: of the axis (stations, 3), m.
+        radius: of the tube (stations,), m.
+        i, j: pairs of pieces; piece k lies between stations k and k + 1.
+    """
+    middle, chord = 0.5 * (position[1:] + position[:-1]), np.diff(position, axis=0)
+    half = 0.5 * np.linalg.norm(chord, axis=-1)
+    axis, wide = chord / (2.0 * half[:, None]), 0.5 * (radius[1:] + radius[:-1])
+
+    def onto(piece: np.ndarray, point: np.ndarray) -> np.ndarray:
+        away, along = point - middle[piece], axis[piece]
+        ahead = np.sum(away * along, axis=-1)
+        across = away - ahead[:, None] * along
+        far = np.maximum(np.linalg.norm(across, axis=-1), np.finfo(float).tiny)
+        inside = np.minimum(1.0, wide[piece] / far)[:, None] * across
+        return middle[piece] + np.clip(ahead, -half[piece], half[piece])[:, None] * along + inside
+
+    one = middle[i]
+    other = onto(j, one)
+    for _ in range(PROJECTIONS):
+        one = onto(i, other)
+        other = onto(j, one)
+    return np.linalg.norm(one - other, axis=-1) <= NEAR * (wide[i] + wide[j])
 
 
 def _share_a_point(one: np.ndarray, other: np.ndarray, flat: float) -> np.ndarray:

@@ -3,12 +3,18 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float
 
+from ..mechanics.problem import guarded_section, strain_of
+from ..mechanics.space import course
+from ..robot.cross_section import spatial
 from ..units import shown
 from .contact import self_contact
-from .equilibrium import RESULTS, Equilibrium, ended_as, on_host
+from .equilibrium import RESULTS, Dense, Equilibrium, ended_as, on_host
 
 _FAR_TOO_MUCH = 10.0  # offset * curvature, which no change of a body explains, but another unit does
 # results whose numbers are kept and may be wrong; `remarks_on` tells of further ones
@@ -35,8 +41,9 @@ def is_single(equilibrium: Equilibrium) -> bool:
 
 def tip_line(equilibrium: Equilibrium) -> str:
     """Position and angle of the tip."""
-    x, y = 1e3 * np.asarray(equilibrium.tip_position)
-    return f"tip at ({x:.3f}, {y:.3f}) mm, {np.degrees(equilibrium.tip_angle):.3f} deg"
+    place = ", ".join(f"{x:.3f}" for x in 1e3 * np.asarray(equilibrium.tip_position))
+    against = " from the axis of the base" if equilibrium.in_space else ""
+    return f"tip at ({place}) mm, {np.degrees(equilibrium.tip_angle):.3f} deg{against}"
 
 
 def tendon_lines(equilibrium: Equilibrium, pulled: Sequence[str]) -> list[str]:
@@ -132,10 +139,26 @@ def result_in_words(equilibrium: Equilibrium) -> str:
 def describe_crossing(equilibrium: Equilibrium) -> str:
     """Where offset * curvature is largest on the inside of a bend, as "tendon 1: offset * curvature is 1.08 at ..."."""
     body, s = equilibrium._dense.manipulator, np.asarray(equilibrium.arc_length)
-    side = np.asarray([tendon.side for tendon in body.tendons])[:, None]
+    if equilibrium.in_space:
+        shorter = np.asarray(_shortened(equilibrium._dense, s))
+    else:
+        side = np.asarray([tendon.side for tendon in body.tendons])[:, None]
+        shorter = side * np.asarray(body.offset(s)) * np.asarray(equilibrium.curvature)
     reach = np.asarray([body.length if tendon.end is None else tendon.end for tendon in body.tendons])[:, None]
-    crossing = np.where(s <= reach, side * np.asarray(body.offset(s)) * np.asarray(equilibrium.curvature), 0.0)
+    crossing = np.where(s <= reach, shorter, 0.0)
     tendon, point = np.unravel_index(np.argmax(crossing), crossing.shape)
     most = crossing[tendon, point]
     hint = "; is the modulus in Pa, are lengths in m?" if most > _FAR_TOO_MUCH else ""
-    return f"tendon {tendon + 1}: offset * curvature is {most:.3g} at s = {shown(s[point], 'length')}{hint}"
+    what = "offset * curvature less stretch" if body.extensible else "offset * curvature"
+    return f"tendon {tendon + 1}: {what} is {most:.3g} at s = {shown(s[point], 'length')}{hint}"
+
+
+@eqx.filter_jit
+def _shortened(dense: Dense, arc_length: Float[ArrayLike, " points"]) -> Float[Array, "tendons points"]:
+    """By how much the fibre at each tendon of a body in space is shorter than the axis at rest."""
+
+    def at(s: Float[Array, ""]) -> Float[Array, " tendons"]:
+        section = spatial(guarded_section(dense.manipulator, s))
+        return 1.0 - course(section, strain_of(section, dense.base_tension, dense.state(s)))[:, 0]
+
+    return jax.vmap(at, out_axes=1)(jnp.asarray(arc_length))

@@ -169,6 +169,11 @@ class Equilibrium(eqx.Module):
     path = property(lambda self: self.along.path, doc="The place of each tendon in space, m, (tendons, points, 3).")
 
     @property
+    def in_space(self) -> bool:
+        """Whether the body was solved in space, so that its fields are `SpatialFields`; static."""
+        return self._dense.manipulator.in_space
+
+    @property
     def has_wall(self) -> bool:
         """Whether the body has an outer radius, so that the strain of its wall is known."""
         return self._dense.manipulator.outer_radius is not None
