@@ -21,7 +21,7 @@ import cddf_jax as cddf
 from cddf_jax.application import configure_jax_for_batches
 
 COUNT, CHUNK = 102_400, 1_280
-STEPS = 8, 32
+STEPS, FEWER = (8, 16, 32), (6, 8)  # of RK4; nodes beside the default of 16
 ANGLES = np.radians([0.0, 120.0, 240.0])
 
 
@@ -114,6 +114,7 @@ def main() -> None:
     samples = tuple(jax.device_put(jnp.asarray(rng.uniform(1.0, 40.0, COUNT)), on_devices()) for _ in range(3))
     exact = numba_loop(robot, 512)(*samples)
     functions = {"solve": batched(tip(robot, 16), CHUNK)}
+    functions |= {f"solve, {nodes} nodes": batched(tip(robot, nodes), CHUNK) for nodes in FEWER}
     functions |= {f"RK4 of {steps} steps, numba": numba_loop(robot, steps) for steps in STEPS}
     times = interleaved({name: lambda f=f: f(*samples) for name, f in functions.items()})
     rows = {}

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import paper_body
+from scipy.integrate import solve_ivp
 
 import cddf_jax as cddf
 
@@ -278,3 +279,21 @@ def test_a_body_and_its_equilibrium_in_words():
     said = str(cddf.solve(body, pull))
     assert f"tip at ({tip[0]:.3f}, {tip[1]:.3f}, {tip[2]:.3f}) mm" in said
     assert "from the axis of the base" in said
+
+
+@pytest.mark.slow
+def test_parallel_tendons_that_slide_both_ways():
+    """T' = -direction mu |u| T, u = sum T (z, -y) / (E J) up to signs, by SciPy; the moment passes near zero."""
+    angles, friction, direction = np.radians([0.0, 120.0, 240.0]), np.array([0.9, 0.3, 0.5]), np.array([1.0, -1.0, 1.0])
+    tendons = [cddf.Tendon(0.010, angle=a, friction_coefficient=mu) for a, mu in zip(angles, friction, strict=True)]
+    body, pull = in_space(*tendons), np.array([60.0, 40.0, 45.0])
+    arms = 0.010 * np.stack([np.cos(angles), np.sin(angles)])
+
+    def rate(s, tension):
+        outer = 0.020 - 0.007 * s / LENGTH
+        stiffness = 1.4e6 * np.pi / 4 * (outer**4 - 0.007**4)
+        return -direction * friction * np.linalg.norm(arms @ tension) / stiffness * tension
+
+    expected = solve_ivp(rate, (0.0, LENGTH), pull, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    found = cddf.solve(body, pull, direction=direction, throw=False)
+    np.testing.assert_allclose(found.tip_tension, expected, rtol=1e-9)

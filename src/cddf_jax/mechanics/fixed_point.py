@@ -20,7 +20,7 @@ from ..numerics.arrays import all_finite, cos_sin, largest, relative_size
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
-from ..numerics.rotations import cross, in_fixed_frame, turned_by
+from ..numerics.rotations import cross, in_fixed_frame, turn_by, turned_by
 from ..robot.cross_section import AnySection
 from ..robot.loads import planar_cross
 from . import space
@@ -265,7 +265,10 @@ def _shape_in_space(problem: Problem, guess: Nodal, tension: Float[Array, "P p t
     if guess.frame is not None:
         wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
     strain = _strain_in_space(section, tension, wrench)
-    turning = _turning_in_space(section, strain, *_tangents(cut, section, strain))
+    if section.parallel and wrench is None:  # every tendon follows the axis, and turns as it does
+        turning = _turning_along_axis(section, strain)
+    else:
+        turning = _turning_in_space(section, strain, *_tangents(cut, section, strain))
     if guess.frame is None:
         return _Shape(turning, None, None, None, strain)
     rate = turned_by(guess.frame, space.curvature_of_strain(strain))
@@ -277,6 +280,7 @@ def _shape_in_space(problem: Problem, guess: Nodal, tension: Float[Array, "P p t
 
 _strain_in_space = at_nodes(space.strain, (0, 0, 0))
 _turning_in_space = at_nodes(space.turning_in_space, (0, 0, 0, 0))
+_turning_along_axis = at_nodes(space.turning_along_axis, (0, 0))
 
 
 def _tangents(cut: Panels, section: AnySection, strain: Array) -> tuple[Array, Array]:
@@ -289,7 +293,7 @@ def _frames(cut: Panels, strain: Array) -> tuple[Array, Array]:
     """The rotations at the edges and the nodes that follow from the curvature, both (..., 4)."""
     update = Partial(_turn_on, cut, space.curvature_of_strain(strain))
     identity = identity_as(strain)
-    guess = jnp.broadcast_to(identity, (*cut.nodes.shape, 4))
+    guess = turn_by(cut.integrate(space.curvature_of_strain(strain))[1])  # what it is for bends about one axis
     found = fixed_point(update, guess, tolerance=round_off(strain.dtype), max_passes=64).value
     edges, nodes = cut.integrate(turned_by(found, space.curvature_of_strain(strain)))
     return identity + edges, identity + nodes

@@ -5,7 +5,8 @@ what changes sign is the curvature; in the exact kinematics a slanted tendon has
 A tendon goes slack where drag has used up its base tension.
 
 In space the turning of a tendon has no sign, and mostly it does not vanish; but it may have a minimum so sharp that it
-is nearly a kink. There panels end as well.
+is nearly a kink. There panels end as well. Without loads and drag, tendons that all follow the axis have none: their
+wrap angle obeys theta'' = P'(theta) / 2 over s / (E J), where P, the square of the moment, is smooth in theta.
 """
 
 from collections.abc import Callable
@@ -71,8 +72,10 @@ class Splits(NamedTuple):
 def num_splits(manipulator: Manipulator, loads: Loads | None) -> int:
     """For how many sign changes there is room; for a body in space, for the panels around one sharp minimum."""
     if manipulator.in_space:
-        even = manipulator.num_tendons == 1 and not manipulator.slanted and manipulator.rest_curvature is None
-        return 0 if even and loads is None else 3
+        # tendons that all follow the axis, where neither drag nor stretch moves the moment towards zero
+        parallel = not manipulator.slanted and manipulator.rest_curvature is None
+        alone = manipulator.num_tendons == 1 or (manipulator.tendon_drag is None and not manipulator.extensible)
+        return 0 if loads is None and parallel and alone else 3
     own = _turns_on_its_own(manipulator)
     slack = 0 if manipulator.tendon_drag is None else manipulator.num_tendons
     if loads is None and manipulator.num_tendons == 1 and not own:

@@ -75,6 +75,11 @@ def turning_in_space(section: SpatialSection, strain: Strain, tangent: Vectors, 
     return jnp.where(section.present, length_of(turn_vectors(strain, tangent, tangent_rate)), 0.0)
 
 
+def turning_along_axis(section: SpatialSection, strain: Strain) -> PerTendon:
+    """The same of tendons that follow the axis of a body without loads, which does not twist: |u|."""
+    return jnp.where(section.present, length_of(curvature_of_strain(strain)), 0.0)
+
+
 def turn_between(one: Vectors, other: Vectors) -> PerTendon:
     """The angle between unit tangents, rad."""
     apart, together = length_of(other - one), length_of(other + one)

@@ -220,7 +220,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     return _Following(
         trial=trial._replace(settled=trial.settled & ~move, num_passes=num_passes),
         travel=travel,
-        ends=jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends),
+        ends=jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends) if moves.size else ends,
         num_moves=num_moves + jnp.where(move, 1.0, 0.0),
         over=over,
     )
