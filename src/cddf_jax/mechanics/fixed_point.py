@@ -20,7 +20,7 @@ from ..numerics.arrays import all_finite, cos_sin, largest, relative_size
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
-from ..numerics.rotations import cross, in_fixed_frame, turn_by, turned_by
+from ..numerics.rotations import cross, in_fixed_frame, of_turn, turned_by
 from ..robot.cross_section import AnySection
 from ..robot.loads import planar_cross
 from . import space
@@ -293,7 +293,7 @@ def _frames(cut: Panels, strain: Array) -> tuple[Array, Array]:
     """The rotations at the edges and the nodes that follow from the curvature, both (..., 4)."""
     update = Partial(_turn_on, cut, space.curvature_of_strain(strain))
     identity = identity_as(strain)
-    guess = turn_by(cut.integrate(space.curvature_of_strain(strain))[1])  # what it is for bends about one axis
+    guess = of_turn(cut.integrate(space.curvature_of_strain(strain))[1])  # what it is for bends about one axis
     found = fixed_point(update, guess, tolerance=round_off(strain.dtype), max_passes=64).value
     edges, nodes = cut.integrate(turned_by(found, space.curvature_of_strain(strain)))
     return identity + edges, identity + nodes

@@ -45,14 +45,6 @@ def turned_by(q: Quaternion, rate: Vector) -> Quaternion:
     return 0.5 * jnp.concatenate([w, q[..., :1] * rate + cross(q[..., 1:], rate)], axis=-1)
 
 
-def turn_by(angle: Vector) -> Quaternion:
-    """The rotation by an angle about one axis, rad: both as one vector."""
-    size = length_of(angle)[..., None]
-    some = size > 0
-    half = jnp.where(some, jnp.sin(0.5 * size) / jnp.where(some, size, 1.0), 0.5)
-    return jnp.concatenate([jnp.cos(0.5 * size), half * angle], axis=-1)
-
-
 def in_fixed_frame(q: Quaternion, vector: Vector) -> Vector:
     """A vector in the axes of the rotation, seen from outside: R v."""
     across = cross(q[..., 1:], vector)

@@ -74,9 +74,9 @@ class Settled(NamedTuple):
     travel: PerTendon | None  # by which directions are judged, m; likewise
 
 
-def needs_search(manipulator: Manipulator, loads: Loads | None) -> bool:
+def needs_search(setup: Setup) -> bool:
     """Whether a moment at the base, sign changes or directions have to be found; static."""
-    return loads is not None or num_splits(manipulator, None) > 0 or manipulator.num_tendons > 1
+    return setup.loads is not None or num_splits(setup.manipulator, None) > 0 or len(setup.to_find) > 0
 
 
 def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
@@ -103,7 +103,7 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
         resolved=true,
     )
     direction = setup.direction + zero
-    if not needs_search(setup.manipulator, setup.loads):
+    if not needs_search(setup):
         return Settled(direction, load_path, splits, None, None)
     guess = everywhere(_cut(setup, splits), unloaded(setup.manipulator, jnp.ones_like(base_tension), setup.loads))
     return Settled(direction, load_path, splits, start_from(guess, zero), base_tension + zero)
