@@ -21,7 +21,7 @@ from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import cross, in_fixed_frame, of_turn, turned_by
-from ..robot.cross_section import AnySection
+from ..robot.cross_section import AnySection, spatial
 from ..robot.loads import planar_cross
 from . import space
 from .friction import PerTendon, Pull, ratio_rate, spent_rate
@@ -265,7 +265,7 @@ def _shape_in_space(problem: Problem, guess: Nodal, tension: Float[Array, "P p t
     if guess.frame is not None:
         wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
     strain = _strain_in_space(section, tension, wrench)
-    if section.parallel and wrench is None:  # every tendon follows the axis, and turns as it does
+    if spatial(section).parallel and wrench is None:  # every tendon follows the axis, and turns as it does
         turning = _turning_along_axis(section, strain)
     else:
         turning = _turning_in_space(section, strain, *_tangents(cut, section, strain))
