@@ -31,8 +31,8 @@ def test_a_notebook_is_stored_bare(path):
 
 
 def test_the_notebooks_are_those_of_the_series():
-    """01 to 08, none left out and none twice."""
-    assert [path.stem[:3] for path in NOTEBOOKS] == [f"{number:02}_" for number in range(1, 9)]
+    """01 to 09, none left out and none twice."""
+    assert [path.stem[:3] for path in NOTEBOOKS] == [f"{number:02}_" for number in range(1, 10)]
 
 
 # --- their pictures on the site --------------------------------------------------------------------
