@@ -165,7 +165,7 @@ torsional_stiffness = "0.02 N m^2"
 axial_stiffness = "1 kN"
 friction_coefficient = 0.42
 [[tendons]]
-offset = "10 mm"
+offset = "12 mm"
 angle = "120 deg"
 [[tendons]]
 offset = "10 mm"

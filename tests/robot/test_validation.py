@@ -174,3 +174,105 @@ def test_crossing_names_the_tendon_and_the_narrow_end():
     text = describe_crossing(cddf.solve(body, [0.0, 60.0], throw=False))
     assert text.startswith("tendon 2: offset * curvature is 0.")
     assert text.endswith("at s = 140 mm")  # J is smallest at the tip, and T is constant
+
+
+# --- in space ------------------------------------------------------------------------------------
+
+TURN, AT_70_MM = 2 * np.pi, 1e-3 * 70
+
+
+def in_space(*tendons, **others):
+    return replace(BODY, tendons=tuple(cddf.Tendon(offset, angle=angle) for offset, angle in tendons), **others)
+
+
+def helix(turns, start=0.0):
+    return cddf.Linear(start, start + TURN * turns, 0.14)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        in_space((0.010, 0.0), (0.010, 2.0), (0.010, 4.0)),
+        in_space((0.010, 0.0), (0.011, 0.0)),  # one above the other
+        in_space((0.010, helix(3)), (0.010, helix(3, 0.1))),  # side by side
+        in_space((0.010, helix(1)), (0.012, helix(-1))),  # one winds around the other
+        in_space((0.010, cddf.Piecewise([0.07], [cddf.Constant(0.5), cddf.Constant(0.5 + TURN)]))),
+        in_space((0.010, 0.0), poissons_ratio=0.5, rest_curvature=(0.0, helix(1), 2.0)),
+    ],
+)
+def test_sound_bodies_in_space_pass(body):
+    assert body.validate() is body
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (
+            in_space((0.010, 1.0), (0.012, 0.0), (0.010, 1.0 + TURN)),
+            "tendons 1 and 3 must not touch or cross: at s = 0 mm both lie 10 mm from the axis at 57.2958 deg; "
+            "change an offset or an angle",
+        ),
+        (  # a quarter of a turn on one side meets a quarter on the other where both have made 45 degrees, in the middle
+            in_space((0.010, helix(0.25)), (0.010, helix(-0.25, TURN / 4))),
+            "tendons 1 and 2 must not touch or cross: at s = 70 mm both lie 10 mm from the axis at 45 deg; change an",
+        ),
+        (  # 10 turns against 10 turns, from half a turn apart: first together after 1/40 of the length
+            in_space((0.010, helix(10)), (0.010, helix(-10, TURN / 2))),
+            "tendons 1 and 2 must not touch or cross: at s = 3.5 mm both lie 10 mm from the axis at 90 deg;",
+        ),
+        (  # radii that cross at 1/3 of the length, between two points of the grid
+            in_space((cddf.Linear(0.012, 0.009, 0.14), 0.3), (cddf.Linear(0.0105, 0.012, 0.14), 0.3)),
+            "tendons 1 and 2 must not touch or cross: at s = 46.6667 mm both lie 11 mm from the axis at 17.1887 deg;",
+        ),
+        (
+            in_space((0.010, cddf.Piecewise([0.07], [cddf.Constant(0.5), cddf.Constant(1.0)]))),
+            "tendon 1: angle must not jump: at s = 70 mm it goes from 28.6479 deg to 57.2958 deg; make the pieces meet",
+        ),
+        (
+            in_space((0.010, lambda s: jnp.log(s - AT_70_MM + 1e-9))),
+            "tendon 1: angle must be finite: at s = 0 mm it is nan; correct the profile there",
+        ),
+        (in_space((0.010, lambda s: 0.0)), "tendon 1: angle must give one value per arc length, got shape ()"),
+        (in_space((0.010, np.inf)), "tendons[0].angle.value must be finite, got inf; correct its value"),
+        (
+            in_space((-0.010, 0.0)),
+            "tendon 1: offset must be 0 or more: at s = 0 mm it is -10 mm; give the distance from the neutral axis, "
+            "and the side by its angle",
+        ),
+        (
+            in_space((0.015, 0.0)),  # the outer radius falls to 15 mm at s = 100 mm
+            "tendon 1: offset must lie inside the wall: at s = 100.1 mm it is 15 mm and the wall runs from 7 mm to "
+            "14.995 mm; move the tendon, or allow it with offsets_outside_wall",
+        ),
+        (in_space((0.01, 0.0), poissons_ratio=0.6), "poissons_ratio must be above -1 and at most 0.5, got 0.6;"),
+        (in_space((0.01, 0.0), poissons_ratio=-1.0), "poissons_ratio must be above -1 and at most 0.5, got -1;"),
+        (
+            in_space((0.01, 0.0), torsional_stiffness=cddf.Linear(0.02, -0.01, 0.14)),  # 0 after 2/3
+            "torsional_stiffness must be above 0: at s = 93.38 mm it is -1e-05 N m^2; correct it there",
+        ),
+        (
+            in_space((0.01, 0.0), extensible=True, axial_stiffness=0.0),
+            "axial_stiffness must be above 0: at s = 0 mm it is 0 N; correct it there",
+        ),
+        (
+            in_space((0.01, 0.0), extensible=True, shear_stiffness=-5.0),
+            "shear_stiffness must be above 0: at s = 0 mm it is -5 N; correct it there",
+        ),
+        (
+            in_space((0.01, 0.0), rest_curvature=(0.0, lambda s: 1.0, 0.0)),
+            "rest_curvature about y must give one value per arc length, got shape ()",
+        ),
+        (
+            in_space((0.01, 0.0), rest_curvature=(lambda s: jnp.sqrt(s - AT_70_MM), 0.0, 0.0)),
+            "rest_curvature twist must be finite: at s = 0 mm it is nan; correct the profile there",
+        ),
+    ],
+)  # fmt: skip
+def test_bodies_in_space_refused_with_place_and_remedy(body, message):
+    assert message in message_of(body)
+
+
+def test_tendons_may_meet_beyond_the_end_of_one():
+    one, other = cddf.Tendon(0.010, angle=helix(0.25)), cddf.Tendon(0.010, angle=helix(-0.25, TURN / 4), end=0.069)
+    body = replace(BODY, tendons=(one, other))
+    assert body.validate() is body

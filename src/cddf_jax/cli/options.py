@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, TypeVar
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, within
 from ..progress import stage
 
 if TYPE_CHECKING:
@@ -121,8 +121,10 @@ def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[
     read = read_robot_file(robot)
     if read.columns:
         note([in_one_line(read.columns)])
-    other = read.manipulator if kinematics is None else replace(read.manipulator, kinematics=kinematics)
-    return read._replace(manipulator=other)
+    if kinematics is None:
+        return read
+    with within(f"--kinematics {kinematics}", ValueError):
+        return read._replace(manipulator=replace(read.manipulator, kinematics=kinematics))
 
 
 def read_data(

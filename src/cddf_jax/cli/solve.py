@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import SolveError
+from ..errors import SolveError, within
 from ..progress import stage
 from . import options
 
@@ -48,7 +48,7 @@ def solve(
     actuation = read_actuation(base_tension, manipulator)
     loads = read_loads(tip_force, tip_moment, gravity)
     directions = read_directions(direction, manipulator)
-    with stage("solving"):
+    with stage("solving"), within(robot, ValueError):
         equilibrium = on_host(solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False))
     if ended_as(equilibrium, RESULTS.slack, RESULTS.unreachable):
         raise SolveError(missed_targets_in_words(equilibrium, actuation, base_tension))

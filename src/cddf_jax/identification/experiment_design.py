@@ -246,20 +246,21 @@ def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candid
     """
     levels = tension * np.arange(1, 7) / 6
     cell, angle, place = 0.01 * tension, np.radians(1.0), 1e-3
+    axes = ("tip_x", "tip_y", "tip_z") if manipulator.in_space else ("tip_x", "tip_y")
     wraps = np.radians([45.0, 90.0, 135.0, 180.0, 225.0, 270.0])
     found = [
         Candidate("pulley test", {"wrap_angle": wraps, "weight": 0.1 * tension}, {"pulling_tension": cell}),
         Candidate("tip tensions", {"base_tension": levels}, {"tip_tension": cell}),
         Candidate("tip angles", {"base_tension": levels}, {"tip_angle": angle}),
         Candidate("tip tensions and angles", {"base_tension": levels}, {"tip_tension": cell, "tip_angle": angle}),
-        Candidate("tip positions", {"base_tension": levels}, {"tip_x": place, "tip_y": place}),
+        Candidate("tip positions", {"base_tension": levels}, dict.fromkeys(axes, place)),
         Candidate(
             "tip tensions under a tip weight of 1 N",
             {"base_tension": levels, "tip_force_y": -1.0},
             {"tip_tension": cell},
         ),
     ]
-    if manipulator.num_tendons == 1:
+    if manipulator.num_tendons == 1 and not manipulator.in_space:  # whose histories are not known yet
         back = {"base_tension": [*levels, *levels[-2::-1]], "step": np.arange(11)}
         read = {"tip_tension": cell, "tip_angle": angle}
         found.append(Candidate("tip tensions and angles, pulled and come back down", back, read))

@@ -18,7 +18,7 @@ from ..identification.bench import unit_of
 from ..identification.experiment_design import Plan
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
-from ..mechanics.fields import Fields, in_the_plane
+from ..mechanics.fields import AnyFields, SpatialFields
 from ..quantities import QUANTITIES
 from ..statics.description import result_in_words
 from ..statics.equilibrium import Equilibrium, fields_on
@@ -36,6 +36,7 @@ OF_STEPS = (  # columns of a history
 )
 ENERGIES = ("work", "friction_loss", "stored_energy")
 ALONG = ("heading", "curvature", "tension", "normal_force", "friction_force")  # columns of tables
+ALONG_IN_SPACE = ("frame", "curvature", "twist", "tension", "normal_force", "friction_force", "path")
 
 
 def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] | None = None) -> "xarray.Dataset":
@@ -75,7 +76,8 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
 def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) -> "pandas.DataFrame":
     """A table, SI units: of an equilibrium its fields, of a history its steps, of a fit, of measurements, of a plan.
 
-    - Equilibrium: a row for each of 201 arc lengths; columns carry their units, tendons count from 1.
+    - Equilibrium: a row for each of 201 arc lengths; columns carry their units, tendons count from 1. In space
+      "curvature_x" is the twist, and "frame_x_y" the first component of the axis y.
     - History: a row for each step; where tendons are several, columns count them from 1.
     - Fit (or any `Determination`): a row for each parameter, and for each combination that is identified in place of
       its parts, with value, standard_error, lower, upper (95 %), unit and status. What is not identified has no
@@ -105,30 +107,35 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
     )
 
 
-def fields_csv(fields: Fields, notes: Sequence[str] = ()) -> str:
+def fields_csv(fields: AnyFields, notes: Sequence[str] = ()) -> str:
     """What varies along the body as a table for a CSV file, notes above it."""
     return "".join(f"# {note}\n" for note in notes) + table_csv(field_columns(fields))
 
 
-def fields_on_grid(equilibrium: Equilibrium) -> Fields:
+def fields_on_grid(equilibrium: Equilibrium) -> AnyFields:
     """The fields at 201 arc lengths from base to tip.
 
     Raises:
         InputError: for a batch of equilibria.
     """
-    return in_the_plane(fields_on(equilibrium, _stations(equilibrium, None)), "table of fields")
+    return fields_on(equilibrium, _stations(equilibrium, None))
 
 
-def field_columns(fields: Fields) -> dict[str, np.ndarray]:
-    """One number for each arc length, by the head of its column."""
-    x, y = np.asarray(fields.position).T
-    columns = {"arc_length [m]": np.asarray(fields.arc_length), "x [m]": x, "y [m]": y}
-    for name in ALONG:
-        values, own = np.asarray(getattr(fields, name)), [dim for dim in OUTPUTS[name] if dim != "point"]
-        values = np.moveaxis(values, OUTPUTS[name].index("point"), -1)
+def field_columns(fields: AnyFields) -> dict[str, np.ndarray]:
+    """One number for each arc length, by the head of its column.
+
+    Tendons count from 1. In space curvature_x is the twist, and frame_x_y the first component of the axis y.
+    """
+    known, names = (IN_SPACE, ALONG_IN_SPACE) if isinstance(fields, SpatialFields) else (OUTPUTS, ALONG)
+    columns = {"arc_length [m]": np.asarray(fields.arc_length)}
+    columns |= {f"{axis} [m]": own for axis, own in zip(AXES, np.asarray(fields.position).T, strict=False)}
+    for name in names:
+        values, own = np.asarray(getattr(fields, name)), [dim for dim in known[name] if dim != "point"]
+        values, unit = np.moveaxis(values, known[name].index("point"), -1), QUANTITIES[name].unit
         for place in np.ndindex(values.shape[:-1]):
-            ends = [f"_{i + 1 if dim == 'tendon' else 'xy'[i]}" for dim, i in zip(own, place, strict=True)]
-            columns[f"{name}{''.join(ends)} [{QUANTITIES[name].unit}]"] = values[place]
+            ends = [f"_{i + 1 if dim == 'tendon' else AXES[i]}" for dim, i in zip(own, place, strict=True)]
+            head = f"{name}{''.join(ends)}"
+            columns[head if unit == "1" else f"{head} [{unit}]"] = values[place]
     return columns
 
 

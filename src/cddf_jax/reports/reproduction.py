@@ -67,11 +67,13 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
         What reproduction.json holds: `table`, a list of rows in SI units, and `files`, their names.
 
     Raises:
-        InputError: for a manipulator with several tendons, or trials without tip tensions.
+        InputError: for a manipulator with several tendons or in space, or trials without tip tensions.
         SolveError: when the body has no equilibrium at one of the tensions.
     """
     if manipulator.num_tendons != 1:
         raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; leave one")
+    if manipulator.in_space:
+        raise InputError("the paper's manipulator bends in a plane, this one is in space; take its tendon's angle away")
     if "tip_tension" not in load_cells:
         raise InputError(f"{load_cells.name}: the column tip_tension is missing; Fig. 8 shows it over base_tension")
     results = computed(manipulator, load_cells)

@@ -3,15 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import ArrayLike
 
 from ..files.artifacts import picked
 from ..quantities import dimension_of
-from ..robot.loads import Loads
+from ..robot.loads import Loads, loads_in_space
 from ..statics.contact import self_contact
 from ..statics.description import last_lines, strain_line, tendon_lines, tip_line
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.targets import CurvatureAt, Target
-from ..sweeping.one_solve import OUTPUTS
+from ..sweeping.one_solve import IN_SPACE, OUTPUTS
 from ..units import shown
 
 
@@ -31,8 +32,9 @@ def solve_as_dict(
     if loads is not None:
         answer["loads"] = picked(loads, ("tip_force", "tip_moment", "gravity"))
     answer["self_contact"] = self_contact(equilibrium)
-    known = [name for name in OUTPUTS if equilibrium.has_wall or not name.startswith("peak_strain")]
-    return answer | dict.fromkeys(OUTPUTS) | picked(equilibrium, known)
+    every = IN_SPACE if equilibrium.in_space else OUTPUTS
+    known = [name for name in every if equilibrium.has_wall or not name.startswith("peak_strain")]
+    return answer | dict.fromkeys(every) | picked(equilibrium, known)
 
 
 def _target_as_dict(target: Target) -> dict[str, object]:
@@ -59,13 +61,23 @@ def solve_in_words(
 
 
 def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
-    force, gravity = ("({:.5g}, {:.5g})".format(*np.asarray(pair)) for pair in (loads.tip_force, loads.gravity))
+    loads = loads_in_space(loads) if equilibrium.in_space else loads
+    force, gravity = (_numbers(vector) for vector in (loads.tip_force, loads.gravity))
     steps = int(equilibrium.num_load_steps)
     return [
-        f"loads: tip force {force} N, tip moment {shown(loads.tip_moment, 'moment')}, gravity {gravity} m/s^2; "
+        f"loads: tip force {force} N, tip moment {_moment(loads.tip_moment)}, gravity {gravity} m/s^2; "
         f"put on in {steps} step{'s' if steps > 1 else ''}",
-        f"moment of the loads at the base: {shown(equilibrium.base_moment, 'moment')}",
+        f"moment of the loads at the base: {_moment(equilibrium.base_moment)}",
     ]
+
+
+def _numbers(vector: ArrayLike) -> str:
+    return f"({', '.join(f'{x:.5g}' for x in np.asarray(vector))})"
+
+
+def _moment(moment: ArrayLike) -> str:
+    """A number in the plane, three in space."""
+    return f"{_numbers(moment)} N m" if np.ndim(moment) else shown(float(np.asarray(moment)), "moment")
 
 
 def missed_targets_in_words(equilibrium: Equilibrium, actuation: Sequence[float | Target], texts: Sequence[str]) -> str:

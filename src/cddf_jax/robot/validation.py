@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator
+from itertools import combinations
 
 import jax
 import numpy as np
@@ -17,9 +18,12 @@ from .profiles import Number, Piecewise, Polyline, Profile, Spline, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
 _POINTS = 1001
+_MEET = "make the pieces meet"
 _ABOVE_ZERO = ("length", "youngs_modulus", "stiffness_factor", "yield_strain", "arc_length", "axial_stiffness", "end")
 _ZERO_OR_MORE = ("friction_coefficient", "drag", "density", "mass", "free_length")
-_DEMANDED_ALONG = {"youngs_modulus": "above 0", "bending_stiffness": "above 0", "mass_per_length": "0 or more"}
+_STIFFNESSES = ("youngs_modulus", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
+_DEMANDED_ALONG = {**dict.fromkeys(_STIFFNESSES, "above 0"), "mass_per_length": "0 or more"}
+_STRAINS = ("twist", "about y", "about z")
 
 
 def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> None:
@@ -44,6 +48,9 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
                 _check_sign(name, demand, _values(name, manipulator.profiles[name], s), s)
         for number, tendon in enumerate(manipulator.tendons, 1):
             _check_tendon(f"tendon {number}", manipulator, tendon, s, offsets_outside_wall)
+        for strain, part in zip(_STRAINS, manipulator.rest_curvature or (), strict=False):
+            _values(f"rest_curvature {strain}", part, s)
+        _check_apart(manipulator, s)
 
 
 def check_weight(manipulator: Manipulator, loads: Loads | None) -> None:
@@ -78,6 +85,9 @@ def _check_leaves(manipulator: Manipulator) -> None:
 def _check_scalars(manipulator: Manipulator) -> None:
     length = manipulator.length
     _check_numbers("", manipulator)
+    ratio = manipulator.poissons_ratio
+    if not -1 < ratio <= 0.5:
+        raise InputError(f"poissons_ratio must be above -1 and at most 0.5, got {float(ratio):.6g}; correct its value")
     for number, point in enumerate(manipulator.point_masses, 1):
         _check_numbers(f"point mass {number}: ", point)
         if point.arc_length > length:
@@ -168,9 +178,13 @@ def _check_tendon(name: str, manipulator: Manipulator, tendon: Tendon, s: np.nda
     beyond = s > reach
     offset = _values(f"{name}: offset", tendon.offset, s, beyond)
     rule = f"{name}: offset must be 0 or more"
-    remedy = "give the distance from the neutral axis, and the side by side=-1"
+    by = "side=-1" if tendon.angle is None else "its angle"
+    remedy = f"give the distance from the neutral axis, and the side by {by}"
     _demand((offset >= 0) | beyond, s, rule, lambda i: f"it is {_mm(offset[i])}", remedy)
     _check_jumps(name, tendon, reach)
+    if tendon.angle is not None:
+        _values(f"{name}: angle", tendon.angle, s, beyond)
+        _check_turns(name, tendon.angle, reach)
     if outside_wall or not manipulator.has_radii:
         return
     outer, inner = evaluated(Manipulator.radii, manipulator, s)
@@ -189,7 +203,42 @@ def _check_jumps(name: str, tendon: Tendon, reach: float) -> None:
     before, after = (_at(tendon.offset, side) for side in sides)
     slack = _SLACK * np.maximum(reach, np.abs(before))  # a steep offset moves between the sides
     meet, rule = np.abs(after - before) <= slack, f"{name}: offset must not jump"
-    _demand(meet, sides[0], rule, lambda i: f"it goes from {_mm(before[i])} to {_mm(after[i])}", "make the pieces meet")
+    _demand(meet, sides[0], rule, lambda i: f"it goes from {_mm(before[i])} to {_mm(after[i])}", _MEET)
+
+
+def _check_turns(name: str, angle: Profile, reach: float) -> None:
+    """No jump of an angle, other than by whole turns."""
+    sides = _sides(breakpoints(angle), reach)
+    before, after = (_at(angle, side) for side in sides)
+    meet, rule = np.abs(_least_turn(after - before)) <= _SLACK * np.maximum(1.0, np.abs(before)), "angle must not jump"
+    _demand(meet, sides[0], f"{name}: {rule}", lambda i: f"it goes from {_deg(before[i])} to {_deg(after[i])}", _MEET)
+
+
+def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
+    """No two tendons with an angle in one place of a cross-section; between arc lengths both move in straight lines."""
+    turned = [(i, t, t.angle) for i, t in enumerate(manipulator.tendons, 1) if t.angle is not None]
+    for (i, one, angle), (j, other, other_angle) in combinations(turned, 2):
+        reach = min(float(manipulator.length if t.end is None else t.end) for t in (one, other))
+        at = s[s <= reach]
+        offset, turn = _at(one.offset, at), _at(angle, at) - _at(other_angle, at)
+        away, across = offset - _at(other.offset, at), offset[:-1] * _least_turn(turn[:-1])
+        here, step = np.stack([away[:-1], across]), np.stack([np.diff(away), offset[:-1] * np.diff(turn)])
+        size = np.sum(step * step, axis=0)
+        nearest = np.clip(-np.sum(here * step, axis=0) / np.where(size > 0, size, 1.0), 0.0, 1.0)
+        apart = np.linalg.norm(here + nearest * step, axis=0) > _SLACK * float(manipulator.length)
+        place = at[:-1] + nearest * np.diff(at)
+
+        def found(k: int, place: np.ndarray = place, offset: Profile = one.offset, angle: Profile = angle) -> str:
+            there = place[k : k + 1]
+            return f"both lie {_mm(_at(offset, there)[0])} from the axis at {_deg(_at(angle, there)[0])}"
+
+        rule, remedy = f"tendons {i} and {j} must not touch or cross", "change an offset or an angle"
+        _demand(apart, place, rule, found, remedy)
+
+
+def _least_turn(angle: np.ndarray) -> np.ndarray:
+    """The same angle less whole turns, from -pi to pi."""
+    return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
 
 
 def _values(name: str, profile: Profile, s: np.ndarray, unused: np.ndarray | bool = False) -> np.ndarray:
@@ -216,3 +265,7 @@ def _demand(good: np.ndarray, s: np.ndarray, rule: str, found: Callable[[int], s
 
 def _mm(value: Number | float) -> str:
     return f"{1e3 * float(value):.6g} mm"
+
+
+def _deg(value: Number | float) -> str:
+    return f"{np.degrees(float(value)):.6g} deg"
