@@ -141,7 +141,8 @@ class Prediction(eqx.Module):
 
 def fit(poses: Poses, extensible: bool, free: tuple[str, ...]) -> cddf.LeastSquaresFit:
     """Fit the free parameters to all poses."""
-    start, bounds = ({name: table[name] for name in free if name in table} for table in (START, BOUNDS))
+    start = {name: START[name] for name in free}
+    bounds = {name: BOUNDS[name] for name in free if name in BOUNDS}
     sigma = np.full(poses.markers.shape, POSE_ERROR)
     predict = Prediction(poses.tension, extensible)
     return cddf.least_squares_fit(predict, start, poses.markers, sigma, bounds, max_steps=15, starts=1)
@@ -165,8 +166,10 @@ def told_near(poses: Poses) -> list[str]:
         covariance = np.linalg.inv(slopes[:, free].T @ slopes[:, free]) * POSE_ERROR**2
         step = covariance @ slopes[:, free].T @ left / POSE_ERROR**2
         error = np.sqrt(np.diag(covariance))
-        told = zip(beside, np.asarray(place)[free[1:]] + step[1:], error[1:], strict=True)
-        lines += [f"linearised: {name} {value:.2g} +- {deviation:.2g}" for name, value, deviation in told]
+        for name, value, deviation in zip(beside, np.asarray(place)[free[1:]] + step[1:], error[1:], strict=True):
+            # each of them is of order one: a standard error above one tells nothing
+            told = f"{value:.2g} +- {deviation:.2g}" if deviation < 1.0 else f"not identified (+- {deviation:.2g})"
+            lines.append(f"linearised: {name} {told}")
     return lines
 
 
