@@ -14,10 +14,11 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError
 from ..history.trace import trace
-from ..mechanics.fields import Fields, in_the_plane
+from ..mechanics.fields import AnyFields, Fields, SpatialFields
 from ..numerics.quadrature import Panels, panels
+from ..numerics.rotations import length_of
 from ..quantities import dimension_of
-from ..robot.loads import Loads
+from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
@@ -25,6 +26,8 @@ from ..units import Dimension
 from .load_cases import LoadCase
 
 BODY_NODES = 48  # of integrals over a body alone, in each of its smooth pieces
+FLAT = "is zero of a body in the plane; give a tendon an angle, or a load three components"
+SEVERAL_ACROSS = "has two directions across the tip in space; take 'tip_stiffness_x', 'tip_stiffness_y' or one of z"
 OF_RADII = ("volume", "outer_radius", "inner_radius", "wall_thickness", "clearance", "taper", "slope", "strain")
 
 
@@ -44,9 +47,21 @@ class BodyView:
         return self.solution
 
     @cached_property
-    def along(self) -> Fields:
+    def along(self) -> AnyFields:
         """The fields of the equilibrium at the arc lengths."""
-        return in_the_plane(self.equilibrium.at(self.arc_length), "design")
+        return self.equilibrium.at(self.arc_length)
+
+    @property
+    def along_plane(self) -> Fields:
+        """The same of a body in the plane."""
+        assert isinstance(self.along, Fields)
+        return self.along
+
+    @property
+    def along_space(self) -> SpatialFields:
+        """The same of a body in space."""
+        assert isinstance(self.along, SpatialFields)
+        return self.along
 
     @cached_property
     def anchored(self) -> Bool[Array, "tendons points"]:
@@ -75,6 +90,8 @@ class BodyQuantity(NamedTuple):
     along: bool = False  # whether its last axis runs along the body
     per_tendon: bool = False  # whether it is one number for each tendon
     to_anchor: bool = False  # whether its last axis but one is that of the tendons, each of which ends at its anchor
+    not_in_space: str = ""  # why it is not known of a body in space, and the remedy
+    not_in_plane: str = ""
 
     @property
     def dimension(self) -> Dimension:
@@ -161,14 +178,32 @@ def _integral(view: BodyView, of: Callable[[Array], Array]) -> Array:
 # --- of an equilibrium ---------------------------------------------------------------------------
 
 
+def _bending(view: BodyView) -> Array:
+    along = view.along
+    return jnp.abs(along.curvature) if isinstance(along, Fields) else length_of(along.curvature[..., 1:])
+
+
+def _heading(view: BodyView) -> Array:
+    """In space the angle between the axes of cross-section and base."""
+    along = view.along
+    if isinstance(along, Fields):
+        return along.heading
+    return jnp.arctan2(length_of(along.frame[..., 1:, 0]), along.frame[..., 0, 0])
+
+
 def _strain(view: BodyView) -> Array:
-    strain = view.body.outer_strain(view.arc_length, view.along.curvature)
+    along = view.along
+    strain = view.body.outer_strain(view.arc_length, along.curvature if isinstance(along, Fields) else _bending(view))
     return jnp.stack([strain, -strain])
 
 
 def _crossing(view: BodyView) -> Array:
-    sides = jnp.asarray([[float(tendon.side)] for tendon in view.body.tendons])
-    return jnp.where(view.anchored, sides * view.body.offset(view.arc_length) * view.along.curvature, 0.0)
+    if view.equilibrium.in_space:
+        inside = view.equilibrium._dense.shortened(view.arc_length)
+    else:
+        sides = jnp.asarray([[float(tendon.side)] for tendon in view.body.tendons])
+        inside = sides * view.body.offset(view.arc_length) * view.along_plane.curvature
+    return jnp.where(view.anchored, inside, 0.0)
 
 
 def _tension(view: BodyView) -> Array:
@@ -181,6 +216,7 @@ def _stiffness(direction: Callable[[Equilibrium], Array]) -> Callable[[BodyView]
         assert view.case is not None
         found = view.equilibrium
         loads = Loads() if view.case.loads is None else view.case.loads
+        loads = loads_in_space(loads) if found.in_space else loads
 
         def tip(force: Array) -> Array:  # at constant base tensions, as in `tip_compliance`
             given = view.body, found.base_tension, replace(loads, tip_force=force)
@@ -194,6 +230,10 @@ def _stiffness(direction: Callable[[Equilibrium], Array]) -> Callable[[BodyView]
 
 def _across(found: Equilibrium) -> Array:
     return jnp.stack([-jnp.sin(found.tip_angle), jnp.cos(found.tip_angle)])
+
+
+def _towards(axis: int) -> Callable[[Equilibrium], Array]:
+    return lambda found: jnp.eye(found.tip_position.shape[-1])[axis]
 
 
 def _hysteresis(view: BodyView) -> Array:
@@ -220,8 +260,15 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("clearance", _clearance, bent=False, along=True, to_anchor=True),
         BodyQuantity("taper", lambda v: -_slopes(v)[0, 0], bent=False, along=True),
         BodyQuantity("slope", _slopes, bent=False, along=True),
-        BodyQuantity("curvature", lambda v: v.along.curvature, along=True),
-        BodyQuantity("heading", lambda v: v.along.heading, along=True),
+        BodyQuantity(
+            "curvature",
+            lambda v: v.along_plane.curvature,
+            along=True,
+            not_in_space="has three components in space; take 'bending' or 'twist'",
+        ),
+        BodyQuantity("bending", _bending, along=True),
+        BodyQuantity("twist", lambda v: v.along_space.twist, along=True, not_in_plane=FLAT),
+        BodyQuantity("heading", _heading, along=True),
         BodyQuantity("position", lambda v: v.along.position.T, along=True),
         BodyQuantity("strain", _strain, along=True),
         BodyQuantity("crossing", _crossing, along=True, to_anchor=True),
@@ -231,12 +278,15 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("tension_loss", lambda v: v.equilibrium.tension_loss, per_tendon=True),
         BodyQuantity("tendon_displacement", lambda v: v.equilibrium.tendon_displacement, per_tendon=True),
         BodyQuantity("tip_angle", lambda v: v.equilibrium.tip_angle),
-        BodyQuantity("hysteresis", _hysteresis),
+        BodyQuantity("tip_twist", lambda v: v.equilibrium.twist[-1], not_in_plane=FLAT),
+        BodyQuantity("hysteresis", _hysteresis, not_in_space="is not known in space; leave it out"),
         BodyQuantity("tip_position", lambda v: v.equilibrium.tip_position),
         BodyQuantity("tip_x", lambda v: v.equilibrium.tip_position[0]),
         BodyQuantity("tip_y", lambda v: v.equilibrium.tip_position[1]),
-        BodyQuantity("tip_stiffness", _stiffness(_across)),
-        BodyQuantity("tip_stiffness_x", _stiffness(lambda _: jnp.array([1.0, 0.0]))),
-        BodyQuantity("tip_stiffness_y", _stiffness(lambda _: jnp.array([0.0, 1.0]))),
+        BodyQuantity("tip_z", lambda v: v.equilibrium.tip_position[2], not_in_plane=FLAT),
+        BodyQuantity("tip_stiffness", _stiffness(_across), not_in_space=SEVERAL_ACROSS),
+        BodyQuantity("tip_stiffness_x", _stiffness(_towards(0))),
+        BodyQuantity("tip_stiffness_y", _stiffness(_towards(1))),
+        BodyQuantity("tip_stiffness_z", _stiffness(_towards(2)), not_in_plane=FLAT),
     )
 }

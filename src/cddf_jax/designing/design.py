@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError
-from ..robot.manipulator import Manipulator
+from ..robot.manipulator import Manipulator, in_space as body_in_space
 from ..robot.validation import check_weight
 from ..statics.equilibrium import RESULTS, Equilibrium, result_of
 from ..units import quantity
@@ -18,7 +18,7 @@ from .body_quantities import OF_RADII
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
 from .limits import Limit
 from .load_cases import LoadCase, case_numbers
-from .objectives import Least, Objective
+from .objectives import Even, Least, Objective
 from .problem import USABLE, DesignEvaluation, DesignProblem, Term
 from .results import Design, design_of, displayed
 from .search import WANDERING, DesignSearch
@@ -184,6 +184,8 @@ def problem_of(
     used = (cases,) if isinstance(cases, LoadCase) else tuple(cases) if isinstance(cases, list | tuple) else ()
     if not used or not all(isinstance(case, LoadCase) for case in used):
         raise InputError("design: cases must be one LoadCase or more, as in cases=LoadCase(50.0)")
+    if any(case.of(manipulator).in_space for case in used):
+        manipulator = body_in_space(manipulator)
     numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
     _check(manipulator, [*constraints, *(aim for _, aim in objectives)], numbers, used)
     implied = _implied(manipulator, constraints, offsets_outside_wall=options.offsets_outside_wall)
@@ -243,6 +245,14 @@ def _check(
     """Refuse what the body lacks, places that are not on it, and free numbers that a case sets."""
     length, free = float(np.asarray(body.length)), {name for names in numbers.names for name in names}
     for part in parts:
+        if body.in_space and part.known.not_in_space:
+            raise InputError(f"design: {part.name!r} {part.known.not_in_space}")
+        if not body.in_space and part.known.not_in_plane:
+            raise InputError(f"design: {part.name!r} {part.known.not_in_plane}")
+        if part.name == "strain" and body.extensible:
+            raise InputError("design: 'strain' is not known along an axis that stretches; take 'bending'")
+        if isinstance(part, Even) and not part.known.along and body.num_tendons == 1:
+            raise InputError(f"design: {part} compares tendons, and the body has one; take Least or Most of it")
         if part.name == "mass" and not body.has_mass:
             raise InputError('design: the body has no mass, since its density is 0; give it one, or take "volume"')
         if part.name in OF_RADII and not body.has_radii:

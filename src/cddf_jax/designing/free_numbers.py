@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 
 from ..errors import InputError
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, stem_and_tendon
+from ..robot.named_numbers import Case, stem_and_tendon, unit_of_name
 from .load_cases import LoadCase
 
 VALUE = re.compile(r"(pieces\.\d+\.?)*(base|tip|values\.\d+|\d+)?")  # a part of a profile
 PLACE = re.compile(r"\.(ends\.\d+|arc_length\.\d+|length|end)$")  # where such a part holds, or where a tendon ends
-WIDE = 10.0  # bounds unless given: a tenth of the start value, and ten times it
+WIDE = 10.0  # bounds unless given: a tenth of the start value, and ten times it; of an angle half a turn either way
 Vector = Float[Array | np.ndarray, " n"]
 Bounds = Mapping[str, tuple[float, float]]  # (lower, upper) by name, SI
 
@@ -83,12 +83,20 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
             raise InputError(f"design: {name!r} is free twice; leave one out")
     names = tuple(tied for tied, *_ in rows)
     start, low, high = np.transpose([numbers for _, *numbers in rows])
-    size = np.minimum(high - low, np.where(start == 0, np.inf, np.abs(start)))
+    origin = (start == 0) | [is_angle(tied[0]) for tied in names]  # numbers that have no size of their own
+    size = np.minimum(high - low, np.where(origin, np.inf, np.abs(start)))
     return FreeNumbers(names, start, low, high, size)
+
+
+def is_angle(name: str) -> bool:
+    """Whether a number is the angle of a tendon, whose origin means nothing."""
+    return unit_of_name(name) == "rad"
 
 
 def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
     if group not in bounds:
+        if is_angle(group):
+            return value - np.pi, value + np.pi
         if value <= 0:
             raise InputError(f"design: {group!r} starts at {value:g}; give it bounds")
         return value / WIDE, value * WIDE

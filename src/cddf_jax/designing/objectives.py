@@ -79,17 +79,24 @@ class Most(_Extreme):
 
 
 class Even(Objective):
-    """A quantity as even along the body as possible: its variance over its squared mean, zero where it is constant.
+    """A quantity as even as possible along the body, or between tendons where each has one number.
 
-    Displayed as the root of that, the relative standard deviation. Quantities of a tendon count up to its anchor.
+    Made small is its variance over its squared mean, zero where it is constant. Displayed is the root of that, the
+    relative standard deviation. Quantities along a tendon count up to its anchor.
     """
 
     def __check_init__(self):
-        if not self.known.along:
-            raise InputError(f"design: {self.name} does not vary along the body; take Least or Most of it")
+        if not (self.known.along or self.known.per_tendon):
+            raise InputError(
+                f"design: {self.name} varies neither along the body nor between tendons; take Least or Most"
+            )
 
     def values(self, view: BodyView) -> Array:
-        values, shares = _on_panels(self.known, view)
+        if self.known.along:
+            values, shares = _on_panels(self.known, view)
+        else:
+            values = self.known.of(view)
+            shares = jnp.full_like(values, 1.0 / values.size)
         mean = jnp.sum(values * shares, axis=-1, keepdims=True)
         return jnp.mean(jnp.sum((values - mean) ** 2 * shares, axis=-1, keepdims=True) / mean**2)
 

@@ -9,6 +9,7 @@ import numpy as np
 from ..files.artifacts import markdown_table
 from ..numerics.constrained import TOLERANCE
 from ..units import Dimension, preferred, shown
+from .free_numbers import is_angle
 from .results import Design, FreeNumber, LimitReport, number_in_words
 from .sensitivity import fixed_numbers
 
@@ -118,6 +119,8 @@ def _sensitivity(found: Design) -> Iterator[str]:
     values, size, rows, kinks = fixed_numbers(problem), abs(found.objective), {}, []
     for number, slope in found.sensitivity_by_number.items():
         name, change = number.in_words(problem), slope * values[number]
+        if is_angle(number.name):  # which has no size
+            name, change = f"{name}, by 1 deg", slope * np.radians(1.0) / 0.01
         if np.isnan(slope):
             kinks.append(name)
         elif size > 0 and abs(change) > 1e-9 * size:

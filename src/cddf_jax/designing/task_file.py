@@ -161,8 +161,8 @@ def _formed(body: Manipulator, name: str, entry: Table) -> Manipulator:
     if knots < 4:
         raise InputError(f"knots must be 4 or more, got {knots}; or write taper = true")
     names = [name.replace("*", str(i)) for i in range(body.num_tendons if "*" in name else 1)]
-    if not all(own.endswith(("radius", "offset")) and own in body.profiles for own in names):
-        raise InputError("only outer_radius, inner_radius and tendons.0.offset have a form")
+    if not all(own.endswith(("radius", "offset", "angle")) and own in body.profiles for own in names):
+        raise InputError("only outer_radius, inner_radius, tendons.0.offset and tendons.0.angle have a form")
 
     def form(profile: Profile) -> Profile:
         if "taper" in entry:

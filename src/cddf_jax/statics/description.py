@@ -3,15 +3,9 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
 
-from ..mechanics.problem import guarded_section, strain_of
-from ..mechanics.space import course
-from ..robot.cross_section import spatial
 from ..units import shown
 from .contact import self_contact
 from .equilibrium import RESULTS, Dense, Equilibrium, ended_as, on_host
@@ -153,12 +147,4 @@ def describe_crossing(equilibrium: Equilibrium) -> str:
     return f"tendon {tendon + 1}: {what} is {most:.3g} at s = {shown(s[point], 'length')}{hint}"
 
 
-@eqx.filter_jit
-def _shortened(dense: Dense, arc_length: Float[ArrayLike, " points"]) -> Float[Array, "tendons points"]:
-    """By how much the fibre at each tendon of a body in space is shorter than the axis at rest."""
-
-    def at(s: Float[Array, ""]) -> Float[Array, " tendons"]:
-        section = spatial(guarded_section(dense.manipulator, s))
-        return 1.0 - course(section, strain_of(section, dense.base_tension, dense.state(s)))[:, 0]
-
-    return jax.vmap(at, out_axes=1)(jnp.asarray(arc_length))
+_shortened = eqx.filter_jit(Dense.shortened)

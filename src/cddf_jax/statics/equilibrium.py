@@ -12,10 +12,11 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, fields_at, tendons_first
 from ..mechanics.problem import State, edge_nudge, guarded_section, strain_of
+from ..mechanics.space import course
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import length_of
 from ..programs.kept import kept_program
-from ..robot.cross_section import SpatialSection
+from ..robot.cross_section import SpatialSection, spatial
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Number
 
@@ -264,6 +265,15 @@ class Dense(eqx.Module):
         fields = fields_at(self.manipulator, self.base_tension, self.direction, arc_length, self.state)
         inside = (arc_length >= 0) & (arc_length <= self.panels.edges[-1])
         return nan_unless(self.solved & inside, fields)
+
+    def shortened(self, arc_length: Float[ArrayLike, " points"]) -> Float[Array, "tendons points"]:
+        """By how much the fibre at each tendon of a body in space is shorter than the axis at rest."""
+
+        def at(s: Float[Array, ""]) -> PerTendon:
+            section = spatial(guarded_section(self.manipulator, s))
+            return 1.0 - course(section, strain_of(section, self.base_tension, self.state(s)))[:, 0]
+
+        return jax.vmap(at, out_axes=1)(jnp.asarray(arc_length))
 
     def peak_strain(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """The largest |R_outer kappa|, and its arc length, m."""

@@ -1,0 +1,182 @@
+"""Designs of bodies in space, whose tendons find their way around the axis and their distance from it.
+
+A straight tube of constant stiffness. Its own closed forms, with the torsional stiffness 2 G J = 2 E J / 3 of a
+Poisson's ratio of 0.5:
+
+Parallel tendon: what turns is P = T_base d / (E J), and the angle to the base phi(s) = ln(1 + mu P s) / mu in the plane
+at the angle of the tendon, as in the plane (design.md section 2).
+
+Helix: in the frame that winds with the tendon the strain has two components, twist u and bending b about the binormal,
+2 G J u = -T d sin(theta) and E J b = T d cos(theta). The tendon rises by theta: tan(theta) = d (u + w) / (1 - d b).
+"""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq, minimize_scalar
+
+import cddf_jax as cddf
+
+L, E, MU, POISSON = 0.14, 1.4e6, 0.2, 0.5
+EJ = E * np.pi / 4 * (12e-3**4 - 4e-3**4)
+NEAREST, FARTHEST = 5e-3, 10e-3  # m, of a tendon from the axis
+FEW = cddf.DesignOptions(nodes=8)
+
+
+def tube(*tendons, **others):
+    numbers = {"outer_radius": 12e-3, "inner_radius": 4e-3, "youngs_modulus": E, "friction_coefficient": MU} | others
+    return cddf.Manipulator(length=L, tendons=tendons, **numbers)
+
+
+def arc(pull):
+    """Where the tip comes along the axis and across: of a parallel tendon with T_base d / (E J) = pull, 1/m."""
+
+    def angle(s):
+        return np.log1p(MU * pull * s) / MU
+
+    return [quad(lambda s, of=of: of(angle(s)), 0.0, L, epsabs=0, epsrel=1e-13)[0] for of in (np.cos, np.sin)]
+
+
+# --- least tension for a pose --------------------------------------------------------------------
+
+
+@lru_cache
+def pose(pull=8.0, angle=2.0):
+    across = arc(pull)[1]
+    return cddf.design(
+        tube(cddf.Tendon(7e-3, angle=0.5)),
+        cddf.Least("base_tension"),
+        free=("tendons.0.angle", "tendons.*.offset", "base_tension"),
+        bounds={"tendons.*.offset": (NEAREST, FARTHEST)},
+        constraints=[
+            cddf.Limit("tip_y", equal=across * np.cos(angle)),
+            cddf.Limit("tip_z", equal=across * np.sin(angle)),
+        ],
+        cases=cddf.LoadCase(10.0, direction=1),
+        options=FEW,
+    )
+
+
+def test_the_least_tension_for_a_pose():
+    """The pose tells the angle and T d: the tendon goes as far out as it may, and T is proportional to 1 / d."""
+    found, tension = pose(), 8.0 * EJ / FARTHEST
+    assert found.success
+    assert found.value["tendons.0.angle"] == pytest.approx(2.0, abs=1e-7)
+    assert found.value["base_tension"] == pytest.approx(tension, rel=1e-7)
+    assert found.free["tendons.0.offset"].status == "at upper bound"
+    assert found.free["tendons.0.offset"].multiplier == pytest.approx(tension / FARTHEST, rel=1e-6)
+    assert found.equilibria[0].tip_position[0] == pytest.approx(arc(8.0)[0], rel=1e-8)
+
+
+# --- most twist ----------------------------------------------------------------------------------
+
+
+def risen(tension, d, w):
+    """The angle theta at which a helix of w rad/m rises, and its derivative by the tension."""
+
+    def strains(theta):
+        return -tension * d * np.sin(theta) / (2 * EJ / (2 * (1 + POISSON))), tension * d * np.cos(theta) / EJ
+
+    def miss(theta):
+        u, b = strains(theta)
+        return np.sin(theta) * (1 - d * b) - np.cos(theta) * d * (u + w)
+
+    theta = brentq(miss, -np.pi / 2, np.pi / 2, xtol=1e-15)
+    return theta, *strains(theta)
+
+
+def tip_twist(turns, base_tension, d):
+    """With friction: the tangent (cos theta, 0, sin theta) of the winding frame turns by theta' and, across it, by
+    a = b cos(theta) - (u + w) sin(theta). T' = -mu T |(theta', a)| with theta' = T' dtheta/dT is solved for T'."""
+    w = 2 * np.pi * turns / L
+
+    def rate(_, tension):
+        theta, u, b = risen(tension[0], d, w)
+        h = 1e-4 * tension[0]
+        slope = (risen(tension[0] + h, d, w)[0] - risen(tension[0] - h, d, w)[0]) / (2 * h)
+        a = b * np.cos(theta) - (u + w) * np.sin(theta)
+        return [-MU * tension[0] * abs(a) / np.sqrt(1 - (MU * tension[0] * slope) ** 2)]
+
+    left = solve_ivp(rate, (0.0, L), [base_tension], rtol=1e-11, atol=1e-12, method="DOP853").y[0, -1]
+    return risen(left, d, w)[1]
+
+
+@lru_cache
+def twisted(tension=10.0, d=8e-3):
+    return cddf.design(
+        tube(cddf.Tendon(d, angle=cddf.Linear(0.0, 2 * np.pi * -0.75, L))),
+        cddf.Most("tip_twist"),
+        free=("tendons.0.angle.tip",),
+        bounds={"tendons.0.angle.tip": (-6 * np.pi, -1.2 * np.pi)},
+        cases=cddf.LoadCase(tension, direction=1),
+        options=cddf.DesignOptions(nodes=16),
+    )
+
+
+def test_the_most_twist_of_a_helix():
+    """More turns twist more and lose more tension: in between is the most that reaches the tip, as SciPy finds it.
+
+    At about half a turn the tendon is straight and loses nothing, and the body winds around it: that is a kink.
+    """
+    found = twisted()
+    best = minimize_scalar(lambda turns: -tip_twist(turns, 10.0, 8e-3), bounds=(-2.9, -0.7), options={"xatol": 1e-7})
+    assert found.success
+    assert found.objective == pytest.approx(-best.fun, rel=1e-7)
+    assert found.value["tendons.0.angle.tip"] == pytest.approx(2 * np.pi * best.x, rel=1e-4)
+
+
+# --- even loss between tendons -------------------------------------------------------------------
+
+
+@lru_cache
+def even():
+    tendons = [cddf.Tendon(d, angle=cddf.Linear(a, a + 2 * np.pi, L)) for d, a in ((7e-3, 0.0), (9e-3, np.pi))]
+    return cddf.design(
+        tube(*tendons),
+        cddf.Even("tension_loss"),
+        free=("tendons.1.offset",),
+        bounds={"tendons.1.offset": (NEAREST, FARTHEST)},
+        cases=cddf.LoadCase(30.0, direction=1),
+        options=FEW,
+    )
+
+
+def test_even_loss_between_tendons():
+    """Half a turn brings one tendon to where the other one is, once both have one offset: then they lose the same."""
+    found = even()
+    before, after = found.equilibria_at_start[0].tension_loss, found.equilibria[0].tension_loss
+    assert found.success
+    assert found.value["tendons.1.offset"] == pytest.approx(7e-3, rel=1e-5)
+    np.testing.assert_allclose(after[0], after[1], rtol=1e-5)
+    assert found.objectives[0].start == pytest.approx(np.std(before) / np.mean(before), rel=1e-12)
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+STRAIGHT = tube(cddf.Tendon(8e-3, angle=0.0))
+PLANAR = tube(cddf.Tendon(8e-3))
+
+
+@pytest.mark.parametrize(
+    ("body", "objective", "message"),
+    [
+        (STRAIGHT, cddf.Even("curvature"), "'curvature' has three components in space; take 'bending' or 'twist'"),
+        (STRAIGHT, cddf.Most("tip_stiffness"), "'tip_stiffness' has two directions across the tip in space; take"),
+        (STRAIGHT, cddf.Least("hysteresis"), "'hysteresis' is not known in space; leave it out"),
+        (PLANAR, cddf.Most("tip_z"), "'tip_z' is zero of a body in the plane; give a tendon an angle"),
+        (PLANAR, cddf.Most("twist"), "'twist' is zero of a body in the plane; give a tendon an angle"),
+        (tube(cddf.Tendon(8e-3), extensible=True), cddf.Least("strain"), "'strain' is not known along an axis that"),
+        (STRAIGHT, cddf.Even("tip_tension"), "even tip_tension compares tendons, and the body has one; take Least"),
+    ],
+)
+def test_what_has_no_meaning(body, objective, message):
+    with pytest.raises(cddf.InputError, match=message) as caught:
+        cddf.design(body, objective, free=("youngs_modulus",), cases=cddf.LoadCase(10.0, direction=1))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_tendon_without_an_angle_has_none_to_free():
+    with pytest.raises(cddf.InputError, match=r"'tendons.0.angle' has no number of its own here; give the start one"):
+        cddf.design(PLANAR, cddf.Least("mass"), free=("tendons.0.angle",), cases=cddf.LoadCase(10.0, direction=1))
