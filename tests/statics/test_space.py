@@ -258,6 +258,22 @@ def test_targets_in_space():
     np.testing.assert_allclose(bent.tip_angle, 0.5, atol=1e-9)
 
 
+def test_the_tip_angle_of_a_winding_tendon_is_reached():
+    """The tension that gave the angle; its slope is one over that of the angle."""
+    body = in_space(helix(0.25))
+
+    def angle(tension):
+        return cddf.solve(body, tension, direction=1, throw=False).tip_angle
+
+    def tension(angle):
+        return cddf.solve(body, cddf.TipAngle(angle), direction=1, throw=False).base_tension[0]
+
+    wanted, slope = jax.jvp(angle, (30.0,), (1.0,))
+    found, inverse = jax.jvp(tension, (wanted,), (jnp.ones_like(wanted),))
+    np.testing.assert_allclose(found, 30.0, rtol=1e-9)
+    np.testing.assert_allclose(inverse * slope, 1.0, rtol=1e-7)
+
+
 @pytest.mark.slow
 def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
     body = in_space(helix(0.25), friction_coefficient=0.0)

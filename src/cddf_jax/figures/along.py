@@ -38,6 +38,7 @@ def draw_along(
         manipulator: the body that was solved.
         equilibrium: its equilibrium.
         quantity: "tension" (N); "curvature" (1/m), in space three lines: twist, and bending about y and about z;
+            "bending" (1/m), the size of the curvature without twist; "twist" (1/m), zero in the plane;
             "normal_force" or "friction_force", the size of the force of a tendon on the body per length (N/m);
             "strain", the greatest of a cross-section that bends (%); "heading" (deg), in space the angle between the
             axes of cross-section and base.

@@ -9,11 +9,23 @@ from matplotlib.figure import Figure
 
 from ..designing.pareto import ParetoFront
 from ..designing.results import Design
-from ..robot.manipulator import Manipulator
+from ..mechanics.fields import SpatialFields
+from ..quantities import QUANTITIES
+from ..robot.manipulator import Manipulator, in_space as body_in_space
 from ..units import preferred
-from . import looks, style as draw
+from . import looks, space, style as draw
 from .along import draw_along
-from .geometry import bent_body, planar_fields_along, stations, straight_body, tendon_paths
+from .geometry import (
+    Drawn,
+    bent_body,
+    drawn,
+    fields_along,
+    planar_fields_along,
+    reached,
+    stations,
+    straight_body,
+    tendon_paths,
+)
 
 START: dict[str, Any] = {"color": looks.GREY, "linestyle": (0, (4, 2)), "label": "before"}
 END: dict[str, Any] = {"color": looks.BLUE, "linestyle": "-", "label": "after"}
@@ -26,7 +38,12 @@ def design_figure(design: Design) -> Figure:
 
     The first load case is drawn. Walls and tendons are to scale, one scale for all three bodies. There is no strain
     where the bodies have no radii.
+
+    In space left the designed body bent, as `draw_design` draws it; right the angle and the offset of its tendons,
+    bending and twist along both bodies.
     """
+    if design.equilibria[0].in_space:
+        return _figure_in_space(design)
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4)
         grid = figure.add_gridspec(2, 2, width_ratios=(1.45, 1))
@@ -53,10 +70,17 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     Outer and inner diameters at both ends are written beside the straight bodies, where they have radii. The bent body
     from which the search began is dashed.
 
+    In space the designed body alone, in three dimensions, with the axis of the bent start dashed.
+
     Args:
         design: of `design`.
-        axes: where to draw; None for a new figure, one column wide.
+        axes: where to draw, in space with projection="3d"; None for a new figure, one column wide.
+
+    Raises:
+        InputError: for axes of the wrong kind.
     """
+    if design.equilibria[0].in_space:
+        return _draw_design_in_space(design, axes)
     before, after = design.start, design.manipulator
     s, line = stations(after), LINE * 1e3 * float(after.length)
     bent = bent_body(after, planar_fields_along(design.equilibria[0], s))
@@ -79,6 +103,70 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
         bottom = axes.get_ylim()[0]  # ticks beyond it would move it
         axes.set_yticks([tick for tick in axes.get_yticks() if bottom <= tick <= top + 1e-9])
     return axes
+
+
+def _draw_design_in_space(design: Design, axes: Axes | None) -> Axes:
+    after, old = _drawn_in_space(design)
+    norm, points = space.tension_scale(after.tension), np.concatenate([after.points, old])
+    if axes is not None:
+        room = space.axes_in_space(axes)
+        space.set_room(room, points)
+        _draw_both(room, after, old)
+        return room
+    with draw.house_style():
+        figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
+        room = space.draw_room(figure, lambda room: _draw_both(room, after, old), points, 2.2, 2.15)
+        draw.colour_scale(figure, norm, "$T$ (N)", draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
+    return room
+
+
+def _figure_in_space(design: Design) -> Figure:
+    """The designed body in three dimensions; beside it the routing of both bodies, and how they bend and twist."""
+    after, old = _drawn_in_space(design)
+    with draw.house_style():
+        figure = draw.placed_figure(draw.DOUBLE_COLUMN, 3.5)
+        room = space.new_room(figure, 0.1, 0.45, 2.5, 2.6)
+        space.set_room(room, np.concatenate([after.points, old]))
+        space.fill_room(room, 2.5, 2.6)
+        _draw_both(room, after, old)
+        draw.colour_scale(figure, space.tension_scale(after.tension), "$T$ (N)", 3.15, 1.0, 1.6)
+        for quantity, left, bottom in (("angle", 4.25, 1.95), ("offset", 5.85, 1.95)):
+            _draw_routing(design, quantity, draw.place_in(figure, left, bottom, 1.1, 1.2))
+        for quantity, left, bottom in (("bending", 4.25, 0.45), ("twist", 5.85, 0.45)):
+            panel = draw.place_in(figure, left, bottom, 1.1, 1.2)
+            _draw_before_and_after(design, quantity, panel)
+        figure.legend(*panel.get_legend_handles_labels(), loc="upper right", ncols=2)
+    return figure
+
+
+def _drawn_in_space(design: Design) -> tuple[Drawn, np.ndarray]:
+    """What is drawn of the designed body in its first load case, and the axis of the start, mm, (points, 3)."""
+    along = fields_along(design.equilibria[0], stations(design.manipulator))
+    before = fields_along(design.equilibria_at_start[0], stations(design.start))
+    assert isinstance(along, SpatialFields)
+    return drawn(design.manipulator, along, design.cases[0].loads), 1e3 * np.asarray(before.position)
+
+
+def _draw_both(room: space.Axes3D, after: Drawn, old: np.ndarray) -> None:
+    space.draw_in_space(room, after, space.tension_scale(after.tension))
+    room.plot(*old.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
+
+
+def _draw_routing(design: Design, quantity: str, axes: Axes) -> None:
+    """The angle or the offset of each tendon over arc length, before and after, with their numbers at the ends."""
+    known, ends = QUANTITIES[quantity], {}
+    for body, look in ((design.start, START), (design.manipulator, END)):
+        s = stations(body)
+        for i, (tendon, there) in enumerate(zip(body_in_space(body).tendons, reached(body, s), strict=True), 1):
+            values = known.shown[0] * np.asarray(getattr(tendon, quantity)(s))[there]
+            axes.plot(1e3 * s[there], values, **look)
+            if look is END and body.num_tendons > 1:
+                end = (1e3 * s[there][-1], round(float(values[-1]), 3))
+                ends[end] = f"{ends[end]}, {i}" if end in ends else str(i)
+    for end, numbers in ends.items():
+        axes.annotate(numbers, end, (3, 0), textcoords="offset points", va="center", fontsize=7.5)
+    axes.set(xlabel="", ylabel=known.axis_label)
+    axes.set_xlim(0.0, 1e3 * float(design.manipulator.length))
 
 
 def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: float, line: float) -> float:

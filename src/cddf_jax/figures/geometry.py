@@ -246,6 +246,8 @@ def _size(vectors: ArrayLike) -> np.ndarray:
 ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
     "tension": lambda _, along: along.tension,
     "curvature": lambda _, along: along.curvature,
+    "bending": lambda _, along: np.abs(along.curvature),
+    "twist": lambda _, along: np.zeros_like(along.curvature),
     "normal_force": lambda _, along: _size(along.normal_force),
     "friction_force": lambda _, along: _size(along.friction_force),
     "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, along.curvature)),
@@ -257,6 +259,8 @@ ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
 ALONG_IN_SPACE: dict[str, Callable[[Manipulator, SpatialFields], ArrayLike]] = {
     "tension": lambda _, along: along.tension,
     "curvature": lambda _, along: np.asarray(along.curvature).T,
+    "bending": lambda _, along: _size(along.curvature[..., 1:]),
+    "twist": lambda _, along: along.twist,
     "normal_force": lambda _, along: _size(along.normal_force),
     "friction_force": lambda _, along: _size(along.friction_force),
     "strain": lambda body, along: 100 * body.outer_strain(along.arc_length, _size(along.curvature[..., 1:])),

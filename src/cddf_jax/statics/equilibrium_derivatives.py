@@ -108,7 +108,12 @@ class System(eqx.Module):
         Without values the method solves from scratch, and has derivatives of its own.
         """
         problem, method = self.problem(unknowns), self.setup.method
-        solution = method(problem) if values is None else method.improve(problem, values)
+        if values is None:
+            solution = method(problem)
+        elif self.unknown and problem.in_space and problem.loads is None:  # a pass alone does not know the heading
+            solution = method.finish(problem, values)
+        else:
+            solution = method.improve(problem, values)
         turning = turning_at_splits(problem, solution, self._splits(unknowns))
         residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution), turning])
         return (None if values is None else nodal(problem, solution), residual), (problem, solution)
