@@ -5,7 +5,9 @@ import json
 import numpy as np
 import pandas
 import pytest
-from places import DATA
+from places import DATA, ROOT
+
+import cddf_jax as cddf
 
 HELIX, THREE = (str(DATA / f"{name}_made_up.toml") for name in ("helix", "three_tendons"))
 PAPER = str(DATA / "smooth_sil_940.toml")
@@ -68,6 +70,28 @@ def test_loads_in_space_in_words(cddf_command):
     tip = [1e-3 * float(x) for x in out.partition("(")[2].partition(")")[0].split(",")]
     told = out.partition("base: (")[2].partition(")")[0].split(",")
     np.testing.assert_allclose([float(x) for x in told], [0.01 - 0.1 * tip[2], 0.0, 0.1 * tip[0]], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_example_of_a_routing(cddf_command, tmp_path):
+    """It stays parallel: T_base = (exp(mu phi) - 1) / (mu d int ds / E J) with d as far out as it may, eq. (13).
+
+    The tip of the bent body lies across the axis at the angle of the tendon.
+    """
+    code, _, err = cddf_command("design", ROOT / "fitting" / "design_routing.toml", "--out", tmp_path)
+    assert (code, err) == (0, "")
+    s, step = np.linspace(0.0, 0.2, 20001, retstep=True)
+    compliance = 1 / (1.4e6 * np.pi / 4 * ((0.015 - 0.015 * s) ** 4 - 0.005**4))
+    whole = step * (compliance.sum() - 0.5 * (compliance[0] + compliance[-1]))
+    answer = json.loads((tmp_path / "design.json").read_text())
+    assert answer["objective"] == pytest.approx(np.expm1(0.25 * np.pi / 3) / (0.25 * 0.010 * whole), rel=1e-7)
+    tendon, body = {name: free["value"] for name, free in answer["free"].items()}, tmp_path / "design.toml"
+    assert tendon["tendons.0.angle.tip"] == pytest.approx(tendon["tendons.0.angle.base"], abs=1e-6)
+    _, y, z = cddf.solve(cddf.read_manipulator(body), (answer["objective"], 0.0, 0.0), direction=1).tip_position
+    assert z == pytest.approx(0.060, rel=1e-7)
+    assert np.arctan2(z, y) == pytest.approx(tendon["tendons.0.angle.base"], abs=1e-6)
+    names = {"design.json", "design.md", "design.pdf", "design.png", "design.toml", "profile.csv"}
+    assert {path.name for path in tmp_path.iterdir()} == names
 
 
 @pytest.mark.parametrize(

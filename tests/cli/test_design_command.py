@@ -237,7 +237,7 @@ def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch)
     assert [text.get_text() for text in figures[0].axes[0].texts if text.get_text()] == ["after", "before"]
 
 
-@pytest.mark.parametrize("name", ["uniform_curvature", "least_tension", "robust"])
+@pytest.mark.parametrize("name", ["uniform_curvature", "least_tension", "robust", "routing"])
 def test_the_examples_can_be_read(name, monkeypatch):
     """The fit of the robust one is in `make test-slow`: here its answer is given."""
 
@@ -250,7 +250,7 @@ def test_the_examples_can_be_read(name, monkeypatch):
     monkeypatch.setattr("cddf_jax.identification.fit.fit", given)
     read = read_task(ROOT / "fitting" / f"design_{name}.toml")
     assert len(read.cases) == (16 if name == "robust" else 1)
-    assert read.manipulator.kinematics == "published"
+    assert read.manipulator.kinematics == ("exact" if name == "routing" else "published")
 
 
 @pytest.mark.slow

@@ -14,10 +14,12 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 
 import cddf_jax as cddf
+from cddf_jax.figures.designs import design_figure, draw_design
 
 L, E, MU, POISSON = 0.14, 1.4e6, 0.2, 0.5
 EJ = E * np.pi / 4 * (12e-3**4 - 4e-3**4)
@@ -150,7 +152,43 @@ def test_even_loss_between_tendons():
     assert found.success
     assert found.value["tendons.1.offset"] == pytest.approx(7e-3, rel=1e-5)
     np.testing.assert_allclose(after[0], after[1], rtol=1e-5)
-    assert found.objectives[0].start == pytest.approx(np.std(before) / np.mean(before), rel=1e-12)
+    assert found.objectives[0].start == pytest.approx(float(np.std(before) / np.mean(before)), rel=1e-12)
+
+
+def test_the_figure_of_a_design_in_space():
+    """The routing before and after, in degrees and millimetres, and the body in three dimensions."""
+    figure = design_figure(even())
+    room, _, angle, offset, bending, twist = figure.axes
+    assert room.name == "3d"
+    labels = [axes.get_ylabel() for axes in (angle, offset, bending, twist)]
+    assert labels == ["Angle (deg)", "Offset (mm)", "Bending (1/m)", "Twist (1/m)"]
+    ends = np.array([[line.get_ydata()[[0, -1]] for line in axes.lines] for axes in (angle, offset)])
+    turned, moved = [[0.0, 360.0], [180.0, 540.0]], [[7.0, 7.0], [9.0, 9.0]]
+    np.testing.assert_allclose(ends, [turned * 2, [*moved, [7.0, 7.0], [7.0, 7.0]]], rtol=1e-5)
+    assert [text.get_text() for text in offset.texts] == ["1, 2"]  # they end in one place
+    assert np.max(np.abs(bending.lines[1].get_ydata())) < 1e-3 < np.max(bending.lines[0].get_ydata())
+    assert np.all(twist.lines[1].get_ydata() < 0)  # the winding tendons unwind
+    with pytest.raises(cddf.InputError, match="projection"):
+        draw_design(even(), Figure().subplots())
+
+
+def test_the_report_of_a_design_in_space():
+    """Without friction tip_z = r sin(angle): by 1 degree it changes by cot(angle) pi / 180 of itself."""
+    angle = 0.4
+    found = cddf.design(
+        tube(cddf.Tendon(8e-3, angle=angle), friction_coefficient=0.0),
+        cddf.Most("tip_z"),
+        free=("youngs_modulus",),
+        bounds={"youngs_modulus": (1.2e6, 1.6e6)},
+        cases=cddf.LoadCase(10.0, direction=1),
+        options=FEW,
+    )
+    kappa = 10.0 * 8e-3 / (EJ * 1.2e6 / E)
+    across = (1 - np.cos(kappa * L)) / kappa
+    assert found.objective == pytest.approx(across * np.sin(angle), rel=1e-8)
+    assert found.sensitivity["tendons.0.angle"] == pytest.approx(across * np.cos(angle), rel=1e-8)
+    assert f"| tendons.0.angle, by 1 deg | {100 / np.tan(angle) * np.pi / 180:+.3g} % |" in str(found)
+    assert "| tendons.0.angle | 28.648 deg | 114.59 deg | -151.35 deg to 208.65 deg | inside |" in str(pose())
 
 
 # --- what is refused -----------------------------------------------------------------------------
@@ -180,3 +218,10 @@ def test_what_has_no_meaning(body, objective, message):
 def test_a_tendon_without_an_angle_has_none_to_free():
     with pytest.raises(cddf.InputError, match=r"'tendons.0.angle' has no number of its own here; give the start one"):
         cddf.design(PLANAR, cddf.Least("mass"), free=("tendons.0.angle",), cases=cddf.LoadCase(10.0, direction=1))
+
+
+def test_tendons_that_share_a_number_start_at_one_value():
+    """One angle for all would put them on one line."""
+    three = tube(*(cddf.Tendon(8e-3, angle=a) for a in (0.0, 2.0, 4.0)))
+    with pytest.raises(cddf.InputError, match=r"'tendons.\*.angle' starts at different values, 0, 2, 4; make them one"):
+        cddf.design(three, cddf.Least("tip_z"), free=("tendons.*.angle",), cases=cddf.LoadCase(10.0, direction=1))

@@ -152,7 +152,7 @@ def test_an_unknown_quantity_is_told_which_there_are(kind):
 
 
 def test_what_does_not_vary_along_the_body():
-    refused("mass does not vary along the body; take Least or Most of it", cddf.Even, "mass")
+    refused("mass varies neither along the body nor between tendons; take Least or Most of it", cddf.Even, "mass")
     said = "Near(at=...) takes a list of arc lengths, and a quantity that varies along the body"
     refused(said, cddf.Near, "tip_angle", 1.0, at=[0.1])
     refused(said, cddf.Near, "curvature", 1.0, at=0.1)

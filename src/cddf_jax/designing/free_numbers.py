@@ -75,7 +75,7 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
     rows = []
     for group in free:
         for tied in numbers_under(case, group):
-            value = float(np.asarray(case.number(tied[0])))
+            value = _shared(case, group, tied)
             rows.append((tied, value, *_bounds_of(group, value, bounds)))
     flat = [name for tied, *_ in rows for name in tied]
     for name in flat:
@@ -86,6 +86,15 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
     origin = (start == 0) | [is_angle(tied[0]) for tied in names]  # numbers that have no size of their own
     size = np.minimum(high - low, np.where(origin, np.inf, np.abs(start)))
     return FreeNumbers(names, start, low, high, size)
+
+
+def _shared(case: Case, group: str, tied: tuple[str, ...]) -> float:
+    """The value at the start of numbers that share one."""
+    values = [float(np.asarray(case.number(name))) for name in tied]
+    if np.ptp(values) > 1e-9 * np.max(np.abs(values)):
+        listed = ", ".join(f"{value:g}" for value in values)
+        raise InputError(f"design: {group!r} starts at different values, {listed}; make them one, or name each tendon")
+    return values[0]
 
 
 def is_angle(name: str) -> bool:

@@ -87,9 +87,8 @@ class Even(Objective):
 
     def __check_init__(self):
         if not (self.known.along or self.known.per_tendon):
-            raise InputError(
-                f"design: {self.name} varies neither along the body nor between tendons; take Least or Most"
-            )
+            remedy = "take Least or Most of it"
+            raise InputError(f"design: {self.name} varies neither along the body nor between tendons; {remedy}")
 
     def values(self, view: BodyView) -> Array:
         if self.known.along:
