@@ -70,6 +70,7 @@ from .statics.targets import (
     CurvatureAt as CurvatureAt,
     Displacement as Displacement,
     TipAngle as TipAngle,
+    TipPosition as TipPosition,
     TipStiffness as TipStiffness,
     TipTension as TipTension,
     TotalTension as TotalTension,

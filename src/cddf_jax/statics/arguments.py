@@ -19,7 +19,8 @@ from ..mechanics.problem import Method, Problem
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Number
-from .targets import Actuation, CurvatureAt, Target, TipStiffness
+from .targets import Actuation, CurvatureAt, Target, TipPosition, TipStiffness
+from .tension_search import Targets
 
 PerTendon = Float[Array, " tendons"]
 Tree = TypeVar("Tree")
@@ -36,12 +37,16 @@ def check_nodes(nodes: object) -> None:
         raise ValueError(f"nodes must be a whole number of 4 or more, got {nodes!r}")
 
 
-def split_actuation(manipulator: Manipulator, actuation: Actuation) -> tuple[PyTree, tuple[Target | None, ...]]:
+def split_actuation(manipulator: Manipulator, actuation: Actuation) -> tuple[PyTree, Targets]:
     """The given tensions, zero in the place of targets, and the targets, None in the place of tensions."""
     count = manipulator.num_tendons
+    if isinstance(actuation, TipPosition):
+        return 0.0, (actuation,)
     entries = actuation if isinstance(actuation, tuple | list) else [actuation]
     if texts := [entry for entry in entries if isinstance(entry, str)]:
         raise TypeError(f"solve: base_tension must hold numbers, N, or targets, got the text {texts[0]!r}")
+    if any(isinstance(entry, TipPosition) for entry in entries):
+        raise ValueError("solve: a TipPosition stands for all base tensions; give it alone, without a list")
     if not any(_is_target(entry) for entry in entries):
         return actuation, (None,) * count
     if len(entries) != count:
@@ -75,7 +80,28 @@ def checked_loads(loads: Loads | None) -> Loads | None:
     return loads
 
 
-def check_in_space(method: Method, targets: tuple[Target | None, ...]) -> None:
+def check_place(manipulator: Manipulator, targets: Targets) -> None:
+    """Refuse a place of the tip, or limits of its tensions, of wrong shape.
+
+    Raises:
+        ValueError: says what is given and what is wanted.
+    """
+    for target in targets:
+        if not isinstance(target, TipPosition):
+            continue
+        components, count = (3 if manipulator.in_space else 2), manipulator.num_tendons
+        if np.shape(target.value) != (components,):
+            where = "in space" if manipulator.in_space else "in the plane (space=True makes it three)"
+            what = f"{components} components, m, {where}, got shape {np.shape(target.value)}"
+            raise ValueError(f"solve: TipPosition must have {what}; batch with jax.vmap")
+        for name in ("minimum_tension", "maximum_tension"):
+            limit = getattr(target, name)
+            if limit is not None and np.shape(limit) not in ((), (count,)):
+                what = f"a number or one per tendon ({count}), N, got shape {np.shape(limit)}"
+                raise ValueError(f"solve: TipPosition's {name} must be {what}")
+
+
+def check_in_space(method: Method, targets: Targets) -> None:
     """Refuse what is known in the plane alone.
 
     Raises:
@@ -196,8 +222,14 @@ def _has_physical_masses(manipulator: Manipulator, problem: Problem) -> Bool[Arr
     return good
 
 
-def are_on_the_body(targets: tuple[Target | None, ...], problem: Problem) -> Bool[Array, ""]:
-    """Whether the arc lengths of all targets lie between base and tip."""
+def are_possible(targets: Targets, problem: Problem) -> Bool[Array, ""]:
+    """Whether arc lengths of targets lie between base and tip, and limits of tensions are in order."""
     places = [jnp.asarray(target.arc_length) for target in targets if isinstance(target, CurvatureAt)]
     length = problem.panels.edges[-1]
-    return jnp.all(jnp.asarray([True, *((place >= 0) & (place <= length) for place in places)]))
+    good = [(place >= 0) & (place <= length) for place in places]
+    for target in targets:
+        if isinstance(target, TipPosition):
+            least = jnp.asarray(target.minimum_tension)
+            most = jnp.inf if target.maximum_tension is None else jnp.asarray(target.maximum_tension)
+            good.append(jnp.all((least >= 0) & (least <= most)))
+    return jnp.all(jnp.asarray([True, *good]))

@@ -144,7 +144,8 @@ class Equilibrium(eqx.Module):
     tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction; without base tension that of bending alone
     tendon_displacement: Float[Array, " tendons"]  # m, pulled in at the base since the straight body: positive
     base_tension: Float[Array, " tendons"]  # N; found where a target stood in its place
-    target_miss: Float[Array, " tendons"]  # reached less wanted, in the target's unit; 0 where the tension was given
+    target_miss: Float[Array, " targets"]  # reached less wanted, in the target's unit; 0 where the tension was given
+    target_rank: Int[Array, ""] | None  # of a `TipPosition`: in how many directions the tensions move the tip there
     base_moment: Float[Array, "*components"]  # M_ext(0), N m, that the dead loads put on the base
     load_fraction: Float[Array, ""]  # of the loads, up to which there is an equilibrium: 1, or the limit load
     num_load_steps: Int[Array, ""]  # in which the loads were put on; 1 where one step would do, 0 without loads

@@ -74,6 +74,7 @@ class System(eqx.Module):
     settled: Settled
     equations: Equations
     unknown: tuple[int, ...] = eqx.field(static=True)
+    whole: bool = eqx.field(default=False, static=True)  # whether the equations need frame and position
 
     def root(self) -> Unknowns:
         """The unknowns as they were found."""
@@ -108,12 +109,8 @@ class System(eqx.Module):
         Without values the method solves from scratch, and has derivatives of its own.
         """
         problem, method = self.problem(unknowns), self.setup.method
-        if values is None:
-            solution = method(problem)
-        elif self.unknown and problem.in_space and problem.loads is None:  # a pass alone does not know the heading
-            solution = method.finish(problem, values)
-        else:
-            solution = method.improve(problem, values)
+        improve = method.finish if self.whole else method.improve
+        solution = method(problem) if values is None else improve(problem, values)
         turning = turning_at_splits(problem, solution, self._splits(unknowns))
         residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution), turning])
         return (None if values is None else nodal(problem, solution), residual), (problem, solution)
@@ -125,6 +122,7 @@ def balance(
     settled: Settled,
     unknown: tuple[int, ...] = (),
     equations: Equations = no_equations,
+    whole: bool = False,
 ) -> Balance:
     """Solve once more with all that was found, now with its derivatives.
 
@@ -134,8 +132,9 @@ def balance(
         settled: what was found for these tensions.
         unknown: the tendons whose tension was searched for.
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
+        whole: whether the equations need frame and position.
     """
-    system = System(setup, base_tension, settled, equations, unknown)
+    system = System(setup, base_tension, settled, equations, unknown, whole)
     trial, found = settled.trial, settled.load_path
     if trial is None or settled.travel is None:
         return _from_scratch(system)

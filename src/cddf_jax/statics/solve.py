@@ -33,9 +33,10 @@ from ..robot.profiles import Number
 from ..robot.validation import check_weight
 from .arguments import (
     GivenDirections,
-    are_on_the_body,
+    are_possible,
     check_in_space,
     check_nodes,
+    check_place,
     checked_loads,
     harmless,
     is_physical,
@@ -55,8 +56,8 @@ from .equilibrium import (
 )
 from .equilibrium_derivatives import Balance, equilibrate, inside_of_bend
 from .equilibrium_search import Setup
-from .targets import Actuation, Displacement, Target, TipAngle, TipStiffness
-from .tension_search import Found, reach
+from .targets import Actuation, Displacement, TipAngle, TipStiffness
+from .tension_search import Found, Targets, reach
 
 PerTendon = Float[Array, " tendons"]
 
@@ -80,7 +81,8 @@ def solve(
         manipulator: the body and its tendons.
         base_tension: T_base >= 0, N, a number for all tendons or one per tendon. In place of a number may stand
             what is to be reached, and its tension is found: `Displacement`, `TipAngle`, `TipTension`,
-            `CurvatureAt`, `TotalTension`, `TipStiffness`; as many targets as unknown tensions.
+            `CurvatureAt`, `TotalTension`, `TipStiffness`; as many targets as unknown tensions. A `TipPosition` stands
+            for all base tensions.
         loads: dead loads on the tip and gravity; None for none.
         direction: +1 for a tendon that slides in at the base (pulled, as in the paper), -1 for one that
             slides out; a number, or one per tendon. None, for all or in the place of one tendon, for the direction
@@ -128,6 +130,7 @@ def solve(
     if space or manipulator.in_space or (loads is not None and loads.in_space):
         manipulator, loads = in_space(manipulator), None if loads is None else loads_in_space(loads)
         check_in_space(method, targets)
+    check_place(manipulator, targets)
     if loads is None and any(isinstance(target, TipStiffness) for target in targets):
         loads = Loads()
     check_weight(manipulator, loads)
@@ -137,7 +140,7 @@ def solve(
     return equilibrium
 
 
-def _raise_if_failed(equilibrium: Equilibrium, targets: tuple[Target | None, ...]) -> None:
+def _raise_if_failed(equilibrium: Equilibrium, targets: Targets) -> None:
     code = code_of(equilibrium.result)
     if isinstance(code, Tracer) or np.ndim(code) > 0:
         return
@@ -146,7 +149,7 @@ def _raise_if_failed(equilibrium: Equilibrium, targets: tuple[Target | None, ...
     raise SolveError(result_in_words(equilibrium) + _units_of(targets, float(equilibrium.arc_length[-1])))
 
 
-def _units_of(targets: tuple[Target | None, ...], length: float) -> str:
+def _units_of(targets: Targets, length: float) -> str:
     """A hint at the unit of a target, if its value looks like another unit."""
     for target in targets:
         if isinstance(target, TipAngle) and abs(float(target.value)) > 2 * np.pi:
@@ -161,7 +164,7 @@ def _units_of(targets: tuple[Target | None, ...], length: float) -> str:
 def _solve(
     manipulator: Manipulator,
     given: Number,
-    targets: tuple[Target | None, ...],
+    targets: Targets,
     loads: Loads | None,
     direction: GivenDirections,
     method: Method,
@@ -176,7 +179,7 @@ def _solve(
     balance, found = _equilibrium(setup, given, targets)
     problem, solution = balance.problem, balance.solution
 
-    physical = finite & is_physical(asked[0], asked[1], asked[2], problem) & are_on_the_body(targets, problem)
+    physical = finite & is_physical(asked[0], asked[1], asked[2], problem) & are_possible(targets, problem)
     solved = physical & balance.load_path.converged
     at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
     contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.panels.edges[-1])
@@ -204,6 +207,7 @@ def _solve(
         tendon_displacement=nan_unless(solved, tendon_displacement(problem, solution.nodes)),
         base_tension=nan_unless(solved, problem.base_tension),
         target_miss=nan_unless(solved, found.miss),
+        target_rank=found.rank,
         base_moment=nan_unless(solved, problem.base_moment),
         load_fraction=balance.load_path.fraction,
         num_load_steps=balance.load_path.num_steps.astype(int),
@@ -238,7 +242,7 @@ def _fraction_left(problem: Problem, solution: Solution[State]) -> PerTendon | f
     return jnp.where(pulled, left / jnp.where(pulled, problem.base_tension, 1.0), 1.0)
 
 
-def _equilibrium(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) -> tuple[Balance, Found]:
+def _equilibrium(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Found]:
     if any(target is not None for target in targets):
         return reach(setup, given, targets)
     true = zero_as(given) == 0

@@ -42,7 +42,25 @@ class Target(Protocol):
         ...
 
 
-Actuation = ArrayLike | Target | Sequence[ArrayLike | Target]  # for all tendons, or one entry per tendon
+class TipPosition(eqx.Module):
+    """The place of the tip, which stands for all base tensions: those of the least sum that bring the tip there.
+
+    Where no tensions do, the answer is the nearest place that was found. The search is local, from several starts: of a
+    body that bends far it may miss tensions that come nearer.
+
+    Args:
+        value: (x, y) of the tip, m, or (x, y, z) in space.
+        minimum_tension: N, 0 or more, for all tendons or one each: no tendon gets less.
+        maximum_tension: N, likewise; None for no limit.
+    """
+
+    quantity: ClassVar[str] = "tip_position"
+    value: Any = eqx.field(converter=as_number)
+    minimum_tension: Any = eqx.field(default=0.0, converter=as_number)
+    maximum_tension: Any = eqx.field(default=None, converter=lambda x: None if x is None else as_number(x))
+
+
+Actuation = ArrayLike | Target | TipPosition | Sequence[ArrayLike | Target]  # for all tendons, or one entry per tendon
 
 
 class Displacement(eqx.Module):

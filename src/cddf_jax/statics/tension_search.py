@@ -1,19 +1,20 @@
-"""The base tensions with which targets are reached, or the nearest to them that a tendon can give."""
+"""The base tensions with which targets are reached, or the nearest to them that tendons can give."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.tree_util import Partial
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import AnyState, Nodal, Number, Problem, Solution
 from ..numerics.arrays import largest, varying_as, zero_as
 from ..numerics.implicit import Unknowns, slopes_by_unknowns, solve_small, without_derivative
-from .equilibrium_derivatives import Balance, System, balance, inside_of_bend
+from .equilibrium_derivatives import Balance, Equations, System, balance, inside_of_bend
 from .equilibrium_search import Settled, Setup, settle, unsettled
-from .targets import Displacement, Target, bending_tension
+from .targets import Displacement, Target, TipAngle, TipPosition, bending_tension
 
 START = 0.05  # of the tension at which d kappa would come near 1
 FARTHEST = 100.0  # of the same: no target is looked for beyond
@@ -22,53 +23,84 @@ MAX_EVALUATIONS = 200
 REACHED = 1e-9  # of the size of a target
 LEAST_MOVE = 1e-11, 1e-7  # relative change of the tensions below which the search ends: undamped, damped
 WELL_DETERMINED = 1e-8  # smallest pivot over the largest
+MAX_ROUNDS = 60  # in which the sum of the tensions is lowered
+LEAST_GAIN = 1e-10  # relative change of the sum at which that ends
+SAME_EFFECT = 1e-6  # of the largest slope: a change of the tensions that moves the tip by less has no effect
+ALIKE = 1e-6  # relative: two misses that count as the same
+LEVEL = 1e-5  # change of the sum with a tension below which it counts as none
+
+Tensions = Float[Array, " unknowns"]  # over their scale
+Flags = Bool[Array, " unknowns"]
 
 
 class Found(NamedTuple):
     """Whether the targets were reached."""
 
-    miss: PerTendon  # reached less wanted, in the unit of the target; zero where the tension was given
+    miss: Float[Array, " targets"]  # reached less wanted, in the unit of the target; 0 where a tension was given
     reached: Bool[Array, ""]
     slack: Bool[Array, ""]  # a tendon would have to push to give its displacement
     determined: Bool[Array, ""]  # no other tensions nearby do the same
+    rank: Int[Array, ""] | None = None  # of the derivative of the tip's place by all tensions
+
+
+class _Aim(NamedTuple):
+    """What a search is for."""
+
+    evaluate: Callable[[Tensions], "_TensionTrial"]
+    least: Tensions
+    most: Tensions
+    pulled: Flags | None  # displacements, whose tendons may be let go; None where targets do not belong to tendons
 
 
 class _TensionTrial(NamedTuple):
-    tension: Float[Array, " unknowns"]  # over its scale
-    residual: Float[Array, " unknowns"]
-    jacobian: Float[Array, "unknowns unknowns"]
+    tension: Tensions
+    residual: Float[Array, " targets"]
+    jacobian: Float[Array, "targets unknowns"]
     cost: Number
     settled: Settled
 
 
 class _TensionSearch(NamedTuple):
     best: _TensionTrial
-    next: Float[Array, " unknowns"]
+    next: Tensions
     damping: Number
     num_evaluations: Number
     improved: Bool[Array, ""]
-    slack: Bool[Array, " unknowns"]  # tendons that were let go, since they would have to push
+    slack: Flags  # tendons that were let go, since they would have to push
     ended: Bool[Array, ""]
 
 
-def reach(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) -> tuple[Balance, Found]:
+Targets = tuple[Target | TipPosition | None, ...]  # one per tendon, None where the tension is given; or one of the tip
+
+
+def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Found]:
     """The equilibrium in which targets are reached; its tensions have the derivatives of the implicit function.
 
     Args:
         setup: the manipulator and its loads.
         given: T_base, N; where there is a target the entry is not used.
-        targets: one per tendon, None where the tension is given.
+        targets: what is to be reached.
     """
-    wanted = {i: target for i, target in enumerate(targets) if target is not None}
+    if isinstance(targets[0], TipPosition):
+        return _reach_place(setup, given, targets[0])
+    wanted = {i: target for i, target in enumerate(targets) if isinstance(target, Target)}
     which = jnp.asarray(list(wanted))
     frozen_setup, frozen_given, frozen_wanted = without_derivative((setup, given, wanted))
     scale = bending_tension(frozen_setup)
-    best, slack = _search(frozen_setup, frozen_given, frozen_wanted, scale)
+    misses = Partial(_misses, frozen_setup, frozen_wanted)
+    whole = setup.manipulator.in_space and any(isinstance(target, TipAngle) for target in wanted.values())
+    start = jnp.full(len(wanted), START) + zero_as(scale, given)
+    aim = _Aim(
+        evaluate=_evaluation(frozen_setup, frozen_given, tuple(wanted), misses, scale, whole),
+        least=jnp.zeros_like(start),
+        most=jnp.full_like(start, FARTHEST),
+        pulled=jnp.asarray([isinstance(target, Displacement) for target in wanted.values()]),
+    )
+    best, slack = _search(aim, _nothing(frozen_setup, frozen_given, start, len(wanted)), start, start < 0)
     apart = slack[:, None] | slack | ~jnp.isfinite(best.jacobian)
     pivots = solve_small(jnp.where(apart, jnp.eye(len(wanted)), best.jacobian), best.residual)[1]
     determined = pivots > WELL_DETERMINED
-    tolerance = max(REACHED, 1e2 * float(jnp.finfo(scale.dtype).eps))
-    reached = jnp.isfinite(best.cost) & (jnp.max(jnp.where(slack, 0.0, jnp.abs(best.residual))) <= tolerance)
+    reached = jnp.isfinite(best.cost) & (jnp.max(jnp.where(slack, 0.0, jnp.abs(best.residual))) <= _tolerance(scale))
 
     free = reached & determined & ~slack
     tension = given.at[which].set(scale * best.tension)
@@ -76,7 +108,11 @@ def reach(setup: Setup, given: PerTendon, targets: tuple[Target | None, ...]) ->
     miss = jnp.zeros_like(given).at[which].set(best.residual * sizes)
     found = Found(miss, reached, jnp.any(slack), determined)
     equations = Partial(_equations, setup, wanted, scale, best.tension, free)
-    return balance(setup, tension, best.settled, tuple(wanted), equations), found
+    return balance(setup, tension, best.settled, tuple(wanted), equations, whole), found
+
+
+def _tolerance(number: Number) -> float:
+    return max(REACHED, 1e2 * float(jnp.finfo(number.dtype).eps))
 
 
 Wanted = dict[int, Target]  # by tendon
@@ -86,8 +122,8 @@ def _equations(
     setup: Setup,
     wanted: Wanted,
     scale: Number,
-    found: Float[Array, " unknowns"],
-    free: Bool[Array, " unknowns"],
+    found: Tensions,
+    free: Flags,
     problem: Problem,
     solution: Solution[AnyState],
 ) -> Float[Array, " unknowns"]:
@@ -105,6 +141,9 @@ def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution[A
     return jnp.stack([miss(tendon, target) for tendon, target in wanted.items()])
 
 
+# --- the search between the least and the most tensions -------------------------------------------
+
+
 def _num_moments(setup: Setup) -> int:
     """How many numbers M_ext(0) has."""
     if setup.loads is None:
@@ -112,70 +151,93 @@ def _num_moments(setup: Setup) -> int:
     return 3 if setup.manipulator.in_space else 1
 
 
-def _search(
-    setup: Setup, given: PerTendon, wanted: Wanted, scale: Number
-) -> tuple[_TensionTrial, Bool[Array, " unknowns"]]:
-    """Levenberg-Marquardt between slack and the farthest tension; every trial is an equilibrium of its own."""
-    which = jnp.asarray(list(wanted))
+def _evaluation(
+    setup: Setup, given: PerTendon, unknown: tuple[int, ...], misses: Equations, scale: Number, whole: bool
+) -> Callable[[Tensions], _TensionTrial]:
+    """Solves for tensions, and tells what they miss, with the slopes of that."""
+    count, loaded = len(unknown), _num_moments(setup)
 
-    count, loaded = len(wanted), _num_moments(setup)
-
-    def evaluate(tension: Float[Array, " unknowns"]) -> _TensionTrial:
-        base_tension = given.at[which].set(scale * tension)
+    def evaluate(tension: Tensions) -> _TensionTrial:
+        base_tension = given.at[jnp.asarray(unknown)].set(scale * tension)
         settled = settle(setup, base_tension)
-        system = System(setup, base_tension, settled, Partial(_misses, setup, wanted), tuple(wanted))
+        system = System(setup, base_tension, settled, misses, unknown, whole)
         values = None if settled.trial is None else settled.trial.nodal
         root, splits = jnp.split(system.root(), [count + loaded])  # slopes by the places of sign changes vanish
 
         def step(values: Nodal | None, root: Unknowns):
             (better, rows), there = system.step(values, jnp.concatenate([root, splits]))
-            return (better, rows[: count + loaded]), there
+            return (better, rows[: rows.size - splits.size]), there
 
         (_, rows), push, (problem, solution) = jax.linearize(step, values, root, has_aux=True)
         slopes = slopes_by_unknowns(push, values, root)[1].T
-        residual, jacobian = rows[:count], slopes[:count, :count]
+        targets = rows.size - loaded
+        residual, jacobian = rows[:targets], slopes[:targets, :count]
         if loaded:  # the base moment follows the tensions so that M_ext(L) stays m
-            followed = [solve_small(slopes[count:, count:], slopes[count:, i])[0] for i in range(count)]
-            jacobian = jacobian - slopes[:count, count:] @ jnp.stack(followed, axis=1)
+            followed = [solve_small(slopes[targets:, count:], slopes[targets:, i])[0] for i in range(count)]
+            jacobian = jacobian - slopes[:targets, count:] @ jnp.stack(followed, axis=1)
         fine = settled.load_path.converged & solution.converged & (largest(inside_of_bend(problem, solution)) < 1.0)
         fine = fine & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
         cost = jnp.where(fine, jnp.sum(residual**2), jnp.inf)
         return _TensionTrial(tension, residual, scale * jacobian, cost, settled)
 
-    start = jnp.full(len(wanted), START) + zero_as(scale, given)
-    blank, eye = unsettled(setup, given), jnp.eye(len(wanted), dtype=start.dtype)
-    zero = blank.load_path.num_steps + zero_as(wanted)
+    return evaluate
+
+
+def _nothing(setup: Setup, given: PerTendon, start: Tensions, targets: int) -> _TensionTrial:
+    """What a search begins with: no equilibrium, at any cost."""
+    blank = unsettled(setup, given)
+    zero = blank.load_path.num_steps + zero_as(start)
     # all of it varies over the devices of shard_map; an empty array would not, were it chosen by `where`
-    false, blank = zero > 0, varying_as(blank, zero)
-    blank = blank._replace(load_path=blank.load_path._replace(converged=false))
-    nothing = _TensionTrial(start + zero, jnp.zeros_like(start) + zero, eye + zero, zero + jnp.inf, blank)
+    blank = varying_as(blank, zero)
+    blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
+    slopes = jnp.eye(targets, start.size, dtype=start.dtype) + zero
+    return _TensionTrial(start + zero, slopes[:, 0] * 0.0, slopes, zero + jnp.inf, blank)
+
+
+def _search(aim: _Aim, nothing: _TensionTrial, start: Tensions, held: Flags) -> tuple[_TensionTrial, Flags]:
+    """Levenberg-Marquardt between the limits; every trial is an equilibrium of its own.
+
+    Args:
+        aim: what to look for.
+        nothing: no trial yet.
+        start: where to begin.
+        held: tensions that stay as they are at the start.
+
+    Returns:
+        The best trial, and the tendons that were let go.
+    """
+    zero = zero_as(nothing)
     state = _TensionSearch(
         best=nothing,
         next=start + zero,
         damping=zero,
         num_evaluations=zero,
-        improved=false,
+        improved=zero > 0,
         slack=nothing.tension < 0,
-        ended=false,
+        ended=zero > 0,
     )
-    pulled = jnp.asarray([isinstance(target, Displacement) for target in wanted.values()])
     state = jax.lax.while_loop(
-        lambda state: ~state.ended, lambda state: _judge(evaluate(state.next), state, pulled), state
+        lambda state: ~state.ended, lambda state: _judge(aim, held, aim.evaluate(state.next), state), state
     )
     return state.best, state.slack
 
 
-def _cost(trial: _TensionTrial, slack: Bool[Array, " unknowns"]) -> Number:
-    return jnp.where(jnp.isfinite(trial.cost), jnp.sum(jnp.where(slack, 0.0, trial.residual) ** 2), jnp.inf)
+def _counted(aim: _Aim, residual: Array, slack: Flags) -> Array:
+    """The residual without the targets of tendons that were let go."""
+    return residual if aim.pulled is None else jnp.where(slack, 0.0, residual)
 
 
-def _judge(trial: _TensionTrial, state: _TensionSearch, pulled: Bool[Array, " unknowns"]) -> _TensionSearch:
+def _judge(aim: _Aim, held: Flags, trial: _TensionTrial, state: _TensionSearch) -> _TensionSearch:
     """Keep the better one, and choose where to look next.
 
     Where the search would end with a tendon that has to push to give its displacement, that tendon is let go,
     and the search goes on for the others.
     """
-    better = _cost(trial, state.slack) < _cost(state.best, state.slack)
+
+    def cost(trial: _TensionTrial) -> Number:
+        return jnp.where(jnp.isfinite(trial.cost), jnp.sum(_counted(aim, trial.residual, state.slack) ** 2), jnp.inf)
+
+    better = cost(trial) < cost(state.best)
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, state.best)
     easier = jnp.where(state.improved, state.damping / 3.0, state.damping)
     damping = jnp.where(better, easier, jnp.maximum(4.0 * state.damping, 1.0))
@@ -183,26 +245,187 @@ def _judge(trial: _TensionTrial, state: _TensionSearch, pulled: Bool[Array, " un
     nowhere = ~jnp.isfinite(best.cost)
     others = jnp.asarray((*OTHER_STARTS, 0.0), damping.dtype)
     elsewhere = others[jnp.minimum(evaluations.astype(int) - 1, len(OTHER_STARTS))]
-    following = jnp.where(nowhere, elsewhere, _step(best, damping, state.slack))
+    following = jnp.where(nowhere, jnp.clip(elsewhere, aim.least, aim.most), _step(aim, held, best, damping, state.slack))
     move = jnp.max(jnp.abs(following - best.tension)) / (jnp.max(best.tension) + 1e-3)
     least = jnp.where(damping >= 1.0, LEAST_MOVE[1], LEAST_MOVE[0])
     done = jnp.where(nowhere, evaluations > len(OTHER_STARTS), move <= least)
-    pushes = done & ~nowhere & pulled & ~state.slack & (best.tension == 0) & (best.residual > REACHED)
-    slack = state.slack | pushes
-    again = jnp.any(pushes)
-    following = jnp.where(again, _step(best, 0.0 * damping, slack), following)
+    slack, again = state.slack, jnp.zeros_like(done)
+    if aim.pulled is not None:
+        pushes = done & ~nowhere & aim.pulled & ~slack & (best.tension == 0) & (best.residual > REACHED)
+        slack, again = slack | pushes, jnp.any(pushes)
+        following = jnp.where(again, _step(aim, held, best, 0.0 * damping, slack), following)
     done = (done & ~again) | (evaluations >= MAX_EVALUATIONS)
     return _TensionSearch(best, following, jnp.where(again, 0.0, damping), evaluations, better, slack, done)
 
 
-def _step(best: _TensionTrial, damping: Number, slack: Bool[Array, " unknowns"]) -> Float[Array, " unknowns"]:
+def _step(aim: _Aim, held: Flags, best: _TensionTrial, damping: Number, slack: Flags) -> Tensions:
     """The damped Gauss-Newton step of the tendons that are free to follow it."""
-    jacobian, residual = jnp.where(slack[:, None], 0.0, best.jacobian), jnp.where(slack, 0.0, best.residual)
+    residual = _counted(aim, best.residual, slack)
+    jacobian = best.jacobian if aim.pulled is None else jnp.where(slack[:, None], 0.0, best.jacobian)
     downhill = -jacobian.T @ residual
     tension, tiny = best.tension, jnp.finfo(best.tension.dtype)
-    stuck = slack | ((tension <= 0) & (downhill < 0)) | ((tension >= FARTHEST) & (downhill > 0))
+    stuck = held | slack | ((tension <= aim.least) & (downhill < 0)) | ((tension >= aim.most) & (downhill > 0))
     free = jnp.where(stuck, 0.0, 1.0)
     normal = (jacobian * free).T @ (jacobian * free)
     ridge = (damping + 4 * float(tiny.eps)) * jnp.maximum(jnp.max(jnp.diag(normal)), tiny.tiny)
     step, _ = solve_small(normal + ridge * jnp.eye(tension.shape[0], dtype=tension.dtype), downhill * free)
-    return jnp.clip(tension + step * free, 0.0, FARTHEST)
+    return jnp.clip(tension + step * free, aim.least, aim.most)
+
+
+# --- a place of the tip ---------------------------------------------------------------------------
+
+
+def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[Balance, Found]:
+    """The equilibrium whose tip is at a place, or the nearest to it, with the least sum of tensions."""
+    frozen_setup, frozen_given, frozen = without_derivative((setup, given, target))
+    scale = bending_tension(frozen_setup)
+    unknown, whole = tuple(range(given.size)), True
+    misses = Partial(_missed_place, frozen_setup, frozen)
+    least, most = _limits(frozen, scale, given)
+    evaluate = _evaluation(frozen_setup, frozen_given, unknown, misses, scale, whole)
+    best = _least_total(_Aim(evaluate, least, most, None), frozen_setup, frozen_given, frozen)
+
+    inside = (best.tension > least) & (best.tension < most)
+    jacobian = jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0)
+    both = jnp.concatenate([jacobian, jnp.max(jnp.abs(jacobian)) * jnp.ones_like(given)[None]])
+    determined = jnp.linalg.matrix_rank(both * inside, rtol=_same_effect(scale)) == jnp.sum(inside)
+    reached = jnp.isfinite(best.cost) & (jnp.max(jnp.abs(best.residual)) <= _tolerance(scale))
+    rank = jnp.linalg.matrix_rank(jacobian, rtol=_same_effect(scale))
+    found = Found(best.residual * frozen_setup.manipulator.length, reached, ~reached & reached, determined, rank)
+
+    follow = jnp.where(reached, jnp.linalg.pinv(jacobian * inside, rtol=_same_effect(scale)), 0.0)
+    moves = jnp.eye(given.size, dtype=given.dtype) - follow @ jacobian
+    equations = Partial(_place_equations, setup, target, scale, best.tension, follow, moves)
+    return balance(setup, scale * best.tension, best.settled, unknown, equations, whole), found
+
+
+def _limits(target: TipPosition, scale: Number, given: PerTendon) -> tuple[Tensions, Tensions]:
+    least = jnp.zeros_like(given) + jnp.asarray(target.minimum_tension, given.dtype) / scale
+    if target.maximum_tension is None:
+        return least, jnp.maximum(least, FARTHEST)
+    return least, jnp.zeros_like(given) + jnp.asarray(target.maximum_tension, given.dtype) / scale
+
+
+def _missed_place(
+    setup: Setup, target: TipPosition, problem: Problem, solution: Solution[AnyState]
+) -> Float[Array, " components"]:
+    """The tip's place less the wanted one, over the length."""
+    return (solution.tip.position - target.value) / jnp.asarray(setup.manipulator.length)
+
+
+def _place_equations(
+    setup: Setup,
+    target: TipPosition,
+    scale: Number,
+    found: Tensions,
+    follow: Float[Array, "unknowns components"],
+    moves: Float[Array, "unknowns unknowns"],
+    problem: Problem,
+    solution: Solution[AnyState],
+) -> Tensions:
+    """One for each tension: those at a limit stay there, the others follow the place by the least change.
+
+    Their derivative by the tensions is the identity.
+    """
+    least, most = _limits(target, scale, problem.base_tension)
+    limit = jnp.where(found <= least, least, jnp.where(found >= most, most, found))
+    away = problem.base_tension / scale - limit
+    return follow @ _missed_place(setup, target, problem, solution) + moves @ away
+
+
+class _Rounds(NamedTuple):
+    """Searches one after the other, each from where the last best one leads."""
+
+    kept: _TensionTrial
+    start: Tensions
+    held: Flags
+    length: Number  # of the last change of the tensions along which the tip stays
+    longest: Number  # that may be tried
+    num_rounds: Number
+    over: Bool[Array, ""]
+
+
+def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition) -> _TensionTrial:
+    """The tensions with the least miss, and of these with the least sum.
+
+    The first search starts with the tendons on the side of the place, the second with all alike. Each further one
+    starts farther along a change of the tensions that keeps the tip and lowers their sum, and brings the tip back.
+    """
+    alike = jnp.clip(START + zero_as(given, aim.least, aim.most) + jnp.zeros_like(given), aim.least, aim.most)
+    nothing = _nothing(setup, given, alike, jnp.size(target.value))
+    none, zero = alike < 0, zero_as(nothing)
+
+    def next_round(state: _Rounds) -> _Rounds:
+        found, _ = _search(aim, nothing, state.start, state.held)
+        kept, good = _better(found, state.kept)
+        longest = jnp.where(state.num_rounds < 2, jnp.inf, jnp.where(good, 2.0, 0.25) * state.length)
+        change, gain = _downwards(aim, kept)
+        start, length = _pushed(aim, kept.tension, change, longest)
+        second = (state.num_rounds < 1) & ~(kept.cost <= _tolerance(zero) ** 2)
+        start = jnp.where(second, alike, start)
+        held = ~second & ((start <= aim.least) | (start >= aim.most))
+        rounds = jnp.where(second, 1.0, jnp.maximum(state.num_rounds + 1.0, 2.0))
+        small = ~(gain * length > LEAST_GAIN * (jnp.sum(kept.tension) + 1e-3))
+        over = ~second & (small | ~jnp.isfinite(kept.cost) | (rounds >= MAX_ROUNDS))
+        return _Rounds(kept, start, held, length, longest, rounds, over)
+
+    towards = jnp.clip(START * _on_the_side(setup, target), aim.least, aim.most) + zero
+    first = _Rounds(nothing, towards, none, zero, zero + jnp.inf, zero, zero > 0)
+    return jax.lax.while_loop(lambda state: ~state.over, next_round, first).kept
+
+
+def _better(found: _TensionTrial, kept: _TensionTrial) -> tuple[_TensionTrial, Bool[Array, ""]]:
+    """The one that misses less; where both miss as much, that of the lower sum. And whether it is the first."""
+    enough = _tolerance(found.cost) ** 2
+    nearer = (found.cost < (1 - ALIKE) * kept.cost) & (kept.cost > enough)
+    as_near = found.cost <= jnp.maximum((1 + ALIKE) * kept.cost, enough)
+    good = nearer | (as_near & (jnp.sum(found.tension) < jnp.sum(kept.tension)))
+    return jax.tree.map(lambda new, old: jnp.where(good, new, old), found, kept), good
+
+
+def _downwards(aim: _Aim, trial: _TensionTrial) -> tuple[Tensions, Number]:
+    """The change of the tensions along which the tip stays and their sum falls, and by how much it falls.
+
+    Tensions at a limit stay there, until nothing else lowers the sum; then one is let go (gradient projection, Rosen,
+    J. Soc. Indust. Appl. Math. 8, 1960).
+    """
+    low, high = trial.tension <= aim.least, trial.tension >= aim.most
+    change, price = _without_effect(trial.jacobian, ~(low | high))
+    wrong = jnp.where(low, -price, jnp.where(high, price, 0.0))
+    first = (jnp.arange(wrong.size) == jnp.argmax(wrong)) & (wrong > LEVEL) & (jnp.max(jnp.abs(change)) <= LEVEL)
+    change, _ = _without_effect(trial.jacobian, ~(low | high) | first)
+    return change, -jnp.sum(change)
+
+
+def _without_effect(jacobian: Float[Array, "components unknowns"], free: Flags) -> tuple[Tensions, Tensions]:
+    """The steepest fall of the sum of the free tensions at which the tip stays.
+
+    And the price of each tension: by how much the sum changes with it, while the free ones keep the tip.
+    """
+    used = jacobian * free
+    normal = used @ used.T
+    ridge = _same_effect(normal) ** 2 * jnp.max(jnp.diag(normal)) + jnp.finfo(normal.dtype).tiny
+    weight, _ = solve_small(normal + ridge * jnp.eye(normal.shape[0], dtype=normal.dtype), jnp.sum(used, axis=1))
+    price = 1.0 - jacobian.T @ weight
+    return jnp.where(free & (jnp.abs(price) > LEVEL), -price, 0.0), price
+
+
+def _same_effect(number: Array) -> float:
+    return max(SAME_EFFECT, 4 * float(jnp.finfo(number.dtype).eps) ** 0.5)
+
+
+def _pushed(aim: _Aim, tension: Tensions, change: Tensions, longest: Number) -> tuple[Tensions, Number]:
+    """The tensions after a change that ends at the first limit, or earlier; and its length."""
+    limit = jnp.where(change < 0, aim.least, aim.most)
+    moves = change != 0
+    room = jnp.where(moves, (limit - tension) / jnp.where(moves, change, 1.0), jnp.inf)
+    length = jnp.minimum(jnp.min(room), longest)
+    return jnp.where(moves, jnp.where(room <= length, limit, tension + length * change), tension), length
+
+
+def _on_the_side(setup: Setup, target: TipPosition) -> Tensions:
+    """How much each tendon bends the body towards a place, as far as its arm at the base tells; from 0.1 to 1.1."""
+    aside = jnp.asarray(target.value)[1:]
+    arms = setup.manipulator.arms(jnp.zeros_like(aside[0]))[:, 1 : 1 + aside.size]
+    size = jnp.linalg.norm(arms, axis=1) * jnp.linalg.norm(aside)
+    return 0.1 + jnp.maximum(arms @ aside / jnp.maximum(size, jnp.finfo(size.dtype).tiny), 0.0)
