@@ -49,6 +49,9 @@ def statics():
     wanted = cddf.Displacement(0.005), cddf.TipTension(15.0), cddf.CurvatureAt(4.0, 0.07), cddf.TipStiffness(200.0)
     assert all(np.isfinite(target.value) for target in wanted)
     cddf.solve(pair, (cddf.TipAngle(0.3), cddf.TotalTension(30.0)), nodes=8)
+    cddf.solve(
+        pair, cddf.TipPosition((0.13, 0.03), minimum_tension=1.0, maximum_tension=(60.0, 50.0)), nodes=8, throw=False
+    )
     cddf.solve(robot, 20.0, method=cddf.FixedPoint(tolerance=1e-8), nodes=8)
     cddf.solve(robot, 20.0, method=cddf.LiteralIteration(1e-6), nodes=8)
     print(eq, eq.remarks, eq.at(0.07).tension, eq.peak_strain, cddf.RESULTS[eq.result], sep="\n", file=sys.stderr)

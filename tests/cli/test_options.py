@@ -44,6 +44,18 @@ def test_tensions_and_targets():
         assert float(target.value) == pytest.approx(value, rel=1e-15)
 
 
+def test_a_place_of_the_tip_with_limits():
+    place = read_actuation(["tip_position=100, 80 mm"], TWO)
+    assert isinstance(place, cddf.TipPosition)
+    np.testing.assert_allclose(place.value, [0.1, 0.08], rtol=1e-15)
+    assert (float(place.minimum_tension), place.maximum_tension) == (0.0, None)
+    place = read_actuation(["tip_position = 100 mm, 8 cm from 1 N to 0.05 kN"], TWO)
+    np.testing.assert_allclose(place.value, [0.1, 0.08], rtol=1e-15)
+    assert (float(place.minimum_tension), float(place.maximum_tension)) == (1.0, 50.0)
+    message = "--base-tension: a tip_position stands for all tendons; give it alone"
+    assert refused(read_actuation, ["tip_position=100, 80 mm", "3 N"], TWO) == message
+
+
 @pytest.mark.parametrize(
     ("tension", "message"),
     [
@@ -69,7 +81,18 @@ WRONG_TARGETS = [
     (
         "mu=0.4",
         "--base-tension 'mu=0.4': unknown target 'mu'; known are displacement, tip_angle, tip_tension, curvature, "
-        "total_tension, tip_stiffness",
+        "total_tension, tip_stiffness, tip_position",
+    ),
+    (
+        "tip_position=0.1 m",
+        "--base-tension tip_position needs two components X, Y, or three in space, got '0.1 m'; "
+        "write for example '0 mm, -12.5 mm'",
+    ),
+    ("tip_position=1, 2, 3 mm", "--base-tension 'tip_position=1, 2, 3 mm': 3 components given; this body needs 2"),
+    (
+        "tip_position=1, 2 mm from 3 N to 2 N",
+        "--base-tension 'tip_position=1, 2 mm from 3 N to 2 N': give a least "
+        "tension of 0 N or more, and a largest that is not below it",
     ),
     ("displacement=inf mm", "--base-tension displacement must be finite, got 'inf mm'; write for example '12.5 mm'"),
     ("tip_tension=-4 N", "--base-tension 'tip_tension=-4 N': a tendon cannot push; give 0 N or more"),

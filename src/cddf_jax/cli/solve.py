@@ -16,7 +16,8 @@ BaseTension = Annotated[
         "-t",
         help='Tension at the base, "75 N", once for all tendons or once for each. In its place may stand a target: '
         '"tip_angle=45 deg", "displacement=12 mm", "tip_tension=40 N", "curvature=8 1/m at 70 mm", '
-        '"total_tension=100 N", "tip_stiffness=350 N/m".',
+        '"total_tension=100 N", "tip_stiffness=350 N/m"; for all tendons "tip_position=120, 50 mm from 1 N to 90 N", '
+        "where the tip shall be with the least total tension, and the limits of each tension.",
     ),
 ]
 

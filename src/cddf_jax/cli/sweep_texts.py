@@ -11,7 +11,7 @@ from .. import units
 from ..errors import InputError
 from ..files.actuation import read_actuation
 from ..robot.manipulator import Manipulator
-from ..statics.targets import Target
+from ..statics.targets import Actuation
 from ..sweeping.axes import OPTIONS, Dimension as Axis, dimensions_of
 from ..sweeping.sampling import latin_hypercube, sobol
 from ..sweeping.sweep import Sweep
@@ -144,7 +144,7 @@ def _limits(name: str, text: str, dimension: units.Dimension) -> tuple[float, fl
     return least, largest
 
 
-def read_base_tension(texts: Sequence[str], manipulator: Manipulator) -> float | Target | list[float | Target] | None:
+def read_base_tension(texts: Sequence[str], manipulator: Manipulator) -> Actuation | None:
     """What `Sweep` takes for texts as `cddf solve` takes them; None for none.
 
     Raises:
@@ -153,7 +153,7 @@ def read_base_tension(texts: Sequence[str], manipulator: Manipulator) -> float |
     if not texts:
         return None
     entries = read_actuation(texts, manipulator)
-    return entries[0] if len(entries) == 1 else entries
+    return entries[0] if isinstance(entries, list) and len(entries) == 1 else entries
 
 
 def read_memory(text: str) -> float:

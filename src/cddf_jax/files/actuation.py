@@ -1,4 +1,4 @@
-"""Tensions, targets and loads out of text: "75 N", "tip_angle=45 deg", "0 N, -5 N"."""
+"""Tensions, targets and loads out of text: "75 N", "tip_angle=45 deg", "tip_position=0.1, 0.08 m", "0 N, -5 N"."""
 
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
@@ -8,7 +8,16 @@ from ..errors import InputError
 from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..statics.targets import CurvatureAt, Displacement, Target, TipAngle, TipStiffness, TipTension, TotalTension
+from ..statics.targets import (
+    CurvatureAt,
+    Displacement,
+    Target,
+    TipAngle,
+    TipPosition,
+    TipStiffness,
+    TipTension,
+    TotalTension,
+)
 from ..units import preferred, quantity, shown, vector
 
 Entry = TypeVar("Entry")
@@ -24,8 +33,10 @@ def as_option(name: str) -> str:
 
 def read_actuation(
     texts: Sequence[str], manipulator: Manipulator, *, called: Callable[[str], str] = as_option
-) -> list[float | Target]:
+) -> list[float | Target] | TipPosition:
     """Tensions (N) and targets out of texts such as "75 N" and "tip_angle=45 deg": one for all tendons or one each.
+
+    A place of the tip, "tip_position=100, 80 mm from 1 N to 50 N", stands for all tendons.
 
     Args:
         texts: as typed.
@@ -36,6 +47,10 @@ def read_actuation(
         InputError: names the quantity, the text and the remedy.
     """
     name, count = called("base_tension"), manipulator.num_tendons
+    if any(text.partition("=")[0].strip() == TipPosition.quantity for text in texts):
+        if len(texts) > 1:
+            raise InputError("a tip_position stands for all tendons; give it alone", where=name)
+        return _place(name, texts[0], manipulator)
     entries = [_entry(name, text, manipulator) for text in texts]
     if any(isinstance(entry, Target) for entry in entries):
         if len(entries) != count:
@@ -90,10 +105,25 @@ def _example(kind: str) -> str:
     return f"{kind}=12 {preferred(dimension_of(kind))[1]}{place}"
 
 
+def _place(name: str, text: str, manipulator: Manipulator) -> TipPosition:
+    """A place of the tip, and after "from" and "to" the limits of the tensions."""
+    what, where = f"{name} {TipPosition.quantity}", f"{name} {text!r}"
+    rest, _, most = text.partition("=")[2].partition(" to ")
+    place, _, least = rest.partition(" from ")
+    value = vector(place.strip(), "length", what)
+    if len(value) != (wanted := 3 if manipulator.in_space else 2):
+        raise InputError(f"{len(value)} components given; this body needs {wanted}", where=where)
+    low = quantity(least.strip(), "force", what) if least else 0.0
+    high = quantity(most.strip(), "force", what) if most else None
+    if low < 0 or (high is not None and high < low):
+        raise InputError("give a least tension of 0 N or more, and a largest that is not below it", where=where)
+    return TipPosition(value, low, high)
+
+
 def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulator) -> Target:
     if kind not in TARGETS:
-        close = get_close_matches(kind, TARGETS, 1)
-        remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(TARGETS)}"
+        close = get_close_matches(kind, [*TARGETS, TipPosition.quantity], 1)
+        remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join([*TARGETS, TipPosition.quantity])}"
         raise InputError(f"unknown target {kind!r}", where=where, remedy=remedy)
     if kind != "curvature":
         return cast(Target, TARGETS[kind](quantity(value, dimension_of(kind), f"{name} {kind}")))

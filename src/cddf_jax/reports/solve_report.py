@@ -11,23 +11,26 @@ from ..robot.loads import Loads, loads_in_space
 from ..statics.contact import self_contact
 from ..statics.description import last_lines, strain_line, tendon_lines, tip_line
 from ..statics.equilibrium import RESULTS, Equilibrium
-from ..statics.targets import CurvatureAt, Target
+from ..statics.targets import CurvatureAt, Target, TipPosition
 from ..sweeping.one_solve import IN_SPACE, OUTPUTS
 from ..units import shown
 
+Entries = Sequence[float | Target] | TipPosition  # the tension (N) or target of each tendon, or the place of the tip
 
-def solve_as_dict(
-    equilibrium: Equilibrium, actuation: Sequence[float | Target], loads: Loads | None
-) -> dict[str, object]:
+
+def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | None) -> dict[str, object]:
     """Everything about an equilibrium, SI units, for JSON; loads and targets where there are any.
 
     Args:
         equilibrium: one.
-        actuation: the tension (N) or target of each tendon.
+        actuation: what was given in place of base tensions.
         loads: the dead loads; None for none.
     """
     answer: dict[str, object] = {"result": RESULTS[equilibrium.result] or "successful", "remarks": equilibrium.remarks}
-    if any(isinstance(entry, Target) for entry in actuation):
+    if isinstance(actuation, TipPosition):
+        answer["targets"] = [picked(actuation, ("value", "minimum_tension", "maximum_tension"))]
+        answer["target_rank"] = equilibrium.target_rank
+    elif any(isinstance(entry, Target) for entry in actuation):
         answer["targets"] = [_target_as_dict(entry) if isinstance(entry, Target) else None for entry in actuation]
     if loads is not None:
         answer["loads"] = picked(loads, ("tip_force", "tip_moment", "gravity"))
@@ -42,20 +45,24 @@ def _target_as_dict(target: Target) -> dict[str, object]:
     return answer | {"arc_length": target.arc_length} if isinstance(target, CurvatureAt) else answer
 
 
-def solve_in_words(
-    equilibrium: Equilibrium, actuation: Sequence[float | Target], texts: Sequence[str], loads: Loads | None
-) -> str:
+def solve_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence[str], loads: Loads | None) -> str:
     """The answer for people.
 
     Args:
         equilibrium, actuation, loads: as of `solve_as_dict`.
-        texts: the tension or target of each tendon as it was typed.
+        texts: what was given, as it was typed.
     """
-    found = [
-        f"base tension {tension:.4f} N gives {texts[i].strip()}" if isinstance(actuation[i], Target) else ""
-        for i, tension in enumerate(equilibrium.base_tension)
-    ]
+    if isinstance(actuation, TipPosition):
+        found = [f"base tension {tension:.4f} N" for tension in equilibrium.base_tension]
+    else:
+        found = [
+            f"base tension {tension:.4f} N gives {texts[i].strip()}" if isinstance(actuation[i], Target) else ""
+            for i, tension in enumerate(equilibrium.base_tension)
+        ]
     lines = [tip_line(equilibrium), *tendon_lines(equilibrium, found), strain_line(equilibrium)]
+    if isinstance(actuation, TipPosition):
+        total, rank = float(np.sum(equilibrium.base_tension)), f"{equilibrium.target_rank} of {len(actuation.value)}"
+        lines.append(f"total base tension {total:.4f} N, the least found; tensions move the tip in {rank} directions")
     lines += _loads_in_words(loads, equilibrium) if loads is not None else []
     return "\n".join([*lines, *last_lines(equilibrium)])
 
@@ -80,8 +87,14 @@ def _moment(moment: ArrayLike) -> str:
     return f"{_numbers(moment)} N m" if np.ndim(moment) else shown(float(np.asarray(moment)), "moment")
 
 
-def missed_targets_in_words(equilibrium: Equilibrium, actuation: Sequence[float | Target], texts: Sequence[str]) -> str:
+def missed_targets_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence[str]) -> str:
     """How near to its targets a solve came, and at which tensions; arguments as of `solve_in_words`."""
+    if isinstance(actuation, TipPosition):
+        near, far = equilibrium.tip_position, shown(np.linalg.norm(equilibrium.target_miss), "length")
+        place = ", ".join(shown(x, "length") for x in near)
+        tensions = ", ".join(shown(tension, "force") for tension in equilibrium.base_tension)
+        nearest = f"the nearest found is ({place}), {far} away, at {tensions}"
+        return f"--base-tension {texts[0]!r}: no allowed tensions bring the tip there, {nearest}; change the target"
     slack = equilibrium.result == RESULTS.slack
     why = "the tendon would have to push" if slack else "no tension between slack and crossing fibres gives it"
     missed = []

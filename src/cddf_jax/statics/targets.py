@@ -6,14 +6,15 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike, Float
 
-from ..mechanics.friction import unspent
+from ..mechanics.friction import PerTendon, unspent
 from ..mechanics.problem import (
     AnyState,
     Number,
     Problem,
     Solution,
+    State,
     bending_stiffness,
     guarded_section,
     strain_of,
@@ -24,6 +25,8 @@ from ..numerics.rotations import tilt
 from ..robot.profiles import Scalar, as_number
 from .equilibrium_derivatives import missing_moment
 from .equilibrium_search import Setup
+
+FARTHEST = 100.0  # of the tension at which d kappa would come near 1: no target is looked for beyond
 
 
 @runtime_checkable
@@ -58,6 +61,25 @@ class TipPosition(eqx.Module):
     value: Any = eqx.field(converter=as_number)
     minimum_tension: Any = eqx.field(default=0.0, converter=as_number)
     maximum_tension: Any = eqx.field(default=None, converter=lambda x: None if x is None else as_number(x))
+
+    def misses(self, setup: Setup, _: Problem, solution: Solution[AnyState]) -> Float[Array, " components"]:
+        """The tip's place less the wanted one, over the length."""
+        assert isinstance(solution.tip, State)
+        return (solution.tip.position - self.value) / jnp.asarray(setup.manipulator.length)
+
+    def limits(self, scale: Number, like: PerTendon) -> tuple[PerTendon, PerTendon]:
+        """The least and the most tension of each tendon, over a scale."""
+        least = jnp.zeros_like(like) + jnp.asarray(self.minimum_tension, like.dtype) / scale
+        if self.maximum_tension is None:
+            return least, jnp.maximum(least, FARTHEST)
+        return least, jnp.zeros_like(like) + jnp.asarray(self.maximum_tension, like.dtype) / scale
+
+    def on_the_side(self, setup: Setup) -> PerTendon:
+        """How much each tendon bends the body towards the place, as its arm at the base tells; from 0.1 to 1.1."""
+        aside = jnp.asarray(self.value)[1:]
+        arms = setup.manipulator.arms(jnp.zeros_like(aside[0]))[:, 1 : 1 + aside.size]
+        size = jnp.linalg.norm(arms, axis=1) * jnp.linalg.norm(aside)
+        return 0.1 + jnp.maximum(arms @ aside / jnp.maximum(size, jnp.finfo(size.dtype).tiny), 0.0)
 
 
 Actuation = ArrayLike | Target | TipPosition | Sequence[ArrayLike | Target]  # for all tendons, or one entry per tendon

@@ -14,10 +14,9 @@ from ..numerics.arrays import largest, varying_as, zero_as
 from ..numerics.implicit import Unknowns, slopes_by_unknowns, solve_small, without_derivative
 from .equilibrium_derivatives import Balance, Equations, System, balance, inside_of_bend
 from .equilibrium_search import Settled, Setup, settle, unsettled
-from .targets import Displacement, Target, TipAngle, TipPosition, bending_tension
+from .targets import FARTHEST, Displacement, Target, TipAngle, TipPosition, bending_tension
 
 START = 0.05  # of the tension at which d kappa would come near 1
-FARTHEST = 100.0  # of the same: no target is looked for beyond
 OTHER_STARTS = (0.0, 0.5, 5.0)  # where there is no equilibrium at the start
 MAX_EVALUATIONS = 200
 REACHED = 1e-9  # of the size of a target
@@ -27,6 +26,7 @@ MAX_ROUNDS = 60  # in which the sum of the tensions is lowered
 LEAST_GAIN = 1e-10  # relative change of the sum at which that ends
 SAME_EFFECT = 1e-6  # of the largest slope: a change of the tensions that moves the tip by less has no effect
 ALIKE = 1e-6  # relative: two misses that count as the same
+LEFT = 0.1  # of a tension after one step, where slopes vanish without tension: the tip angle in space
 LEVEL = 1e-5  # change of the sum with a tension below which it counts as none
 
 Tensions = Float[Array, " unknowns"]  # over their scale
@@ -50,6 +50,7 @@ class _Aim(NamedTuple):
     least: Tensions
     most: Tensions
     pulled: Flags | None  # displacements, whose tendons may be let go; None where targets do not belong to tendons
+    left: float = 0.0  # of a tension after one step, at least
 
 
 class _TensionTrial(NamedTuple):
@@ -89,12 +90,13 @@ def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Fo
     scale = bending_tension(frozen_setup)
     misses = Partial(_misses, frozen_setup, frozen_wanted)
     whole = setup.manipulator.in_space and any(isinstance(target, TipAngle) for target in wanted.values())
-    start = jnp.full(len(wanted), START) + zero_as(scale, given)
+    start = jnp.full(len(wanted), START) + zero_as(scale, given, frozen_wanted)
     aim = _Aim(
         evaluate=_evaluation(frozen_setup, frozen_given, tuple(wanted), misses, scale, whole),
         least=jnp.zeros_like(start),
         most=jnp.full_like(start, FARTHEST),
         pulled=jnp.asarray([isinstance(target, Displacement) for target in wanted.values()]),
+        left=LEFT if whole else 0.0,
     )
     best, slack = _search(aim, _nothing(frozen_setup, frozen_given, start, len(wanted)), start, start < 0)
     apart = slack[:, None] | slack | ~jnp.isfinite(best.jacobian)
@@ -245,7 +247,9 @@ def _judge(aim: _Aim, held: Flags, trial: _TensionTrial, state: _TensionSearch) 
     nowhere = ~jnp.isfinite(best.cost)
     others = jnp.asarray((*OTHER_STARTS, 0.0), damping.dtype)
     elsewhere = others[jnp.minimum(evaluations.astype(int) - 1, len(OTHER_STARTS))]
-    following = jnp.where(nowhere, jnp.clip(elsewhere, aim.least, aim.most), _step(aim, held, best, damping, state.slack))
+    following = jnp.where(
+        nowhere, jnp.clip(elsewhere, aim.least, aim.most), _step(aim, held, best, damping, state.slack)
+    )
     move = jnp.max(jnp.abs(following - best.tension)) / (jnp.max(best.tension) + 1e-3)
     least = jnp.where(damping >= 1.0, LEAST_MOVE[1], LEAST_MOVE[0])
     done = jnp.where(nowhere, evaluations > len(OTHER_STARTS), move <= least)
@@ -269,7 +273,8 @@ def _step(aim: _Aim, held: Flags, best: _TensionTrial, damping: Number, slack: F
     normal = (jacobian * free).T @ (jacobian * free)
     ridge = (damping + 4 * float(tiny.eps)) * jnp.maximum(jnp.max(jnp.diag(normal)), tiny.tiny)
     step, _ = solve_small(normal + ridge * jnp.eye(tension.shape[0], dtype=tension.dtype), downhill * free)
-    return jnp.clip(tension + step * free, aim.least, aim.most)
+    least = jnp.maximum(aim.least, aim.left * tension) if aim.left else aim.least
+    return jnp.clip(tension + step * free, least, aim.most)
 
 
 # --- a place of the tip ---------------------------------------------------------------------------
@@ -280,9 +285,8 @@ def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[B
     frozen_setup, frozen_given, frozen = without_derivative((setup, given, target))
     scale = bending_tension(frozen_setup)
     unknown, whole = tuple(range(given.size)), True
-    misses = Partial(_missed_place, frozen_setup, frozen)
-    least, most = _limits(frozen, scale, given)
-    evaluate = _evaluation(frozen_setup, frozen_given, unknown, misses, scale, whole)
+    least, most = frozen.limits(scale, given)
+    evaluate = _evaluation(frozen_setup, frozen_given, unknown, Partial(frozen.misses, frozen_setup), scale, whole)
     best = _least_total(_Aim(evaluate, least, most, None), frozen_setup, frozen_given, frozen)
 
     inside = (best.tension > least) & (best.tension < most)
@@ -299,20 +303,6 @@ def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[B
     return balance(setup, scale * best.tension, best.settled, unknown, equations, whole), found
 
 
-def _limits(target: TipPosition, scale: Number, given: PerTendon) -> tuple[Tensions, Tensions]:
-    least = jnp.zeros_like(given) + jnp.asarray(target.minimum_tension, given.dtype) / scale
-    if target.maximum_tension is None:
-        return least, jnp.maximum(least, FARTHEST)
-    return least, jnp.zeros_like(given) + jnp.asarray(target.maximum_tension, given.dtype) / scale
-
-
-def _missed_place(
-    setup: Setup, target: TipPosition, problem: Problem, solution: Solution[AnyState]
-) -> Float[Array, " components"]:
-    """The tip's place less the wanted one, over the length."""
-    return (solution.tip.position - target.value) / jnp.asarray(setup.manipulator.length)
-
-
 def _place_equations(
     setup: Setup,
     target: TipPosition,
@@ -327,10 +317,10 @@ def _place_equations(
 
     Their derivative by the tensions is the identity.
     """
-    least, most = _limits(target, scale, problem.base_tension)
+    least, most = target.limits(scale, problem.base_tension)
     limit = jnp.where(found <= least, least, jnp.where(found >= most, most, found))
     away = problem.base_tension / scale - limit
-    return follow @ _missed_place(setup, target, problem, solution) + moves @ away
+    return follow @ target.misses(setup, problem, solution) + moves @ away
 
 
 class _Rounds(NamedTuple):
@@ -351,9 +341,11 @@ def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition)
     The first search starts with the tendons on the side of the place, the second with all alike. Each further one
     starts farther along a change of the tensions that keeps the tip and lowers their sum, and brings the tip back.
     """
-    alike = jnp.clip(START + zero_as(given, aim.least, aim.most) + jnp.zeros_like(given), aim.least, aim.most)
+    alike = jnp.clip(START + zero_as(target, given) + jnp.zeros_like(given), aim.least, aim.most)
     nothing = _nothing(setup, given, alike, jnp.size(target.value))
-    none, zero = alike < 0, zero_as(nothing)
+    zero = zero_as(nothing)
+    alike = alike + zero
+    none = alike < 0
 
     def next_round(state: _Rounds) -> _Rounds:
         found, _ = _search(aim, nothing, state.start, state.held)
@@ -369,7 +361,7 @@ def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition)
         over = ~second & (small | ~jnp.isfinite(kept.cost) | (rounds >= MAX_ROUNDS))
         return _Rounds(kept, start, held, length, longest, rounds, over)
 
-    towards = jnp.clip(START * _on_the_side(setup, target), aim.least, aim.most) + zero
+    towards = jnp.clip(START * target.on_the_side(setup), aim.least, aim.most) + zero
     first = _Rounds(nothing, towards, none, zero, zero + jnp.inf, zero, zero > 0)
     return jax.lax.while_loop(lambda state: ~state.over, next_round, first).kept
 
@@ -421,11 +413,3 @@ def _pushed(aim: _Aim, tension: Tensions, change: Tensions, longest: Number) -> 
     room = jnp.where(moves, (limit - tension) / jnp.where(moves, change, 1.0), jnp.inf)
     length = jnp.minimum(jnp.min(room), longest)
     return jnp.where(moves, jnp.where(room <= length, limit, tension + length * change), tension), length
-
-
-def _on_the_side(setup: Setup, target: TipPosition) -> Tensions:
-    """How much each tendon bends the body towards a place, as far as its arm at the base tells; from 0.1 to 1.1."""
-    aside = jnp.asarray(target.value)[1:]
-    arms = setup.manipulator.arms(jnp.zeros_like(aside[0]))[:, 1 : 1 + aside.size]
-    size = jnp.linalg.norm(arms, axis=1) * jnp.linalg.norm(aside)
-    return 0.1 + jnp.maximum(arms @ aside / jnp.maximum(size, jnp.finfo(size.dtype).tiny), 0.0)

@@ -33,7 +33,7 @@ OUTPUTS: dict[str, tuple[str, ...]] = {
     "tension_loss": ("tendon",),
     "tendon_displacement": ("tendon",),
     "base_tension": ("tendon",),
-    "target_miss": ("tendon",),
+    "target_miss": ("target",),
     "base_moment": (),
     "load_fraction": (),
     "num_load_steps": (),

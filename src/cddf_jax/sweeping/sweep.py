@@ -27,7 +27,7 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, of_tendon
 from ..statics.arguments import check_nodes
 from ..statics.equilibrium import Equilibrium
-from ..statics.targets import Target
+from ..statics.targets import Actuation
 from .axes import PATH, RESERVED, Dimension, check_names, dimensions_of
 from .one_solve import (
     IN_SPACE,
@@ -49,7 +49,6 @@ CHUNK = 131072  # solves
 SHARE = 0.25  # of the memory that is free
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
-Tension = ArrayLike | Target | Sequence[ArrayLike | Target]
 Observable = Callable[[Equilibrium], ArrayLike]
 _OF_SPACE = re.compile(r"loads\.((tip_force|gravity)\.2|tip_moment\.[0-2])")  # components that the plane has not
 
@@ -57,7 +56,7 @@ _OF_SPACE = re.compile(r"loads\.((tip_force|gravity)\.2|tip_moment\.[0-2])")  # 
 def sweep(
     manipulator: Manipulator,
     axes: Mapping[str, Values | Mapping[str, Values]],
-    base_tension: Tension | None = None,
+    base_tension: Actuation | None = None,
     loads: Loads | None = None,
     *,
     history: bool = False,
@@ -139,7 +138,7 @@ class Sweep:
 
     manipulator: Manipulator
     dimensions: tuple[Dimension, ...]
-    base_tension: Tension | None = None
+    base_tension: Actuation | None = None
     loads: Loads | None = None
     history: bool = False
     direction: ArrayLike | Sequence[int | None] | None = None

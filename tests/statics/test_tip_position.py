@@ -1,0 +1,205 @@
+"""A place of the tip in the place of base tensions: reached, nearest, least sum, limits, derivatives.
+
+Parallel tendons of one friction that all slide in keep the ratio of their tensions, so that they pull as one with
+the moment M = |sum of T d e^(i angle)|. On an even body, eq. (13) with a = mu M / (E J): the heading after s is
+ln(1 + a s) / mu, in the plane at the angle of the sum. Of all tensions with one sum, two neighbours alone pull least.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import code, codes
+from scipy.integrate import quad
+from scipy.optimize import minimize_scalar
+
+import cddf_jax as cddf
+
+R = cddf.RESULTS
+L, d, MU, E, RADIUS = 0.2, 0.005, 0.3, 2e7, 0.006
+STIFFNESS = E * np.pi / 4 * RADIUS**4
+ANGLES = 2 * np.pi / 3 * np.arange(3)
+PULLED = np.array([20.0, 12.0, 3.0])
+LEAST = np.array([17.0, 9.0, 0.0])  # the same sum of arms, without what cancels
+
+
+def body(friction=MU):
+    tendons = tuple(cddf.Tendon(d, angle=angle) for angle in ANGLES)
+    return cddf.Manipulator(
+        length=L,
+        outer_radius=RADIUS,
+        inner_radius=0.0,
+        tendons=tendons,
+        youngs_modulus=E,
+        friction_coefficient=friction,
+    )
+
+
+def tip_of(tensions):
+    """The closed form."""
+    moment = d * np.sum(np.asarray(tensions) * np.exp(1j * ANGLES))
+    a = MU * np.abs(moment) / STIFFNESS
+    along = quad(lambda s: np.cos(np.log1p(a * s) / MU), 0, L, epsabs=1e-14)[0]
+    aside = quad(lambda s: np.sin(np.log1p(a * s) / MU), 0, L, epsabs=1e-14)[0]
+    turned = moment / np.abs(moment)
+    return np.array([along, aside * turned.real, aside * turned.imag])
+
+
+def nearest(place):
+    """The tensions of tendons 1 and 2 whose tip is nearest to a place between them, by a search over M alone."""
+    angle = np.arctan2(place[2], place[1])
+    one, two = np.linalg.solve([np.cos(ANGLES[:2]), np.sin(ANGLES[:2])], [np.cos(angle), np.sin(angle)])
+    along = np.array([one, two, 0.0])
+    found = minimize_scalar(
+        lambda pull: np.sum((tip_of(pull * along) - place) ** 2), bounds=(5, 60), options={"xatol": 1e-11}
+    )
+    return found.x * along
+
+
+class Lane(NamedTuple):
+    place: np.ndarray
+    least: float = 0.0
+    most: float = 1e3
+    tension: np.ndarray | float = np.nan  # wanted
+    result: cddf.RESULTS = R.unphysical
+
+
+REACHABLE, BEYOND = tip_of(PULLED), tip_of(PULLED) + np.array([0.01, 0.003, 0.002])
+LANES = [
+    Lane(REACHABLE, tension=LEAST, result=R.successful),
+    Lane(REACHABLE, least=1.5, tension=LEAST + 1.5, result=R.direction_contradicted),  # tendon 3 is paid out
+    Lane(BEYOND, tension=nearest(BEYOND), result=R.unreachable),
+    Lane(tip_of([20.0, 0, 0]), most=5.0, tension=np.array([5.0, 0, 0]), result=R.unreachable),
+    Lane(REACHABLE * np.nan),
+    Lane(REACHABLE, least=-1.0),
+    Lane(REACHABLE, least=3.0, most=2.0),
+]
+
+
+def reach(place, least, most):
+    target = cddf.TipPosition(place, minimum_tension=least, maximum_tension=most)
+    return cddf.solve(body(), target, direction=1.0, nodes=8, throw=False)
+
+
+@pytest.fixture(scope="module")
+def reached():
+    numbers = (jnp.stack([jnp.asarray(getattr(lane, name)) for lane in LANES]) for name in ("place", "least", "most"))
+    return jax.jit(jax.vmap(reach))(*numbers)
+
+
+def test_the_least_tensions_that_reach_a_place_or_come_nearest(reached):
+    assert codes(reached.result) == [code(lane.result) for lane in LANES]
+    for i, lane in enumerate(LANES):
+        # the nearest place has a level minimum, found to 1e-7 of the tensions by SciPy and by us
+        np.testing.assert_allclose(reached.base_tension[i], lane.tension, rtol=2e-7, atol=1e-7)
+    np.testing.assert_allclose(reached.base_tension[:2], np.stack([LEAST, LEAST + 1.5]), rtol=1e-9, atol=1e-9)
+
+
+def test_what_is_missed_and_the_rank_are_told(reached):
+    for i, lane in enumerate(LANES[:4]):
+        np.testing.assert_allclose(reached.target_miss[i], tip_of(lane.tension) - lane.place, atol=1e-9)
+    assert np.all(np.isnan(reached.target_miss[4:]))
+    # an axis that neither stretches nor shears has two directions to bend; a third tendon adds none
+    assert reached.target_rank[:2].tolist() == [2, 2]
+
+
+def test_derivatives_in_both_modes_undo_those_of_the_tip():
+    place, h = jnp.asarray(REACHABLE), 1e-4
+
+    def tension(place, least):
+        return reach(place, least, 1e3).base_tension
+
+    forward, reverse = (jax.jit(mode(tension, (0, 1)))(place, 1.5) for mode in (jax.jacfwd, jax.jacrev))
+    for by_place, by_least in (forward, reverse):
+        steps = h * np.eye(3)[:2]
+        pushed = np.stack([(tip_of(LEAST + step) - tip_of(LEAST - step)) / (2 * h) for step in steps], axis=1)
+        np.testing.assert_allclose(by_place @ pushed, np.eye(3)[:, :2], atol=1e-6)
+        np.testing.assert_allclose(by_least, 1.0, rtol=1e-7)  # what all tendons pull alike cancels
+
+
+def in_plane(ends):
+    tendons = tuple(cddf.Tendon(d, end=end) for end in ends)
+    return cddf.Manipulator(
+        length=L, outer_radius=RADIUS, inner_radius=0.0, tendons=tendons, youngs_modulus=E, friction_coefficient=MU
+    )
+
+
+@pytest.mark.parametrize("loads", [None, pytest.param(cddf.Loads((0.0, -0.2)), marks=pytest.mark.slow)])
+def test_two_segments_in_the_plane_reach_what_their_tensions_give(loads):
+    two, pulled = in_plane((None, L / 2)), jnp.array([15.0, 9.0])
+    tip = cddf.solve(two, pulled, loads, nodes=8).tip_position
+    found = cddf.solve(two, cddf.TipPosition(tip), loads, nodes=8)
+    np.testing.assert_allclose(found.base_tension, pulled, rtol=1e-7)
+    np.testing.assert_allclose(found.target_miss, 0.0, atol=1e-9 * L)
+    assert int(found.target_rank) == 2
+
+
+def test_two_tendons_in_one_place_leave_their_tensions_open():
+    twins = in_plane((None, None))
+    found = cddf.solve(twins, cddf.TipPosition(tip_of([20.0, 0, 0])[:2]), nodes=8, throw=False)
+    assert code(found.result) == code(R.undetermined)
+    assert float(jnp.sum(found.base_tension)) == pytest.approx(20.0, rel=1e-9)
+    assert int(found.target_rank) == 1
+
+
+@pytest.mark.slow
+def test_with_friction_of_a_tendon_that_is_paid_out_three_tendons_are_found():
+    """Tendon 3 is paid out, its friction acts the other way, and the tip leaves the surface: the rank is 3."""
+
+    def tension(place, friction):
+        return cddf.solve(body(friction), cddf.TipPosition(place), nodes=8, throw=False).base_tension
+
+    def tip(tension, friction):
+        return cddf.solve(body(friction), tension, nodes=8).tip_position
+
+    place = tip(PULLED, MU)
+    found = cddf.solve(body(), cddf.TipPosition(place), nodes=8)
+    np.testing.assert_allclose(found.base_tension, PULLED, rtol=1e-7)
+    assert int(found.target_rank) == 3
+    by_place, by_friction = jax.jit(jax.jacfwd(tension, (0, 1)))(place, MU)
+    slope, friction_slope = jax.jacfwd(tip, (0, 1))(jnp.asarray(PULLED), MU)
+    np.testing.assert_allclose(by_place @ slope, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(by_friction, -jnp.linalg.solve(slope, friction_slope), rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_tip_angle_of_a_helix_gives_back_its_tension():
+    helix = cddf.Manipulator(
+        length=L,
+        outer_radius=RADIUS,
+        inner_radius=0.0,
+        tendons=(cddf.Tendon(d, angle=cddf.Linear(0.0, 3.0, L)),),
+        youngs_modulus=E,
+        friction_coefficient=MU,
+    )
+    pulled = cddf.solve(helix, 10.0, nodes=8)
+    found = cddf.solve(helix, cddf.TipAngle(pulled.tip_angle), nodes=8)
+    assert float(found.base_tension[0]) == pytest.approx(10.0, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("target", "options", "message"),
+    [
+        (
+            [cddf.TipPosition((0.1, 0.1, 0.0)), 1.0, 2.0],
+            {},
+            "a TipPosition stands for all base tensions; give it alone",
+        ),
+        (cddf.TipPosition((0.1, 0.1)), {}, r"3 components, m, in space, got shape \(2,\)"),
+        (
+            cddf.TipPosition((0.1, 0.1, 0.0), minimum_tension=(1.0, 2.0)),
+            {},
+            r"one per tendon \(3\), N, got shape \(2,\)",
+        ),
+    ],
+)
+def test_refused_in_one_line(target, options, message):
+    with pytest.raises(ValueError, match=message):
+        cddf.solve(body(), target, **options)
+
+
+def test_in_the_plane_a_place_has_two_components():
+    with pytest.raises(ValueError, match=r"2 components, m, in the plane \(space=True makes it three\)"):
+        cddf.solve(in_plane((None,)), cddf.TipPosition((0.1, 0.1, 0.0)))
