@@ -117,6 +117,15 @@ def test_loads_that_rest_on_the_body(loaded):
     np.testing.assert_allclose(missed, 0.0, atol=1e-8 * float(loaded.work[1]))
 
 
+def test_rest_without_tension_changes_nothing(loaded):
+    """Without tension friction has no effect; steps of zero newton settle all the same."""
+    rested = cddf.trace(ONE, [0.0, 0.0, 40.0, 40.0, 75.0], LOAD)
+    unpulled = float(cddf.solve(ONE, 0.0, LOAD).tip_angle)
+    np.testing.assert_allclose(rested.tip_angle[:2], unpulled, atol=2e-7)
+    np.testing.assert_allclose(rested.tip_angle[2:4], float(loaded.tip_angle[0]), atol=1e-7)
+    assert float(rested.tip_angle[4]) == pytest.approx(float(loaded.tip_angle[1]), abs=1e-7)
+
+
 def test_splitting_a_step_changes_nothing_beyond_the_error(loaded):
     split = cddf.trace(ONE, [40.0, 75.0, 67.0, 62.0, 60.0], LOAD)
     error = float(loaded.error_estimate[3] + split.error_estimate[4])

@@ -145,7 +145,9 @@ def _changed(setting: Setting, ends: Ends, step: Step, change: _Change) -> tuple
     moment_scale = cells.sections.stiffness[0, 0] / cells.edges[-1]
     scale = Edge(jnp.maximum(jnp.max(ends.base_tension), 1e-3), jnp.ones(()), cells.scale, moment_scale)
     parts = jax.tree.map(lambda x, size: largest_size(x) / size, change.edges, scale)
-    size = jnp.max(jnp.stack([*parts, 1e-3 * largest_size(share - step.share)]))
+    # without tension a share has no effect, and rounding may change it for ever
+    felt = (share - step.share) * step.edges.tension[:-1] / scale.tension
+    size = jnp.max(jnp.stack([*parts, 1e-3 * largest_size(felt)]))
     return step._replace(edges=jax.tree.map(jnp.add, step.edges, change.edges), share=share), size
 
 
