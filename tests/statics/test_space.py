@@ -258,6 +258,7 @@ def test_targets_in_space():
     np.testing.assert_allclose(bent.tip_angle, 0.5, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_tip_angle_of_a_winding_tendon_is_reached():
     """The tension that gave the angle; its slope is one over that of the angle."""
     body = in_space(helix(0.25))

@@ -164,7 +164,6 @@ def test_with_friction_of_a_tendon_that_is_paid_out_three_tendons_are_found():
     np.testing.assert_allclose(by_friction, -jnp.linalg.solve(slope, friction_slope), rtol=1e-6)
 
 
-@pytest.mark.slow
 def test_the_tip_angle_of_a_helix_gives_back_its_tension():
     helix = cddf.Manipulator(
         length=L,
