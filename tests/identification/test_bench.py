@@ -223,8 +223,8 @@ def test_comparing_other_data(paper):
 def test_every_parameter_reaches_the_readings(paper):
     """Each parameter of a bench with one tendon changes what is read, by a derivative that differences confirm.
 
-    `before` belongs to benches with a history (test_fit_of_loops.py). What leaves the plane and the direction of gravity
-    belong to bodies in space (test_fit_in_space.py).
+    `before` belongs to benches with a history (test_fit_of_loops.py). The direction of gravity, and what leaves the
+    plane, belong to bodies in space (test_fit_in_space.py).
     """
     bench = Bench(np.array([[30.0], [60.0]]), (None,))
     elsewhere = (*OF_SPACE, "gravity_turn_z")
