@@ -19,6 +19,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 
 import cddf_jax as cddf
+from cddf_jax.designing.body_quantities import BODY_QUANTITIES, BodyView
 from cddf_jax.figures.designs import design_figure, draw_design
 
 L, E, MU, POISSON = 0.14, 1.4e6, 0.2, 0.5
@@ -189,6 +190,15 @@ def test_the_report_of_a_design_in_space():
     assert found.sensitivity["tendons.0.angle"] == pytest.approx(across * np.cos(angle), rel=1e-8)
     assert f"| tendons.0.angle, by 1 deg | {100 / np.tan(angle) * np.pi / 180:+.3g} % |" in str(found)
     assert "| tendons.0.angle | 28.648 deg | 114.59 deg | -151.35 deg to 208.65 deg | inside |" in str(pose())
+
+
+@pytest.mark.slow
+def test_the_stiffness_of_the_tip_in_space():
+    """That of a cantilever that is hardly pulled, along both axes across it: 3 E J / L^3."""
+    body, case = tube(cddf.Tendon(8e-3, angle=0.3)), cddf.LoadCase(1e-6, direction=1)
+    view = BodyView(body, np.array([0.0, L]), case, case.solve(body, 8), 8)
+    found = [float(BODY_QUANTITIES[f"tip_stiffness_{axis}"].of(view)) for axis in "yz"]
+    assert found == pytest.approx([3 * EJ / L**3] * 2, rel=1e-7)
 
 
 # --- what is refused -----------------------------------------------------------------------------

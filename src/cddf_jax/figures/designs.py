@@ -30,6 +30,7 @@ from .geometry import (
 START: dict[str, Any] = {"color": looks.GREY, "linestyle": (0, (4, 2)), "label": "before"}
 END: dict[str, Any] = {"color": looks.BLUE, "linestyle": "-", "label": "after"}
 HEIGHT, FRONT_HEIGHT = 3.5, 2.6  # inches
+NOTHING = 1e-9  # 1/m, a curvature
 LINE = 0.07  # of the length of the body: the height of a line of text
 
 
@@ -130,11 +131,13 @@ def _figure_in_space(design: Design) -> Figure:
         space.fill_room(room, 2.5, 2.6)
         _draw_both(room, after, old)
         draw.colour_scale(figure, space.tension_scale(after.tension), "$T$ (N)", 3.15, 1.0, 1.6)
-        for quantity, left, bottom in (("angle", 4.25, 1.95), ("offset", 5.85, 1.95)):
-            _draw_routing(design, quantity, draw.place_in(figure, left, bottom, 1.1, 1.2))
-        for quantity, left, bottom in (("bending", 4.25, 0.45), ("twist", 5.85, 0.45)):
-            panel = draw.place_in(figure, left, bottom, 1.1, 1.2)
+        for quantity, left, bottom in (("angle", 4.15, 1.95), ("offset", 5.95, 1.95)):
+            _draw_routing(design, quantity, draw.place_in(figure, left, bottom, 1.0, 1.2))
+        for quantity, left, bottom in (("bending", 4.15, 0.45), ("twist", 5.95, 0.45)):
+            panel = draw.place_in(figure, left, bottom, 1.0, 1.2)
             _draw_before_and_after(design, quantity, panel)
+            if np.max(np.abs(panel.get_ylim())) < NOTHING:
+                panel.set_ylim(-1.0, 1.0)  # rounding is no shape
         figure.legend(*panel.get_legend_handles_labels(), loc="upper right", ncols=2)
     return figure
 
