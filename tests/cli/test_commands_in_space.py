@@ -60,6 +60,19 @@ def test_three_tendons_have_a_closed_form(answer_of):
 
 
 @pytest.mark.slow
+def test_a_loop_in_files(cddf_command, tmp_path):
+    code, out, _ = cddf_command("trace", HELIX, "--path", "0 N, 75 N, 40 N, 75 N", "--out", tmp_path)
+    assert code == 0
+    assert "2: pulled to 75 N, slides in along the whole body; tip tension 54.529 N" in out
+    assert "cycle from step 2 to 4, closed at 75 N" in out
+    answer = json.loads((tmp_path / "trace.json").read_text())
+    np.testing.assert_allclose(1e3 * np.array(answer["tip_position"])[[1, 3]], [TIP] * 2, atol=2e-7)
+    loop = pandas.read_csv(tmp_path / "loop.csv")
+    np.testing.assert_allclose(1e3 * loop.iloc[-1][["x [m]", "y [m]", "z [m]"]].to_numpy(float), TIP, atol=1e-6)
+    assert {"trace.pdf", "fields.csv"} < {path.name for path in tmp_path.iterdir()}
+
+
+@pytest.mark.slow
 def test_loads_in_space_in_words(cddf_command):
     pulls = ("-t", "10 N", "-t", "0 N", "-t", "0 N")
     loads = ("--tip-force", "0, 0.1, 0 N", "--tip-moment", "0.01, 0, 0 N m")
@@ -103,6 +116,11 @@ def test_the_example_of_a_routing(cddf_command, tmp_path):
         (("solve", HELIX, "-t", "curvature=5 1/m at 70 mm"), "solve: CurvatureAt is a target in the plane; in space"),
         (("solve", HELIX, *PULL, "--gravity", "0, 0, -9.81 m/s^2"), "loads.gravity: the body has no weight"),
         (("solve", HELIX, *PULL, "--tip-moment", "0, 0.1 N m"), "is one number in the plane and three in space"),
+        (
+            ("trace", THREE, *["--path", "0 N, 5 N"] * 3),
+            "in space only the history of one tendon without loads is known",
+        ),
+        (("trace", HELIX, "--path", "0 deg, 5 deg"), "trace: TipAngle drives a tendon in the plane; in space give"),
         (("reproduce", HELIX, str(DATA / "load_cells_simulated.csv")), "bends in a plane, this one is in space; take"),
     ],
 )

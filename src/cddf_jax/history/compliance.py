@@ -31,9 +31,13 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
         short_steps: into how many the push is divided, 2 or more; static.
 
     Raises:
-        ValueError: for a push without two components, or of no size, or short_steps below 2.
+        ValueError: for a body in space, a push without two components, or of no size, or short_steps below 2.
         SolveError: where the numbers are known, and the body under the push was not found.
     """
+    if history.tip_frame is not None:
+        raise ValueError(
+            "tip_compliance: the history is of a body in space; take tip_compliance(robot, ...), which slides"
+        )
     if push is None or np.shape(push) != (2,):
         raise ValueError(f"tip_compliance: after a history, push= must have two components (X, Y), N, got {push!r}")
     if not isinstance(push, Tracer) and not 0 < float(np.linalg.norm(np.asarray(push))) < np.inf:

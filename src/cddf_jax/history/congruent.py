@@ -6,6 +6,7 @@ fronts of its open turns the body is therefore congruent to a part of one of the
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -15,9 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..mechanics.fields import Fields
-from ..mechanics.problem import cut_into_panels
+from ..mechanics.fields import AnyFields, SpatialFields
+from ..mechanics.problem import State, cut_into_panels
 from ..numerics.arrays import zero_as
+from ..numerics.rotations import as_matrix
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import one_precision
@@ -25,9 +27,9 @@ from ..statics.equilibrium import RESULTS, Dense, code_of, nan_unless, with_word
 from ..statics.solve import solve
 from .driven import Drive, driven
 from .energies import work_and_loss
-from .fronts import cut_at, front_of, moving_front
+from .fronts import cut_at, moving_front
 from .history import Energies, History, States
-from .parts import Slid, Tip, rotated, slid_up_to, tips
+from .parts import Heading, Slid, Tip, at_base, ends_of_motion, rotated, tilt_of, tips, turned_back, turned_on
 from .turns import NOBODY, Turns, open_turns
 
 Number = Float[Array, ""]
@@ -54,7 +56,7 @@ class CongruentStates(States):
         cut = cut_into_panels(self.manipulator, self.nodes)
         return jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]])
 
-    def fields(self, arc_length: Float[Array, " points"]) -> Fields:
+    def fields(self, arc_length: Float[Array, " points"]) -> AnyFields:
         return _fields(self, arc_length)
 
     def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps points"]:
@@ -107,13 +109,14 @@ def congruent_history(
     good = added.solved & usable
     outside = path[-num_steps:] * jnp.sum(body.tendon_compliance * body.tendon_free_length)
     numbers = tip.tension, added.heading, added.position, added.pulled_in + outside, added.error
-    tension, angle, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
+    tension, heading, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
     still_open = turns.open[-1]
     return History(
         base_tension=path[-num_steps:],
         tip_tension=tension,
-        tip_angle=angle,
+        tip_angle=jax.vmap(tilt_of)(heading),
         tip_position=position,
+        tip_frame=heading if body.in_space else None,
         direction=turns.direction,
         front=front,
         num_turns=jnp.sum(turns.open != NOBODY, axis=1),
@@ -168,12 +171,7 @@ def follow(
     turned_at = jnp.where(from_rest, path, path[turns.before])
 
     def step(given: tuple[Number, Number, Number, Bool[Array, ""]]) -> tuple[Number, tuple[Slid, Slid]]:
-        tension, direction, turned_at, from_rest = given
-        front = front_of(body, nodes, tension, direction, turned_at, from_rest)
-        # the equilibria of a motion and of the one before it, in one batch
-        directions = jnp.stack([direction, jnp.where(from_rest, 1.0, -1.0) * direction])
-        found = jax.vmap(partial(slid_up_to, body, nodes, front=front))(jnp.stack([tension, turned_at]), directions)
-        own, other = (jax.tree.map(lambda x, i=i: x[i], found) for i in range(2))
+        front, own, other = ends_of_motion(body, nodes, *given)
         return front, (own, other)
 
     front, (own, other) = _in_blocks(step, (path, turns.direction, turned_at, from_rest))
@@ -212,8 +210,8 @@ class _Part(NamedTuple):
     start: Number  # s, m
     end: Number
     branch: Int[Array, ""]  # the step whose equilibrium it is part of
-    turned: Number  # rad
-    moved: Float[Array, "2"]  # m, after it was turned about the base
+    turned: Heading
+    moved: Float[Array, " components"]  # m, after it was turned about the base
     wrapped: Float[Array, " tendons"]  # rad, more than in that equilibrium
 
 
@@ -221,14 +219,14 @@ class _Body(NamedTuple):
     """A traced body as far as it is put together."""
 
     end: Number  # s, m
-    heading: Number
-    position: Float[Array, "2"]
+    heading: Heading
+    position: Float[Array, " components"]
     wrap_angle: Float[Array, " tendons"]
 
 
 @kept_program
 @eqx.filter_jit
-def _fields(states: CongruentStates, arc_length: Float[Array, " points"]) -> Fields:
+def _fields(states: CongruentStates, arc_length: Float[Array, " points"]) -> AnyFields:
     """The fields after each step, tendons last."""
 
     def branch(tension: Number, direction: Number, front: Number) -> Dense:
@@ -237,7 +235,7 @@ def _fields(states: CongruentStates, arc_length: Float[Array, " points"]) -> Fie
 
     branches = jax.vmap(branch)(states.path, states.turns.direction, states.front)
 
-    def step(open_steps: Int[Array, " turns"]) -> Fields:
+    def step(open_steps: Int[Array, " turns"]) -> AnyFields:
         parts = _parts(branches, open_steps)
         return jax.vmap(partial(_fields_at, branches, parts))(arc_length)
 
@@ -247,7 +245,7 @@ def _fields(states: CongruentStates, arc_length: Float[Array, " points"]) -> Fie
 def _parts(branches: Dense, open_steps: Int[Array, " turns"]) -> _Part:
     """The parts of the body after one step, from the base on: the newest turn first."""
     zero = zero_as(branches.edges)
-    start = _Body(zero, zero, jnp.zeros(2) + zero, zero[None])
+    start = _Body(zero, *at_base(branches.manipulator, zero), zero[None])
 
     def add(body: _Body, step: Int[Array, ""]) -> tuple[_Body, _Part]:
         index = jnp.maximum(step, 0)
@@ -255,33 +253,37 @@ def _parts(branches: Dense, open_steps: Int[Array, " turns"]) -> _Part:
         end = of.edges[-1]
         covers = (step != NOBODY) & (end > body.end)
         joint, there = of.state(jnp.minimum(body.end, end)), of.state(end)
-        turned = body.heading - joint.heading
+        turned = turned_on(body.heading, turned_back(_heading(joint)))
         moved = body.position - rotated(joint.position, turned)
         wrapped = body.wrap_angle - joint.wrap_angle
         part = _Part(body.end, jnp.where(covers, end, body.end), index, turned, moved, wrapped)
         further = _Body(
-            end, turned + there.heading, moved + rotated(there.position, turned), wrapped + there.wrap_angle
+            end, turned_on(turned, _heading(there)), moved + rotated(there.position, turned), wrapped + there.wrap_angle
         )
         return jax.tree.map(lambda new, old: jnp.where(covers, new, old), further, body), part
 
     return jax.lax.scan(add, start, open_steps[::-1])[1]
 
 
-def _fields_at(branches: Dense, parts: _Part, arc_length: Number) -> Fields:
+def _heading(state: State) -> Heading:
+    return state.heading if state.heading.ndim == 0 else as_matrix(state.heading)
+
+
+def _fields_at(branches: Dense, parts: _Part, arc_length: Number) -> AnyFields:
     """The fields at one arc length, tendons last, of a body of several parts; NaN off the body."""
     part = jax.tree.map(lambda x: x[jnp.argmax((parts.end > parts.start) & (arc_length <= parts.end))], parts)
     return _placed(part, jax.tree.map(lambda x: x[part.branch], branches)(arc_length))
 
 
-def _placed(part: _Part, fields: Fields) -> Fields:
+def _placed(part: _Part, fields: AnyFields) -> AnyFields:
     """What varies along a part, where it lies in the traced body; of its equilibrium."""
-    return Fields(
-        arc_length=fields.arc_length,
-        curvature=fields.curvature,
-        heading=fields.heading + part.turned,
-        position=part.moved + rotated(fields.position, part.turned),
-        tension=fields.tension,
-        wrap_angle=fields.wrap_angle + part.wrapped,
-        normal_force=rotated(fields.normal_force, part.turned),
-        friction_force=rotated(fields.friction_force, part.turned),
-    )
+    placed = {
+        "position": part.moved + rotated(fields.position, part.turned),
+        "wrap_angle": fields.wrap_angle + part.wrapped,
+        "normal_force": rotated(fields.normal_force, part.turned),
+        "friction_force": rotated(fields.friction_force, part.turned),
+    }
+    if isinstance(fields, SpatialFields):
+        path = part.moved + rotated(fields.path, part.turned)
+        return replace(fields, frame=turned_on(part.turned, fields.frame), path=path, **placed)
+    return replace(fields, heading=turned_on(part.turned, fields.heading), **placed)

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot.manipulator import Manipulator
-from .fronts import front_of
-from .parts import slid_up_to
+from .parts import ends_of_motion
 from .turns import NOBODY, Stack, Turns, go_on
 
 Number = Float[Array, ""]
@@ -94,14 +93,11 @@ def _gain(
     tension: Number,
 ) -> Number:
     """What a motion adds since it turned."""
-    front = front_of(body, nodes, tension, direction, turned_at, from_rest)
-    bases = jnp.stack([tension, jnp.where(from_rest, tension, turned_at)])
-    directions = jnp.stack([direction, jnp.where(from_rest, direction, -direction)])
-    found = jax.vmap(partial(slid_up_to, body, nodes, front=front))(bases, directions)
-    values = found.added.heading
+    _, own, other = ends_of_motion(body, nodes, tension, direction, turned_at, from_rest)
+    values = own.added.heading, other.added.heading
     outside = 0.0
     if quantity == "displacement":
-        values = found.added.pulled_in
+        values = own.added.pulled_in, other.added.pulled_in
         outside = (tension - turned_at) * jnp.sum(body.tendon_compliance * body.tendon_free_length)
     return outside + values[0] - jnp.where(from_rest, 0.0, values[1])
 

@@ -2,8 +2,9 @@
 
 While the base tension goes on in one direction, each place slides from the moment at which the front passes it. So
 the work and the loss of a motion are integrals over the positions of the front, and, once the front is where it stays,
-over the base tension. Both are smooth, and Gauss rules are exact to rounding errors. What a step does follows from
-the motions between turns: when it passes a turn, it first goes back to where that loop began.
+over the base tension. Both are smooth, and Gauss rules are exact to rounding errors; not so in space, see
+`_motion_in_space`. What a step does follows from the motions between turns: when it passes a turn, it first goes back
+to where that loop began.
 """
 
 from functools import partial
@@ -18,10 +19,11 @@ from ..mechanics.friction import PerTendon
 from ..mechanics.problem import State, displacement_rate, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import num_splits
 from ..numerics.quadrature import Panels, gauss_rule
-from ..robot.cross_section import CrossSection, planar
+from ..robot.cross_section import AnySection, planar
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
-from .fronts import cut_at, first_zero, front_of
+from .fronts import cut_at, first_zero, front_of, is_play_of_inverse
+from .parts import ends_of_motion
 from .turns import NOBODY, Turns
 
 Number = Float[Array, ""]
@@ -42,7 +44,19 @@ def work_and_loss(
         directions, rest = jnp.stack([direction, -direction]), jnp.stack([from_rest, from_rest & False])
         return jax.vmap(partial(_motion, body, nodes, front))(starts, ends, directions, rest)
 
-    there, back = jnp.moveaxis(jax.lax.map(there_and_back, (path, turned_at, turns.direction, front, from_rest)), 1, 0)
+    def there_and_back_in_space(step: tuple[Number, Number, Number, Bool[Array, ""], Bool[Array, ""]]) -> WorkAndLoss:
+        tension, turned_at, direction, from_rest, turns = step
+        motion = partial(_motion_in_space, body, nodes)
+        there = motion(turned_at, tension, direction, from_rest)
+        back = jax.lax.cond(turns, motion, lambda *_: 0.0 * there, tension, turned_at, -direction, from_rest & False)
+        return jnp.stack([there, back])
+
+    if body.in_space:
+        turned_from = jnp.any(turns.before[:, None] == jnp.arange(path.size), axis=0)  # else there is no way back
+        found = jax.lax.map(there_and_back_in_space, (path, turned_at, turns.direction, from_rest, turned_from))
+    else:
+        found = jax.lax.map(there_and_back, (path, turned_at, turns.direction, front, from_rest))
+    there, back = jnp.moveaxis(found, 1, 0)
     return jax.vmap(partial(_of_step, turns, there, back))(jnp.arange(path.size))
 
 
@@ -95,6 +109,47 @@ def _motion(
     return shares @ rates
 
 
+def _motion_in_space(
+    body: Manipulator, nodes: int, turned_at: Number, tension: Number, direction: Number, from_rest: Bool[Array, ""]
+) -> WorkAndLoss:
+    """The same of a motion in space: the work by parts, T x less the integral of x over T; friction has the rest.
+
+    What is pulled in, x, follows from equilibria. As a function of T it is smooth but where the front comes to the tip,
+    and nearly so where the turning of the tendon has a sharp minimum.
+    """
+    compliance = jnp.sum(body.tendon_compliance * body.tendon_free_length)
+
+    def since_turn(tension: Number) -> WorkAndLoss:
+        """What is pulled in, m, and stored, J."""
+        _, own, other = ends_of_motion(body, nodes, tension, direction, turned_at, from_rest, refined=False)
+        before = jnp.where(from_rest, 0.0, jnp.stack([other.added.pulled_in, other.added.stored]))
+        outside = jnp.stack([tension - turned_at, (tension**2 - turned_at**2) / 2]) * compliance
+        return jnp.stack([own.added.pulled_in, own.added.stored]) - before + outside
+
+    cuts = jnp.stack([turned_at, _all_slides_at(body, nodes, turned_at, tension, direction, from_rest), tension])
+    rule, width = gauss_rule(nodes), jnp.diff(cuts)[:, None]
+    weights, places = jnp.asarray(rule.weights, cuts.dtype), jnp.asarray(rule.nodes, cuts.dtype)
+    found = jax.vmap(since_turn)(jnp.append(cuts[:-1, None] + width * places, tension))
+    pulled_in, stored = found[-1]
+    work = tension * pulled_in - jnp.sum((width * weights).ravel() * found[:-1, 0])
+    return jnp.stack([work, work - stored])
+
+
+def _all_slides_at(
+    body: Manipulator, nodes: int, turned_at: Number, tension: Number, direction: Number, from_rest: Bool[Array, ""]
+) -> Number:
+    """The base tension, N, at which the front of a motion comes to the tip; where it does not, that at its end.
+
+    It has no derivative: the integral does not depend on where it is cut.
+    """
+    body, turned_at, tension = jax.lax.stop_gradient((body, turned_at, tension))
+    length = jnp.asarray(body.length)
+    there = _slide(body, nodes, -direction, turned_at).at(body, length)[1][0]
+    found = _tension_when_passing(body, nodes, turned_at, direction, length, jnp.where(from_rest, 0.0, there))
+    lowest, highest = jnp.minimum(turned_at, tension), jnp.maximum(turned_at, tension)
+    return jax.lax.stop_gradient(jnp.where(jnp.isfinite(found), jnp.clip(found, lowest, highest), tension))
+
+
 class _Slide(NamedTuple):
     """A tendon that slides one way along a part of the body."""
 
@@ -103,10 +158,10 @@ class _Slide(NamedTuple):
     starts: State
     nodes: State
 
-    def at(self, body: Manipulator, arc_length: Number) -> tuple[CrossSection, PerTendon, Number]:
+    def at(self, body: Manipulator, arc_length: Number) -> tuple[AnySection, PerTendon, Array]:
         """Cross-section, tension, N, and M_ext, N m."""
         section, state = guarded_section(body, arc_length), self.cut.interpolate(self.starts, self.nodes, arc_length)
-        return planar(section), tension_of(section, self.base_tension, state.pull), state.moment
+        return section, tension_of(section, self.base_tension, state.pull), state.moment
 
 
 def _slide(part: Manipulator, nodes: int, direction: Number, tension: Number) -> _Slide:
@@ -142,7 +197,7 @@ def _tension_when_passing(
     double = 2 * turned_at - there
     # without drag the inverse of the tension has as far to go as on the way of the motion before
     found = jnp.where(double > 0, turned_at * there / jnp.where(double > 0, double, 1.0), there)
-    if body.tendon_drag is None and not body.slanted:
+    if is_play_of_inverse(body):
         return found
     part = cut_at(body, arc_length)
 
@@ -172,7 +227,7 @@ def _rates(body: Manipulator, nodes: int, direction: Number, tension: Number, ar
 
     def pulled_in_rate(slide: _Slide) -> tuple[Float[Array, "P p"], Float[Array, "P p"]]:
         section, local, moment = jax.vmap(jax.vmap(partial(slide.at, body)))(cut.nodes)
-        return displacement_rate(body, section, local, moment)[..., 0], local[..., 0]
+        return displacement_rate(body, planar(section), local, moment)[..., 0], local[..., 0]
 
     (_, local), (growth, _) = jax.jvp(pulled_in_rate, (slide,), (by_tension,))
     outside = jnp.sum(body.tendon_compliance * body.tendon_free_length)

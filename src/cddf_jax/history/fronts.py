@@ -7,14 +7,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..mechanics import bending
+from ..mechanics import bending, space
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.problem import Problem, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import at_starts_and_ends, refined_zero
 from ..numerics.quadrature import Panels
-from ..robot.cross_section import planar
+from ..robot.cross_section import SpatialSection, planar, spatial
 from ..robot.manipulator import Manipulator
+from ..statics.solve import solve
 
 Number = Float[Array, ""]
 REFINEMENTS = 3  # by Newton's method
@@ -26,8 +27,21 @@ def cut_at(body: Manipulator, arc_length: Number) -> Manipulator:
     return eqx.tree_at(lambda body: body.length, body, arc_length)
 
 
+def is_play_of_inverse(body: Manipulator) -> bool:
+    """Whether a tendon turns in proportion to its tension, so that 1/T goes as far each way; static."""
+    own_strain = body.extensible or body.rest_curvature is not None
+    return body.tendon_drag is None and not body.slanted and not own_strain
+
+
 def front_of(
-    body: Manipulator, nodes: int, tension: Number, direction: Number, turned_at: Number, from_rest: Bool[Array, ""]
+    body: Manipulator,
+    nodes: int,
+    tension: Number,
+    direction: Number,
+    turned_at: Number,
+    from_rest: Bool[Array, ""],
+    *,
+    refined: bool = True,
 ) -> Number:
     """Where the tension of a motion meets the one at which it turned, m; the tip where all of the tendon slides.
 
@@ -41,6 +55,7 @@ def front_of(
         direction: of the motion.
         turned_at: the tension at the base where the motion turned, N; before, the tendon slid the other way.
         from_rest: the motion did not turn, it is the first one.
+        refined: whether it has to be right to rounding errors; what is summed along the body is off by its square.
     """
     body, tension, direction, turned_at = jax.lax.stop_gradient((body, tension, direction, turned_at))
     length = jnp.asarray(body.length)
@@ -49,7 +64,7 @@ def front_of(
     # in T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock
     gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
     front = jnp.clip(first_zero(here.panels, gap[..., 0]), LEAST * length, length)
-    if body.tendon_drag is not None or body.slanted:  # else r is a polynomial, and the front right at once
+    if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front right at once
         refine = partial(_nearer, body, nodes, ends)
         found = jax.lax.fori_loop(0, REFINEMENTS, lambda _, front: refine(front), front)
         front = jnp.where(front < length, found, front)
@@ -67,17 +82,28 @@ def moving_front(body: Manipulator, front: Number, here: Number, there: Number, 
     """
     still, apart = jax.lax.stop_gradient((body, front, here, direction)), here - there
     body, place, tension, direction = still
-    section = planar(guarded_section(body, place))
-
-    def slope(direction: Number) -> Number:
-        kappa = bending.curvature(section, tension[None])
-        turning = bending.turning(section, kappa, tension[None], direction[None])
-        return tension_rate(direction[None], section, turning, tension[None])[0]
-
+    slope = partial(_slope_in_space if body.in_space else _slope_in_plane, body, place, tension)
     parting = slope(direction) - slope(-direction)
     moves = (place < body.length) & (parting != 0)
     change = (apart - jax.lax.stop_gradient(apart)) / jnp.where(moves, parting, 1.0)
     return front - jnp.where(moves, change, 0.0)
+
+
+def _slope_in_plane(body: Manipulator, place: Number, tension: Number, direction: Number) -> Number:
+    """T', N/m, of a tendon that slides at a place with a tension."""
+    section = planar(guarded_section(body, place))
+    kappa = bending.curvature(section, tension[None])
+    turning = bending.turning(section, kappa, tension[None], direction[None])
+    return tension_rate(direction[None], section, turning, tension[None])[0]
+
+
+def _slope_in_space(body: Manipulator, place: Number, tension: Number, direction: Number) -> Number:
+    """The same."""
+
+    def section_at(arc_length: Number) -> SpatialSection:
+        return spatial(guarded_section(body, arc_length))
+
+    return space.tension_rate_without_loads(section_at, place, tension[None], direction[None])[0]
 
 
 def _slide(body: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Problem, Pull]:
@@ -95,7 +121,11 @@ def _nearer(
 ) -> Number:
     """A step of Newton's method."""
     part = cut_at(body, front)
-    (value, slope), (other, other_slope) = (_tension_and_slope(part, nodes, *end) for end in ends)
+    if body.in_space:  # one program for both
+        both = [jnp.stack(pair) for pair in zip(*ends, strict=True)]
+        (value, other), (slope, other_slope) = jax.vmap(partial(_tension_and_slope, part, nodes))(*both)
+    else:
+        (value, slope), (other, other_slope) = (_tension_and_slope(part, nodes, *end) for end in ends)
     found = front - (value - other) / (slope - other_slope)
     length = jnp.asarray(body.length)
     return jnp.where(jnp.isfinite(found), jnp.clip(found, LEAST * length, length), front)
@@ -103,6 +133,9 @@ def _nearer(
 
 def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Number, Number]:
     """T, N, and T', N/m, at the end of a part of the body."""
+    if part.in_space:  # where panels end beside sharp minima of the turning
+        value = solve(part, tension, direction=direction, nodes=nodes, throw=False).tip_tension[0]
+        return value, _slope_in_space(part, jnp.asarray(part.length), value, direction)
     problem = lay_out(part, tension[None], direction[None], nodes)
     value = tension_of(problem.tip, problem.base_tension, FixedPoint()(problem).tip.pull)
     tip = planar(problem.tip)

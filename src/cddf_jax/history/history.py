@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from ..mechanics.fields import Fields, tendons_first
+from ..mechanics.fields import AnyFields, tendons_first
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, nan_unless
 
@@ -23,7 +23,7 @@ class States(eqx.Module):
         """Base, nodes and tip, m."""
 
     @abstractmethod
-    def fields(self, arc_length: Float[Array, " points"]) -> Fields:
+    def fields(self, arc_length: Float[Array, " points"]) -> AnyFields:
         """The fields after each step, tendons last: (steps, points, ...); NaN off the body."""
 
     @abstractmethod
@@ -52,8 +52,9 @@ class History(eqx.Module):
 
     base_tension: Float[Array, "steps *tendons"]  # N
     tip_tension: Float[Array, "steps *tendons"]  # N
-    tip_angle: Float[Array, " steps"]  # phi(L), rad
-    tip_position: Float[Array, "steps 2"]  # u(L), m
+    tip_angle: Float[Array, " steps"]  # phi(L), rad; in space between the axes of tip and base, from 0 to pi
+    tip_position: Float[Array, "steps components"]  # u(L), m
+    tip_frame: Float[Array, "steps 3 3"] | None  # of a body in space: its columns are the axes of the tip
     direction: Float[Array, "steps *tendons"]  # of the sliding tendon: +1 in, -1 out
     front: Float[Array, "steps *tendons"]  # s, m, up to which the tendon slid last; it rests beyond, if not the tip
     num_turns: Int[Array, " steps"] | None  # how many turns are still felt; None with several tendons or loads
@@ -96,11 +97,11 @@ class History(eqx.Module):
         return jax.vmap(nan_unless)(known, self._states.energies())
 
     @property
-    def equilibria(self) -> Fields:
+    def equilibria(self) -> AnyFields:
         """What varies along the body, after each step, at the base, the Gauss nodes and the tip."""
         return self.at(self._states.arc_length)
 
-    def at(self, arc_length: ArrayLike) -> Fields:
+    def at(self, arc_length: ArrayLike) -> AnyFields:
         """What varies along the body, after each step, as `Equilibrium.at` has it; step first.
 
         Args:

@@ -6,30 +6,34 @@ there on as it did before; `Onward` says how that is. Each step needs two equili
 its own, and that of the motion at whose end it turned.
 """
 
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..mechanics.problem import curvature_along, guarded_section, tension_of
+from ..mechanics import space
+from ..mechanics.problem import at_nodes, curvature_along, guarded_section, strain_along, tension_of
 from ..numerics.arrays import cos_sin, zero_as
-from ..robot.cross_section import planar
+from ..numerics.rotations import length_of
+from ..robot.cross_section import SpatialSection, planar
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Dense, code_of, with_words
 from ..statics.solve import solve
-from .fronts import cut_at
+from .fronts import cut_at, front_of
 from .turns import NOBODY, Turns
 
 Number = Float[Array, ""]
+Heading = Float[Array, "*axes"]  # phi, rad, in the plane; in space R, whose columns are the axes, (3, 3)
 Tree = TypeVar("Tree")
 
 
 class Onward(NamedTuple):
     """What a part of a body adds, seen from where it begins; every number is finite."""
 
-    heading: Number  # rad
-    position: Float[Array, "2"]  # m
+    heading: Heading
+    position: Float[Array, " components"]  # m
     pulled_in: Number  # m, of the tendon
     stored: Number  # J, in body and tendon
     error: Number
@@ -63,7 +67,7 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
         solved,
         (
             found.tip_tension[0],
-            found.tip_angle,
+            found.tip_angle if found.tip_frame is None else found.tip_frame,
             found.tip_position,
             found.tendon_displacement[0] - outside,
             stored_energy(found._dense),
@@ -73,14 +77,52 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
     return Slid(front, tension, Onward(heading, position, pulled_in, stored, error, solved, result))
 
 
+def ends_of_motion(
+    body: Manipulator,
+    nodes: int,
+    tension: Number,
+    direction: Number,
+    turned_at: Number,
+    from_rest: Bool[Array, ""],
+    *,
+    refined: bool = True,
+) -> tuple[Number, Slid, Slid]:
+    """The front of a motion, and up to it the equilibria at its end and where it turned.
+
+    Args:
+        body: with one tendon.
+        nodes: Gauss nodes in each smooth piece.
+        tension: at the base after the motion, N.
+        direction: of the motion.
+        turned_at: the tension at the base where the motion turned, N.
+        from_rest: the motion did not turn; then the second equilibrium is the first one.
+        refined: of the front, see `front_of`.
+    """
+    turned_at = jnp.where(from_rest, tension, turned_at)
+    front = front_of(body, nodes, tension, direction, turned_at, from_rest, refined=refined)
+    directions = jnp.stack([direction, jnp.where(from_rest, 1.0, -1.0) * direction])
+    found = jax.vmap(partial(slid_up_to, body, nodes, front=front))(jnp.stack([tension, turned_at]), directions)
+    own, other = (jax.tree.map(lambda x, i=i: x[i], found) for i in range(2))
+    return front, own, other
+
+
 def stored_energy(dense: Dense) -> Number:
-    """What body and tendon hold in an equilibrium, J: the integral of E J kappa^2 / 2 + T^2 / (2 E A)."""
+    """What body and tendon hold in an equilibrium, J: the integral of E J kappa^2 / 2 + T^2 / (2 E A).
+
+    In space the former is that of all strains.
+    """
     body, cut, moment = dense.manipulator, dense.panels, dense.nodes.moment
-    section = planar(jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes))
+    section = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
     tension = tension_of(section, dense.base_tension, dense.nodes.pull)
-    kappa = curvature_along(section, tension, moment)
-    stretch = tension**2 * jnp.sqrt(1.0 + section.offset_slope**2) * body.tendon_compliance
-    return jnp.sum(cut.gain(section.stiffness * kappa**2 + jnp.sum(stretch, axis=-1))) / 2
+    if isinstance(section, SpatialSection):
+        strain = strain_along(section, dense.base_tension, dense.nodes) - section.rest
+        length = length_of(at_nodes(space.course, (0, 0))(section, section.rest))
+        elastic = jnp.sum(section.stiffness * strain**2, axis=-1)
+    else:
+        length = jnp.sqrt(1.0 + planar(section).offset_slope ** 2)
+        elastic = section.stiffness * curvature_along(section, tension, moment) ** 2
+    stretch = tension**2 * length * body.tendon_compliance
+    return jnp.sum(cut.gain(elastic + jnp.sum(stretch, axis=-1))) / 2
 
 
 def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
@@ -95,7 +137,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     length = jnp.asarray(body.length)
     zero = zero_as((own, length))
     result = with_words(RESULTS.where(zero > 1, RESULTS.locked, RESULTS.successful))
-    nothing = Onward(zero, jnp.zeros(2) + zero, zero, zero, zero, zero == 0, result)
+    nothing = Onward(*at_base(body, zero), zero, zero, zero, zero == 0, result)
     max_turns = turns.open.shape[1]
     slots = jnp.arange(max_turns)
 
@@ -128,9 +170,10 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
 
 def _between(start: Onward, end: Onward) -> Onward:
     """What lies between two places of one equilibrium, seen from the first."""
+    back = turned_back(start.heading)
     return Onward(
-        end.heading - start.heading,
-        rotated(end.position - start.position, -start.heading),
+        turned_on(back, end.heading),
+        rotated(end.position - start.position, back),
         end.pulled_in - start.pulled_in,
         end.stored - start.stored,
         jnp.maximum(start.error, end.error),
@@ -141,7 +184,7 @@ def _between(start: Onward, end: Onward) -> Onward:
 
 def _joined(here: Onward, further: Onward) -> Onward:
     return Onward(
-        here.heading + further.heading,
+        turned_on(here.heading, further.heading),
         here.position + rotated(further.position, here.heading),
         here.pulled_in + further.pulled_in,
         here.stored + further.stored,
@@ -160,8 +203,32 @@ def _choose(condition: Bool[Array, ""], one: Tree, other: Tree) -> Tree:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
-def rotated(vector: Float[Array, "*points 2"], angle: Number) -> Float[Array, "*points 2"]:
-    """A vector turned by an angle, rad."""
-    cosine, sine = cos_sin(angle)
+def at_base(body: Manipulator, zero: Number) -> tuple[Heading, Float[Array, " components"]]:
+    """Heading and position of the base, as numbers like `zero`."""
+    if body.in_space:
+        return jnp.eye(3, dtype=zero.dtype) + zero, jnp.zeros(3) + zero
+    return zero, jnp.zeros(2) + zero
+
+
+def turned_on(one: Heading, other: Heading) -> Heading:
+    """The heading `other`, seen in that of `one`."""
+    return one + other if one.ndim == 0 else one @ other
+
+
+def turned_back(heading: Heading) -> Heading:
+    """The heading that undoes another."""
+    return -heading if heading.ndim == 0 else heading.T
+
+
+def tilt_of(heading: Heading) -> Number:
+    """The tip angle, rad: phi, and in space that between the axes of tip and base."""
+    return heading if heading.ndim == 0 else jnp.arctan2(length_of(heading[1:, 0]), heading[0, 0])
+
+
+def rotated(vector: Float[Array, "*points components"], heading: Heading) -> Float[Array, "*points components"]:
+    """A vector turned as a heading is."""
+    if heading.ndim > 0:
+        return vector @ heading.T
+    cosine, sine = cos_sin(heading)
     x, y = vector[..., 0], vector[..., 1]
     return jnp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)

@@ -336,6 +336,7 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         tip_tension=tip.tension,
         tip_angle=tip.heading,
         tip_position=tip.position,
+        tip_frame=None,
         direction=jnp.where(step.share[:, 0] < 0, -1.0, 1.0),
         front=front,
         num_turns=None,

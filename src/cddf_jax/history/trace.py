@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import SolveError
 from ..robot.loads import Loads
-from ..robot.manipulator import Manipulator
+from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_weight
 from ..statics.arguments import check_nodes
 from ..statics.equilibrium import RESULTS, code_of
@@ -38,7 +38,7 @@ def trace(
 ) -> History:
     """Pull and release a manipulator, from rest.
 
-    One tendon without loads has an exact answer. Several tendons, and loads, are followed in short steps with cells of
+    One tendon without loads has an exact answer, in the plane and in space. In the plane several tendons, and loads, are followed in short steps with cells of
     finite length; `error_estimate` tells how far answers with half as many of either are away.
     Works under jit, vmap, grad and scan. Derivatives are continuous where fronts move; at a turn they are those of the
     direction in which the step went. With several tendons or loads only first derivatives hold, and 64-bit numbers are
@@ -48,7 +48,7 @@ def trace(
         manipulator: the body.
         base_tension: T_base >= 0, N, after each step, in the order in time, (steps,) for one tendon or (steps,
             tendons); between steps it goes straight from one to the next. Or `Displacement([...])`, m, or, for one
-            tendon without loads, `TipAngle([...])`, rad, after each step: then the tensions are found. Several tendons
+            tendon in the plane without loads, `TipAngle([...])`, rad, after each step: then the tensions are found. Several tendons
             may have an entry (steps,) each, of which some are a `Displacement`. A tendon that would have to push hangs
             without tension until it is taken up; the result of such a step is `slack`, which is no error, and its
             displacement is that at which the tendon went slack.
@@ -70,14 +70,13 @@ def trace(
 
     Raises:
         SolveError: with `throw`, when a step failed; it names the step.
-        ValueError: for tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns
+        ValueError: for several tendons, loads or a `TipAngle` in space, tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns
             below 1, short_steps below 2, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed.
         TypeError: if an argument has the wrong type.
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"trace: the first argument must be a Manipulator, got {type(manipulator).__name__}")
-    if manipulator.in_space or (isinstance(loads, Loads) and loads.in_space):
-        raise ValueError("trace: the body is in space, and only histories in the plane are known")
+    manipulator = _as_known(manipulator, base_tension, loads)
     check_nodes(nodes)
     for name, value, least in (("max_turns", max_turns, 1), ("short_steps", short_steps, 2)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
@@ -96,6 +95,25 @@ def trace(
     if throw:
         _raise_if_failed(history)
     return history
+
+
+def _as_known(
+    manipulator: Manipulator, base_tension: Driven | TipAngle, loads: Loads | Sequence[Loads] | None
+) -> Manipulator:
+    """The body, whose tendon has an angle where it is in space; refuse what is not known there."""
+    given = loads if isinstance(loads, tuple | list) else [loads]
+    if not manipulator.in_space and not any(isinstance(entry, Loads) and entry.in_space for entry in given):
+        return manipulator
+    if manipulator.num_tendons > 1 or loads is not None:
+        raise ValueError(
+            "trace: in space only the history of one tendon without loads is known; leave the rest out, or take solve "
+            "with a direction for each tendon"
+        )
+    if isinstance(base_tension, TipAngle) or (
+        isinstance(base_tension, tuple | list) and any(isinstance(entry, TipAngle) for entry in base_tension)
+    ):
+        raise ValueError("trace: TipAngle drives a tendon in the plane; in space give base tensions or a Displacement")
+    return in_space(manipulator)
 
 
 def _check_largest(past: Before, start: History | None, quantity: str, values: Array) -> None:

@@ -10,6 +10,7 @@ least, which is convex; M and N are moment and force of the loads in the frame o
 that is Rucker and Webster (2011), doi 10.1109/TRO.2011.2160469; in the plane it is the law of `bending`.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -20,7 +21,7 @@ from jaxtyping import Array, Float
 from ..numerics.implicit import slope_along, solve_definite
 from ..numerics.rotations import Vector, cross, length_of
 from ..robot.cross_section import SpatialSection
-from .friction import PerTendon
+from .friction import PerTendon, tension_rate
 
 NEWTON_STEPS = 6
 Strain = Float[Array, " strains"]
@@ -84,6 +85,39 @@ def turn_between(one: Vectors, other: Vectors) -> PerTendon:
     """The angle between unit tangents, rad."""
     apart, together = length_of(other - one), length_of(other + one)
     return 2.0 * jnp.arctan2(apart, together)
+
+
+def tension_rate_without_loads(
+    section_at: Callable[[Float[Array, ""]], SpatialSection],
+    arc_length: Float[Array, ""],
+    tension: PerTendon,
+    direction: PerTendon,
+) -> PerTendon:
+    """T', N/m, of a tendon that slides at a place with a tension; for a body with one tendon and no loads.
+
+    There the strain follows from s and T alone, so t' = dt/ds + (dt/dT) T' and T' stands on both sides of the law. What
+    is missing of it grows with T' while mu T |dt/dT| < 1, and is convex or concave: Newton's method finds its root.
+    """
+    one = jnp.ones_like(arc_length)
+
+    def pointing(s, tension):
+        section = section_at(s)
+        found = strain(section, tension, None)
+        return tangents(section, found), (section, found)
+
+    tangent, by_length, (section, found) = jax.jvp(lambda s: pointing(s, tension), (arc_length,), (one,), has_aux=True)
+    by_tension = jax.jvp(lambda T: pointing(arc_length, T)[0], (tension,), (jnp.ones_like(tension),))[1]
+    still = turn_vectors(found, tangent, by_length)
+
+    def law(rate):
+        turning = jnp.where(section.present, length_of(still + rate[:, None] * by_tension), 0.0)
+        return tension_rate(direction, section, turning, tension)
+
+    def newton_step(_, rate):
+        value, slope = jax.jvp(law, (rate,), (jnp.ones_like(rate),))
+        return rate - (rate - value) / (1.0 - slope)
+
+    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, law(jnp.zeros_like(tension)))
 
 
 def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTendon, compliance: PerTendon) -> PerTendon:

@@ -151,7 +151,7 @@ def history_columns(numbers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for name, values in numbers.items():
         unit, parts = QUANTITIES[name].unit, values.reshape(len(values), -1).T
         if name == "tip_position":
-            heads = ["x", "y"]
+            heads = AXES[: len(parts)]
         else:
             heads = [name] if len(parts) == 1 else [f"{name}_{i}" for i in range(1, len(parts) + 1)]
         for head, part in zip(heads, parts, strict=True):

@@ -20,7 +20,7 @@ from ..units import Dimension, shown
 from .export import POINTS, field_columns, history_columns, history_numbers
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
-FINE_IN_STEPS, SHORT_STEPS = 64, 4  # the same where short steps are followed, and into how many each is divided
+FINE_IN_STEPS, SHORT_STEPS = 64, 4  # in space or where short steps are followed, and into how many each is divided
 STEPS = 20  # of which words are made, at most
 SAME = 1e-9  # of its size, by which the number of two states may differ that are one
 SEEN = 1e-5  # of the work, by which it may differ from its parts in silence
@@ -81,7 +81,9 @@ def traced(
         ValueError: as `trace`.
     """
     known = 0.0 if before is None else before if driven == "force" else path[0]  # where the path comes from
-    values, steps = _with_points_between(np.array(path)[:, None], np.array([known]), FINE)
+    values, steps = _with_points_between(
+        np.array(path)[:, None], np.array([known]), FINE_IN_STEPS if manipulator.in_space else FINE
+    )
     with stage("tracing"):
         past = "rest" if before is None else before
         history = trace(

@@ -74,6 +74,12 @@ OF_HISTORY: dict[str, tuple[str, ...]] = {
     "stored_energy": (),
     **{name: dims for name, dims in OUTPUTS.items() if "point" in dims},
 }
+# the same in space
+OF_HISTORY_IN_SPACE: dict[str, tuple[str, ...]] = {
+    **{name: dims for name, dims in OF_HISTORY.items() if "point" not in dims},
+    "tip_frame": IN_SPACE["tip_frame"],
+    **{name: dims for name, dims in IN_SPACE.items() if "point" in dims},
+}
 
 
 def variable(
@@ -187,7 +193,7 @@ class OneSolve(eqx.Module):
 
 def _after_each_step(history: History, name: str) -> Array:
     """An output, step first, then its own dimensions."""
-    dims = OF_HISTORY[name]
+    dims = (OF_HISTORY if history.tip_frame is None else OF_HISTORY_IN_SPACE)[name]
     if "point" in dims:
         return getattr(history.equilibria, name)
     values = getattr(history, name)

@@ -32,6 +32,7 @@ from .axes import PATH, RESERVED, Dimension, check_names, dimensions_of
 from .one_solve import (
     IN_SPACE,
     OF_HISTORY,
+    OF_HISTORY_IN_SPACE,
     OUTPUTS,
     RESULT,
     SUCCESSFUL,
@@ -176,7 +177,7 @@ class Sweep:
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """What can be asked for, and its dimensions beside those of the sweep."""
         if self.history:
-            return OF_HISTORY
+            return OF_HISTORY_IN_SPACE if self.case.in_space else OF_HISTORY
         return IN_SPACE if self.case.in_space else OUTPUTS
 
     @cached_property

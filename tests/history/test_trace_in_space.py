@@ -1,0 +1,293 @@
+"""Pull and release of one tendon in space, against the plane, single pulls, and Coulomb's law at many discs."""
+
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import codes
+from scipy.spatial.transform import Rotation
+
+import cddf_jax as cddf
+
+LENGTH, OFFSET, MU, MODULUS, RADII, INNER = 0.140, 0.010, 0.42, 1.4e6, (0.020, 0.013), 0.007
+LOOP = [75.0, 60.0, 40.0, 20.0, 5.0, 0.0, 50.0, 75.0]
+NUMBERS = ("tip_tension", "tip_angle", "tip_position", "front", "tendon_displacement")
+
+
+def body(angle, friction=MU, **others):
+    tendon = cddf.Tendon(OFFSET, angle=angle)
+    return cddf.Manipulator(
+        length=LENGTH,
+        outer_radius=cddf.Linear(*RADII, LENGTH),
+        inner_radius=INNER,
+        tendons=(tendon,),
+        youngs_modulus=MODULUS,
+        friction_coefficient=friction,
+        **others,
+    )
+
+
+def helix(turns, friction=MU, **others):
+    return body(cddf.Linear(0.0, 2 * np.pi * turns, LENGTH), friction, **others)
+
+
+def test_a_parallel_tendon_is_that_of_the_plane_turned_about_the_axis():
+    angle, path = 0.7, [*LOOP[:4], 200.0, 150.0]  # far above 113 N, where a tendon that is let out would lock
+    planar = cddf.Manipulator(
+        length=LENGTH,
+        outer_radius=cddf.Linear(*RADII, LENGTH),
+        inner_radius=INNER,
+        tendons=(cddf.Tendon(OFFSET),),
+        youngs_modulus=MODULUS,
+        friction_coefficient=MU,
+    )
+    history, expected = cddf.trace(body(angle), path), cddf.trace(planar, path)
+    for name in ("tip_tension", "tip_angle", "front", "tendon_displacement", "num_turns", "direction"):
+        np.testing.assert_allclose(getattr(history, name), getattr(expected, name), rtol=1e-12)
+    turn = Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
+    flat = np.append(expected.tip_position, np.zeros((len(path), 1)), axis=1)
+    np.testing.assert_allclose(history.tip_position, flat @ turn.T, atol=1e-12)
+    along, there = history.equilibria, expected.equilibria
+    np.testing.assert_allclose(along.tension, there.tension, rtol=1e-11)
+    np.testing.assert_allclose(along.wrap_angle, there.wrap_angle, atol=1e-11)
+    np.testing.assert_allclose(np.linalg.norm(along.curvature, axis=-1), there.curvature, rtol=1e-11)
+    cosine, sine = np.cos(there.heading), np.sin(there.heading)
+    np.testing.assert_allclose(along.frame[..., 0], np.stack([cosine, sine, 0 * sine], -1) @ turn.T, atol=1e-11)
+    for name in ("normal_force", "friction_force"):
+        flat = np.append(getattr(there, name), np.zeros((*there.tension.shape, 1)), axis=-1)
+        np.testing.assert_allclose(getattr(along, name), flat @ turn.T, atol=1e-8)
+    np.testing.assert_allclose(history.tip_frame[:, :, 0], along.frame[:, -1, :, 0], atol=1e-11)
+
+
+@pytest.mark.slow
+def test_energies_of_a_parallel_tendon_are_those_of_the_plane():
+    """The loop of the paper: 99.331129456 mJ are lost in the cycle, in closed form."""
+    history = cddf.trace(body(2.0), LOOP)
+    np.testing.assert_allclose(history.friction_loss[5], 99.331129456e-3, rtol=1e-9)
+    np.testing.assert_allclose(history.work, history.stored_energy + history.friction_loss, rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("others", [{}, {"extensible": True}, {"drag": 5.0}, {"rest_curvature": (0.0, 3.0, 5.0)}])
+def test_a_pull_alone_is_a_solve(others):
+    robot, path = helix(0.5, **others), [20.0, 75.0]
+    history, s = cddf.trace(robot, path), jnp.linspace(0.0, LENGTH, 9)
+    for step, tension in enumerate(path):
+        found = cddf.solve(robot, tension, direction=1)
+        along = jax.tree.map(lambda x, step=step: x[step], history.at(s))
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9), along, found.at(s))
+        np.testing.assert_allclose(history.tip_frame[step], found.tip_frame, atol=1e-12)
+        np.testing.assert_allclose(history.tendon_displacement[step], found.tendon_displacement[0], rtol=1e-12)
+
+
+# --- Coulomb's law at many discs, with NumPy: neither fronts nor directions -------------------------
+
+
+class Discs:
+    """One tendon through many discs: its tension and the curvature are constant in each cell between two of them.
+
+    At a disc the tendon turns by the angle theta, and the tensions beside it differ at most by exp(mu theta). Where
+    they differ by less the tendon rests, else it slides as they say; and it slides by what paths beyond grow shorter.
+    """
+
+    def __init__(self, turns, cells):
+        self.h, s = LENGTH / cells, LENGTH * (np.arange(cells) + 0.5) / cells
+        outer = RADII[0] + (RADII[1] - RADII[0]) * s / LENGTH
+        bending = MODULUS * np.pi / 4 * (outer**4 - INNER**4)
+        rate = 2 * np.pi * turns / LENGTH
+        angle, zero = rate * s, np.zeros(cells)
+        self.arm = OFFSET * np.stack([zero, np.cos(angle), np.sin(angle)], axis=1)
+        self.straight = np.stack([zero + 1, -OFFSET * rate * np.sin(angle), OFFSET * rate * np.cos(angle)], axis=1)
+        self.stiffness = np.stack([2 / 3 * bending, bending, bending], axis=1)  # 2 G J of a Poisson's ratio of 0.5
+        self.tension, self.cells = np.zeros(cells), cells
+
+    def curvature(self, cell, tension):
+        """By damped passes of K u = -T rho x t, up to rounding errors."""
+        u = np.zeros(3)
+        for _ in range(60):
+            new = -tension * np.cross(self.arm[cell], self.tangent(cell, u)) / self.stiffness[cell]
+            if np.max(np.abs(new - u)) < 1e-13:
+                break
+            u = new
+        return u
+
+    def course(self, cell, u):
+        return self.straight[cell] + np.cross(u, self.arm[cell])
+
+    def tangent(self, cell, u):
+        w = self.course(cell, u)
+        return w / np.linalg.norm(w)
+
+    def state(self, cell, tension):
+        u = self.curvature(cell, tension)
+        return u, self.tangent(cell, u)
+
+    def turn(self, one, other):
+        """Between the tendon in two cells, rad."""
+        between = Rotation.from_rotvec(self.h * (one[0] + other[0]) / 2).as_matrix()
+        return np.linalg.norm(one[1] - between @ other[1])
+
+    def pull(self, base_tension):
+        """Go to a base tension; then look whether the slip at every disc is as Coulomb's law says."""
+        before, now, sliding = self.tension.copy(), base_tension, np.zeros(self.cells)
+        here = self.state(0, base_tension)
+        for cell in range(self.cells):
+            for sigma in (0.0, 1.0, -1.0):
+                tension = before[cell] if sigma == 0 else now
+                for _ in range(60 if sigma else 1):
+                    there = self.state(cell, tension)
+                    # from the base it is half a cell
+                    bound = MU * (self.h / 2 * self.first_rate(tension) if cell == 0 else self.turn(here, there))
+                    new = now * np.exp(-sigma * bound) if sigma else tension
+                    settled, tension = abs(new - tension) < 1e-12, new
+                    if settled:
+                        break
+                low, high = now * np.exp(-bound), now * np.exp(bound)
+                if (sigma == 0 and low <= tension <= high) or (sigma != 0 and sigma * (tension - before[cell]) >= 0):
+                    break
+            self.tension[cell], sliding[cell], now, here = tension, sigma, tension, self.state(cell, tension)
+        lengths = [
+            [np.linalg.norm(self.course(cell, self.curvature(cell, T[cell]))) for cell in range(self.cells)]
+            for T in (before, self.tension)
+        ]
+        slip = self.h * np.cumsum((np.array(lengths[0]) - np.array(lengths[1]))[::-1])[::-1]
+        assert np.all(sliding * slip >= -1e-15)
+        assert np.all(np.abs(slip[sliding == 0]) < 1e-15)
+
+    def first_rate(self, tension):
+        """The turning of the tendon per length in the first cell, with its tension constant."""
+        return self.turn(self.state(0, tension), self.state(1, tension)) / self.h
+
+    def tip(self):
+        """Tip tension, by what the last two cells say, and tip position."""
+        position, frame = np.zeros(3), np.eye(3)
+        for cell in range(self.cells):
+            turn = self.h * self.curvature(cell, self.tension[cell])
+            half = frame @ Rotation.from_rotvec(turn / 2).as_matrix()
+            position, frame = position + self.h * half[:, 0], frame @ Rotation.from_rotvec(turn).as_matrix()
+        return np.append(1.5 * self.tension[-1] - 0.5 * self.tension[-2], position)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turns", [0.3, 1.0])
+def test_loops_against_coulombs_law_at_discs(turns):
+    """Errors fall with the square of the length of the cells; two lengths are extrapolated. A front lies in a cell."""
+    path, robot = [60.0, 45.0, 20.0, 30.0, 24.0, 55.0], helix(turns)
+    found = []
+    for cells in (80, 160):
+        discs, tips = Discs(turns, cells), []
+        for tension in path:
+            discs.pull(tension)
+            tips.append(discs.tip())
+        found.append(np.array(tips))
+    expected = (4 * found[1] - found[0]) / 3
+    history = cddf.trace(robot, path)
+    np.testing.assert_allclose(history.tip_tension, expected[:, 0], rtol=3e-7)
+    np.testing.assert_allclose(history.tip_position, expected[:, 1:], atol=3e-7)
+    assert np.max(history.error_estimate) < 1e-7
+
+
+# --- laws --------------------------------------------------------------------------------------------
+
+
+def test_return_point_memory():
+    """Loops within loops close, and what is passed is forgotten."""
+    history = cddf.trace(helix(1.0), [75.0, 40.0, 60.0, 50.0, 60.0, 40.0, 75.0, 20.0], throw=False)
+    assert set(codes(history.result)) == {0}
+    for name in NUMBERS:
+        values = np.asarray(getattr(history, name))
+        for again, once in ((4, 2), (5, 1), (6, 0)):
+            np.testing.assert_allclose(values[again], values[once], rtol=1e-11, atol=1e-12)
+    np.testing.assert_array_equal(history.num_turns, [1, 2, 3, 4, 3, 2, 1, 2])
+    on = cddf.trace(helix(1.0), [40.0, 60.0], before=75.0)
+    np.testing.assert_allclose(on.tip_position, history.tip_position[1:3], atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("others", [{}, {"extensible": True}, {"drag": 5.0}, {"rest_curvature": (0.0, 3.0, 5.0)}])
+def test_what_rests_keeps_its_state(others):
+    """Beyond the front of a release tension and curvature are those of the pull before."""
+    history = cddf.trace(helix(0.3, **others), [60.0, 50.0])
+    front, s = float(history.front[1]), np.linspace(0, LENGTH, 57)
+    assert 0.2 * LENGTH < front < 0.8 * LENGTH
+    along = history.at(s)
+    pulled, released = (jax.tree.map(lambda x, step=step: np.asarray(x[step]), along) for step in range(2))
+    rests = s > front + 1e-4
+    np.testing.assert_allclose(released.tension[0, rests], pulled.tension[0, rests], rtol=1e-8)
+    np.testing.assert_allclose(released.curvature[rests], pulled.curvature[rests], rtol=1e-8, atol=1e-9)
+    assert np.all(released.tension[0, s < front - 1e-4] < pulled.tension[0, s < front - 1e-4])
+    np.testing.assert_array_equal(history.sliding(s)[1], np.where(s <= front, -1, 0))
+
+
+@pytest.mark.slow
+def test_work_is_the_integral_of_tension_by_displacement():
+    """Against Simpson's rule over many steps; a cycle loses what it takes."""
+    robot, ends = helix(1.0), [0.0, 75.0, 30.0, 50.0]
+    path = np.concatenate([np.linspace(a, b, 129)[min(i, 1) :] for i, (a, b) in enumerate(pairwise(ends))])
+    x = np.asarray(cddf.trace(robot, path).tendon_displacement)
+    by_steps = [np.cumsum((path[k::k] + path[:-k:k]) / 2 * np.diff(x[::k]))[128 // k - 1 :: 128 // k] for k in (1, 2)]
+    history = cddf.trace(robot, [*ends[1:], 30.0])
+    np.testing.assert_allclose(history.work[:3], (4 * by_steps[0] - by_steps[1]) / 3, rtol=1e-5)
+    np.testing.assert_allclose(np.diff(history.friction_loss)[1:].sum(), history.work[3] - history.work[1], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_displacements_are_met():
+    robot, path = helix(0.3), [60.0, 40.0, 50.0]
+    wanted = cddf.trace(robot, path).tendon_displacement
+    np.testing.assert_allclose(cddf.trace(robot, cddf.Displacement(wanted)).base_tension, path, rtol=1e-9)
+
+
+# --- transformations ----------------------------------------------------------------------------------
+
+
+def tips(numbers):
+    mu, turns, high, low = numbers
+    robot = body(cddf.Linear(0.0, 2 * jnp.pi * turns, LENGTH), mu)
+    history = cddf.trace(robot, jnp.stack([high, low, 50.0]), throw=False)
+    return jnp.concatenate([history.tip_position.ravel(), history.tip_tension, history.front[1:2]])
+
+
+@pytest.mark.slow
+def test_derivatives_lanes_and_failures():
+    """In both modes against differences; under jit and vmap, with a lane that fails."""
+    at, function = np.array([MU, 0.3, 60.0, 45.0]), jax.jit(tips)
+    steps = np.diag(1e-5 * at)
+    differences = np.stack([(function(at + x) - function(at - x)) / (2 * x.max()) for x in steps], axis=1)
+    for mode in (jax.jacfwd, jax.jacrev):
+        found = jax.jit(mode(tips))(at)
+        np.testing.assert_allclose(found, differences, rtol=1e-5, atol=1e-7)
+    lanes = jax.jit(jax.vmap(tips))(np.stack([at, [-1.0, *at[1:]]]))
+    np.testing.assert_allclose(lanes[0], function(at), rtol=1e-11)
+    assert np.all(np.isnan(lanes[1, :9]))
+
+
+@pytest.mark.parametrize(
+    ("tendons", "path", "loads"),
+    [
+        (2, [[20.0, 5.0]], None),
+        (1, [20.0], cddf.Loads()),
+        (1, [20.0], [cddf.Loads()]),
+        (1, cddf.TipAngle([0.2]), None),
+    ],
+)
+def test_what_is_refused(tendons, path, loads):
+    robot = cddf.Manipulator(
+        length=LENGTH,
+        outer_radius=0.02,
+        inner_radius=INNER,
+        tendons=[cddf.Tendon(OFFSET, angle=1.5 * i) for i in range(tendons)],
+        youngs_modulus=MODULUS,
+        friction_coefficient=MU,
+    )
+    words = "in space give base tensions" if isinstance(path, cddf.TipAngle) else "only the history of one tendon"
+    with pytest.raises(ValueError, match=words):
+        cddf.trace(robot, path, loads)
+
+
+@pytest.mark.slow
+def test_a_push_after_a_history_is_refused():
+    with pytest.raises(ValueError, match="the history is of a body in space"):
+        cddf.tip_compliance(cddf.trace(body(0.0), [20.0]), push=(0.0, 1.0))
