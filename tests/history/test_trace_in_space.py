@@ -184,8 +184,8 @@ def test_loops_against_coulombs_law_at_discs(turns):
         found.append(np.array(tips))
     expected = (4 * found[1] - found[0]) / 3
     history = cddf.trace(robot, path)
-    np.testing.assert_allclose(history.tip_tension, expected[:, 0], rtol=3e-7)
-    np.testing.assert_allclose(history.tip_position, expected[:, 1:], atol=3e-7)
+    np.testing.assert_allclose(history.tip_tension, expected[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(history.tip_position, expected[:, 1:], atol=1e-6)
     assert np.max(history.error_estimate) < 1e-7
 
 

@@ -29,7 +29,7 @@ from .driven import Drive, driven
 from .energies import work_and_loss
 from .fronts import cut_at, moving_front
 from .history import Energies, History, States
-from .parts import Heading, Slid, Tip, at_base, ends_of_motion, rotated, tilt_of, tips, turned_back, turned_on
+from .parts import Heading, Slid, Tip, ends_of_motion, pose_of_base, rotated, tilt_of, tips, turned_back, turned_on
 from .turns import NOBODY, Turns, open_turns
 
 Number = Float[Array, ""]
@@ -245,7 +245,7 @@ def _fields(states: CongruentStates, arc_length: Float[Array, " points"]) -> Any
 def _parts(branches: Dense, open_steps: Int[Array, " turns"]) -> _Part:
     """The parts of the body after one step, from the base on: the newest turn first."""
     zero = zero_as(branches.edges)
-    start = _Body(zero, *at_base(branches.manipulator, zero), zero[None])
+    start = _Body(zero, *pose_of_base(branches.manipulator, zero), zero[None])
 
     def add(body: _Body, step: Int[Array, ""]) -> tuple[_Body, _Part]:
         index = jnp.maximum(step, 0)

@@ -52,7 +52,7 @@ def work_and_loss(
         return jnp.stack([there, back])
 
     if body.in_space:
-        turned_from = jnp.any(turns.before[:, None] == jnp.arange(path.size), axis=0)  # else there is no way back
+        turned_from = jnp.append(turns.direction[1:] != turns.direction[:-1], False)  # else there is no way back
         found = jax.lax.map(there_and_back_in_space, (path, turned_at, turns.direction, from_rest, turned_from))
     else:
         found = jax.lax.map(there_and_back, (path, turned_at, turns.direction, front, from_rest))

@@ -137,7 +137,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     length = jnp.asarray(body.length)
     zero = zero_as((own, length))
     result = with_words(RESULTS.where(zero > 1, RESULTS.locked, RESULTS.successful))
-    nothing = Onward(*at_base(body, zero), zero, zero, zero, zero == 0, result)
+    nothing = Onward(*pose_of_base(body, zero), zero, zero, zero, zero == 0, result)
     max_turns = turns.open.shape[1]
     slots = jnp.arange(max_turns)
 
@@ -203,7 +203,7 @@ def _choose(condition: Bool[Array, ""], one: Tree, other: Tree) -> Tree:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
-def at_base(body: Manipulator, zero: Number) -> tuple[Heading, Float[Array, " components"]]:
+def pose_of_base(body: Manipulator, zero: Number) -> tuple[Heading, Float[Array, " components"]]:
     """Heading and position of the base, as numbers like `zero`."""
     if body.in_space:
         return jnp.eye(3, dtype=zero.dtype) + zero, jnp.zeros(3) + zero

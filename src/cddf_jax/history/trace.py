@@ -38,8 +38,9 @@ def trace(
 ) -> History:
     """Pull and release a manipulator, from rest.
 
-    One tendon without loads has an exact answer, in the plane and in space. In the plane several tendons, and loads, are followed in short steps with cells of
-    finite length; `error_estimate` tells how far answers with half as many of either are away.
+    One tendon without loads has an exact answer, in the plane and in space. Several tendons, and loads, are known in
+    the plane; they are followed in short steps with cells of finite length, and `error_estimate` tells how far answers
+    with half as many of either are away.
     Works under jit, vmap, grad and scan. Derivatives are continuous where fronts move; at a turn they are those of the
     direction in which the step went. With several tendons or loads only first derivatives hold, and 64-bit numbers are
     needed.
@@ -48,8 +49,9 @@ def trace(
         manipulator: the body.
         base_tension: T_base >= 0, N, after each step, in the order in time, (steps,) for one tendon or (steps,
             tendons); between steps it goes straight from one to the next. Or `Displacement([...])`, m, or, for one
-            tendon in the plane without loads, `TipAngle([...])`, rad, after each step: then the tensions are found. Several tendons
-            may have an entry (steps,) each, of which some are a `Displacement`. A tendon that would have to push hangs
+            tendon in the plane without loads, `TipAngle([...])`, rad, after each step: then the tensions are found.
+            Several tendons may have an entry (steps,) each, of which some are a `Displacement`. A tendon that would
+            have to push hangs
             without tension until it is taken up; the result of such a step is `slack`, which is no error, and its
             displacement is that at which the tendon went slack.
         loads: one `Loads` that rests on the body before the first step and stays, or one for each step (a list, or
@@ -70,8 +72,9 @@ def trace(
 
     Raises:
         SolveError: with `throw`, when a step failed; it names the step.
-        ValueError: for several tendons, loads or a `TipAngle` in space, tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns
-            below 1, short_steps below 2, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed.
+        ValueError: for tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns
+            below 1, short_steps below 2, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed;
+            in space for several tendons, loads or a `TipAngle`.
         TypeError: if an argument has the wrong type.
     """
     if not isinstance(manipulator, Manipulator):
