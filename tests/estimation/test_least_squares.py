@@ -273,6 +273,25 @@ def test_a_sum_of_parameters():
     assert fit.combinations == {}  # none that is a product
 
 
+@pytest.mark.parametrize(("sign", "name"), [(1.0, "p0 + p1"), (-1.0, "p0 - p1"), (0.5, "p0 + 0.5 p1")])
+def test_a_sum_of_errors_is_told(sign, name):
+    """Of two parameters that may be 0, as a size tells; the closed form is that of one slope."""
+    fit = least_squares_fit(
+        lambda p: (p["p0"] + sign * p["p1"]) * X,
+        {"p0": 0.0, "p1": 0.0},
+        PROPORTIONAL,
+        SIGMA,
+        scales={"p0": 1.0, "p1": 1.0},
+    )
+    assert fit.status == {"p0": "not identified", "p1": "not identified"}
+    assert fit.combinations == {}
+    assert list(fit.sums) == [name]
+    value, error = fit.sums[name]
+    assert value == pytest.approx(Q_HAT, rel=SETTLED)
+    assert error == pytest.approx(Q_ERROR, rel=1e-6)
+    assert f"{name} = {Q_HAT:.4g} +- {Q_ERROR:.2g}: identified" in str(fit)
+
+
 def test_a_parameter_without_effect():
     fit = least_squares_fit(line_beside, START | {"c": 1.0}, NOISY, SIGMA)
     assert fit.status == {"a": "identified", "b": "identified", "c": "not identified"}

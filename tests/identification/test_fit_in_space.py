@@ -124,6 +124,11 @@ def test_a_helix_a_marker_and_the_pose_of_a_camera():
     turned = cddf.fit(winding(), table, [*free, "tendon_angle_error"], **options)
     assert turned.status["tendon_angle_error"] == "not identified"
     assert turned.status["friction_coefficient"] == "identified"
+    # the body with its tendon turned one way, and the camera with it, shows the same
+    value, error = turned.sums["camera_turn_x + tendon_angle_error"]
+    assert value == pytest.approx(CAMERA[3], abs=1e-7)
+    assert 0 < error < 0.01
+    assert "only the sums and differences above are told." in "\n".join(turned.verdict)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ stands for a standard error of 1 / s, relative, along its direction.
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -45,6 +46,7 @@ class Determination:
     confidence_interval: dict[str, tuple[float, float]]  # 95 %, t-statistics where noise was estimated
     status: dict[str, str]  # "identified", "not identified", "prior only", "at bound" or "fixed"
     combinations: dict[str, Estimate]  # products of powers of unidentified parameters that are identified
+    sums: dict[str, Estimate]  # sums and differences of two unidentified parameters of one kind that are identified
     covariance: np.ndarray  # of the directions that the data determine
     correlation: np.ndarray  # of the same
     singular_values: np.ndarray  # of the Jacobian scaled by noise and size of the parameters
@@ -62,9 +64,14 @@ class Determination:
                 number += f" +- {self.standard_error[name]:.2g} (95 %: {low:.4g} to {high:.4g})"
             lines.append(f"{name}{number}: {status}")
         lines += [
-            f"{name} = {e.value:.4g} +- {e.standard_error:.2g}: identified" for name, e in self.combinations.items()
+            f"{name} = {e.value:.4g} +- {e.standard_error:.2g}: identified" for name, e in self.told_together.items()
         ]
         return "\n".join(lines)
+
+    @property
+    def told_together(self) -> dict[str, Estimate]:
+        """What is identified of parameters that are not: `combinations` and `sums`."""
+        return self.combinations | self.sums
 
 
 @dataclass(frozen=True)
@@ -175,6 +182,7 @@ def determine(evidence: Evidence) -> Determination:
 
     status = _statuses(evidence, error, quantile)
     lost = np.array([word == NOT_IDENTIFIED for word in status])
+    additive = ~np.isfinite(lower) & (evidence.space.least_size > 0)  # errors and turns, which may be 0
     open_ended = lost | np.array([word == AT_BOUND for word in status])
     low, high = value - quantile * error, value + quantile * error
     limit = np.minimum(high, upper)
@@ -194,7 +202,8 @@ def determine(evidence: Evidence) -> Determination:
         standard_error=by_name(np.where(open_ended, np.inf, error).tolist()),
         confidence_interval=by_name(zip(low.tolist(), high.tolist(), strict=True)),
         status=by_name(status),
-        combinations=_combinations(names, value, lost, jacobian) if with_products else {},
+        combinations=_combinations(names, value, lost & ~additive, jacobian) if with_products else {},
+        sums=_sums(evidence, lost & additive) if noise_known and not evidence.failed else {},
         covariance=spectrum.covariance * np.outer(size, size),
         correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), TINY),
         singular_values=spectrum.values,
@@ -264,6 +273,28 @@ def _combinations(
         product = float(np.exp(np.sum(powers * np.log(value[lost]))))
         along = spectrum.directions[spectrum.determined] @ powers / spectrum.values[spectrum.determined]
         found[_product_name(own_names, powers)] = Estimate(product, product * float(np.linalg.norm(along)))
+    return found
+
+
+def _sums(evidence: Evidence, lost: np.ndarray) -> dict[str, Estimate]:
+    """Sums and differences of pairs of unidentified parameters that may be 0 and have one scale."""
+    space, found = evidence.space, {}
+    for pair in map(list, combinations(np.flatnonzero(lost), 2)):
+        scale = space.scale[pair[0]]
+        if space.scale[pair[1]] != scale:
+            continue
+        others, own = np.delete(evidence.jacobian, pair, axis=1), evidence.jacobian[:, pair]
+        own = own * (scale / evidence.size[pair])
+        told = spectrum_of(own - others @ np.linalg.lstsq(others, own)[0])
+        direction = told.directions[0] / told.directions[0, 0] if told.directions[0, 0] else np.array([0.0, 1.0])
+        if told.values[0] * LARGEST_RELATIVE_ERROR <= 1 or np.abs(told.directions[0]).min() <= NEGLIGIBLE_POWER:
+            continue
+        factor = np.round(direction[1]) if abs(abs(direction[1]) - 1) < NEGLIGIBLE_POWER else np.round(direction[1], 2)
+        one, other = (space.names[i] for i in pair)
+        parts = f"{abs(factor):g} {other}" if abs(factor) != 1 else other
+        error = float(scale) * float(np.hypot(1.0, factor)) / float(told.values[0])
+        value = float(evidence.value[pair] @ [1.0, factor])
+        found[f"{one} {'+' if factor > 0 else '-'} {parts}"] = Estimate(value, error)
     return found
 
 

@@ -375,10 +375,11 @@ def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Arra
 
 
 def unit_of(name: str) -> str:
-    """The SI unit of a parameter, or of a product of powers of some, such as "1/Pa".
+    """The SI unit of a parameter, of a product of powers of some, such as "1/Pa", or of a sum of two.
 
     "1" for a plain number, such as the friction of a trial over that of all; "" for an unknown name.
     """
+    name = re.split(" [+-] ", name)[0]
     above, below = [], []
     for slash, stem, power in re.findall(r"(/ )?([^\s*/^]+)(?:\^(\S+))?", name):
         try:

@@ -206,6 +206,8 @@ def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) 
             lines.append(f"{name}: not identified")
     for name, (value, error) in found.combinations.items():
         lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, although its factors are not")
+    for name, (value, error) in found.sums.items():
+        lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, although its terms are not")
     return lines
 
 
@@ -220,6 +222,11 @@ def _advice(fit: "Fit", lost: set[str]) -> str:
         return (
             f"The data do not determine {', '.join(pasts)}: a tension before the first row is felt only where the "
             "release to that row has not reached the tip. Leave it fixed, or start from rest."
+        )
+    if fit.sums:
+        return (
+            f"The data do not determine {', '.join(sorted(lost))}. Some act alike: only the sums and differences above are "
+            "told. Give one parameter of each, or a prior on it."
         )
     if _tell_of_shape(fit.tables):
         return (

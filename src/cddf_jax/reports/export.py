@@ -178,7 +178,7 @@ def _parameters(told: Determination) -> list[dict[str, str | float]]:
         value = np.nan if status == NOT_IDENTIFIED else told.value[name]
         lower, upper = told.confidence_interval[name]
         rows.append((name, value, told.standard_error[name], lower, upper, unit_of(name), status))
-    for name, (value, error) in told.combinations.items():
+    for name, (value, error) in told.told_together.items():
         reach = told.quantile * error
         rows.append((name, value, error, value - reach, value + reach, unit_of(name), IDENTIFIED))
     heads = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")

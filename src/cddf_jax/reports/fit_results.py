@@ -43,7 +43,17 @@ OF_FIT = (
     *("log_likelihood", "information_criteria", "restarted", "num_steps"),
 )
 OF_DETERMINATION = (
-    *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "correlation", "rank"),
+    *(
+        "names",
+        "value",
+        "standard_error",
+        "confidence_interval",
+        "status",
+        "combinations",
+        "sums",
+        "correlation",
+        "rank",
+    ),
     *("condition_number", "sloppy_direction"),
 )
 OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
@@ -173,7 +183,7 @@ def _table_as_dict(table: Measurements) -> dict[str, object]:
 
 
 def _determination_as_dict(told: Determination) -> dict[str, object]:
-    units = {name: unit_of(name) for name in (*told.names, *told.combinations)}
+    units = {name: unit_of(name) for name in (*told.names, *told.told_together)}
     return {"unit": units} | picked(told, OF_DETERMINATION)
 
 
