@@ -225,8 +225,8 @@ def _advice(fit: "Fit", lost: set[str]) -> str:
         )
     if fit.sums:
         return (
-            f"The data do not determine {', '.join(sorted(lost))}. Some act alike: only the sums and differences above are "
-            "told. Give one parameter of each, or a prior on it."
+            f"The data do not determine {', '.join(sorted(lost))}. Some act alike: only the sums and differences above "
+            "are told. Give one parameter of each, or a prior on it."
         )
     if _tell_of_shape(fit.tables):
         return (
