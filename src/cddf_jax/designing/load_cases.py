@@ -20,7 +20,7 @@ from ..robot.named_numbers import Case
 from ..robot.profiles import Scalar, as_number
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
-from ..statics.targets import Target
+from ..statics.targets import Target, TipPosition
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
@@ -94,8 +94,8 @@ class LoadCase(eqx.Module):
             raise InputError(f"design: 'hysteresis' needs a loop of {own}, as in LoadCase(40.0, loop=(5.0, 75.0))")
         if manipulator.num_tendons != 1 or self.loads is not None:
             raise InputError(f"design: 'hysteresis' is known of one tendon without loads; change {own}")
-        entries = jax.tree.leaves(self.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
-        if isinstance(entries[0], Target):
+        entries = jax.tree.leaves(self.base_tension, is_leaf=lambda entry: isinstance(entry, Target | TipPosition))
+        if isinstance(entries[0], Target | TipPosition):
             raise InputError(f"design: 'hysteresis' needs a tension of {own} in place of a target; give one in N")
         low, high, tension = *np.asarray(self.loop), float(np.ravel(entries[0])[0])
         if not low < tension < high:

@@ -79,7 +79,10 @@ class History(eqx.Module):
 
     @property
     def friction_loss(self) -> Float[Array, " steps"]:
-        """What friction and drag have taken of that, J, from an integral of its own."""
+        """What friction and drag have taken of that, J.
+
+        In the plane from an integral of its own; in space the work less what is stored.
+        """
         return self._energies.friction_loss
 
     @property

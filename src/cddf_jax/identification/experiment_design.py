@@ -260,7 +260,7 @@ def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candid
             {"tip_tension": cell},
         ),
     ]
-    if manipulator.num_tendons == 1 and not manipulator.in_space:  # whose histories are not known yet
+    if manipulator.num_tendons == 1 and not manipulator.in_space:  # a fit in space knows no history
         back = {"base_tension": [*levels, *levels[-2::-1]], "step": np.arange(11)}
         read = {"tip_tension": cell, "tip_angle": angle}
         found.append(Candidate("tip tensions and angles, pulled and come back down", back, read))
