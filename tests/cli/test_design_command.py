@@ -294,7 +294,10 @@ REFUSED = {
     "bounds beside the start": (lambda t: t.replace('"25 mm"]', '"9 mm"]'), "starts at 0.02, outside its bounds"),
     "two forms": (lambda t: t.replace("taper = true", "taper = true, knots = 5"), "write knots = 9 for a spline or"),
     "few knots": (lambda t: t.replace("taper = true", "knots = 3"), "knots must be 4 or more, got 3"),
-    "a form of a number": (lambda t: t.replace("outer_radius =", "length ="), "only outer_radius, inner_radius and"),
+    "a form of a number": (
+        lambda t: t.replace("outer_radius =", "length ="),
+        "only outer_radius, inner_radius, tendons.0.offset and",
+    ),
     "no such number": (lambda t: t.replace("outer_radius = { taper = true,", "colour = {"), "'colour' is no number"),
     "a number instead of a table": (
         lambda t: t.replace('{ taper = true, bounds = ["8 mm", "25 mm"] }', "3"),

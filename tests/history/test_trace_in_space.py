@@ -192,6 +192,7 @@ def test_loops_against_coulombs_law_at_discs(turns):
 # --- laws --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_return_point_memory():
     """Loops within loops close, and what is passed is forgotten."""
     history = cddf.trace(helix(1.0), [75.0, 40.0, 60.0, 50.0, 60.0, 40.0, 75.0, 20.0], throw=False)

@@ -63,6 +63,7 @@ def test_intervals_carry_their_unit():
         standard_error={"youngs_modulus": 5e4, "length": 0.0, "base_zero": np.inf},
         confidence_interval={"youngs_modulus": (1.3e6, 1.5e6), "length": (0.14, 0.14), "base_zero": (-np.inf, np.inf)},
         combinations={"friction_coefficient / youngs_modulus": (3e-7, 1e-9)},
+        sums={},
     )
     assert estimates_in_words(told) == [
         "youngs_modulus = 1.4 +- 0.05 MPa (95 %: 1.3 to 1.5 MPa): identified",
