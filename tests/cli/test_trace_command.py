@@ -85,6 +85,35 @@ def test_a_loop_in_words(cddf_command, robot):
     assert last.endswith("; successful")
 
 
+def test_jitter_of_a_file_makes_no_turns(cddf_command, robot, tmp_path, monkeypatch):
+    """Up to 75 N and back to 40 N in readings that jitter by 0.1 N: of their 9 turns one is a turn of the tendon."""
+    monkeypatch.chdir(tmp_path)
+    read = [20.0, 19.9, 40.0, 39.85, 60.0, 74.9, 75.0, 60.0, 60.1, 50.0, 50.15, 40.0]
+    (tmp_path / "bench.csv").write_text("base_tension [N]\n" + "".join(f"{x}\n" for x in read))
+    assert np.sum(np.diff(np.sign(np.diff([0.0, *read]))) != 0) == 9  # from rest
+    code, out, err = cddf_command("trace", robot, "--path", "bench.csv", "--noise", "0.1 N")
+    assert code == 0
+    assert "8 turns of the base tension are taken for jitter and left out" in err
+    steps = [line for line in out.splitlines() if line[0].isdigit()]
+    last = max(i for i, line in enumerate(steps) if "slides in" in line)
+    assert not any("slides out" in line for line in steps[:last])
+    assert not any("slides in" in line for line in steps[last + 1 :])
+    assert steps[-1].startswith("12: released to 40 N, slides out up to 115.")
+
+
+@pytest.mark.parametrize(
+    ("path", "noise", "message"),
+    [
+        ("0 N, 75 N", "0.1 N", "--noise 0.1 N: is that of a file; leave it out, or give a file with --path"),
+        ("bench.csv", "0 N", "--noise 0 N: give a standard deviation above 0 N, or leave it out"),
+        ("angle.csv", "0.1 N", "is that of base tensions, which angle.csv does not hold; leave it out"),
+    ],
+)
+def test_a_noise_that_has_no_meaning(fails, robot, path, noise, message):
+    files = {"bench.csv": "base_tension [N]\n1\n2\n", "angle.csv": "tip_angle [deg]\n1\n2\n"}
+    assert message in fails("trace", robot, "--path", path, "--noise", noise, files=files).splitlines()[-1]
+
+
 @pytest.mark.slow
 def test_displacements_and_tip_angles(answer_of, robot):
     """Back by 2 mm from 75 N: 41.836412 N by the closed form; the displacement is 10 mm times the angle."""
