@@ -19,6 +19,7 @@ from table import report
 import cddf_jax as cddf
 
 OUTPUTS = "tip_tension", "tip_position", "result", "error_estimate"
+OF_TRACES = "tip_tension", "tip_position", "front", "error_estimate"
 TIP_FORCE = cddf.Loads(tip_force=(0.0, -1.0))
 
 
@@ -67,6 +68,16 @@ def solved(actuation: Callable, num_tendons: int = 1, loads: cddf.Loads | None =
     return program
 
 
+def traced(path: Callable, *outputs: str) -> Callable:
+    """What is lowered: a function of the body and a number that makes the path."""
+
+    def program(body, number):
+        history = cddf.trace(body, path(number * jnp.array([1.0, 0.5, 0.8, 1.0])), throw=False)
+        return [getattr(history, name) for name in outputs]
+
+    return program
+
+
 def gradient(loads: cddf.Loads) -> Callable:
     def tip(body, number):
         return cddf.solve(body, number, loads, throw=False).tip_position[1]
@@ -107,6 +118,10 @@ PROGRAMS = {
     "a tip force": (solved(lambda x: x, loads=TIP_FORCE), 1),
     "a tip force, gradient by the whole body": (gradient(TIP_FORCE), 1),
     "a displacement under a tip force": (solved(lambda x: cddf.Displacement(1e-4 * x), loads=TIP_FORCE), 1),
+    "a trace": (traced(lambda path: path, *OF_TRACES), 1),
+    "a trace of displacements": (traced(lambda path: cddf.Displacement(1e-4 * path), *OF_TRACES), 1),
+    "a trace of two tendons": (traced(lambda path: jnp.stack([path, 0.3 * path], axis=1), *OF_TRACES), 2),
+    "the work of a trace": (traced(lambda path: path, "work"), 1),
 }
 
 

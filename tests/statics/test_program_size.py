@@ -20,6 +20,10 @@ LARGEST = {
     "a tip force": 5_400,
     "a tip force, gradient by the whole body": 8_600,
     "a displacement under a tip force": 9_600,
+    "a trace": 3_850,
+    "a trace of displacements": 11_250,
+    "a trace of two tendons": 5_600,
+    "the work of a trace": 6_900,
 }
 
 
