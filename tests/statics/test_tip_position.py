@@ -199,6 +199,11 @@ def test_refused_in_one_line(target, options, message):
         cddf.solve(body(), target, **options)
 
 
+def test_a_place_needs_a_value():
+    with pytest.raises(TypeError, match=r"solve: TipPosition needs a value, as in TipPosition\(...\)"):
+        cddf.solve(body(), cddf.TipPosition)  # pyright: ignore[reportArgumentType]
+
+
 def test_in_the_plane_a_place_has_two_components():
     with pytest.raises(ValueError, match=r"2 components, m, in the plane \(space=True makes it three\)"):
         cddf.solve(in_plane((None,)), cddf.TipPosition((0.1, 0.1, 0.0)))

@@ -60,7 +60,7 @@ def split_actuation(manipulator: Manipulator, actuation: Actuation) -> tuple[PyT
 def _is_target(entry: object) -> TypeGuard[Target]:
     if isinstance(entry, float | int | np.ndarray | jax.Array):  # asking a protocol takes 10 us
         return False
-    if isinstance(entry, type) and hasattr(entry, "reading"):
+    if isinstance(entry, type) and hasattr(entry, "quantity"):
         raise TypeError(f"solve: {entry.__name__} needs a value, as in {entry.__name__}(...)")
     return isinstance(entry, Target)
 
