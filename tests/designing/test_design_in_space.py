@@ -118,6 +118,7 @@ def twisted(tension=10.0, d=8e-3):
     )
 
 
+@pytest.mark.slow
 def test_the_most_twist_of_a_helix():
     """More turns twist more and lose more tension: in between is the most that reaches the tip, as SciPy finds it.
 
@@ -146,6 +147,7 @@ def even():
     )
 
 
+@pytest.mark.slow
 def test_even_loss_between_tendons():
     """Half a turn brings one tendon to where the other one is, once both have one offset: then they lose the same."""
     found = even()
