@@ -295,7 +295,8 @@ def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[B
     determined = jnp.linalg.matrix_rank(both * inside, rtol=_same_effect(scale)) == jnp.sum(inside)
     reached = jnp.isfinite(best.cost) & (jnp.max(jnp.abs(best.residual)) <= _tolerance(scale))
     rank = jnp.linalg.matrix_rank(jacobian, rtol=_same_effect(scale))
-    found = Found(best.residual * frozen_setup.manipulator.length, reached, ~reached & reached, determined, rank)
+    none_let_go = jnp.zeros_like(reached)
+    found = Found(best.residual * frozen_setup.manipulator.length, reached, none_let_go, determined, rank)
 
     follow = jnp.where(reached, jnp.linalg.pinv(jacobian * inside, rtol=_same_effect(scale)), 0.0)
     moves = jnp.eye(given.size, dtype=given.dtype) - follow @ jacobian
