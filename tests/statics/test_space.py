@@ -204,6 +204,24 @@ def test_derivatives_against_differences_in_both_modes():
 
 
 @pytest.mark.slow
+def test_a_body_that_bears_almost_no_load_is_stable():
+    """The energy of each cross-section without friction is strictly convex in its strains, so its least is stable.
+
+    Some of these bodies have a sharp minimum of the turning so near to the base that a panel there has no width.
+    """
+    tension = jnp.array([20.0, 60.0, 73.0, 76.0, 80.0])
+    body = in_space(helix(0.5), friction_coefficient=0.0)
+
+    def judged(tension):
+        found = cddf.solve(body, tension, cddf.Loads(tip_force=(0.0, 0.0, 1e-6)), throw=False)
+        return found.stable, found.panels.width[0]
+
+    stable, first_width = jax.jit(jax.vmap(judged))(tension)
+    assert np.min(first_width) == 0.0
+    assert np.all(stable)
+
+
+@pytest.mark.slow
 def test_a_failing_lane_spoils_no_other():
     body = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
     tensions = jnp.array([[20.0, 5.0, 5.0], [jnp.nan, 5.0, 5.0], [5000.0, 0.0, 0.0]])

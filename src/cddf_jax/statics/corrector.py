@@ -73,13 +73,16 @@ class Trial(NamedTuple):
 
     @property
     def stable(self) -> Flag:
-        """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
+        """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body.
+
+        The nodes of a panel without width may lie at the base, where nothing turns.
+        """
         if self.slopes is None:
             return self.settled | True  # true on all devices of shard_map over which the others vary
         if self.moment is not None and self.moment.ndim:
             return self._stable_in_space
         slope = by_moment(self.slopes.heading)
-        return (self.slopes.residual[0] > 0) & (slope.tip > 0) & (largest(-slope.nodes) < 0)
+        return (self.slopes.residual[0] > 0) & (slope.tip > 0) & (largest(-slope.nodes) <= 0)
 
     @property
     def _stable_in_space(self) -> Flag:
@@ -96,7 +99,7 @@ class Trial(NamedTuple):
         nodes, tip = (jnp.min(_invariants(turn)) for turn in turns)
         moment = by_moment(self.slopes.residual).T
         stiffness = jnp.stack([solve_small(turns[1].T, row)[0] for row in moment])  # M_ext(L) by the turn of the tip
-        return (nodes > 0) & (tip > 0) & (jnp.min(_invariants(stiffness + stiffness.T)) > 0)
+        return (nodes >= 0) & (tip > 0) & (jnp.min(_invariants(stiffness + stiffness.T)) > 0)
 
     @property
     def leverage(self) -> Number:
