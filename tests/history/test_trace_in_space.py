@@ -292,3 +292,29 @@ def test_what_is_refused(tendons, path, loads):
 def test_a_push_after_a_history_is_refused():
     with pytest.raises(ValueError, match="the history is of a body in space"):
         cddf.tip_compliance(cddf.trace(body(0.0), [20.0]), push=(0.0, 1.0))
+
+
+@pytest.mark.slow
+def test_a_tendon_that_stretches_on_a_rigid_arc():
+    """`hysteresis.md`, section 2: a play in ln T against mu theta, with what an independent derivation tells.
+
+    A quarter of a circle of 0.1 m, E A = 1e4 N. Pulled to T, the stretch is T R (1 - exp(-mu pi / 2)) / (mu E A).
+    """
+    radius, stiffness = 0.1, 1e4
+    tendon = cddf.Tendon(1e-12, angle=0.0, axial_stiffness=stiffness)
+    arc = cddf.Manipulator(
+        length=radius * np.pi / 2,
+        tendons=(tendon,),
+        bending_stiffness=1e6,
+        torsional_stiffness=1e6,
+        friction_coefficient=MU,
+        rest_curvature=(0.0, 0.0, 1 / radius),
+    )
+    history = cddf.trace(arc, [40.0, 75.0, 40.0, 20.045791, 0.0])
+    stretch = 1e3 * history.tendon_displacement
+    np.testing.assert_allclose(stretch[np.array([0, 2])], [0.460011, 0.732628], atol=5e-7)
+    pulled = 75.0 * radius * (1 - np.exp(-MU * np.pi / 2)) / (MU * stiffness)
+    np.testing.assert_allclose(history.tendon_displacement[1], pulled, rtol=1e-9)
+    np.testing.assert_allclose(history.front[3], arc.length, rtol=1e-6)  # where all of it slides out again
+    np.testing.assert_allclose(history.front[2], radius * np.log(75 / 40) / (2 * MU), rtol=1e-8)
+    np.testing.assert_allclose(1e3 * history.friction_loss[-1], 13.107443627, rtol=1e-9)

@@ -11,7 +11,7 @@ from ..mechanics import bending, space
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.problem import Problem, guarded_section, lay_out, tension_of
-from ..mechanics.sign_changes import at_starts_and_ends, refined_zero
+from ..mechanics.sign_changes import with_ends, zero_before
 from ..numerics.quadrature import Panels
 from ..robot.cross_section import SpatialSection, planar, spatial
 from ..robot.manipulator import Manipulator
@@ -146,13 +146,9 @@ def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction
 
 def first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
     """The first place, m, where polynomials that are positive at the base fall below zero; the tip if none is."""
-    starts, ends = at_starts_and_ends(cut, values[..., None])
-    points = jnp.concatenate([starts, values, ends], axis=1)
-    places = jnp.concatenate([cut.edges[:-1, None], cut.nodes, cut.edges[1:, None]], axis=1)
+    points = with_ends(cut, values[..., None])[..., 0]
     below = (points < 0).ravel()
-    first = jnp.argmax(below)
-    first = first.astype(jnp.uint32)  # not read from the end
-    panel, before = first // points.shape[1], jnp.maximum(first, 1) - 1
-    bracket = jnp.stack([places.ravel()[before], places.ravel()[first]])
-    place = jnp.where(first % points.shape[1] > 0, refined_zero(cut, values[panel], panel, bracket), bracket[1])
+    first = jnp.argmax(below).astype(jnp.uint32)  # not read from the end
+    panel, within = first // points.shape[1], first % points.shape[1]
+    place = cut.edges[panel] + cut.width[panel] * zero_before(cut, values[panel], within)
     return jnp.where(jnp.any(below) & jnp.isfinite(place), place, cut.edges[-1])

@@ -130,13 +130,13 @@ def locate(problem: Problem, state: AnyState) -> Splits:
     if problem.in_space:
         return _around_sharpest_minimum(problem, state)
     turning = signed_turning(problem, state)
-    points = _with_ends(problem.panels, turning)
+    points = with_ends(problem.panels, turning)
     both, least = _has_both_signs(problem, points)
     none = varying_as(unsplit(problem.manipulator, problem.loads), zero_as(least))
     return only_if(both, lambda zero: _first_changes(problem, points + zero, least, none), none)
 
 
-def _with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:
+def with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:
     """The same with its polynomials at the ends of the panels, beside which it may change its sign."""
     starts, ends = at_starts_and_ends(cut, turning)
     return jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)
@@ -158,7 +158,7 @@ def _around_sharpest_minimum(problem: Problem, state: AnyState) -> Splits:
     growth = jnp.where(nodes.present, jnp.sum(turn * rate, axis=-1), 0.0)
     length, none = cut.edges[-1], varying_as(unsplit(problem.manipulator, problem.loads), zero_as(growth))
     places = varying_as(Splits(none.arc_length[:1] + jnp.zeros(MINIMA), jnp.full(MINIMA, -1)), zero_as(growth))
-    places = _first_changes(problem, _with_ends(cut, growth), NEGLIGIBLE * largest_size(growth), places, upwards=True)
+    places = _first_changes(problem, with_ends(cut, growth), NEGLIGIBLE * largest_size(growth), places, upwards=True)
     nearest = jnp.argmin(jnp.abs(cut.nodes.ravel() - places.arc_length[:, None]), axis=1)
     apart = apart.reshape(-1, apart.shape[-1])[nearest, jnp.maximum(places.owner, 0)]
     apart = jnp.where((places.owner >= 0) & (speed.max() > 0), apart, length)
@@ -183,28 +183,24 @@ def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tu
 def _first_changes(
     problem: Problem, turning: Float[Array, "P q owners"], least: Number, none: Splits, upwards: bool = False
 ) -> Splits:
-    """The first changes of sign; if it is asked for, only those from below zero to above."""
+    """The first changes of sign; if it is asked for, only those from below zero to above.
+
+    Negligible turning counts as turning to the right. Between two pieces of the body the sign changes in a jump,
+    and a panel ends there already.
+    """
     cut = problem.panels
     per_panel, owners = turning.shape[1:]
-    points, turning = turning.reshape(-1, owners), turning[:, 1:-1]
-    arc_length = jnp.concatenate([cut.edges[:-1, None], cut.nodes, cut.edges[1:, None]], axis=1).ravel()
-    left_turn, right_turn = points > least, points < -least
-    last_left, last_right = _last_before(left_turn), _last_before(right_turn)
-    changes = left_turn & (last_right > last_left)
-    if not upwards:
-        changes = changes | (right_turn & (last_left > last_right))
+    left = turning.reshape(-1, owners) > least
+    changes = left[1:] & ~left[:-1] if upwards else left[1:] != left[:-1]
+    changes = jnp.concatenate([jnp.zeros_like(changes[:1]), changes]).reshape(turning.shape)
+    at_joint = _is_joint(problem, cut.edges[:-1])[:, None, None] & (jnp.arange(per_panel) == 0)[:, None]
 
-    order = _first_of(changes.ravel(), none.owner.shape[0])
+    order = _first_of((changes & ~at_joint).ravel(), none.owner.shape[0])
     found, at = order < changes.size, jnp.minimum(order, changes.size - 1).astype(jnp.uint32)  # not read from the end
     point, owner = at // owners, at % owners
-    before = jnp.maximum(jnp.maximum(last_left, last_right).ravel()[at], 0).astype(jnp.uint32)
-    panel, edge = point // per_panel, arc_length[point // per_panel * per_panel]
-    inside = before // per_panel == panel
-    bracket = jnp.stack([arc_length[before], arc_length[point]])
-    # between two panels the sign changes in a jump, unless they end at a sign change or next to one
-    jumps = _is_joint(problem, edge) & (point % per_panel == 0) & (before % per_panel == per_panel - 1)
-    refined = jax.vmap(lambda *at: refined_zero(cut, turning[at[0], :, at[1]], at[0], at[2]))(panel, owner, bracket.T)
-    place, found = jnp.where(inside, refined, edge), found & ~jumps
+    panel, within = point // per_panel, point % per_panel
+    places = jax.vmap(lambda panel, owner, at: zero_before(cut, turning[panel, 1:-1, owner], at))(panel, owner, within)
+    place = cut.edges[panel] + cut.width[panel] * places
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner.astype(none.owner.dtype), -1))
 
 
@@ -212,12 +208,6 @@ def _is_joint(problem: Problem, arc_length: Float[Array, " places"]) -> Bool[Arr
     """Whether a piece of the body or a tendon ends there."""
     distance = jnp.abs(arc_length[:, None] - problem.manipulator.breakpoints)
     return jnp.any(distance <= edge_nudge(problem.panels), axis=1)
-
-
-def _last_before(holds: Bool[Array, "points owners"]) -> Int[Array, "points owners"]:
-    """For each point the last one before it at which something holds; -1 where there is none."""
-    last = jax.lax.cummax(jnp.where(holds, jnp.arange(holds.shape[0])[:, None], -1))
-    return jnp.concatenate([-jnp.ones_like(last[:1]), last[:-1]])
 
 
 def _first_of(holds: Bool[Array, " entries"], count: int) -> Int[Array, " count"]:
@@ -229,14 +219,18 @@ def _first_of(holds: Bool[Array, " entries"], count: int) -> Int[Array, " count"
     return jnp.stack(order)
 
 
-def refined_zero(
-    cut: Panels, turning: Float[Array, " p"], panel: UInt[Array, ""], bracket: Float[Array, "2"]
-) -> Number:
-    """The zero of the polynomial of one panel between two arc lengths, by the Illinois rule."""
-    start, width = cut.edges[panel], jnp.where(cut.width[panel] > 0, cut.width[panel], 1.0)
+def zero_before(cut: Panels, turning: Float[Array, " p"], point: UInt[Array, ""]) -> Number:
+    """The zero of the polynomial of one panel between a point and the one before, by the Illinois rule, in [0, 1].
 
-    def value(arc_length):
-        return cut.lagrange((arc_length - start) / width) @ turning
+    Args:
+        cut: the panels.
+        turning: at the nodes of the panel.
+        point: the start of the panel, which is itself the zero, a node, or the end, counted from 0.
+    """
+    points = jnp.asarray([0.0, *cut.rule.nodes, 1.0], cut.edges.dtype)
+
+    def value(place):
+        return cut.lagrange(place) @ turning
 
     def narrow(_, state):
         (a, b), (fa, fb) = state
@@ -246,6 +240,7 @@ def refined_zero(
         crossed = fc * fb < 0
         return jnp.stack([jnp.where(crossed, b, a), c]), jnp.stack([jnp.where(crossed, fb, fa / 2), fc])
 
+    bracket = jnp.stack([points[jnp.maximum(point, 1) - 1], points[point]])
     bracket = bracket + zero_as(turning)  # shard_map wants the bracket to vary as the turning does
     return jax.lax.fori_loop(0, REFINEMENTS, narrow, (bracket, jax.vmap(value)(bracket)))[0][1]
 
