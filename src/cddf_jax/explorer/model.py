@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
-from ..figures.geometry import stations
+from ..figures.geometry import lines_along, stations
 from ..files.manipulator_file import manipulator_text
 from ..identification.bench import Bench, Pulley, experiment_of, starting_value, stiffness_parameter
 from ..identification.course import Shown, course_of, has_history
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
-from ..mechanics.fields import Fields, in_the_plane
+from ..mechanics.fields import AnyFields, SpatialFields
 from ..programs.evaluated import evaluated
 from ..programs.kept import kept_program
 from ..quantities import QUANTITIES, Quantity
@@ -40,6 +40,7 @@ NUM_PULLS = 17  # on the curve over the base tension
 NODES = 16  # of the solves in the rows of tables, as `fit` has them
 FITTED = ("friction_coefficient", "youngs_modulus", "stiffness_factor")  # the last two in each other's place
 RADII = ("outer_radius.base", "outer_radius.tip")
+LOADS = ("tip_force", "tip_moment", "gravity")
 
 
 class Control(NamedTuple):
@@ -79,7 +80,7 @@ class Picture(NamedTuple):
 
     case: Case
     equilibrium: Equilibrium
-    along: Fields
+    along: AnyFields
     peak_strain: np.ndarray  # of the wall, a fraction
 
     @property
@@ -94,8 +95,13 @@ class Picture(NamedTuple):
 
     @property
     def peak_curvature(self) -> float:
-        """The largest |kappa|, 1/m."""
-        return float(np.max(np.abs(self.along.curvature)))
+        """The largest |kappa|, 1/m; in space of bending alone, without twist."""
+        return float(np.max(lines_along(self.case.manipulator, self.along, "bending")))
+
+    @property
+    def peak_twist(self) -> float | None:
+        """The largest size of the twist, 1/m; None in the plane."""
+        return float(np.max(np.abs(self.along.twist))) if isinstance(self.along, SpatialFields) else None
 
 
 class Curve(NamedTuple):
@@ -173,12 +179,24 @@ class Exploration:
     def _loads(self) -> list[Control]:
         body, length = self.manipulator, float(self.manipulator.length)
         stiffness = float(np.median(evaluated(Manipulator.stiffness, body, self.arc_length)))
-        force, moment = _above(0.6 * stiffness / length**2), _above(0.3 * stiffness / length)
-        found = [Control(f"tip_force.{i}", 0.0, -force, force, which=f" {axis}") for i, axis in enumerate("XY")]
-        found.append(Control("tip_moment", 0.0, -moment, moment))
-        if body.has_mass:
-            found += [Control(f"gravity.{i}", 0.0, -10.0, 10.0, which=f" {axis}") for i, axis in enumerate("XY")]
-        return found
+        most = {
+            "tip_force": _above(0.6 * stiffness / length**2),
+            "tip_moment": _above(0.3 * stiffness / length),
+            "gravity": 10.0,
+        }
+        return [
+            Control(name, 0.0, -most[kind], most[kind], which=f" {axis}" if axis else "")
+            for kind, axes in self._components.items()
+            for name, axis in axes.items()
+            if kind != "gravity" or body.has_mass
+        ]
+
+    @property
+    def _components(self) -> dict[str, dict[str, str]]:
+        """Names and axes of the components of each load; a moment in the plane has one and no axis."""
+        axes = "XYZ" if self.manipulator.in_space else "XY"
+        found = {kind: {f"{kind}.{i}": axis for i, axis in enumerate(axes)} for kind in LOADS}
+        return found if self.manipulator.in_space else found | {"tip_moment": {"tip_moment": ""}}
 
     @property
     def start(self) -> Settings:
@@ -211,8 +229,9 @@ class Exploration:
             base, tip = (number[name] for name in RADII)
             wall = tapered(body.outer_radius, base, tip, body.length)
             body = replace(body, outer_radius=wall).validate(offsets_outside_wall=self.offsets_outside_wall)
-        force, gravity = ([number.get(f"{name}.{i}", 0.0) for i in range(2)] for name in ("tip_force", "gravity"))
-        loads = Loads(force, number["tip_moment"], gravity) if any((*force, number["tip_moment"], *gravity)) else None
+        given = {kind: [number.get(name, 0.0) for name in names] for kind, names in self._components.items()}
+        parts = {kind: values if len(values) > 1 else values[0] for kind, values in given.items()}
+        loads = Loads(**parts) if any(map(any, given.values())) else None
         pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
         return Case(body, pulls, loads, as_directions(settings.direction))
 
@@ -237,9 +256,22 @@ class Exploration:
 
         They are those of several tendons, under forces, of tendons that slide out, or of loops in a known order.
         """
-        experiments = ((table, _experiment(table, body)) for table in self.tables)
+        followed = [table for table in self.tables if table not in self.not_followed]
+        experiments = ((table, _experiment(table, body)) for table in followed)
         apart = [(table, rows) for table, rows in experiments if isinstance(rows, Bench) and not rows.on_one_curve]
         return [(table, jax.tree.map(np.asarray, _in_rows(rows, body))) for table, rows in apart]
+
+    @property
+    def not_followed(self) -> list[Measurements]:
+        """Tables whose rows have an order, along which bodies in space are not led."""
+        return [table for table in self.tables if self.manipulator.in_space and has_history(table, None)]
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be known of the tables."""
+        told = [line for table in self.tables for line in table.read_as]
+        why = "the order of its rows is not followed in space: its readings stand without the model, and are not fitted"
+        return told + [f"{table.name}: {why}" for table in self.not_followed]
 
     def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:
         """The taper of the manipulator itself and that of the settings, all else as it is set.
@@ -274,9 +306,9 @@ class Exploration:
 
 @kept_program
 @eqx.filter_jit
-def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, Fields, Array]:
+def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, AnyFields, Array]:
     equilibrium = _solve(case)
-    return equilibrium, in_the_plane(equilibrium.at(arc_length), "explorer"), _peak_strain(equilibrium)
+    return equilibrium, equilibrium.at(arc_length), _peak_strain(equilibrium)
 
 
 def _peak_strain(equilibrium: Equilibrium) -> Array:
@@ -313,10 +345,7 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
 def _experiment(table: Measurements, body: Manipulator) -> Pulley | Bench:
     """A table as the model takes it, with the past of its rows where their order is told and can be followed."""
     loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
-    try:
-        ordered = has_history(table, None) and body.num_tendons == 1 and not loaded
-    except InputError:
-        ordered = False
+    ordered = has_history(table, None) and body.num_tendons == 1 and not loaded
     return experiment_of(table, body, course=course_of(table)[0] if ordered else None)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 import panel as pn
+from bokeh.models import Slider
 from bokeh.plotting import figure as BokehFigure  # noqa: N812  # a class, in spite of its name
 
 from .model import Control
@@ -29,8 +30,8 @@ def words(name: str) -> pn.pane.HTML:
     return pn.pane.HTML("", stylesheets=STYLES, sizing_mode="stretch_width", margin=(4, 8), css_classes=classes)
 
 
-def plot(figure: BokehFigure) -> pn.pane.Bokeh:
-    """A figure, as wide as its place."""
+def plot(figure: BokehFigure | Slider) -> pn.pane.Bokeh:
+    """A figure, or a slider that needs no answer, as wide as its place."""
     return pn.pane.Bokeh(figure, sizing_mode="stretch_width", margin=0)
 
 

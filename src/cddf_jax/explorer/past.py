@@ -17,8 +17,6 @@ from ..statics.equilibrium import RESULTS, code_of, result_of
 NUM_LEGS = 12  # from turn to turn, the first one from rest
 NUM_POINTS = 12  # of each in the figures
 
-LOADS = ("tip_force", "tip_moment", "gravity")  # that forget the past
-
 Turns = tuple[float, ...]  # tensions, N, at which the motion turned since rest, the present one last
 
 
@@ -56,6 +54,8 @@ def still_felt(turns: Turns) -> Turns:
 
 def why_no_loop(case: Case, turns: Turns) -> str:
     """In one line; empty where there is a loop to be shown."""
+    if case.in_space:
+        return "The past is not remembered here: that is for one tendon in the plane; cddf trace follows one in space."
     if case.manipulator.num_tendons > 1 or case.loads is not None:
         return "The past is not remembered here: that is for one tendon without loads."
     if len(turns) > NUM_LEGS:

@@ -20,6 +20,7 @@ from ..figures.geometry import (
 from ..figures.looks import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
 from ..measurements.readings import kind_of, tendon_number
 from ..measurements.table import Measurements
+from ..mechanics.fields import in_the_plane
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -35,8 +36,15 @@ NUM_ARROWS = 11  # along each tendon
 LONGEST_ARROW = 0.2  # of the length of the body
 DASHES = {"-": [], "--": [6], "-.": [6, 4, 2, 4], ":": [2, 4]}
 NORMAL, FRICTION = GREEN, VERMILION
-ALONG = ("tension", "curvature", "normal_force", "friction_force")  # drawn over the arc length
+# drawn over the arc length
+ALONG = ("tension", "curvature", "normal_force", "friction_force")
+ALONG_IN_SPACE = ("tension", "bending", "twist", "normal_force", "friction_force")
+OF_BODY = ("curvature", "bending", "twist")  # one line, not one for each tendon
 ARROW = ("x_start", "y_start", "x_end", "y_end")  # columns of arrows, as Bokeh calls them
+MARKS: dict[str, Look] = {  # of readings, and of what the body as set would show in their rows
+    "data": {"size": 6, "fill_color": "white", "legend_label": "data"},
+    "rows": {"size": 7, "marker": "x", "legend_label": "model at the data"},
+}
 NONE = np.zeros((0, 2))  # points
 NO_POINTS: Columns = {"base": [], "value": [], "color": []}
 
@@ -47,7 +55,7 @@ def tendon_look(number: int) -> Look:
     return {"line_color": style["color"], "line_dash": DASHES.get(style["linestyle"], [6, 3])}
 
 
-def _figure(x_label: str, y_label: str, **options: Any) -> Plot:
+def bare_figure(x_label: str, y_label: str, **options: Any) -> Plot:
     look: Look = {"tools": "", "toolbar_location": None, "sizing_mode": "stretch_width", "min_border": 4}
     made = figure(x_axis_label=x_label, y_axis_label=y_label, **(look | options))
     for axis in (*made.xaxis, *made.yaxis):
@@ -62,7 +70,7 @@ def _figure(x_label: str, y_label: str, **options: Any) -> Plot:
     return made
 
 
-def _look_of_legend(fig: Plot) -> None:
+def look_of_legend(fig: Plot) -> None:
     legend = fig.legend[0]
     legend.location, legend.label_text_font_size = "top_left", "12px"
     legend.background_fill_alpha, legend.border_line_color = 0.7, None
@@ -73,7 +81,7 @@ class BodyPlot:
     """The body to scale with walls, bore, tendons, force densities and tip loads; the rest shape dotted."""
 
     def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
-        self.figure = _figure("X (mm)", "Y (mm)", match_aspect=True, height=450, name="body")
+        self.figure = bare_figure("X (mm)", "Y (mm)", match_aspect=True, height=450, name="body")
         self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
         self.sources = {name: ColumnDataSource() for name in ("walls", "midline", "past", "tendons", "ends", "moment")}
         straight = straight_body(manipulator, arc_length)
@@ -81,8 +89,8 @@ class BodyPlot:
         self._draw_surroundings(manipulator, straight)
         self._draw_body()
         self._draw_forces()
-        _look_of_legend(self.figure)
-        _show_named(self.figure, "past", False)
+        look_of_legend(self.figure)
+        show_named(self.figure, "past", False)
 
     def _draw_surroundings(self, manipulator: Manipulator, straight: Body) -> None:
         """The rest shape, the clamp, and room for the bend."""
@@ -122,7 +130,7 @@ class BodyPlot:
 
     def show(self, picture: Picture) -> None:
         """Draw an equilibrium."""
-        along, manipulator = picture.along, picture.case.manipulator
+        along, manipulator = in_the_plane(picture.along, "BodyPlot"), picture.case.manipulator
         body = bent_body(manipulator, along)
         tendons = _tendons(manipulator, body, along.arc_length)
         self._show_body(body, tendons)
@@ -142,7 +150,7 @@ class BodyPlot:
         """The axis of the body with its past; None for nothing."""
         if loop is not None:
             self.sources["past"].data = _xy(1e3 * loop.position)
-        _show_named(self.figure, "past", loop is not None)
+        show_named(self.figure, "past", loop is not None)
 
     def _show_body(self, body: Body, tendons: list[np.ndarray]) -> None:
         looks = [tendon_look(i) for i in range(len(tendons))]
@@ -180,7 +188,7 @@ def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) ->
     return starts, starts + scale * np.concatenate([force[i] for force, i in zip(np.asarray(forces), at, strict=True)])
 
 
-def _show_named(fig: Plot, name: str, there: bool) -> None:
+def show_named(fig: Plot, name: str, there: bool) -> None:
     """What has a name, and its line of the legend."""
     drawn = fig.select_one({"name": name})
     drawn.visible = there
@@ -193,24 +201,25 @@ class AlongPlots:
     """Tension, curvature and the forces per length over the arc length."""
 
     def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
-        columns = [f"{name}_{i}" for name in ALONG for i in range(manipulator.num_tendons)]
+        names = ALONG_IN_SPACE if manipulator.in_space else ALONG
+        columns = [f"{name}_{i}" for name in names for i in range(manipulator.num_tendons)]
         at_rest: Columns = {"s": 1e3 * arc_length} | dict.fromkeys(columns, 0 * arc_length)
         self.figures, self.source = {}, ColumnDataSource(at_rest)
-        for name in ALONG:
+        for name in names:
             label = f"{QUANTITIES[name].label} ({QUANTITIES[name].shown[1]})"
             ends = {"x_range": (0, 1e3 * arc_length[-1])}
-            fig = self.figures[name] = _figure("Arc length (mm)", label, height=210, name=name, **ends)
+            fig = self.figures[name] = bare_figure("Arc length (mm)", label, height=210, name=name, **ends)
             fig.xaxis.ticker.desired_num_ticks = 4
-            if name != "curvature":
+            if name not in ("curvature", "twist"):
                 fig.y_range.start = 0
-            for i in range(1 if name == "curvature" else manipulator.num_tendons):
-                look = {"line_color": BLACK} if name == "curvature" else tendon_look(i)
+            for i in range(1 if name in OF_BODY else manipulator.num_tendons):
+                look = {"line_color": BLACK} if name in OF_BODY else tendon_look(i)
                 fig.line("s", f"{name}_{i}", source=self.source, line_width=2, **look)
             fig.add_tools(HoverTool(mode="vline", tooltips=[("s", "@s{0.0} mm"), (label, "$y{0.000}")]))
 
     def show(self, picture: Picture) -> None:
         data: Columns = {"s": 1e3 * picture.along.arc_length}
-        for name in ALONG:
+        for name in self.figures:
             lines = lines_along(picture.case.manipulator, picture.along, name)
             data |= {f"{name}_{i}": line for i, line in enumerate(lines)}
         self.source.data = data
@@ -235,7 +244,7 @@ class TensionPlots:
             name: {kind: ColumnDataSource(NO_POINTS) for kind in ("data", "rows", "now", "past")} for name in labels
         }
         self.loops = {name: ColumnDataSource({"base": [0.0], "value": [0.0]}) for name in labels}
-        self.figures = {name: _figure(x, y, height=255, name=f"tip_{name}") for name, (x, y, _) in labels.items()}
+        self.figures = {name: bare_figure(x, y, height=255, name=f"tip_{name}") for name, (x, y, _) in labels.items()}
         free = {"color": GREY, "line_dash": "dotted", "legend_label": "without loss"}
         self.figures["tension"].line("base", "base", source=self.curve, **free)
         for name, (_, _, model) in labels.items():
@@ -247,16 +256,15 @@ class TensionPlots:
         look: Look = {"line_width": 2, "color": PURPLE, "line_dash": [6, 3], "legend_label": "with its past"}
         fig.line("base", "value", source=self.loops[name], name="loop", **look)
         marks = {
-            "data": {"size": 6, "fill_color": "white", "line_color": "color", "legend_label": "data"},
-            "rows": {"size": 7, "marker": "x", "line_color": "color", "legend_label": "model at the data"},
+            **{kind: look | {"line_color": "color"} for kind, look in MARKS.items()},
             "now": {"size": 12, "marker": "diamond", "color": VERMILION, "legend_label": "now"},
             "past": {"size": 9, "marker": "circle", "color": PURPLE, "legend_label": "with its past"},
         }
         for kind, look in marks.items():
             fig.scatter("base", "value", source=points[kind], name=kind, **look)
-        _look_of_legend(fig)
+        look_of_legend(fig)
         for kind in ("data", "rows", "loop", "past"):
-            _show_named(fig, kind, False)
+            show_named(fig, kind, False)
 
     def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
         """Columns of tables over the tensions that were set: of "data" the readings, of "rows" what the body shows."""
@@ -270,7 +278,7 @@ class TensionPlots:
                     found["angle"].append((table["base_tension"], np.degrees(values), BLACK))
         for name, parts in found.items():
             self.points[name][kind].data = _points(parts)
-            _show_named(self.figures[name], kind, bool(parts))
+            show_named(self.figures[name], kind, bool(parts))
 
     def show_loop(self, loop: Loop | None) -> None:
         """Where the base tension has been, and where it is now with its past; None for nothing."""
@@ -280,7 +288,7 @@ class TensionPlots:
                 self.loops[name].data = {"base": loop.base_tension, "value": values}
                 self.points[name]["past"].data = _points([(loop.base_tension[-1:], values[-1:], BLACK)])
             for kind in ("loop", "past"):
-                _show_named(fig, kind, loop is not None)
+                show_named(fig, kind, loop is not None)
 
     def show_now(self, picture: Picture) -> None:
         """Where the sliders stand."""

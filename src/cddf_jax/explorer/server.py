@@ -90,7 +90,7 @@ class Page:
         self.place[:] = list(parts.values())
         tables = self.content.exploration.tables
         data = ", ".join(table.name for table in tables) or "no data loaded"
-        notes = [f"<p>{_escaped(line)}</p>" for table in tables for line in table.read_as]
+        notes = [f"<p>{_escaped(line)}</p>" for line in self.content.exploration.notes]
         self.head.object = f"<h1>{TITLE}</h1><p>{_escaped(self.content.source)}; {_escaped(data)}</p>{''.join(notes)}"
 
     def _load(self, read: Callable[[], PageContent]) -> None:

@@ -2,7 +2,7 @@
 
 import io
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
@@ -15,6 +15,7 @@ import panel as pn
 from ..errors import InputError, SolveError
 from ..estimation.determination import IDENTIFIED
 from ..identification.fit import Fit
+from ..measurements.table import Measurements
 from ..quantities import QUANTITIES
 from ..reports.export import fields_csv
 from ..reports.fit_report import fit_in_words
@@ -22,10 +23,11 @@ from ..reports.fit_results import make_report
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
 from ..robot.named_numbers import Case
-from .model import Exploration, Picture, Settings, from_si, rounded
+from .model import LOADS, Exploration, Picture, Settings, from_si, rounded
 from .parts import column, grid, plot, slider, title, words
-from .past import LOADS, Loop, Turns, gone_on, loop, why_no_loop
+from .past import Loop, Turns, gone_on, loop, why_no_loop
 from .plots import AlongPlots, BodyPlot, TensionPlots
+from .space import SpacePlot
 from .words import lines_html, loop_html, numbers_html, tapers_html
 
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
@@ -62,21 +64,24 @@ class ExplorerView:
         self.turns: Turns = ()
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
-        self.body, self.along, self.tension = BodyPlot(body, s), AlongPlots(body, s), TensionPlots(body.num_tendons)
+        self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
+        self.along, self.tension = AlongPlots(body, s), TensionPlots(body.num_tendons)
         pulled = [table for table in exploration.tables if "base_tension" in table]
-        self.tension.show_points("data", [(table, table.columns) for table in pulled])
+        self._show_points("data", [(table, table.columns) for table in pulled])
         self._make_controls()
         self._make_words()
+        turned, views = [], []
+        if isinstance(self.body, SpacePlot):
+            turned, views = [grid(*map(plot, self.body.angles), least=200)], self.body.views
+        tension = grid(*map(plot, self.tension.figures.values()), least=330)
         parts = {
-            "body": plot(self.body.figure),
-            "numbers": self.numbers,
-            "along": grid(*map(plot, self.along.figures.values()), least=230),
-            "tension": column(
-                grid(*map(plot, self.tension.figures.values()), least=330), self.past, self.forget_button
-            ),
-            "what_if": self.what_if,
+            "body": [plot(self.body.figure), *turned],
+            "numbers": [self.numbers],
+            "along": [grid(*map(plot, (*views, *self.along.figures.values())), least=230)],
+            "tension": [column(tension, self.past, *([] if body.in_space else [self.forget_button]))],
+            "what_if": [self.what_if],
         }
-        self.drawn = {name: column(part) for name, part in parts.items()}
+        self.drawn = {name: column(*part) for name, part in parts.items()}
         self.closed = False
         pn.state.on_session_destroyed(lambda _: self.close())
         pn.state.onload(self.change)
@@ -150,7 +155,8 @@ class ExplorerView:
         buttons = pn.FlexBox(self.fit_button, self.take_over)
         fit = column(title("What the data tell"), buttons, self.verdict)
         files = column(title("Save"), pn.FlexBox(*self._downloads()))
-        chosen = pn.FlexBox(*(self.directions if self.several else []), self.kinematics)
+        in_space = self.exploration.manipulator.in_space
+        chosen = pn.FlexBox(*(self.directions if self.several else []), *([] if in_space else [self.kinematics]))
         return {
             "body": self.drawn["body"],
             "numbers": self.drawn["numbers"],
@@ -220,7 +226,7 @@ class ExplorerView:
         curve = self.exploration.curve(picture.case)
         self._on_page(self.tension.show_curve, curve)
         rows = self.exploration.in_rows(picture.case.manipulator)
-        self._on_page(self.tension.show_points, "rows", rows)
+        self._on_page(self._show_points, "rows", rows)
         self._remember(settings, picture.case, turns)
         told = "The bending stiffness of this body is given: another taper would not change how it bends."
         if self.exploration.manipulator.stiffened_by_radii:
@@ -228,6 +234,12 @@ class ExplorerView:
             told = tapers_html(tapers, angle, self.several)
         self._on_page(setattr, self.what_if, "object", told)
         self._on_page(self._done, settings, ["what_if"])
+
+    def _show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
+        """Readings, or what the body shows in their rows."""
+        self.tension.show_points(kind, tables)
+        if isinstance(self.body, SpacePlot):
+            self.body.show_points(kind, tables)
 
     def _remember(self, settings: Settings, case: Case, turns: Turns) -> None:
         """The loop through which the base tension went, or why there is none."""
@@ -238,8 +250,9 @@ class ExplorerView:
         self._on_page(self._show_loop, settings, None if found is None or found.message else found, told)
 
     def _show_loop(self, settings: Settings, found: Loop | None, told: str) -> None:
-        self.tension.show_loop(found)
-        self.body.show_loop(found)
+        if isinstance(self.body, BodyPlot):
+            self.tension.show_loop(found)
+            self.body.show_loop(found)
         self.past.object = told
         self._done(settings, ["tension"])
 

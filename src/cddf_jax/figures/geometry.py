@@ -16,6 +16,7 @@ from ..robot.validation import joints
 from ..statics.equilibrium import Equilibrium, fields_on
 
 AROUND = 32  # points around a cross-section
+ELEVATION, AZIMUTH = 24.0, -58.0  # deg, from where a body in space is seen
 GREATEST_MOMENT_ARC = np.radians(190.0)  # it stays clear of the body behind the tip
 
 

@@ -21,9 +21,8 @@ from scipy.spatial import ConvexHull
 from ..errors import InputError
 from ..robot.loads import Loads
 from . import looks, style as draw
-from .geometry import Drawn, SpatialBody
+from .geometry import AZIMUTH, ELEVATION, Drawn, SpatialBody
 
-ELEVATION, AZIMUTH = 24.0, -58.0  # deg, from where a body is seen
 # by the name of a plane: the coordinates to the right and up, and the one that points to the reader
 VIEWS = {"XY": (0, 1, 2), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 TOWARDS = {"XY": (0.0, 0.0, 1.0), "XZ": (0.0, -1.0, 0.0), "YZ": (1.0, 0.0, 0.0)}

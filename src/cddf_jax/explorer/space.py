@@ -1,0 +1,258 @@
+"""The body in space on the page: a view that is turned by dragging or by sliders, and three plane views."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from bokeh.events import Pan, PanStart
+from bokeh.models import ColumnDataSource, CustomJS, Slider
+
+from ..figures.geometry import AZIMUTH, ELEVATION, Drawn, drawn
+from ..figures.looks import BLACK, GREY, PALE, PURPLE
+from ..measurements.table import Measurements
+from ..mechanics.fields import SpatialFields
+from ..robot.manipulator import Manipulator
+from ..units import round_number
+from .model import Picture
+from .plots import MARKS, Columns, Look, Plot, bare_figure, look_of_legend, show_named, tendon_look
+
+DRAW, TURN = (Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8") for name in ("space", "turn"))
+# by plane: azimuth and elevation, deg, from where it is seen, and the coordinates to the right and up
+PLANES = {"XY": (-90.0, 90.0, [0, 1]), "XZ": (-90.0, 0.0, [0, 2]), "YZ": (0.0, 0.0, [1, 2])}
+LINES, POINTS = ("xs", "ys", "color", "dash", "width"), ("x", "y", "text", "color")
+# what space.js draws into, and its columns: of every view, and of the one that is turned
+BODY = {
+    **dict.fromkeys(("tube", "cap"), ("xs", "ys")),
+    **dict.fromkeys(("under", "hidden", "over"), LINES),
+    **{"ends": ("x", "y"), "heads": ("x", "y", "angle")},
+}
+ROOM = {
+    **{"shadow": ("xs", "ys"), "floor": LINES, "ticks": POINTS, "names": POINTS},
+    **{"data": ("x", "y"), "rows": ("x", "y")},
+}
+AHEAD, ASIDE, BELOW = 1.0, 0.5, 0.35  # of the length: how far the floor reaches from the base, and how low it is
+REACH, WIDE = 0.62, 0.8  # of the length: what is always in sight around the middle of the straight body, up and aside
+TIP = ("tip_x", "tip_y", "tip_z")
+LEAST_ROOM = np.array([[0.0, -0.35, -0.35], [1.0, 0.35, 0.35]])  # of the length, in plane views
+SLANT = 0.5**0.5
+HIDDEN = 0.35  # of the strength of a line
+WALL = "#DDDDDD"
+RINGS_APART = 4  # arc lengths
+
+
+class Row(NamedTuple):
+    """A line or a point of a picture, mm, as space.js takes it."""
+
+    kind: str
+    points: np.ndarray  # (points, 3)
+    color: str = GREY
+    dash: tuple[int, ...] = ()
+    width: float = 1.0
+    text: str = ""
+    side: tuple[float, ...] = (0.0, 0.0, 0.0)  # of the floor, at which an edge or an upright is
+
+
+def columns_of_rows(rows: Iterable[Row]) -> Columns:
+    """The data of a source."""
+    kind, points, color, dash, width, text, side = map(list, zip(*rows, strict=True))
+    flat = [np.asarray(each, float).ravel() for each in points]
+    look = {"color": color, "dash": list(map(list, dash)), "width": width}
+    return {"kind": kind, "points": flat, **look, "text": text, "side": list(map(list, side))}
+
+
+class SpacePlot:
+    """The body to scale with its tendons and tip loads. The browser draws it, and turns it without asking."""
+
+    def __init__(self, manipulator: Manipulator):
+        self.length = 1e3 * float(manipulator.length)
+        square = round_number(self.length / 4)
+        self.floor = floor_rows(self.length, square)
+        within: Look = {"margin": 0, "styles": {"padding": "4px 12px", "box-sizing": "border-box"}}
+        self.angles = azimuth, elevation = [
+            Slider(title=f"Seen from: {name} (deg)", start=-end, end=end, step=1, value=value, **within)
+            for name, value, end in (("azimuth", AZIMUTH, 180), ("elevation", ELEVATION, 90))
+        ]
+        self.space = ColumnDataSource(columns_of_rows([Row("none", np.zeros((0, 3)))]))
+        self.figure = bare_figure("", "", match_aspect=True, height=450, name="body")
+        self.figure.axis.visible = self.figure.grid.visible = False
+        self.figure.title.text = f"drag to turn; squares of {square:g} mm"
+        self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
+        self.now: list[Row] = []  # of the picture
+        self.tips: dict[str, list[Row]] = {"data": [], "rows": []}
+        self.rooms: list[ColumnDataSource] = []  # whose points set the scale, of each figure
+        self.middle = (0.5 * self.length, 0.0, -0.1 * self.length)
+        seen = self._sees(self.figure, BODY | ROOM, azimuth, elevation, self.middle)
+        self._draw_room(seen)
+        _draw_body(self.figure, seen, 12)
+        self.figure.text("x", "y", source=seen["names"], **_words(12))
+        self._draw_tips(seen)
+        self._draw_legend()
+        self.views: list[Plot] = []
+        for plane, (around, up, _) in PLANES.items():
+            x, y = (f"{axis} (mm)" for axis in plane)
+            view = bare_figure(x, y, match_aspect=True, height=210, name=f"view_{plane}")
+            _draw_body(view, self._sees(view, BODY, around, up, (0.0, 0.0, 0.0)), 10)
+            self.views.append(view)
+        turn = CustomJS(args={"azimuth": azimuth, "elevation": elevation}, code=TURN)
+        for event in (PanStart, Pan):
+            self.figure.js_on_event(event, turn)
+
+    def _sees(
+        self, fig: Plot, what: Mapping[str, Sequence[str]], azimuth: Any, elevation: Any, center: tuple[float, ...]
+    ) -> dict[str, ColumnDataSource]:
+        """Sources of what a figure sees from a direction, which the browser keeps up to date."""
+        seen = {name: ColumnDataSource({column: [] for column in columns}) for name, columns in what.items()}
+        given = {"space": self.space, "azimuth": azimuth, "elevation": elevation, "center": list(center)}
+        redraw = CustomJS(args={**given, **seen}, code=DRAW)
+        self.space.js_on_change("data", redraw)
+        for angle in (azimuth, elevation):
+            if isinstance(angle, Slider):
+                angle.js_on_change("value", redraw)
+        room = ColumnDataSource({"x": [0.0], "y": [0.0]})
+        fig.x_range.renderers = fig.y_range.renderers = [fig.scatter("x", "y", source=room, size=0, alpha=0)]
+        self.rooms.append(room)
+        return seen
+
+    def _draw_room(self, seen: dict[str, ColumnDataSource]) -> None:
+        """The floor with the shadow of the body."""
+        fig = self.figure
+        fig.patches("xs", "ys", source=seen["shadow"], fill_color=PALE, line_color=PALE)
+        fig.multi_line("xs", "ys", source=seen["floor"], line_color="color", line_width="width")
+        fig.text("x", "y", source=seen["ticks"], **_words(11))
+
+    def _draw_legend(self) -> None:
+        """For what has no entry of its own."""
+        tendon = tendon_look(0) | {"line_width": 2}
+        rest: Look = {"line_color": GREY, "line_dash": "dotted"}
+        for words, look in {"straight": rest, "tendon": tendon, "hidden": tendon | {"line_alpha": HIDDEN}}.items():
+            self.figure.line([np.nan], [np.nan], legend_label=words, **look)
+        legend = self.figure.legend[0]
+        look_of_legend(self.figure)
+        legend.orientation, legend.ncols, legend.spacing, legend.margin = "horizontal", 3, 12, 0
+        self.figure.add_layout(legend, "above")
+
+    def _draw_tips(self, seen: dict[str, ColumnDataSource]) -> None:
+        """Measured tips, and where the model has them."""
+        for kind in self.tips:
+            self.figure.scatter("x", "y", source=seen[kind], name=kind, line_color=BLACK, **MARKS[kind])
+        for kind in self.tips:
+            show_named(self.figure, kind, False)
+
+    def show(self, picture: Picture) -> None:
+        """Draw an equilibrium."""
+        assert isinstance(picture.along, SpatialFields)
+        what = drawn(picture.case.manipulator, picture.along, picture.case.loads)
+        points = np.concatenate([what.points, self.length * LEAST_ROOM])
+        reach = max(REACH * self.length, float(np.max(np.linalg.norm(what.points - self.middle, axis=1))))
+        wide = max(WIDE * self.length, reach)
+        places = [np.array([[-wide, -reach], [wide, reach]]), *(points[:, plane] for _, _, plane in PLANES.values())]
+        for room, place in zip(self.rooms, places, strict=True):
+            low, high = place.min(axis=0), place.max(axis=0)
+            room.data = {"x": [low[0], high[0]], "y": [low[1], high[1]]}
+        self.now = [*body_rows(what), *tendon_rows(what), *load_rows(what)]
+        self._send()
+
+    def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
+        """Places of the tip in tables that tell all three: of "data" the readings, of "rows" those of the model."""
+        found = [[columns[name] for name in TIP] for _, columns in tables if all(name in columns for name in TIP)]
+        self.tips[kind] = [Row(kind, 1e3 * np.stack(columns, axis=1)) for columns in found]
+        show_named(self.figure, kind, bool(found))
+        self._send()
+
+    def _send(self) -> None:
+        """Everything at once to the browser, as soon as there is a picture."""
+        if self.now:
+            self.space.data = columns_of_rows([*self.floor, *self.now, *self.tips["data"], *self.tips["rows"]])
+
+
+def _words(size: int) -> Look:
+    look: Look = {"text": "text", "text_color": "color", "text_font_size": f"{size}px"}
+    return look | {"text_align": "center", "text_baseline": "middle"}
+
+
+def _draw_body(fig: Plot, seen: dict[str, ColumnDataSource], size: int) -> None:
+    """The tube with its tendons, and the tip loads, from back to front; size of heads in pixels."""
+    line: Look = {"line_color": "color", "line_dash": "dash", "line_width": "width"}
+    fig.multi_line("xs", "ys", source=seen["under"], **line)
+    fig.patches("xs", "ys", source=seen["tube"], fill_color=GREY, line_color=GREY, line_width=2)
+    fig.patches("xs", "ys", source=seen["tube"], fill_color=WALL, line_color=WALL, line_width=0.5)
+    fig.patches("xs", "ys", source=seen["cap"], fill_color="white", line_color=GREY)
+    fig.multi_line("xs", "ys", source=seen["hidden"], line_alpha=HIDDEN, **line)
+    fig.multi_line("xs", "ys", source=seen["over"], **line)
+    fig.scatter("x", "y", source=seen["ends"], color=BLACK, size=size / 2)
+    fig.scatter("x", "y", source=seen["heads"], angle="angle", marker="triangle", color=PURPLE, size=size)
+
+
+# --- rows of a picture -----------------------------------------------------------------------------
+
+
+def body_rows(what: Drawn) -> list[Row]:
+    """The body, its plate, and how it is straight."""
+    body, straight, angles = what.body, what.straight, np.linspace(0.0, 2 * np.pi, 61)
+    plate = what.plate * np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
+    return [
+        *(Row("ring", ring) for ring in body.rings[_some(straight.midline[:, 0]), :-1]),
+        Row("axis", body.midline),
+        Row("radius", np.outer(body.outer_radius, [1.0, 0.0, 0.0])),
+        Row("ahead", body.frame[-1, :, 0]),
+        Row("plate", plate, BLACK),
+        *(Row("rest", line, dash=(2, 4)) for line in (straight.midline, straight.rings[-1])),
+    ]
+
+
+def _some(arc_length: np.ndarray) -> np.ndarray:
+    """Which arc lengths have a ring: some of the grid, and both sides of each joint."""
+    close = np.diff(arc_length) < 1e-6 * arc_length[-1]
+    found = np.arange(arc_length.size) % RINGS_APART == 0
+    found[-1] = True
+    return found | np.append(close, False) | np.append(False, close)
+
+
+def tendon_rows(what: Drawn) -> list[Row]:
+    """Each tendon, its anchor, and around the plate its number, if there are several."""
+    rows = []
+    for i, (path, tension) in enumerate(zip(what.tendons, what.tension, strict=True)):
+        look, beside = tendon_look(i), path[0] / np.linalg.norm(path[0])
+        rows.append(Row("tendon", path, look["line_color"], tuple(look["line_dash"]), 2.0))
+        rows.append(Row("end", path[np.isfinite(tension)][-1]))
+        if len(what.tendons) > 1:
+            rows.append(Row("name", (what.plate + 0.04 * what.length) * beside, BLACK, text=str(i + 1)))
+    return rows
+
+
+def load_rows(what: Drawn) -> list[Row]:
+    """The arrows of force and moment, the last piece their direction."""
+    return [Row("load", line, PURPLE, width=3.0) for line in (what.force_arrow, what.moment_arrow) if len(line)]
+
+
+def floor_rows(length: float, square: float) -> list[Row]:
+    """Squares below a straight body along X, scales at their edges and at uprights on the corners, all mm."""
+    ahead, aside, below = (square * np.ceil(part * length / square) for part in (AHEAD, ASIDE, BELOW))
+    x, y, z = (np.arange(low, high, square) for low, high in ((0.0, ahead), (-aside, aside), (-below, below)))
+    rows = [Row("floor", np.array([0.0, 0.0, -below]))]
+    rows += [Row("grid", np.array([[at, -aside, -below], [at, aside, -below]]), PALE) for at in (*x, ahead)]
+    rows += [Row("grid", np.array([[0.0, at, -below], [ahead, at, -below]]), PALE) for at in (*y, aside)]
+    for way, end in ((-1, 0.0), (1, ahead)):
+        rows += _scale("edge", "X", [*x[1:]], 0.0, (0.0, way * aside, -below), (0, way, 0), length)
+        rows += _scale("edge", "Y", [at for at in y[1:] if at], 0.0, (end, 0.0, -below), (way, 0, 0), length)
+        for other in (-1, 1):
+            corner, side = (end, other * aside, 0.0), (way * SLANT, other * SLANT, 0)
+            rows.append(Row("post", corner + np.outer([-below, below], np.eye(3)[2]), PALE, side=side))
+            rows += _scale("post", "Z", [*z[1:]], below, corner, side, length)
+    return rows
+
+
+def _scale(
+    kind: str,
+    axis: str,
+    numbers: Sequence[float],
+    name_at: float,
+    start: tuple[float, ...],
+    side: tuple[float, ...],
+    length: float,
+) -> list[Row]:
+    """Numbers along an axis through `start`, beside it, and the name of the axis in place of one of them."""
+    words = {at: (f"{at:g}", GREY) for at in numbers} | {name_at: (f"{axis} (mm)", BLACK)}
+    beside, along = np.array(start) + 0.06 * length * np.array(side), np.eye(3)["XYZ".index(axis)]
+    return [Row(kind, beside + at * along, color, text=text, side=side) for at, (text, color) in words.items()]
