@@ -155,10 +155,11 @@ class SpacePlot:
 
     def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
         """Places of the tip in tables that tell all three: of "data" the readings, of "rows" those of the model."""
-        found = [[columns[name] for name in TIP] for _, columns in tables if all(name in columns for name in TIP)]
-        self.tips[kind] = [Row(kind, 1e3 * np.stack(columns, axis=1)) for columns in found]
-        show_named(self.figure, kind, bool(found))
-        self._send()
+        told = [columns for _, columns in tables if all(name in columns for name in TIP)]
+        if told or self.tips[kind]:
+            self.tips[kind] = [Row(kind, 1e3 * np.stack([columns[name] for name in TIP], axis=1)) for columns in told]
+            show_named(self.figure, kind, bool(told))
+            self._send()
 
     def _send(self) -> None:
         """Everything at once to the browser, as soon as there is a picture."""

@@ -1,0 +1,166 @@
+"""The explorer's model and rows of bodies in space, against space.md section 2 and what is plain geometry."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import paper_body
+from places import DATA
+
+import cddf_jax as cddf
+from cddf_jax.explorer.model import Exploration
+from cddf_jax.explorer.past import why_no_loop
+from cddf_jax.explorer.space import SpacePlot, body_rows, floor_rows, load_rows, tendon_rows
+from cddf_jax.explorer.words import numbers_html
+from cddf_jax.figures.geometry import Drawn, stations, straight_spatial_body
+from cddf_jax.measurements.table import Measurements
+
+THREE = DATA / "three_tendons_made_up.toml"
+
+
+def turned(*angles):
+    """The paper's body with tendons at angles around its axis, rad."""
+    tendons = tuple(cddf.Tendon(0.010, angle=angle) for angle in angles)
+    return replace(paper_body("exact"), tendons=tendons)
+
+
+@pytest.fixture(scope="module")
+def three():
+    return Exploration(cddf.read_manipulator(THREE))
+
+
+def straight(manipulator, loads=None):
+    """What is drawn of a body without tensions: all lines straight, at 9 mm and 0, 120 and 240 degrees."""
+    s = stations(manipulator)
+    body, angles = straight_spatial_body(manipulator, s), np.radians([0.0, 120.0, 240.0])
+    across = 9.0 * np.stack([0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
+    paths = body.midline + across[:, None]
+    loads = cddf.Loads((0.0, 0.0, 0.0)) if loads is None else loads
+    return Drawn(body, body, paths, np.ones(paths.shape[:2]), loads)
+
+
+def of(rows, kind):
+    return [row for row in rows if row.kind == kind]
+
+
+def test_every_number_of_a_body_in_space_has_a_slider(three):
+    names = [control.name for control in three.controls]
+    assert names[:3] == ["base_tension_1", "base_tension_2", "base_tension_3"]
+    for load in ("tip_force", "tip_moment", "gravity"):
+        assert [name for name in names if name.startswith(load)] == [f"{load}.{i}" for i in range(3)]
+    labels = [control.label for control in three.controls]
+    assert labels[7:10] == ["Tip force X", "Tip force Y", "Tip force Z"]
+    assert {"friction_coefficient", "youngs_modulus", "outer_radius.base", "outer_radius.tip"} < set(names)
+
+
+def test_loads_of_three_components_reach_the_solver(three):
+    numbers = {**three.start.numbers, "tip_force.2": -0.2, "tip_moment.0": 0.03, "gravity.1": -9.81}
+    loads = three.case(three.start._replace(numbers=numbers)).loads
+    np.testing.assert_array_equal(loads.tip_force, [0.0, 0.0, -0.2])
+    np.testing.assert_array_equal(loads.tip_moment, [0.03, 0.0, 0.0])
+    np.testing.assert_array_equal(loads.gravity, [0.0, -9.81, 0.0])
+    assert three.case(three.start).loads is None
+
+
+@pytest.mark.slow
+def test_the_picture_of_two_tendons_is_that_of_the_table():
+    """space.md section 2, tendons at 0 and 90 degrees, 40 and 20 N; 10 digits."""
+    table = Measurements.from_columns(
+        "tips", base_tension=[40.0], base_tension_2=[20.0], tip_x=[0.13], tip_y=[0.036], tip_z=[0.018]
+    )
+    explored = Exploration(turned(0.0, np.pi / 2), (table,))
+    numbers = {**explored.start.numbers, "base_tension_1": 40.0, "base_tension_2": 20.0}
+    picture = explored.picture(explored.case(explored.start._replace(numbers=numbers)))
+    tip = np.array([130.40912322, 36.19224489, 18.09612245])
+    assert picture.good
+    np.testing.assert_allclose(picture.equilibrium.tip_tension, [28.6776219, 14.33881095], atol=6e-8)
+    np.testing.assert_allclose(1e3 * picture.equilibrium.tip_position, tip, atol=6e-9)
+    assert '<b data-name="tip_z">18.096</b> mm' in numbers_html(picture)
+    # both bend in one plane, without twist: kappa = T d / (E J) of 32.1 N at the tip, the length of both tensions
+    bent = np.hypot(28.6776219, 14.33881095) * 0.010 / (1.4e6 * np.pi / 4 * (0.013**4 - 0.007**4))
+    assert picture.peak_curvature == pytest.approx(bent, rel=1e-8)
+    assert picture.peak_twist == pytest.approx(0.0, abs=1e-9)
+    plot = SpacePlot(explored.manipulator)
+    plot.show(picture)
+    sent = dict(zip(plot.space.data["kind"], plot.space.data["points"], strict=True))  # the last of each kind
+    np.testing.assert_allclose(sent["axis"][-3:], tip, atol=1e-6)
+    # the anchor of tendon 2 lies 10 mm from the axis, across the body
+    arm = sent["end"] - tip
+    assert np.linalg.norm(arm) == pytest.approx(10.0, rel=1e-9)
+    assert arm @ sent["ahead"] == pytest.approx(0.0, abs=1e-9)
+    ((_, model),) = explored.in_rows(explored.manipulator)
+    np.testing.assert_allclose([1e3 * model[f"tip_{axis}"][0] for axis in "xyz"], tip, atol=1e-5)
+    plot.show_points("data", [(table, table.columns)])
+    plot.show_points("rows", [(table, model)])
+    assert [plot.space.data["kind"].count(kind) for kind in ("data", "rows")] == [1, 1]
+
+
+@pytest.mark.slow
+def test_a_force_out_of_the_plane_is_that_of_the_table():
+    """space.md section 2, one tendon at 40 N and 0.5 N along z at the tip."""
+    explored = Exploration(turned(0.0))
+    numbers = {**explored.start.numbers, "base_tension_1": 40.0, "tip_force.2": 0.5}
+    case = explored.case(explored.start._replace(numbers=numbers))
+    picture = explored.picture(case)
+    assert picture.equilibrium.tip_tension[0] == pytest.approx(29.537997, abs=6e-7)
+    expected = [132.04836657, 36.77433798, 4.08358246]
+    np.testing.assert_allclose(1e3 * picture.equilibrium.tip_position, expected, atol=1e-6)
+    assert why_no_loop(case, (75.0, 40.0)).startswith("The past is not remembered here: that is for one tendon in the")
+
+
+@pytest.mark.slow
+def test_the_curve_of_a_helix_is_that_of_the_table():
+    """space.md section 2, helix of half a turn at 75 N."""
+    explored = Exploration(cddf.read_manipulator(DATA / "helix_made_up.toml"))
+    curve = explored.curve(explored.case(explored.start))
+    at = np.flatnonzero(curve.base_tension == 75.0)
+    np.testing.assert_allclose(curve.tip_tension[at], [54.52936051], atol=6e-9)
+
+
+def test_an_order_that_is_not_followed_is_said(three):
+    tension = {f"base_tension{end}": [10.0, 20.0, 10.0] for end in ("", "_2", "_3")}
+    table = Measurements.from_columns("loop", **tension, tip_angle=[0.1, 0.2, 0.15], step=[1, 2, 3])
+    explored = replace(three, tables=(table,))
+    assert explored.in_rows(explored.manipulator) == []
+    (note,) = explored.notes
+    assert note.startswith("loop: the order of its rows is not followed in space")
+    with pytest.raises(cddf.InputError, match="a history with a body in space is not known yet"):
+        explored.fit("exact")
+
+
+def test_rows_hold_the_straight_body_and_its_tendons(three):
+    rows = [*body_rows(straight(three.manipulator)), *tendon_rows(straight(three.manipulator))]
+    rings = of(rows, "ring")
+    np.testing.assert_allclose([rings[0].points[0], rings[-1].points[0]], [[0, 15, 0], [200, 12, 0]], atol=1e-12)
+    ends = np.stack([row.points for row in of(rows, "end")])
+    np.testing.assert_allclose(ends, [[200, 9, 0], [200, -4.5, 7.794229], [200, -4.5, -7.794229]], atol=1e-6)
+    assert [row.text for row in of(rows, "name")] == ["1", "2", "3"]
+    looks = {(row.color, row.dash) for row in of(rows, "tendon")}
+    assert len({color for color, _ in looks}) == len({dash for _, dash in looks}) == 3
+
+
+def test_a_step_of_the_body_has_a_ring_on_both_sides(three):
+    """From 15 to 12 mm at 70 mm, which is no place of the grid of rings."""
+    radius = cddf.Piecewise([0.070], [0.015, 0.012])
+    rings = of(body_rows(straight(replace(three.manipulator, outer_radius=radius))), "ring")
+    near = [ring.points[0, 1] for ring in rings if abs(ring.points[0, 0] - 70.0) < 1e-3]
+    assert {15.0, 12.0} == {round(y, 9) for y in near}
+
+
+def test_loads_are_arrows_at_the_tip(three):
+    loads = cddf.Loads((0.0, 0.0, -2.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.0))
+    force, moment = load_rows(straight(three.manipulator, loads))
+    np.testing.assert_allclose(force.points, [[200, 0, 0], [200, 0, -40]], atol=1e-9)  # a fifth of 200 mm
+    np.testing.assert_allclose(moment.points[:, 1], 0.0, atol=1e-9)  # turns about Y
+    assert load_rows(straight(three.manipulator)) == []
+
+
+def test_the_floor_has_numbers_in_mm():
+    rows = floor_rows(200.0, 50.0)
+    (floor,) = of(rows, "floor")
+    assert floor.points[2] == -100.0  # two squares down, at least 0.35 of the length
+    for axis, numbers in (("X", [50, 100, 150]), ("Y", [-50, 50])):
+        side = [row for row in of(rows, "edge") if row.side[0 if axis == "Y" else 1] == 1]
+        told = {row.text: row.points["XYZ".index(axis)] for row in side}
+        assert told.pop(f"{axis} (mm)") == 0.0
+        assert {float(text): at for text, at in told.items()} == {n: n for n in numbers}
