@@ -1,14 +1,12 @@
 """The explorer's page in a headless browser against `solve` and `fit`; `make browser` runs these tests."""
 
 import re
-import shutil
 import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from bodies import paper_body
+from pages import PATIENCE, hosts_of, opened_page, served, wait_for
 from places import DATA
 
 import cddf_jax as cddf
@@ -17,47 +15,19 @@ from cddf_jax.explorer.model import Exploration
 pytestmark = pytest.mark.browser
 
 ROBOT, ANGLES, CELLS = DATA / "smooth_sil_940.toml", DATA / "tip_angle_simulated.csv", DATA / "load_cells_simulated.csv"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-PATIENCE = 120_000  # ms, for compilers on a busy machine
 
 
 @pytest.fixture(scope="module")
 def server():
-    """`cddf explore` twice in one process, each ended as a person ends it: its output, and the first address."""
-    program = "from cddf_jax.cli.app import app; [app(standalone_mode=False) for _ in range(2)]"
-    arguments = [ROBOT, ANGLES, "--kinematics", "exact", "--no-browser"]
-    command = [sys.executable, "-u", "-c", program, "explore", *map(str, arguments)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        line = process.stdout.readline()
-        if line:
-            yield process, line.split()[0]
-            process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=60)
-    assert line.startswith("http://localhost:"), error
-    assert process.returncode == 0, error
-    assert "Traceback" not in error
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("there is no chromium on this machine; install Debian's package of this name")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as running:
-        opened = running.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield opened
-        opened.close()
+    """`cddf explore` twice in one process: the process, and the first address."""
+    with served(ROBOT, ANGLES, "--kinematics", "exact", times=2) as (process, address):
+        yield process, address
 
 
 @pytest.fixture(scope="module")
 def opened(browser, server):
     """The page with its first picture, what it asked for, and what went wrong in it."""
-    page, asked, wrong = browser.new_page(viewport={"width": 1440, "height": 900}), [], []
-    page.set_default_timeout(PATIENCE)
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("websocket", lambda socket: asked.append(socket.url))
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.goto(server[1])
+    page, asked, wrong = opened_page(browser, server[1])
     page.locator(".computing").first.wait_for()  # while there is no answer yet
     wait_for(page, "new_base_tension")
     page.locator(".computing").first.wait_for(state="detached")
@@ -85,12 +55,6 @@ def type_number(page, name, text):
     field = page.locator(".slider-edit input").nth(CONTROLS.index(name))
     field.fill(text)
     field.press("Enter")
-
-
-def wait_for(page, name, text=None):
-    """Until a number, or this one, stands on the page."""
-    words = {} if text is None else {"has_text": re.compile(f"^{re.escape(text)}$")}
-    page.locator(f'[data-name="{name}"]', **words).wait_for()
 
 
 def follows(page, base_tension, **changes):
@@ -297,8 +261,7 @@ def test_a_narrow_page_is_one_column(page):
 def test_nothing_is_asked_of_the_network(opened):
     _, asked, wrong = opened
     assert any(url.startswith("ws://localhost:") for url in asked)
-    hosts = {re.match(r"\w+://([^:/]*)", url)[1] for url in asked if not url.startswith(("data:", "blob:"))}
-    assert hosts == {"localhost"}
+    assert hosts_of(asked) == {"localhost"}
     assert wrong == []
 
 

@@ -1,0 +1,49 @@
+"""What the tests of the explorer's page share: a server of their own, and waiting for numbers."""
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+PATIENCE = 120_000  # ms, for compilers on a busy machine
+
+
+@contextmanager
+def served(*arguments, times=1):
+    """`cddf explore` so many times in one process, each ended by Ctrl-C: the process, its first address."""
+    program = f"from cddf_jax.cli.app import app; [app(standalone_mode=False) for _ in range({times})]"
+    command = [sys.executable, "-u", "-c", program, "explore", *map(str, arguments), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        line = process.stdout.readline()
+        if line:
+            yield process, line.split()[0]
+            process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+    assert line.startswith("http://localhost:"), error
+    assert process.returncode == 0, error
+    assert "Traceback" not in error
+
+
+def opened_page(browser, address):
+    """A wide page, what it asks for, and what goes wrong in it."""
+    page, asked, wrong = browser.new_page(viewport={"width": 1440, "height": 900}), [], []
+    page.set_default_timeout(PATIENCE)
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("websocket", lambda socket: asked.append(socket.url))
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.goto(address)
+    return page, asked, wrong
+
+
+def wait_for(page, name, text=None):
+    """Until a number, or this one, stands on the page."""
+    words = {} if text is None else {"has_text": re.compile(f"^{re.escape(text)}$")}
+    page.locator(f'[data-name="{name}"]', **words).wait_for()
+
+
+def hosts_of(asked):
+    """Of what a page asked for, but for what it made itself."""
+    return {re.match(r"\w+://([^:/]*)", url)[1] for url in asked if not url.startswith(("data:", "blob:"))}
