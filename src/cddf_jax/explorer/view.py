@@ -100,12 +100,9 @@ class ExplorerView:
         ]
         kinematics = self.settings.kinematics
         self.kinematics = pn.widgets.Select(name="Kinematics", options=list(KINEMATICS), value=kinematics, width=105)
-        self.angle = pn.widgets.FloatInput(
-            name="Tip angle asked for (deg)",
-            value=45.0 * self.exploration.manipulator.tendons[0].side,
-            step=5.0,
-            width=180,
-        )
+        body = self.exploration.manipulator
+        angle = 45.0 if body.in_space else 45.0 * body.tendons[0].side  # in space it has no sign
+        self.angle = pn.widgets.FloatInput(name="Tip angle asked for (deg)", value=angle, step=5.0, width=180)
         self.reset = pn.widgets.Button(name="Back to the file's numbers", on_click=lambda _: self._start_again())
         self.forget_button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
         for widget in (*self.sliders.values(), *self.directions, self.kinematics, self.angle):

@@ -29,7 +29,7 @@ def numbers_html(picture: Picture) -> str:
     curvature = "peak curvature" if twist is None else "peak bending"
     tiles = [
         ("tip angle", _number("tip_angle", f"{np.degrees(float(found.tip_angle)):.3f}", "deg")),
-        *((f"tip {axis.upper()}", _number(f"tip_{axis}", f"{at:.3f}", "mm")) for axis, at in place),
+        *((f"tip {axis.upper()}", _number(f"tip_{axis}", f"{at:z.3f}", "mm")) for axis, at in place),
         (curvature, _number("peak_curvature", f"{picture.peak_curvature:.4g}", "1/m")),
         ("error estimate", _number("error_estimate", f"{float(found.error_estimate):.1e}", "")),
     ]
