@@ -10,7 +10,8 @@ from bodies import PAPER, paper_body, paper_plain, straight
 from places import DATA
 
 import cddf_jax as cddf
-from cddf_jax.explorer.model import NUM_PULLS, Exploration, from_si, in_si, rounded
+from cddf_jax.explorer.controls import from_si, in_si, rounded
+from cddf_jax.explorer.model import NUM_PULLS, Exploration
 from cddf_jax.explorer.plots import TensionPlots
 from cddf_jax.explorer.words import numbers_html
 from cddf_jax.quantities import QUANTITIES

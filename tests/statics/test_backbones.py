@@ -270,7 +270,8 @@ def test_radii_that_change_nothing_do_not_vary():
 
 
 def test_the_explorer_offers_no_taper_that_bends_nothing():
-    from cddf_jax.explorer.model import RADII, Exploration
+    from cddf_jax.explorer.controls import RADII
+    from cddf_jax.explorer.model import Exploration
 
     given, of_radii = (
         Exploration(b) for b in (beside_radii(), beside_radii(bending_stiffness=None, youngs_modulus=1e6))

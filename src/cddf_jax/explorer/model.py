@@ -1,10 +1,9 @@
 """What the explorer shows: one body under the numbers of its sliders, solved by a program that is compiled once."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, SupportsFloat
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,15 +14,13 @@ from jaxtyping import Array, ArrayLike, Float
 from ..errors import InputError
 from ..figures.geometry import lines_along, stations
 from ..files.manipulator_file import manipulator_text
-from ..identification.bench import Bench, Pulley, experiment_of, starting_value, stiffness_parameter
+from ..identification.bench import Bench, Pulley, experiment_of
 from ..identification.course import Shown, course_of, has_history
 from ..identification.fit import Fit, fit
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
 from ..mechanics.fields import AnyFields, SpatialFields
-from ..programs.evaluated import evaluated
 from ..programs.kept import kept_program
-from ..quantities import QUANTITIES, Quantity
 from ..robot.cross_section import Kinematics
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -33,38 +30,11 @@ from ..statics.description import result_in_words, wall_remarks
 from ..statics.equilibrium import RESULTS, Equilibrium, ended_as
 from ..statics.solve import solve
 from ..statics.targets import TipAngle
-from ..units import round_number
+from .controls import FITTED, RADII, Control, controls_of, in_si, load_components
 
 GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
 NUM_PULLS = 17  # on the curve over the base tension
 NODES = 16  # of the solves in the rows of tables, as `fit` has them
-FITTED = ("friction_coefficient", "youngs_modulus", "stiffness_factor")  # the last two in each other's place
-RADII = ("outer_radius.base", "outer_radius.tip")
-LOADS = ("tip_force", "tip_moment", "gravity")
-
-
-class Control(NamedTuple):
-    """One number that can be changed, in the unit that is shown."""
-
-    name: str
-    value: float
-    low: float
-    high: float
-    least: float | None = None  # that may be typed
-    which: str = ""  # of several of one kind
-
-    @property
-    def quantity(self) -> Quantity:
-        """What is changed: "base_tension" of "base_tension_2", "outer_radius" of "outer_radius.tip"."""
-        return QUANTITIES[re.split(r"_\d|\.", self.name)[0]]
-
-    @property
-    def label(self) -> str:
-        return self.quantity.label + self.which
-
-    @property
-    def step(self) -> float:
-        return round_number((self.high - self.low) / 200)
 
 
 class Settings(NamedTuple):
@@ -137,66 +107,12 @@ class Exploration:
         for table in self.tables:
             experiment_of(table, self.manipulator)
 
-    # --- numbers and their ranges ----------------------------------------------------------------
+    # --- settings --------------------------------------------------------------------------------
 
     @cached_property
     def controls(self) -> tuple[Control, ...]:
         """Everything that can be changed, with ranges about the numbers of the manipulator."""
-        body, name = self.manipulator, stiffness_parameter(self.manipulator)
-        mu, value = float(body.friction_coefficient), from_si(starting_value(body, name), QUANTITIES[name])
-        friction = Control(FITTED[0], mu, 0.0, max(1.0, _above(2 * mu)), 0.0)
-        own = all(tendon.friction_coefficient is not None for tendon in body.tendons)
-        stiffness = Control(name, value, round_number(0.2 * value), _above(2.5 * value), 1e-6)
-        return (*self._tensions, *([] if own else [friction]), stiffness, *self._radii, *self._loads)
-
-    @cached_property
-    def _tensions(self) -> list[Control]:
-        body = self.manipulator
-        s, length = self.arc_length, float(body.length)
-        offset = np.maximum(evaluated(Manipulator.offset, body, s), 1e-3 * length)
-        stiffness = evaluated(Manipulator.stiffness, body, s)
-        turn = np.max(np.trapezoid(offset / stiffness, s))  # of the tip per tension, without friction
-        most = min(2.0 / turn, 0.3 * float(np.min(stiffness / offset**2)))
-        measured = [float(table["base_tension"].max()) for table in self.tables if "base_tension" in table]
-        high = _above(max([most, *measured]))
-        which = [f" {i + 1}" if body.num_tendons > 1 else "" for i in range(body.num_tendons)]
-        return [
-            Control(of_tendon("base_tension", i), 0.0 if i else 0.75 * high, 0.0, high, 0.0, text)
-            for i, text in enumerate(which)
-        ]
-
-    @cached_property
-    def _radii(self) -> list[Control]:
-        radius = self.manipulator.outer_radius
-        if radius is None or not self.manipulator.stiffened_by_radii:
-            return []
-        ends = evaluated(radius, np.array([0.0, self.manipulator.length]))
-        ends = [from_si(end, QUANTITIES["outer_radius"]) for end in ends]
-        which = (" at the base", " at the tip")
-        return [Control(n, r, 0.5 * r, 1.5 * r, 0.0, text) for n, r, text in zip(RADII, ends, which, strict=True)]
-
-    @cached_property
-    def _loads(self) -> list[Control]:
-        body, length = self.manipulator, float(self.manipulator.length)
-        stiffness = float(np.median(evaluated(Manipulator.stiffness, body, self.arc_length)))
-        most = {
-            "tip_force": _above(0.6 * stiffness / length**2),
-            "tip_moment": _above(0.3 * stiffness / length),
-            "gravity": 10.0,
-        }
-        return [
-            Control(name, 0.0, -most[kind], most[kind], which=f" {axis}" if axis else "")
-            for kind, axes in self._components.items()
-            for name, axis in axes.items()
-            if kind != "gravity" or body.has_mass
-        ]
-
-    @property
-    def _components(self) -> dict[str, dict[str, str]]:
-        """Names and axes of the components of each load; a moment in the plane has one and no axis."""
-        axes = "XYZ" if self.manipulator.in_space else "XY"
-        found = {kind: {f"{kind}.{i}": axis for i, axis in enumerate(axes)} for kind in LOADS}
-        return found if self.manipulator.in_space else found | {"tip_moment": {"tip_moment": ""}}
+        return controls_of(self.manipulator, self.tables, self.arc_length)
 
     @property
     def start(self) -> Settings:
@@ -224,12 +140,11 @@ class Exploration:
         number = {c.name: in_si(settings.numbers[c.name], c.quantity) for c in self.controls}
         body = replace(self.manipulator, kinematics=settings.kinematics)
         body = replace(body, **{name: number[name] for name in FITTED if name in number})
-        if self._radii:
-            assert body.outer_radius is not None
+        if body.outer_radius is not None and RADII[0] in number:
             base, tip = (number[name] for name in RADII)
             wall = tapered(body.outer_radius, base, tip, body.length)
             body = replace(body, outer_radius=wall).validate(offsets_outside_wall=self.offsets_outside_wall)
-        given = {kind: [number.get(name, 0.0) for name in names] for kind, names in self._components.items()}
+        given = {kind: [number.get(name, 0.0) for name in names] for kind, names in load_components(body).items()}
         parts = {kind: values if len(values) > 1 else values[0] for kind, values in given.items()}
         loads = Loads(**parts) if any(map(any, given.values())) else None
         pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
@@ -280,7 +195,7 @@ class Exploration:
             settings: where the controls stand.
             angle: of the tip, rad, for which the tension is asked.
         """
-        own = {c.name: c.value for c in self._radii}
+        own = {c.name: c.value for c in self.controls if c.name in RADII}
         both = (settings._replace(numbers={**settings.numbers, **own}), settings)
         first, second = (Taper(*map(float, _taper(self.case(s), np.float64(angle)))) for s in both)
         return first, second
@@ -360,29 +275,3 @@ def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
 def _where_good(equilibrium: Equilibrium | Shown, numbers: tuple) -> tuple:
     good = (equilibrium.result == GOOD[0]) | (equilibrium.result == GOOD[1])
     return tuple(jnp.where(good, number, jnp.nan) for number in numbers)
-
-
-# --- numbers -------------------------------------------------------------------------------------
-
-
-def in_si(value: float, quantity: Quantity) -> float:
-    """The SI number of a shown one, with its digits: 12.7 mm is 0.0127."""
-    return float(f"{value / quantity.shown[0]:.15g}")
-
-
-def from_si(value: SupportsFloat, quantity: Quantity) -> float:
-    """The other way round."""
-    return float(f"{float(value) * quantity.shown[0]:.15g}")
-
-
-def rounded(value: float, low: float, high: float) -> float:
-    """To what the 95 % interval from low to high tells: two digits of its half-width."""
-    half_width = 0.5 * (high - low)
-    if not 0 < half_width < np.inf:
-        return value
-    return round(value, 1 - int(np.floor(np.log10(half_width))))
-
-
-def _above(value: float) -> float:
-    """The least of 1, 2 and 5 times a power of ten that is not below a positive value."""
-    return 1.0 / round_number(1.0 / value)

@@ -7,7 +7,7 @@ import panel as pn
 from bokeh.models import Slider
 from bokeh.plotting import figure as BokehFigure  # noqa: N812  # a class, in spite of its name
 
-from .model import Control
+from .controls import Control
 
 STYLES = [Path(__file__).with_name("page.css").read_text(encoding="utf-8")]  # of every part of the page
 

@@ -23,7 +23,8 @@ from ..reports.fit_results import make_report
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
 from ..robot.named_numbers import Case
-from .model import LOADS, Exploration, Picture, Settings, from_si, rounded
+from .controls import LOADS, from_si, rounded
+from .model import Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
 from .past import Loop, Turns, gone_on, loop, why_no_loop
 from .plots import AlongPlots, BodyPlot, TensionPlots
