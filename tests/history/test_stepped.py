@@ -45,6 +45,24 @@ def test_refined_antagonists_meet_the_table():
 
 
 @pytest.mark.slow
+def test_a_neutral_point_that_leaves_at_the_tip():
+    """Both tendons rest in the last cell for a moment. Once each slides one way all along, `solve` has the answer."""
+    pulled = np.concatenate([np.linspace(10, 70, 10), np.linspace(64, 4, 10)])
+    path = np.stack([pulled, np.full(20, 20.0)], axis=1)
+    rough, fine = (cddf.trace(PAIR, path, short_steps=n, nodes=n // 2, throw=False) for n in (8, 16))
+    out = slice(15, 20)  # from 30.7 N on
+    for history in (rough, fine):
+        good = np.isfinite(history.tip_angle)
+        np.testing.assert_array_equal(good, np.ones(20, bool))
+        for step in range(20)[out]:
+            found = cddf.solve(PAIR, path[step], direction=[-1, 1])
+            np.testing.assert_allclose(history.tip_angle[step], found.tip_angle, atol=1e-5)
+            np.testing.assert_allclose(history.tip_tension[step], found.tip_tension, rtol=1e-5)
+    apart = np.abs(rough.tip_angle - fine.tip_angle)
+    assert np.all(apart < rough.error_estimate)
+
+
+@pytest.mark.slow
 def test_stretch_of_antagonists():
     stiff, soft = (
         eqx.tree_at(lambda b: [t.axial_stiffness for t in b.tendons], PAIR, [EA, EA], is_leaf=lambda x: x is None)
