@@ -19,7 +19,7 @@ from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
-from cddf_jax.identification.past import Start, starts_of
+from cddf_jax.identification.past import Start, first_guesses, starts_of
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports.fit_report import fit_as_markdown, fit_in_words
@@ -261,7 +261,7 @@ def scaled_slopes(free):
     """Of tip tension and tip angle over their noise by the logarithms of parameters, as the bench has them."""
     table = released()
     truth = {"friction_coefficient": MU, "youngs_modulus": E, "before": 57.0}
-    course = course_of(table, starts=[Start(None, "before")])[0]
+    course = course_of(table, starts=[Start((None,), ("before",))])[0]
     slopes = experiment_of(table, BODY, course=course).evaluate(BODY, truth, 16).derivatives
     places = [sorted(truth).index(name) for name in free]
     return [slopes[column][:, places] * [truth[name] for name in free] / NOISE[column] for column in NOISE]
@@ -324,11 +324,15 @@ def test_trials_begin_in_their_own_ways():
     both = Measurements.from_columns("bench", **columns, tip_tension=tip, tip_angle=angle)
     start = starts_of([2], "rest", ["before_2"])[0]
     course = course_of(both, starts=start)[0]
-    assert course.past.parameters == ("", "before_2")
-    np.testing.assert_array_equal(course.path({"before_2": 50.0})[:, 0, 0], [40.0, 50.0])
+    assert course.past.parameters == (("",), ("before_2",))
+    np.testing.assert_array_equal(course.path({"before_2": 50.0})[:, 0, 0], [0.0, 50.0])  # 0 N is rest
     assert course_of(both, starts=starts_of([2], ["rest", 60.0], [])[0])[0].past_in_words == ["rest", "60 N"]
-    assert starts_of([2], ["rest", 70.0], ["before"])[0] == [Start(None), Start(70.0, "before")]
-    assert starts_of([1, 0, 1], "rest", ["before"]) == [[Start(None, "before")], [], [Start(None, "before")]]
+    assert starts_of([2], ["rest", 70.0], ["before"])[0] == [Start((None,), ("",)), Start((70.0,), ("before",))]
+    assert starts_of([1, 0, 1], "rest", ["before"]) == [
+        [Start((None,), ("before",))],
+        [],
+        [Start((None,), ("before",))],
+    ]
     bench = experiment_of(both, BODY, course=course)
     truth = {"friction_coefficient": MU, "youngs_modulus": E, "before_2": 60.0}
     read = bench.predict(BODY, {name: np.asarray(value) for name, value in truth.items()}, 16)
@@ -338,7 +342,7 @@ def test_trials_begin_in_their_own_ways():
 
 def test_a_first_row_may_be_a_release():
     down = released(direction=[-1, -1, 1, 1, 1, 1, -1, -1, -1, -1])
-    for start in (Start(60.0), Start(None, "before")):
+    for start in (Start((60.0,)), Start((None,), ("before",))):
         course_of(down, starts=[start])
     with pytest.raises(InputError, match="row 1, column direction: is -1, but base_tension rises there from 0 to 40 N"):
         course_of(down)
@@ -396,10 +400,54 @@ def test_the_course_of_several_tendons():
     np.testing.assert_allclose(course.tip_force[0, :, 1], force)
     assert not course.force_stays
     assert course_of(pair_table(tip_force_y=np.full(20, -0.2)))[0].force_stays
-    with pytest.raises(InputError, match="pair: before is that of one tendon; write what came before as rows"):
-        course_of(pair_table(), starts=[Start(60.0)])
+    with pytest.raises(InputError, match="pair: before is that of 1 tendons, and there are 2 columns of"):
+        course_of(pair_table(), starts=[Start((60.0,))])
     with pytest.raises(InputError, match="fit: short_steps must be a whole number of 2 or more, got 1"):
         cddf.fit(PAIR, pair_table(), short_steps=1)
+
+
+def test_what_came_before_several_tendons():
+    """Of each trial and tendon; what is not told is as in the first row, a trial from rest begins without tension."""
+    trials = pair_table(trial=np.repeat([1, 2], 10))
+    starts = starts_of([2], ["rest", (60.0, 5.0)], ["before_2", "before_tendon_2_1"], 2)[0]
+    assert starts == [Start((None, None), ("", "before_tendon_2_1")), Start((60.0, 5.0), ("before_2", ""))]
+    course = course_of(trials, starts=starts)[0]
+    np.testing.assert_allclose(course.path({"before_2": 70.0, "before_tendon_2_1": 40.0})[:, 0], [[10, 40], [70, 5]])
+    assert course.past_in_words == ["10 N and fitted (before_tendon_2_1)", "fitted (before_2) and 5 N"]
+    known = course_of(trials, starts=starts_of([2], ["rest", (60.0, 5.0)], [], 2)[0])[0]
+    assert known.past_in_words == ["rest", "60 N and 5 N"]
+    np.testing.assert_allclose(known.path({})[:, 0], [[0, 0], [60, 5]])
+    assert known.pulled[10]  # 64 N are more than 60 N
+    second = [Start((60.0, 5.0), ("before_2", ""))], np.array([[64.0, 20.0]])
+    assert first_guesses(PAIR, [second]) == {"before_2": (60.0, 0.0)}
+    for before, free, message in (
+        (60.0, (), r"base tensions of 2 tendons before the first row, N, in a list of trials such as .*, got 60.0"),
+        ([(60.0, -1.0)], (), "before must be .rest. or the base tensions of 2 tendons"),
+        ("rest", ["before_tendon_3"], "before_tendon_3 is that of tendon 3, and the body has 2"),
+    ):
+        with pytest.raises(InputError, match=message):
+            starts_of([1], before, free, 2)
+
+
+@pytest.mark.slow
+def test_what_two_tendons_had_before_is_found():
+    """Simulated with 62 N against 20 N before the first row; seed stated before; fitted with fewer short steps."""
+    rng, before = np.random.default_rng(20261124), 62.0
+    path = np.stack([[45.0, 30, 50, 66, 75, 50, 30, 15], np.full(8, 20.0)], axis=1)
+    simulated = cddf.trace(PAIR, path, before=[before, 20.0], short_steps=16)
+    read = {"tip_tension": simulated.tip_tension[:, 0], "tip_tension_2": simulated.tip_tension[:, 1]}
+    read = {name: values + CELL * rng.normal(size=8) for name, values in read.items()}
+    read["tip_angle"] = simulated.tip_angle + ANGLE * rng.normal(size=8)
+    columns = {"base_tension": path[:, 0], "base_tension_2": path[:, 1], "step": range(8)}
+    table = Measurements.from_columns("pair", notes=("simulated",), **columns, **read)
+    free = ("friction_coefficient", "youngs_modulus", "before")
+    found = cddf.fit(PAIR, table, free, noise=NOISE | {"tip_tension_2": CELL})
+    assert found.success
+    assert found.status["before"] == "identified"
+    low, high = found.confidence_interval["before"]
+    assert low < before < high
+    assert found.standard_error["before"] < 2.0
+    assert "Before the first row: fitted (before) and 20 N." in fit_as_markdown(make_report(found, with_profiles=False))
 
 
 @pytest.mark.slow

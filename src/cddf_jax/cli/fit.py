@@ -39,7 +39,7 @@ BeforeOption = Annotated[
     str | None,
     typer.Option(
         help='With a history, the largest base tension before the first row, "75 N", or one for each trial, '
-        '"rest, 75 N". To find it: --free before.',
+        '"rest, 75 N"; of several tendons "60 N / 20 N". To find it: --free before.',
         show_default="rest",
     ),
 ]

@@ -23,14 +23,12 @@ from ..numerics.differences import with_differences
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS
-from ..units import shown
 from .past import REST, Before, Past, Start, past_of, starts_of
 
 STEPS = 16  # paths are traced in multiples of these: few sizes, so that tables share compiled programs
 FEW_STEPS = 4  # the same of paths that are followed in short steps
 SHORT_STEPS = 4  # of each step of a path without an exact answer
 CELLS = 2  # over the nodes
-ONE_TENDON = "that of one tendon; write what came before as rows of the trial, without readings"
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
@@ -78,15 +76,15 @@ class Course(eqx.Module):
         readings = readings[..., None] if readings.ndim == 2 else readings
         if self.past is None:
             return readings
-        return jnp.concatenate([self.past.tension(parameters)[:, None, None], readings], axis=1)
+        return jnp.concatenate([self.past.tension(parameters)[:, None], readings], axis=1)
 
     @property
     def pulled(self) -> np.ndarray:
-        """(rows,), whether the tension rose to a row."""
-        readings = np.asarray(self.readings)
-        before = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.largest)
-        released = [bool(name) for name in self.past.parameters] if self.past is not None else [False] * len(readings)
-        first = (readings[:, 0] >= before) & ~np.array(released)
+        """(rows,), whether the tension of tendon 1 rose to a row."""
+        readings = np.asarray(self.readings).reshape(*np.shape(self.readings)[:2], -1)[..., 0]
+        stated = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.stated)[:, 0]
+        released = [bool(names[0]) for names in self.past.parameters] if self.past is not None else False
+        first = (readings[:, 0] >= stated) & ~np.array(released)
         return np.column_stack([first, np.diff(readings, axis=1) > 0])[self.trial, self.step]
 
     @property
@@ -98,13 +96,8 @@ class Course(eqx.Module):
 
     @property
     def past_in_words(self) -> list[str]:
-        """Of each trial, "rest", "80 N", or "fitted (before)" with the name of the parameter."""
-        if self.past is None:
-            return ["rest"] * len(self.first_row)
-        first = np.asarray(self.readings).reshape(len(self.first_row), -1)[:, 0]
-        largest = np.asarray(self.past.largest)
-        stated = [shown(top, "force") if top > own else "rest" for own, top in zip(first, largest, strict=True)]
-        return [f"fitted ({name})" if name else words for name, words in zip(self.past.parameters, stated, strict=True)]
+        """Of each trial, as `Past.in_words`."""
+        return [REST] * len(self.first_row) if self.past is None else self.past.in_words
 
     def trace(self, body: Manipulator, tension: Array, deviation: Array | None, nodes: int) -> Shown:
         """The rows, each after what came before it.
@@ -160,12 +153,10 @@ def course_along(
         short_steps: into how many each step is divided where the answer is not exact.
 
     Raises:
-        InputError: where that is below the first step, or for several tendons.
+        InputError: where that is below the first step of a single tendon, or none of this body.
     """
     exact = path.shape[1] == 1 and not np.any(tip_force)
-    past = past_of(starts_of([1], before, ())[0], path[:1, 0].tolist(), ["step 1"])
-    if past is not None and path.shape[1] > 1:
-        raise InputError(f"before is {ONE_TENDON}")
+    past = past_of(starts_of([1], before, (), path.shape[1])[0], path[:1], ["step 1"])
     step = np.arange(len(path))
     rows = np.zeros_like(step), step, np.zeros(1, int)
     if exact:
@@ -191,7 +182,7 @@ def _course(
     longest = max(map(len, paths))
     longest += -longest % STEPS
     readings = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths])
-    above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.largest)), 1.0)]
+    above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
     most = max(_most_open(np.append(above, path)) for path in paths)
     return Course(readings, trial, step, first_row, most, past)
 
@@ -251,8 +242,8 @@ def course_of(
         short_steps: into how many each step is divided where the answer is not exact.
 
     Raises:
-        InputError: for a direction of a single tendon that the order of the rows contradicts, a largest tension before
-            a trial that is below its first row, or of several tendons.
+        InputError: for a direction of a single tendon that the order of the rows contradicts, its largest tension
+            before a trial that is below the first row, or a past of other tendons than those of the table.
     """
     rows, labels = len(table), table.columns.get("trial", np.zeros(len(table))).astype(int)
     pulled = [column for column in table.columns if column.startswith("base_tension")]
@@ -260,9 +251,12 @@ def course_of(
     exact = len(pulled) == 1 and not np.any(force)
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
     paths, forces, found, first = [], [], [], []
-    starts = [Start(None)] * np.unique(labels).size if starts is None else starts
-    if len(pulled) > 1 and not all(start.from_rest for start in starts):
-        raise InputError(f"{table.name}: before is {ONE_TENDON}")
+    starts = [Start()] * np.unique(labels).size if starts is None else starts
+    for start in (start for start in starts if not start.from_rest and len(start.tension) != len(pulled)):
+        raise InputError(
+            f"{table.name}: before is that of {len(start.tension)} tendons, and there are {len(pulled)} columns of "
+            "base tensions"
+        )
     for label, start in zip(np.unique(labels), starts, strict=True):
         own = table.order[labels[table.order] == label]
         steadied = [without_jitter(table[column][own], noise) for column in pulled]
@@ -276,7 +270,7 @@ def course_of(
         found += steadied
         first.append(own[0])
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
-    past = past_of(starts, [path[0, 0] for path in paths], places)
+    past = past_of(starts, np.array([path[0] for path in paths]), places)
     of_rows = trial, step, np.array(first)
     if exact:
         course = _course([path[:, 0] for path in paths], *of_rows, past)
@@ -300,16 +294,17 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, sta
     """A direction is a label: the tension must have risen to a row with 1 and fallen to one with -1."""
     if "direction" not in table:
         return
-    before = np.append(0.0 if start.largest is None else start.largest, steady.tension[:-1])
+    stated = start.tension[0] if start.tension else None
+    before = np.append(0.0 if stated is None else stated, steady.tension[:-1])
     moved = steady.tension - before
     sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(steady.tension))
-    sure[0] &= not start.parameter  # which tells the way to the first row
+    sure[0] &= not any(start.parameters)  # which tells the way to the first row
     wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
     if wrong.size:
         i = int(wrong[0])
-        way, stated = ("rises", -1) if moved[i] > 0 else ("falls", 1)
+        way, label = ("rises", -1) if moved[i] > 0 else ("falls", 1)
         raise InputError(
-            f"{table.name}: {table.place(int(rows[i]))}, column direction: is {stated}, but base_tension {way} there "
+            f"{table.name}: {table.place(int(rows[i]))}, column direction: is {label}, but base_tension {way} there "
             f"from {before[i]:.6g} to {steady.tension[i]:.6g} N; correct the label or the order of the rows, or "
             f"{WITHOUT}"
         )

@@ -110,7 +110,7 @@ class Fit(LeastSquaresFit):
             direction: 1 where tendons slide in and -1 where they slide out, broadcast to (rows, tendons); None where
                 it is to be found, as in `solve`.
             history: whether the base tensions are a path, pulled and released in this order; every turn counts.
-            before: with a history, what the tendon had before: "rest", or the largest base tension, N.
+            before: with a history, what the tendons had before: "rest", or base tensions, N, as of `fit`.
 
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
@@ -230,7 +230,8 @@ def fit(
             `pretension`, `angle_zero`, the pose of the camera that sees tip and markers (`camera_x`, ...,
             `camera_turn_z`), the direction of gravity (`gravity_turn_x`, ...), and errors of dimensions
             (`outer_radius_error`, `tendon_angle_error`), best with priors. With a
-            history it may be `before` (`before_2` for trial 2), the largest base tension before the first row, N.
+            history it may be `before` (`before_2` for trial 2), the largest base tension before the first row, N; of
+            several tendons that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for trial 3).
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
@@ -241,7 +242,9 @@ def fit(
             the file. None: where a table has one of these columns.
         before: with a history, what the tendon had before the first row: "rest", or the largest base tension, N, from
             which it was released to the first row, as the base cell reads it. One for all trials, or a list with one
-            for each, in the order of the tables and of their trials. Of a parameter `before` it is the start.
+            for each, in the order of the tables and of their trials. Of a parameter `before` it is the start. Of
+            several tendons an entry holds the tensions of all, [(60, 20)]; they went straight to these from rest, and
+            then to the first row. One of which nothing is told had what it has in the first row.
         short_steps: into how many each step of a history is divided with several tendons or tip forces, 2 or more; the
             report tells what more of them would change.
         per_trial: let friction differ from trial to trial, ln(mu) by a Gaussian whose spread is estimated.
@@ -314,7 +317,7 @@ def _courses(
     own = noise.get("base_tension", np.nan)
     with_history = [has_history(table, history) for table in tables]
     counts = [num_paths(table) if on else 0 for table, on in zip(tables, with_history, strict=True)]
-    starts = starts_of(counts, before, free)
+    starts = starts_of(counts, before, free, manipulator.num_tendons)
     if "base_tension" in noise and not any(with_history):
         raise InputError("noise of base_tension is used with a history only; leave it out, or give history=True")
     if isinstance(own, Noise) or np.ndim(own) or np.any(np.asarray(own) < 0):
@@ -322,8 +325,8 @@ def _courses(
     deviation = float(np.asarray(own)) if "base_tension" in noise else None
     of_tables = zip(tables, with_history, starts, strict=True)
     courses = [course_of(table, deviation, starts, short_steps) if on else None for table, on, starts in of_tables]
-    known = [(own, course[0].readings) for own, course in zip(starts, courses, strict=True) if course]
-    first = [(own, np.asarray(readings).reshape(len(own), -1)[:, 0]) for own, readings in known]
+    known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
+    first = [(own, np.asarray(course.readings)[:, 0].reshape(len(own), -1)) for own, course in known]
     return predicted, courses, first_guesses(manipulator, first)
 
 

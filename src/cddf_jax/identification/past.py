@@ -1,8 +1,10 @@
-"""What a tendon had before the first row of its trial: nothing, a stated largest base tension, or one to be fitted.
+"""What the tendons had before the first row of their trial: nothing, stated base tensions, or some to be fitted.
 
-A largest tension is what the base cell would have read. The trial begins with a release from it to the first row.
+A tension is what the base cell would have read. For one tendon it is the largest one, from which it was released to the
+first row. Several tendons went straight from rest to the tensions before, and from these to the first row.
 """
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Literal, NamedTuple, cast
 
@@ -14,87 +16,137 @@ from jaxtyping import Array, ArrayLike, Float
 from ..errors import InputError
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
+from ..units import shown
 
-PARAMETER = "before"  # that of trial 2 alone is `before_2`
+PARAMETER = "before"  # of tendon 1 in all trials
+OF_TENDON = f"{PARAMETER}_tendon_"  # before the number of another tendon; `_2` behind either is that of trial 2 alone
 REST: Literal["rest"] = "rest"
-LEAST_ABOVE = 1.02  # of the first reading, from where the search for a largest tension starts
+LEAST_ABOVE = 1.02  # of the first reading, from where the search for a tension starts
 
-One = float | Literal["rest"]
+One = float | Literal["rest"] | Sequence[float]
 Before = One | Sequence[One]
 
 
 class Start(NamedTuple):
-    """How a trial begins."""
+    """How a trial begins, by tendon; empty for rest."""
 
-    largest: float | None  # N, as read; None for rest, or for what is to be found
-    parameter: str = ""  # which is fitted; "" where none is
+    tension: tuple[float | None, ...] = ()  # N, as read; None for what is as in the first row, or to be found
+    parameters: tuple[str, ...] = ()  # which are fitted; "" where none is
 
     @property
     def from_rest(self) -> bool:
-        return self.largest is None and not self.parameter
+        return not any(self.parameters) and all(tension is None for tension in self.tension)
 
 
 class Past(eqx.Module):
-    """What the tendon had before the first row of each trial of a table."""
+    """What the tendons had before the first row of each trial of a table."""
 
-    largest: Float[np.ndarray | Array, " trials"]  # N, as read; the first reading where the trial began at rest
-    parameters: tuple[str, ...] = eqx.field(static=True)  # of each trial; "" where none is fitted
+    stated: Float[np.ndarray | Array, "trials tendons"]  # N, as read; 0 where the trial began at rest
+    parameters: tuple[tuple[str, ...], ...] = eqx.field(
+        static=True
+    )  # of each trial and tendon; "" where none is fitted
 
-    def tension(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, " trials"]:
+    def tension(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials tendons"]:
         """As read, N."""
-        stated = jnp.asarray(self.largest)
-        return jnp.stack([jnp.asarray(parameters.get(name, stated[i])) for i, name in enumerate(self.parameters)])
+        rows = zip(self.parameters, jnp.asarray(self.stated), strict=True)
+        return jnp.stack(
+            [jnp.stack([jnp.asarray(parameters.get(*one)) for one in zip(*row, strict=True)]) for row in rows]
+        )
+
+    @property
+    def in_words(self) -> list[str]:
+        """Of each trial, "rest", "80 N", "60 N and 20 N", or "fitted (before)" with the name of the parameter."""
+        return [
+            " and ".join(
+                f"fitted ({name})" if name else shown(tension, "force") for name, tension in zip(*row, strict=True)
+            )
+            if any(row[0]) or np.any(row[1])
+            else REST
+            for row in zip(self.parameters, np.asarray(self.stated), strict=True)
+        ]
 
 
 def is_past(name: str) -> bool:
-    """Whether a parameter is a largest tension before the first row."""
-    return name == PARAMETER or (name.startswith(f"{PARAMETER}_") and name.removeprefix(f"{PARAMETER}_").isdigit())
+    """Whether a parameter is a tension before the first row."""
+    return _place(name) is not None
 
 
-def starts_of(counts: Sequence[int], before: Before, free: Collection[str]) -> list[list[Start]]:
+def _place(name: str) -> tuple[int, int | None] | None:
+    """The tendon, 1, 2, ..., and the trial, 1, 2, ... or None for all, of a parameter; None for another one."""
+    found = re.fullmatch(rf"{PARAMETER}(?:_tendon_([1-9]\d*))?(?:_(\d+))?", name)
+    if not found:
+        return None
+    tendon, trial = found.groups()
+    return int(tendon or 1), None if trial is None else int(trial)
+
+
+def starts_of(counts: Sequence[int], before: Before, free: Collection[str], tendons: int = 1) -> list[list[Start]]:
     """How each trial begins, by table.
 
     Args:
         counts: of the trials of each table, 0 for a table without a history.
         before: as of `fit`.
         free: the parameters that are fitted.
+        tendons: of the body.
 
     Raises:
-        InputError: for what is neither rest nor a tension, another number of entries than trials, or the parameter of
-            a trial that is not there.
+        InputError: for what is neither rest nor a tension of each tendon, another number of entries than trials, or the
+            parameter of a trial or tendon that is not there.
     """
-    total, listed = sum(counts), not isinstance(before, str) and np.ndim(cast("ArrayLike", before)) > 0
-    fitted = [name for name in free if is_past(name)]
+    total, listed = sum(counts), not isinstance(before, str) and np.ndim(_ragged(before)) > 0
+    fitted = {place: name for name in free if (place := _place(name))}
     given = cast("Sequence[One]", before) if listed else (cast("One", before),)
-    entries: list[One] = [_checked(entry) for entry in given]
-    if not total and (fitted or any(entry != REST for entry in entries)):
+    entries = [_checked(entry, tendons) for entry in given]
+    if not total and (fitted or any(entries)):
         raise InputError("before is used with a history only; leave it out, or give history=True")
     if listed and len(entries) != total:
         raise InputError(f"before must hold one entry for each of the {total} trials, got {len(entries)}")
-    for name in fitted:
-        number = name.removeprefix(PARAMETER).removeprefix("_")
-        if number and not 1 <= int(number) <= total:
-            raise InputError(f"{name} is that of trial {number}, and there are {total} with a history")
-    starts = [_start(entry, k, fitted, listed) for k, entry in enumerate(entries if listed else entries * total, 1)]
+    for (tendon, trial), name in fitted.items():
+        if trial is not None and not 1 <= trial <= total:
+            raise InputError(f"{name} is that of trial {trial}, and there are {total} with a history")
+        if tendon > tendons:
+            raise InputError(f"{name} is that of tendon {tendon}, and the body has {tendons}")
+    starts = [
+        _start(entry, k, fitted, tendons, listed) for k, entry in enumerate(entries if listed else entries * total, 1)
+    ]
     ends = np.cumsum([0, *counts])
     return [starts[ends[i] : ends[i + 1]] for i in range(len(counts))]
 
 
-def _checked(entry: One) -> One:
-    known = entry == REST if isinstance(entry, str) else np.ndim(entry) == 0 and 0 < entry < np.inf
-    if not known:
-        raise InputError(f'before must be "rest" or the largest base tension before the first row, N, got {entry!r}')
-    return REST if isinstance(entry, str) else float(entry)
+def _ragged(before: Before) -> np.ndarray:
+    """As an array of what is in it, be it of several lengths."""
+    return np.array(before, object) if np.isscalar(before) else np.empty(len(cast("Sequence[One]", before)))
 
 
-def _start(entry: One, number: int, fitted: Sequence[str], listed: bool) -> Start:
-    """Of trial 1, 2, ...; a trial that is said to begin at rest does so, unless its own tension is fitted."""
-    own, stated = f"{PARAMETER}_{number}", None if isinstance(entry, str) else entry
-    common = PARAMETER in fitted and not (listed and stated is None)
-    return Start(stated, own if own in fitted else PARAMETER if common else "")
+def _checked(entry: One, tendons: int) -> tuple[float, ...]:
+    """One number for each tendon; none for rest."""
+    if isinstance(entry, str) and entry == REST:
+        return ()
+    try:
+        numbers = np.atleast_1d(np.asarray(entry, float))
+    except (TypeError, ValueError):
+        numbers = np.array([np.nan])
+    if numbers.shape == (tendons,) and np.all(numbers >= 0) and 0 < np.sum(numbers) < np.inf:
+        return tuple(numbers.tolist())
+    what = "the largest base tension before the first row, N"
+    if tendons > 1:
+        what = f"the base tensions of {tendons} tendons before the first row, N, in a list of trials such as [(60, 20)]"
+    raise InputError(f'before must be "rest" or {what}, got {entry!r}')
 
 
-def past_of(starts: Sequence[Start], first: Sequence[float], places: Sequence[str]) -> Past | None:
+def _start(
+    entry: tuple[float, ...], number: int, fitted: Mapping[tuple[int, int | None], str], tendons: int, listed: bool
+) -> Start:
+    """Of trial 1, 2, ...; a trial that is said to begin at rest does so, unless a tension of its own is fitted."""
+
+    def parameter(tendon: int) -> str:
+        common = "" if listed and not entry else fitted.get((tendon, None), "")
+        return fitted.get((tendon, number), common)
+
+    return Start(entry or (None,) * tendons, tuple(parameter(tendon) for tendon in range(1, tendons + 1)))
+
+
+def past_of(starts: Sequence[Start], first: Float[np.ndarray, "trials tendons"], places: Sequence[str]) -> Past | None:
     """What was before the trials of a table; None where all began at rest.
 
     Args:
@@ -103,46 +155,57 @@ def past_of(starts: Sequence[Start], first: Sequence[float], places: Sequence[st
         places: of these rows, in words.
 
     Raises:
-        InputError: where a largest tension is smaller than that of the first row.
+        InputError: where the largest tension of a single tendon is smaller than that of the first row.
     """
     if all(start.from_rest for start in starts):
         return None
-    for start, reading, place in zip(starts, first, places, strict=True):
-        if start.largest is not None and start.largest < reading:
+    stated = np.zeros_like(first)
+    for i, (start, place) in enumerate(zip(starts, places, strict=True)):
+        if start.from_rest:
+            continue
+        told = np.array(start.tension, float)
+        stated[i] = np.where(np.isnan(told), first[i], told)
+        if told.size == 1 and told[0] < first[i, 0]:
             raise InputError(
-                f"{place}: before must be the largest base tension up to this row, {reading:.6g} N or more, got "
-                f"{start.largest:.6g} N"
+                f"{place}: before must be the largest base tension up to this row, {first[i, 0]:.6g} N or more, got "
+                f"{told[0]:.6g} N"
             )
-    largest = [reading if s.largest is None else s.largest for s, reading in zip(starts, first, strict=True)]
-    return Past(np.array(largest), tuple(start.parameter for start in starts))
+    return Past(stated, tuple(start.parameters for start in starts))
 
 
 def first_guesses(
-    manipulator: Manipulator, tables: Sequence[tuple[Sequence[Start], np.ndarray]]
+    manipulator: Manipulator, tables: Sequence[tuple[Sequence[Start], Float[np.ndarray, "trials tendons"]]]
 ) -> dict[str, tuple[float, float]]:
-    """By parameter, where the search starts, and the lower bound: the largest first reading of its trials, N.
+    """By parameter, where the search starts, and the lower bound, N.
 
     Once a release has reached the tip, nothing is left of the tension before it. So the search starts where the release
-    to the first row has reached about half of the body.
+    to the first row has reached about half of the body. A single tendon had at least what it has in the first row; of
+    several each may have had less.
 
     Args:
         manipulator: the body.
         tables: the trials of each table, and their first readings, N.
     """
-    found: dict[str, tuple[float, float]] = {}
-    for starts, first in tables:
-        for start, reading in zip(starts, first.tolist(), strict=True):
-            if start.parameter:
-                guess, low = found.get(start.parameter, (0.0, 0.0))
-                stated = 0.0 if start.largest is None else start.largest
-                found[start.parameter] = max(guess, stated), max(low, reading, 0.0)
-    return {name: (guess or _half_released(manipulator, low), low) for name, (guess, low) in found.items()}
+    stated: dict[str, float] = {}
+    firsts: dict[str, tuple[int, np.ndarray]] = {}  # the tendon, and the first row of the trial where it has most
+    for starts, rows in tables:
+        for start, row in zip(starts, rows, strict=True):
+            for i, name in enumerate(start.parameters):
+                if name:
+                    stated[name] = max(stated.get(name, 0.0), start.tension[i] or 0.0)
+                    if name not in firsts or row[i] > firsts[name][1][i]:
+                        firsts[name] = i, row
+    return {
+        name: (stated[name] or _half_released(manipulator, row, i), max(float(row[i]), 0.0) if row.size == 1 else 0.0)
+        for name, (i, row) in firsts.items()
+    }
 
 
-def _half_released(manipulator: Manipulator, reading: float) -> float:
+def _half_released(manipulator: Manipulator, row: Float[np.ndarray, " tendons"], tendon: int) -> float:
     """T / T_tip says what friction takes one way; a release has to overcome it twice."""
-    if reading == 0:
+    reading = float(row[tendon])
+    if reading <= 0:
         return 1.0
-    tip = float(solve(manipulator, reading, throw=False).tip_tension[0])
+    tip = float(solve(manipulator, np.maximum(row, 0.0), throw=False).tip_tension[tendon])
     ratio = reading / tip if 0 < tip < reading else LEAST_ABOVE
     return reading * max(ratio, LEAST_ABOVE)
