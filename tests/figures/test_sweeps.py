@@ -9,14 +9,15 @@ from matplotlib.patches import Rectangle
 
 from cddf_jax.errors import InputError
 from cddf_jax.figures.style import render
-from cddf_jax.figures.sweeps import draw_map, left_out_of_figure, name_in_words, sweep_figure
+from cddf_jax.figures.sweeps import draw_lines, draw_map, left_out_of_figure, name_in_words, sweep_figure
 from cddf_jax.sweeping.one_solve import RESULT_NAMES
 
 CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")
 TENSIONS = np.linspace(10.0, 50.0, 5)
 FRICTIONS = np.linspace(0.1, 0.6, 6)
 MODULI = np.linspace(1.2e6, 1.6e6, 7)
-UNITS = {"base_tension": "N", "friction_coefficient": "1", "youngs_modulus": "Pa"}
+UNITS = dict.fromkeys(("base_tension", "base_tension_1", "base_tension_2"), "N")
+UNITS |= {"friction_coefficient": "1", "youngs_modulus": "Pa"}
 
 
 def answer_over(axes, *, tendons=1, together=None):
@@ -288,6 +289,19 @@ def test_a_path_is_drawn_in_its_order():
     assert len(arrows) == 9  # for each of three loops: up to 75 N, back to 40 N, up again
     assert legend_of(figure) == [f"Friction coefficient = {mu:.4g}" for mu in FRICTIONS[:3]]
     assert left_out_of_figure(answer, ("tip_tension",)) == []
+
+
+def test_a_path_of_two_tensions_is_drawn_over_the_one_that_varies():
+    """The path has a name of its own, and the second tension stays."""
+    together = {"base_tension_1": PATH, "base_tension_2": np.full(5, 20.0)}
+    UNITS.update(dict.fromkeys(together, "N"))
+    answer = answer_over({"sample": np.arange(5), "friction_coefficient": FRICTIONS[:2]}, together=together)
+    answer = answer.assign_attrs(path="sample")
+    for axes in (drawn(answer, ("tip_angle",)).axes[0], draw_lines(answer, "tip_angle", "base_tension_1")):
+        assert len(axes.lines) == 2
+        np.testing.assert_array_equal(axes.lines[0].get_xdata(), PATH)
+    with pytest.raises(InputError, match="draw_map: base_tension_1 is a path"):
+        draw_map(answer, "tip_angle", "base_tension_1", "friction_coefficient")
 
 
 def test_loops_for_which_there_is_no_room():

@@ -174,8 +174,11 @@ def test_one_loop_alone_is_a_trace():
     ("axes", "options", "message"),
     [
         ({"friction_coefficient": [0.4]}, {"base_tension": 5.0}, 'history needs the axis "base_tension"'),
-        ({"pull": {"base_tension": PATH}}, {}, "with history base_tension varies alone; write its axis as"),
-        ({"base_tension": PATH}, {"loads": cddf.Loads()}, "with history there is no loads; leave it out"),
+        (
+            {"pull": {"base_tension": PATH, "youngs_modulus": [1e6] * 5}},
+            {},
+            "only base tensions and loads vary along a path, not youngs_modulus; give it an axis",
+        ),
         ({"base_tension": PATH}, {"direction": 1}, "with history there is no direction; leave it out"),
         ({"base_tension": PATH}, {"method": cddf.LiteralIteration(1e-6)}, "with history there is no method"),
         ({"base_tension": PATH}, {"sensitivities": ("base_tension",)}, "with history there is no base_tension"),
@@ -188,9 +191,62 @@ def test_what_has_no_history(axes, options, message):
         cddf.sweep(paper_body(), axes, **{"history": True, **options})
 
 
-def test_several_tendons_have_no_history():
-    with pytest.raises(cddf.InputError, match="history is that of one tendon, the body has 2"):
-        cddf.sweep(paper_body(num_tendons=2), {"base_tension": PATH}, history=True)
+PAIR = paper_body("exact", num_tendons=2)
+PULL, AGAINST = [30.0, 60.0, 45.0], [5.0, 10.0, 10.0]
+
+
+@pytest.mark.slow
+def test_loops_of_several_tendons_and_under_loads_are_traces():
+    """One by one; a tension that is not on the path stays, or is an axis of its own."""
+    names, few = (
+        ("tip_angle", "tip_tension", "front", "work", "curvature", "error_estimate"),
+        {"short_steps": 4, "nodes": 4},
+    )
+    axes = {"path": {"base_tension_1": PULL, "base_tension_2": AGAINST}, "friction_coefficient": [0.2, 0.42]}
+    answer = cddf.sweep(PAIR, axes, history=True, outputs=names, **few)
+    assert answer.tip_tension.dims == ("path", "friction_coefficient", "tendon")
+    assert answer.attrs["path"] == "path"
+    assert answer.successful.all()
+    for i, mu in enumerate([0.2, 0.42]):
+        body = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(mu))
+        history = cddf.trace(body, np.stack([PULL, AGAINST], axis=1), **few)
+        for name in names:
+            expected = history.equilibria.curvature if name == "curvature" else getattr(history, name)
+            np.testing.assert_allclose(answer[name][:, i], expected, rtol=1e-7, atol=1e-9, err_msg=name)
+    across = {"base_tension_1": PULL, "base_tension_2": [10.0, 20.0]}
+    constant = cddf.sweep(PAIR, across, history="base_tension_1", **few)
+    history = cddf.trace(PAIR, [[pull, 20.0] for pull in PULL], **few)
+    np.testing.assert_allclose(constant.tip_angle[:, 1], history.tip_angle, rtol=1e-7)
+    pushed = {"path": {"base_tension": PULL, "loads.tip_force.1": [0.0, -0.1, -0.2]}}
+    changing = cddf.sweep(paper_body("exact"), pushed, history=True, **few)
+    loads = [cddf.Loads(tip_force=(0.0, force)) for force in (0.0, -0.1, -0.2)]
+    np.testing.assert_allclose(
+        changing.tip_angle, cddf.trace(paper_body("exact"), PULL, loads, **few).tip_angle, rtol=1e-7
+    )
+
+
+@pytest.mark.parametrize(
+    ("axes", "options", "message"),
+    [
+        (
+            {"base_tension_1": PULL, "base_tension_2": AGAINST},
+            {},
+            "base tensions vary along 'base_tension_1', 'base_tension_2'; history must be the name of the one",
+        ),
+        ({"base_tension": PULL}, {"sensitivities": ("youngs_modulus",)}, "right to about 1 % only; leave sensitiv"),
+        ({"base_tension": PULL}, {"precision": "float32"}, "of several tendons or under loads needs float64"),
+        ({"base_tension": PULL}, {"short_steps": 1}, "short_steps must be a whole number of 2 or more, got 1"),
+        ({"base_tension": PULL}, {"outputs": ("num_turns",)}, "'num_turns' is no output of a history"),
+        (
+            {"base_tension_1": PULL},
+            {"base_tension": (10.0, cddf.TipAngle(1.0))},
+            "with history base_tension must hold tensions, N, in place of targets",
+        ),
+    ],
+)
+def test_what_has_no_history_of_several_tendons(axes, options, message):
+    with pytest.raises(cddf.InputError, match=message):
+        cddf.sweep(PAIR, axes, **{"history": True, **options})
 
 
 @pytest.mark.slow

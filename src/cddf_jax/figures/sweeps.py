@@ -81,8 +81,9 @@ def draw_map(dataset: "xarray.Dataset", output: str, x: str, y: str, axes: Axes 
     Raises:
         InputError: for names that are not there, or where more varies than x and y.
     """
-    if dataset.attrs.get(PATH) in (x, y):
-        raise InputError(f"draw_map: {dataset.attrs[PATH]} is a path, along which tensions come back; use draw_lines")
+    for name in (x, y):
+        if name in dataset.coords and dataset[name].dims == (dataset.attrs.get(PATH),):
+            raise InputError(f"draw_map: {name} is a path, along which tensions come back; use draw_lines")
     array = _chosen("draw_map", dataset, output, (x, y), 1)
     with draw.axes_or_new(axes, 2.5) as axes:
         _draw_maps([axes], [array], x, y)
@@ -107,6 +108,8 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
         name = max(others, key=others.__getitem__)
         remedy = f"choose one, as in dataset.isel({{{name!r}: 0}})"
         raise InputError(f"{who}: {name} varies too, with {others[name]} values; {remedy}")
+    if (path := answer.attrs.get(PATH)) in own:
+        answer = answer.assign_attrs({PATH: over[own.index(path)]})
     answer = answer.swap_dims(dict(zip(own, over, strict=True)))
     return in_label_units(_thinned(answer, dict.fromkeys(over, VALUES)), {})[output].transpose(*over, ...)
 
@@ -137,7 +140,7 @@ def sweep_figure(
         The figure; or in words why there is none.
     """
     names = [name for name in outputs if "point" not in answer[name].dims]
-    answer = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
+    answer = _over_a_tension(answer.drop_dims("point", errors="ignore").squeeze(drop=True))
     kinds = _kinds(answer)
     if not names:
         return "outputs along the body are not drawn over what varies"
@@ -163,7 +166,7 @@ def sweep_figure(
 def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list[str]:
     """What the figure of a sweep has no room for, in words."""
     names = [name for name in outputs if "point" not in answer[name].dims]
-    short = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
+    short = _over_a_tension(answer.drop_dims("point", errors="ignore").squeeze(drop=True))
     kinds, sizes = _kinds(short), short.sizes
     along = [f"{name}, which runs along the body" for name in outputs if name not in names]
     varied = [name for name in short.coords if name not in (*OPTIONS, *PARTS)]
@@ -184,6 +187,16 @@ def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list
 def _too_many(counts: Sequence[tuple[int, int, str]], others: Sequence[str]) -> list[str]:
     """What there is more of than has room, after what has none at all, in words."""
     return [*others, *(f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room)]
+
+
+def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
+    """A path along which several numbers vary, over the base tension that varies most."""
+    path = answer.attrs.get(PATH)
+    if path in answer.coords or path not in answer.dims:
+        return answer
+    pulled = [name for name in _lists(answer) if name.startswith("base_tension") and answer[name].dims == (path,)]
+    widest = max(pulled, key=lambda name: float(np.ptp(answer[name].values)))
+    return answer.swap_dims({path: widest}).assign_attrs({PATH: widest})
 
 
 class _Kinds(NamedTuple):

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from ..mechanics.fields import Fields, planar_fields
 from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.problem import State, axis_of, guarded_section, lay_out, stretch_rate
-from ..numerics.arrays import largest_size
+from ..numerics.arrays import largest_size, varying_as, zero_as
 from ..programs.kept import kept_program
 from ..robot.cross_section import planar
 from ..robot.loads import Loads
@@ -196,9 +196,11 @@ def _followed(
         rough: how the pass differs from the fine one.
     """
     cells = cut_into_cells(manipulator, kind.num_cells, rough.cells)
-    given = _given(manipulator, cells, path, kind, rough.cells)
+    zero = zero_as(manipulator, path)  # under shard_map all of them vary over the devices, or none
+    given = varying_as(_given(manipulator, cells, path, kind, rough.cells), zero)
     if start is None:
         start = _at_rest(manipulator, cells, path, jax.tree.map(lambda x: x[0], given), kind)
+    start = varying_as(start, zero)
     counts = jnp.arange(1, kind.num_steps + 1)
     driven = jnp.asarray(kind.driven, int)
 

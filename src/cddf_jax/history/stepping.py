@@ -12,10 +12,11 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
-from ..numerics.arrays import largest_size, zero_as
+from ..numerics.arrays import largest_size, varying_as, zero_as
 from ..numerics.implicit import slope_along, solve_small
 from .cells import Cells, Edge, along_cell, missing_along
 
@@ -23,11 +24,9 @@ Number = Float[Array, ""]
 PerCell = Float[Array, "*P tendons"]  # of all cells; without their axis of one
 FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
 LAST_SOFTNESS = 1e-13
-SHRINKING = 0.1  # of delta, in each pass
-QUICK_PASSES = 40  # after which all begins again
-SLOW_SHRINKING = 0.3  # from then on, after passes that changed little
-SETTLED = 1e-2
-MAX_PASSES = 200
+SHRINKING = (0.1, 0.3, 0.5)  # of delta in each pass, attempt by attempt
+SETTLED = (np.inf, 1e-2, 1e-4)  # after passes that changed less
+PASSES = (40, 120, 240)  # after which the next attempt begins anew
 LOCATING = 5  # passes with the last delta, after which the place of a front within its cell is held
 TOLERANCE = 1e-10
 PATIENCE = 10  # passes with the last delta, after which changes are those of rounding, see `_tolerance`
@@ -94,13 +93,13 @@ def after_step(setting: Setting, ends: Ends, before: Step) -> Step:
 @eqx.filter_custom_jvp
 def _after_step(given: tuple[Setting, Ends, Step]) -> tuple[Step, _Sides, Number]:
     setting, ends, before = given
-    zero = zero_as(ends, before)
-    start = jax.tree.map(lambda x: x if x.dtype == bool else x + zero, _with_ends(setting, before, ends))
+    zero = zero_as(setting, ends, before)
+    start = varying_as(_with_ends(setting, before, ends), zero)
     first, last = FIRST_SOFTNESS * setting.cells.scale + zero, LAST_SOFTNESS * setting.cells.scale
 
     def unsettled(carry):
         _, _, softness, change, count, held = carry
-        return ((change > _tolerance(held)) | (softness > last)) & (count < MAX_PASSES)
+        return ((change > _tolerance(held)) | (softness > last)) & (count < PASSES[-1])
 
     def improve(carry):
         step, sides, softness, _, count, held = carry
@@ -109,10 +108,12 @@ def _after_step(given: tuple[Setting, Ends, Step]) -> tuple[Step, _Sides, Number
         gaps = _gaps(setting, ends, before, step, sides, softness, along)
         change = _correction(setting, ends, before, step, sides, softness, gaps)
         new, size = _changed(setting, ends, step._replace(slip_rate=rate), change)
-        quick, again = count < QUICK_PASSES, count == QUICK_PASSES
-        slowly = jnp.where(size < SETTLED, SLOW_SHRINKING, 1.0)
+        again = (count == PASSES[0]) | (count == PASSES[1])
+        attempt = [count < PASSES[0], count < PASSES[1]]
+        shrinking, settled = (jnp.select(attempt, list(of[:2]), of[2]) for of in (SHRINKING, SETTLED))
         held = jnp.where(again, 0.0, held + (softness <= last))
-        softness = jnp.where(again, first, jnp.maximum(jnp.where(quick, SHRINKING, slowly) * softness, last))
+        smaller = jnp.where(size < settled, shrinking, 1.0) * softness
+        softness = jnp.where(again, first, jnp.maximum(smaller, last))
         new = jax.tree.map(lambda x, y: jnp.where(again, x, y), start, new)
         return new, sides, softness, size, count + 1.0, held
 

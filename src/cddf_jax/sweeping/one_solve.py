@@ -15,6 +15,7 @@ from ..history.history import History
 from ..history.trace import trace
 from ..mechanics.problem import Method
 from ..quantities import QUANTITIES
+from ..robot.loads import Loads
 from ..robot.named_numbers import Case
 from ..statics.equilibrium import RESULT_NAMES, RESULTS, Equilibrium, code_of
 from ..statics.solve import solve
@@ -156,11 +157,12 @@ class OneSolve(eqx.Module):
     """
 
     case: Case
-    path: Float[Array, " steps"] | None  # of base tensions, N
+    path: dict[str, Float[Array, " steps"]] | None  # base tensions, N, and loads along it, by name
     outputs: tuple[str, ...] = eqx.field(static=True)
     observables: Observables = eqx.field(static=True)
     sensitivities: tuple[str, ...] = eqx.field(static=True)
     nodes: int = eqx.field(static=True)
+    short_steps: int = eqx.field(static=True)
     method: Method = eqx.field(static=True)
     dtype: np.dtype = eqx.field(static=True)
 
@@ -185,10 +187,23 @@ class OneSolve(eqx.Module):
             outputs = {name: getattr(found, name) for name in self.outputs}
             outputs |= {name: _observed(name, function, found) for name, function in self.observables}
         else:
-            found = trace(there.manipulator, self.path, nodes=self.nodes, throw=False)
+            given = there.manipulator, *_along(there, self.path)
+            found = trace(*given, nodes=self.nodes, short_steps=self.short_steps, throw=False)
             outputs = {name: _after_each_step(found, name) for name in self.outputs}
         code = jnp.asarray(code_of(found.result))
         return outputs | {SUCCESSFUL: code == code_of(RESULTS.successful), RESULT: code.astype(jnp.int8)}
+
+
+def _along(case: Case, path: dict[str, Float[Array, " steps"]]) -> tuple[Array, Loads | None]:
+    """Base tensions of all tendons, step first, and the loads: those that stay, or step first where any changes."""
+    count = case.manipulator.num_tendons
+
+    def after_step(numbers: Numbers) -> tuple[Array, Loads | None]:
+        there = case.with_numbers(numbers)
+        return jnp.broadcast_to(jnp.asarray(there.base_tension), count), there.loads
+
+    tension, loads = jax.vmap(after_step)(path)
+    return tension, loads if any(name.startswith("loads.") for name in path) else case.loads
 
 
 def _after_each_step(history: History, name: str) -> Array:

@@ -27,7 +27,7 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, of_tendon
 from ..statics.arguments import check_nodes
 from ..statics.equilibrium import Equilibrium
-from ..statics.targets import Actuation
+from ..statics.targets import Actuation, Target, TipPosition
 from .axes import PATH, RESERVED, Dimension, check_names, dimensions_of
 from .one_solve import (
     IN_SPACE,
@@ -47,10 +47,12 @@ if TYPE_CHECKING:
     import xarray
 
 CHUNK = 131072  # solves
+CHUNK_IN_SHORT_STEPS = 512  # each of which takes some 10,000 times as long
 SHARE = 0.25  # of the memory that is free
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
 Observable = Callable[[Equilibrium], ArrayLike]
+ALONG_A_PATH = ("base_tension", "loads.")  # beginnings of the names of what may vary along it
 _OF_SPACE = re.compile(r"loads\.((tip_force|gravity)\.2|tip_moment\.[0-2])")  # components that the plane has not
 
 
@@ -60,7 +62,8 @@ def sweep(
     base_tension: Actuation | None = None,
     loads: Loads | None = None,
     *,
-    history: bool = False,
+    history: bool | str = False,
+    short_steps: int = 16,
     direction: ArrayLike | Sequence[int | None] | None = None,
     outputs: Sequence[str] = DEFAULT_OUTPUTS,
     observables: Mapping[str, Observable] | None = None,
@@ -82,8 +85,13 @@ def sweep(
             "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension_2", and the options "nodes",
             "method", "kinematics". SI units.
         base_tension, loads, direction, nodes, method: as `solve` takes them, where no axis names them.
-        history: take the values of the axis "base_tension" for a path in time, N, from rest: they are pulled and
-            released in their order, by `trace`, for each combination of the other axes. For one tendon without loads.
+        history: take the base tensions along their axis for a path in time, N, from rest: they are pulled and
+            released in their order, by `trace`, for each combination of the other axes. Several tendons, and loads that
+            change with them, vary together along it: {"path": {"base_tension_1": values, "base_tension_2": values}}.
+            Where base tensions vary along other axes too, the name of the axis that is the path. `loads` rest on the
+            body before the first step. Several tendons and loads are followed in short steps: ask for `error_estimate`,
+            and look at `result`, which says `inaccurate` where it is large.
+        short_steps: as `trace` takes it, with several tendons or loads.
         outputs: attributes of `Equilibrium`, or of `History` and its fields, each an array of the answer.
         observables: more outputs, by name, each a function of an `Equilibrium`.
         sensitivities: names of numbers; for each output X that is real and each number P there is then
@@ -114,6 +122,7 @@ def sweep(
         base_tension=base_tension,
         loads=loads,
         history=history,
+        short_steps=short_steps,
         direction=direction,
         outputs=_names("outputs", outputs),
         observables=dict(observables or {}),
@@ -141,7 +150,8 @@ class Sweep:
     dimensions: tuple[Dimension, ...]
     base_tension: Actuation | None = None
     loads: Loads | None = None
-    history: bool = False
+    history: bool | str = False
+    short_steps: int = 16
     direction: ArrayLike | Sequence[int | None] | None = None
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
     observables: dict[str, Observable] = field(default_factory=dict)
@@ -176,6 +186,8 @@ class Sweep:
     @property
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """What can be asked for, and its dimensions beside those of the sweep."""
+        if self._in_short_steps:
+            return {name: dims for name, dims in OF_HISTORY.items() if name != "num_turns"}  # which one tendon has
         if self.history:
             return OF_HISTORY_IN_SPACE if self.case.in_space else OF_HISTORY
         return IN_SPACE if self.case.in_space else OUTPUTS
@@ -213,22 +225,44 @@ class Sweep:
 
     def _check_history(self) -> None:
         """What cannot be traced."""
-        if self.path is None:
+        among = [dimension.name for dimension in self._pulled]
+        if not among:
             raise InputError('sweep: history needs the axis "base_tension", whose values are the path')
-        if (self.path.name, *self.path.numbers, *self.path.options) != ("base_tension", "base_tension"):
+        if self.path is None:
+            which = ", ".join(map(repr, among))
             raise InputError(
-                "sweep: with history base_tension varies alone; write its axis as {'base_tension': values}"
+                f"sweep: base tensions vary along {which}; history must be the name of the one that is the path"
             )
-        if self.manipulator.num_tendons != 1:
-            raise InputError(f"sweep: history is that of one tendon, the body has {self.manipulator.num_tendons}")
+        beside = [name for name in (*self.path.numbers, *self.path.options) if not name.startswith(ALONG_A_PATH)]
+        if beside:
+            raise InputError(f"sweep: only base tensions and loads vary along a path, not {beside[0]}; give it an axis")
         numbers = {name for d in self.dimensions for name in (*d.numbers, *d.options)}
-        given = {"loads": self.loads, "direction": self.direction, "observables": self.observables or None}
+        given = {"direction": self.direction, "observables": self.observables or None}
         others = [name for name, value in given.items() if value is not None]
-        others += [name for name in numbers if name.startswith(("loads.", "direction", "method"))]
-        others += [name for name in self.sensitivities if name.startswith("base_tension")]
+        others += [name for name in numbers if name.startswith(("direction", "method"))]
+        others += [name for name in self.sensitivities if name.startswith(ALONG_A_PATH)]
         if others or not isinstance(self.method, FixedPoint):
             what = others[0] if others else "method"
             raise InputError(f"sweep: with history there is no {what}; leave it out")
+        if self._in_short_steps:
+            self._check_short_steps()
+
+    def _check_short_steps(self) -> None:
+        """What cannot be followed in short steps."""
+        what = "of several tendons or under loads"
+        if self.case.in_space:
+            raise InputError(f"sweep: a history {what} is known in the plane only; take one tendon without loads")
+        entries = jax.tree.leaves(self.case.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
+        if any(isinstance(entry, Target | TipPosition) for entry in entries):
+            raise InputError("sweep: with history base_tension must hold tensions, N, in place of targets")
+        if self.dtype != np.float64:
+            raise InputError(f"sweep: a history {what} needs float64; set jax.config.update('jax_enable_x64', True)")
+        if self.sensitivities:
+            raise InputError(
+                f"sweep: derivatives of a history {what} are right to about 1 % only; leave sensitivities out"
+            )
+        if isinstance(self.short_steps, bool) or not isinstance(self.short_steps, int) or self.short_steps < 2:
+            raise InputError(f"sweep: short_steps must be a whole number of 2 or more, got {self.short_steps!r}")
 
     def _check(self) -> None:
         if self.history:
@@ -282,17 +316,29 @@ class Sweep:
         each = COPIES * layout.bytes_each * self.steps
         if each > self.allowed:
             raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
-        most = max((self.chunk_size or min(CHUNK, int(self.allowed // each) * self.steps)) // self.steps, 1)
+        usual = CHUNK_IN_SHORT_STEPS if self._in_short_steps else CHUNK
+        most = max((self.chunk_size or min(usual, int(self.allowed // each) * self.steps)) // self.steps, 1)
         sizes = [1 if d is self.path else d.size for d in self.dimensions]
         chunks = even_chunks(sizes, most, [bool(d.options) for d in self.dimensions])
         whole = [d.size if d is self.path else c for d, c in zip(self.dimensions, chunks, strict=True)]
         return replace(layout, chunks=tuple(whole))
 
+    @property
+    def _pulled(self) -> list[Dimension]:
+        """The dimensions along which base tensions vary."""
+        return [d for d in self.dimensions if any(name.startswith("base_tension") for name in d.numbers)]
+
     @cached_property
     def path(self) -> Dimension | None:
-        """The dimension whose base tensions are traced in their order."""
-        found = (dimension for dimension in self.dimensions if "base_tension" in dimension.numbers)
-        return next(found, None) if self.history else None
+        """The dimension whose base tensions are traced in their order; None without one, or if there are several."""
+        if isinstance(self.history, str):
+            return next((dimension for dimension in self._pulled if dimension.name == self.history), None)
+        return self._pulled[0] if self.history and len(self._pulled) == 1 else None
+
+    @property
+    def _in_short_steps(self) -> bool:
+        """Whether a history has no exact answer."""
+        return bool(self.history) and (self.case.manipulator.num_tendons > 1 or self.case.loads is not None)
 
     @property
     def steps(self) -> int:
@@ -347,6 +393,7 @@ class Sweep:
             "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
             "kinematics": self.manipulator.kinematics,
             "history": self.history,
+            **({"short_steps": self.short_steps} if self._in_short_steps else {}),
             "nodes": self.nodes,
             "method": recorded(self.method),
             "outputs": list(self.outputs),
@@ -365,8 +412,11 @@ class Sweep:
         }
         kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
         case, observed = prepared(self.case, kinematics, self.dtype), tuple(self.observables.items())
-        path = None if self.path is None else jnp.asarray(self.path.numbers["base_tension"], self.dtype)
-        one = OneSolve(case, path, self.outputs, observed, self.sensitivities, self.nodes, self.method, self.dtype)
+        path = None
+        if self.path is not None:
+            path = {name: jnp.asarray(values, self.dtype) for name, values in self.path.numbers.items()}
+        asked = self.outputs, observed, self.sensitivities
+        one = OneSolve(case, path, *asked, self.nodes, self.short_steps, self.method, self.dtype)
         return replace(one, **chosen)
 
     # --- running ------------------------------------------------------------------------------------
