@@ -11,8 +11,9 @@ from jaxtyping import Array
 from ..numerics.constrained import ACTIVE, TOLERANCE, LocalMinimum
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import unit_of_name
-from ..statics.equilibrium import RESULTS, Equilibrium, result_of
+from ..statics.equilibrium import RESULTS, Equilibrium, code_of, result_of
 from ..units import DIMENSION_OF, Dimension, shown
+from .body_quantities import loop_in_short_steps
 from .load_cases import LoadCase
 from .problem import DesignEvaluation, DesignProblem, pieces_of
 from .search import NOT_ZERO, Restart, SearchResult
@@ -162,9 +163,29 @@ def design_of(
         remarks=(
             *(f"{case.name or 'the load case'}: {RESULTS[code]}" for case, code in codes if code != RESULTS.successful),
             *(restart_in_words(problem, restart) for restart in outcome.restarts),
+            *loops_in_words(problem, outcome.z),
         ),
         outcome=outcome,
     )
+
+
+def loops_in_words(problem: DesignProblem, z: np.ndarray | Array) -> list[str]:
+    """How right the widths of loops are that are followed in short steps."""
+    if not any(
+        part.known.name == "hysteresis" for part in (*(term.objective for term in problem.terms), *problem.limits)
+    ):
+        return []
+    found = []
+    for case in problem.cases:
+        loop = loop_in_short_steps(problem.view(z, case))
+        if loop is None:
+            continue
+        own, error = case.name or "the load case", float(np.max(np.asarray(loop.error_estimate)))
+        words = f"{own}: the loop of the tip angle is followed in short steps, with an error estimate of "
+        inaccurate = np.any(code_of(loop.result) == code_of(RESULTS.inaccurate))
+        more = ", which is inaccurate; raise nodes" if inaccurate else ""
+        found.append(f"{words}{shown(error, 'angle')}{more}")
+    return found
 
 
 def unit_of_objective(problem: DesignProblem) -> float:

@@ -17,6 +17,7 @@ from ..mechanics.fields import Fields, planar_fields
 from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.problem import State, axis_of, guarded_section, lay_out, stretch_rate
 from ..numerics.arrays import largest_size, varying_as, zero_as
+from ..numerics.differences import with_differences
 from ..programs.kept import kept_program
 from ..robot.cross_section import planar
 from ..robot.loads import Loads
@@ -26,7 +27,7 @@ from ..statics.equilibrium import RESULTS, first_of, nan_unless, with_words
 from ..statics.solve import solve
 from .cells import Along, Cells, Edge, cut_into_cells, forces_along, integral
 from .history import Energies, History, States
-from .path import Path
+from .path import Path, given_path
 from .stepping import Ends, Setting, Step, after_step
 
 Number = Float[Array, ""]
@@ -374,16 +375,38 @@ class Tips(NamedTuple):
 def tips_along(manipulator: Manipulator, path: Path, kind: Following) -> Tips:
     """The tip along a path from rest, by one pass and without an error estimate; NaN where a step failed.
 
+    Derivatives are differences, in forward mode: those of the equations hold fronts within their cells, and so are
+    right to some per cent only.
+
     Args:
         manipulator, path, kind: as of `stepped_history`.
     """
-    manipulator, path, physical = _checked(manipulator, path)
-    none = jnp.zeros((), path.tension.dtype)
-    moments, tip, _, crossing = _followed(manipulator, path, kind, None, _Rough(none, none))
-    good = physical & moments.step.converged
-    tip = jax.vmap(nan_unless)(good, tip)
-    flags = (flag.astype(path.tension.dtype) for flag in (physical, good, crossing))
-    return Tips(tip.tension, tip.heading, tip.position, *flags)
+
+    def tips(given: tuple[Manipulator, Path]) -> Tips:
+        manipulator, path, physical = _checked(*given)
+        none = jnp.zeros((), path.tension.dtype)
+        moments, tip, _, crossing = _followed(manipulator, path, kind, None, _Rough(none, none))
+        good = physical & moments.step.converged
+        tip = jax.vmap(nan_unless)(good, tip)
+        flags = (flag.astype(path.tension.dtype) for flag in (physical, good, crossing))
+        return Tips(tip.tension, tip.heading, tip.position, *flags)
+
+    return with_differences(tips, (manipulator, path))
+
+
+def angles_along(
+    manipulator: Manipulator, base_tension: Array, loads: Loads | None, *, nodes: int, short_steps: int
+) -> Float[Array, " steps"]:
+    """Tip angles along a path from rest, rad, as `tips_along` has them.
+
+    Args:
+        manipulator: the body.
+        base_tension: (steps, tendons), N.
+        loads: that rest on the body before the first step, or None.
+        nodes, short_steps: as of `trace`.
+    """
+    path, _ = given_path(manipulator, base_tension, loads)
+    return tips_along(manipulator, path, Following((), loads is not None, 4 * nodes, short_steps)).heading
 
 
 def result_of_tips(tips: Tips) -> RESULTS:

@@ -19,7 +19,6 @@ from ..history.trace import trace
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
 from ..measurements.table import Measurements
-from ..numerics.differences import with_differences
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS
@@ -128,13 +127,13 @@ class Course(eqx.Module):
         return Shown(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
 
     def _in_short_steps(self, body: Manipulator, tension: Array, force: Array | None, nodes: int):
-        """One path; derivatives are differences, since those of `trace` hold to some per cent."""
+        """One path."""
         assert self.short_steps is not None
         none = jnp.zeros(tension.shape[0])
         loads = None if force is None else Loads(force, none, jnp.zeros_like(force))
         kind = Following((), self.force_stays, CELLS * nodes, self.short_steps)
         path = Path(tension, jnp.zeros_like(tension), loads)
-        tips = with_differences(lambda given: tips_along(*given, kind), (body, path))
+        tips = tips_along(body, path, kind)
         return tips.tension, tips.heading, tips.position, result_of_tips(tips)
 
 
