@@ -244,6 +244,8 @@ def test_a_tendon_that_drag_would_make_push_is_told():
     """Both are let go: drag would have one of them push the body back, and a tendon hangs then, which is not known."""
     history = cddf.trace(paper_body("exact", num_tendons=2, drag=60.0), [[20.0, 0.0], [0.0, 0.0]], throw=False)
     assert codes(history.result)[1] == code(RESULTS.inaccurate)
+    with pytest.raises(cddf.SolveError, match=r"error estimate exceeds 0.03: raise short_steps= and nodes="):
+        cddf.trace(paper_body("exact", num_tendons=2, drag=60.0), [[20.0, 0.0], [0.0, 0.0]])
 
 
 @pytest.mark.slow

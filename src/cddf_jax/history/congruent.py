@@ -27,7 +27,7 @@ from ..statics.equilibrium import RESULTS, Dense, code_of, nan_unless, with_word
 from ..statics.solve import solve
 from .driven import Drive, driven
 from .energies import work_and_loss
-from .fronts import cut_at, moving_front
+from .fronts import Motion, cut_at, moving_front
 from .history import Energies, History, States
 from .parts import Heading, Slid, Tip, ends_of_motion, pose_of_base, rotated, tilt_of, tips, turned_back, turned_on
 from .turns import NOBODY, Turns, open_turns
@@ -170,11 +170,11 @@ def follow(
     from_rest = turns.before == NOBODY
     turned_at = jnp.where(from_rest, path, path[turns.before])
 
-    def step(given: tuple[Number, Number, Number, Bool[Array, ""]]) -> tuple[Number, tuple[Slid, Slid]]:
-        front, own, other = ends_of_motion(body, nodes, *given)
+    def step(motion: Motion) -> tuple[Number, tuple[Slid, Slid]]:
+        front, own, other = ends_of_motion(body, nodes, motion)
         return front, (own, other)
 
-    front, (own, other) = _in_blocks(step, (path, turns.direction, turned_at, from_rest))
+    front, (own, other) = _in_blocks(step, Motion(path, turns.direction, turned_at, from_rest))
     moving = jax.vmap(partial(moving_front, body))(front, own.tension, other.tension, turns.direction)
     return front, tips(body, own, other, turns), jnp.where(from_rest, front, moving)
 

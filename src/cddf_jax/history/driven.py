@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot.manipulator import Manipulator
+from .fronts import Motion
 from .parts import ends_of_motion
 from .turns import NOBODY, Stack, Turns, go_on
 
@@ -93,7 +94,7 @@ def _gain(
     tension: Number,
 ) -> Number:
     """What a motion adds since it turned."""
-    _, own, other = ends_of_motion(body, nodes, tension, direction, turned_at, from_rest)
+    _, own, other = ends_of_motion(body, nodes, Motion(tension, direction, turned_at, from_rest))
     values = own.added.heading, other.added.heading
     outside = 0.0
     if quantity == "displacement":

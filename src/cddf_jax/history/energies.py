@@ -22,7 +22,7 @@ from ..numerics.quadrature import Panels, gauss_rule
 from ..robot.cross_section import AnySection, planar
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
-from .fronts import cut_at, first_zero, front_of, is_play_of_inverse
+from .fronts import Motion, cut_at, first_zero, front_of, is_play_of_inverse
 from .parts import ends_of_motion
 from .turns import NOBODY, Turns
 
@@ -121,7 +121,7 @@ def _motion_in_space(
 
     def since_turn(tension: Number) -> WorkAndLoss:
         """What is pulled in, m, and stored, J."""
-        _, own, other = ends_of_motion(body, nodes, tension, direction, turned_at, from_rest, refined=False)
+        _, own, other = ends_of_motion(body, nodes, Motion(tension, direction, turned_at, from_rest), refined=False)
         before = jnp.where(from_rest, 0.0, jnp.stack([other.added.pulled_in, other.added.stored]))
         outside = jnp.stack([tension - turned_at, (tension**2 - turned_at**2) / 2]) * compliance
         return jnp.stack([own.added.pulled_in, own.added.stored]) - before + outside
@@ -176,7 +176,7 @@ def _slide(part: Manipulator, nodes: int, direction: Number, tension: Number) ->
 def _front_at(
     part: Manipulator, nodes: int, turned_at: Number, direction: Number, from_rest: Bool[Array, ""], tension: Number
 ) -> Number:
-    front = front_of(part, nodes, tension, direction, turned_at, from_rest)
+    front = front_of(part, nodes, Motion(tension, direction, turned_at, from_rest))
     if part.tendon_drag is None:
         return front
     return jax.lax.stop_gradient(jnp.where(from_rest, _slack_from(part, nodes, tension, direction), front))

@@ -1,6 +1,7 @@
 """The front of a motion: the place up to which a tendon slides, and beyond which it rests."""
 
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,6 +23,15 @@ REFINEMENTS = 3  # by Newton's method
 LEAST = 1e-9  # of the body: a step of rounding errors moves next to nothing
 
 
+class Motion(NamedTuple):
+    """How a tendon got from one turn to where it is."""
+
+    tension: Number  # at the base after the motion, N
+    direction: Number
+    turned_at: Number  # the tension at the base where the motion turned, N; before, the tendon slid the other way
+    from_rest: Bool[Array, ""]  # the motion did not turn, it is the first one
+
+
 def cut_at(body: Manipulator, arc_length: Number) -> Manipulator:
     """The body from its base to an arc length, m."""
     return eqx.tree_at(lambda body: body.length, body, arc_length)
@@ -33,16 +43,7 @@ def is_play_of_inverse(body: Manipulator) -> bool:
     return body.tendon_drag is None and not body.slanted and not own_strain
 
 
-def front_of(
-    body: Manipulator,
-    nodes: int,
-    tension: Number,
-    direction: Number,
-    turned_at: Number,
-    from_rest: Bool[Array, ""],
-    *,
-    refined: bool = True,
-) -> Number:
+def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> Number:
     """Where the tension of a motion meets the one at which it turned, m; the tip where all of the tendon slides.
 
     It has no derivative, and needs none: nothing that is summed along the body jumps at a front. See
@@ -51,12 +52,10 @@ def front_of(
     Args:
         body: with one tendon.
         nodes: Gauss nodes in each smooth piece.
-        tension: at the base after the motion, N.
-        direction: of the motion.
-        turned_at: the tension at the base where the motion turned, N; before, the tendon slid the other way.
-        from_rest: the motion did not turn, it is the first one.
+        motion: of the tendon.
         refined: whether it has to be right to rounding errors; what is summed along the body is off by its square.
     """
+    tension, direction, turned_at, from_rest = motion
     body, tension, direction, turned_at = jax.lax.stop_gradient((body, tension, direction, turned_at))
     length = jnp.asarray(body.length)
     ends = (tension, direction), (turned_at, -direction)

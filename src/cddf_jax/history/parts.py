@@ -21,7 +21,7 @@ from ..robot.cross_section import SpatialSection, planar
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Dense, code_of, with_words
 from ..statics.solve import solve
-from .fronts import cut_at, front_of
+from .fronts import Motion, cut_at, front_of
 from .turns import NOBODY, Turns
 
 Number = Float[Array, ""]
@@ -77,29 +77,18 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
     return Slid(front, tension, Onward(heading, position, pulled_in, stored, error, solved, result))
 
 
-def ends_of_motion(
-    body: Manipulator,
-    nodes: int,
-    tension: Number,
-    direction: Number,
-    turned_at: Number,
-    from_rest: Bool[Array, ""],
-    *,
-    refined: bool = True,
-) -> tuple[Number, Slid, Slid]:
+def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> tuple[Number, Slid, Slid]:
     """The front of a motion, and up to it the equilibria at its end and where it turned.
 
     Args:
         body: with one tendon.
         nodes: Gauss nodes in each smooth piece.
-        tension: at the base after the motion, N.
-        direction: of the motion.
-        turned_at: the tension at the base where the motion turned, N.
-        from_rest: the motion did not turn; then the second equilibrium is the first one.
+        motion: of the tendon; where it did not turn, the second equilibrium is the first one.
         refined: of the front, see `front_of`.
     """
+    tension, direction, turned_at, from_rest = motion
     turned_at = jnp.where(from_rest, tension, turned_at)
-    front = front_of(body, nodes, tension, direction, turned_at, from_rest, refined=refined)
+    front = front_of(body, nodes, motion._replace(turned_at=turned_at), refined=refined)
     directions = jnp.stack([direction, jnp.where(from_rest, 1.0, -1.0) * direction])
     found = jax.vmap(partial(slid_up_to, body, nodes, front=front))(jnp.stack([tension, turned_at]), directions)
     own, other = (jax.tree.map(lambda x, i=i: x[i], found) for i in range(2))

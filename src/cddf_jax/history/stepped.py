@@ -13,29 +13,41 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..mechanics.fields import Fields, planar_fields
-from ..mechanics.friction import PerTendon, Pull
-from ..mechanics.problem import State, axis_of, guarded_section, lay_out, stretch_rate
-from ..numerics.arrays import largest_size, varying_as, zero_as
+from ..mechanics.fields import Fields
+from ..mechanics.problem import lay_out
+from ..numerics.arrays import varying_as, zero_as
 from ..numerics.differences import with_differences
 from ..programs.kept import kept_program
-from ..robot.cross_section import planar
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import RESULTS, first_of, nan_unless, with_words
-from ..statics.solve import solve
-from .cells import Along, Cells, Edge, cut_into_cells, forces_along, integral
+from .cells import Cells, cut_into_cells, forces_along
 from .history import Energies, History, States
+from .moments import (
+    AT_LIMIT,
+    Given,
+    Moment,
+    TipPose,
+    at_rest,
+    crosses,
+    difference,
+    fields_of_moment,
+    fronts_of,
+    moved,
+    pushed,
+    shape_of,
+    stored_in,
+    tip_of,
+)
 from .path import Path, given_path
-from .stepping import Ends, Setting, Step, after_step
+from .stepping import Ends
 
 Number = Float[Array, ""]
 ACCURACY = 3e-2  # a step with a larger error estimate is called inaccurate
 SAFETY = 2.0  # by which passes may differ less than the fine one is wrong
 LEAST_ERROR = 1e-5  # what the softened law and the stretch of stiff tendons may leave
 LEAST_SLIP = 1e-6  # of the largest slip of a short step; what moves less rests
-AT_LIMIT = 1e-3  # how near its friction limit a tendon slides
 
 
 class Following(NamedTuple):
@@ -45,24 +57,6 @@ class Following(NamedTuple):
     loads_stay: bool  # whether the loads rest on the body before the first step, and do not change
     num_cells: int
     num_steps: int  # in each step of the path
-
-
-class _Given(NamedTuple):
-    """What is given at one moment."""
-
-    ends: Ends
-    outboard: Float[Array, "P 3 2"]  # N, N, at the starts, middles and ends of the cells
-
-
-class Moment(NamedTuple):
-    """A body at one moment, and what it took to get there."""
-
-    given: _Given
-    step: Step
-    along: Along  # the cells
-    slid: Float[Array, "P tendons"]  # towards the base in the last short step, m, the mean over a cell
-    work: Number  # of actuators and loads since the straight body, J
-    friction_loss: Number  # J
 
 
 class SteppedStates(States):
@@ -87,7 +81,7 @@ class SteppedStates(States):
         return self.cells.edges
 
     def energies(self) -> Energies:
-        stored = jax.vmap(partial(_stored, self.cells))(self.moments)
+        stored = jax.vmap(partial(stored_in, self.cells))(self.moments)
 
         # the error of trapezoids falls with the square of their width; what they add to the work is lost
         fine, _, rough = self.passes.work
@@ -95,8 +89,8 @@ class SteppedStates(States):
         return Energies(fine + more, self.moments.friction_loss + more, stored)
 
     def fields(self, arc_length: Float[Array, " points"]) -> Fields:
-        shapes = jax.vmap(partial(_shape, self.cells))(self.moments)
-        at_points = jax.vmap(partial(_fields_at, self.manipulator, self.cells), (None, None, 0))
+        shapes = jax.vmap(partial(shape_of, self.cells))(self.moments)
+        at_points = jax.vmap(partial(fields_of_moment, self.manipulator, self.cells), (None, None, 0))
         return jax.vmap(at_points, (0, 0, None))(self.moments, shapes, arc_length)
 
     def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps *tendons points"]:
@@ -114,81 +108,12 @@ class _Rough(NamedTuple):
     steps: Number  # 1 for half as many short steps, else 0
 
 
-# --- a body at one moment -------------------------------------------------------------------------
-
-
-class _Shape(NamedTuple):
-    along: Along  # the cells
-    position: Float[Array, "edges 2"]  # u, m
-    wrap_angle: Float[Array, "edges tendons"]  # theta, rad
-
-
-def _shape(cells: Cells, moment: Moment) -> _Shape:
-    along = moment.along
-
-    def summed(rate: Array, jumps: Array | float = 0.0) -> Array:
-        gains = jax.vmap(integral)(cells.width, rate) + jumps
-        return jnp.concatenate([jnp.zeros_like(gains[:1]), jnp.cumsum(gains, axis=0)])
-
-    return _Shape(along, summed(axis_of(along.values.heading)), summed(jnp.abs(along.turning), along.turn))
-
-
-def _stored(cells: Cells, moment: Moment) -> Number:
-    """The energy of bending, and of tendons that stretch, J."""
-    along, edges = moment.along, moment.step.edges
-    tension = jnp.where(cells.sections.present, along.values.tension, 0.0)
-    stretch = jnp.sum(tension * stretch_rate(cells.stretch, tension, cells.sections), axis=-1)
-    density = (cells.sections.stiffness * along.rates.heading**2 + stretch) / 2
-    return jnp.sum(jax.vmap(integral)(cells.width, density)) + jnp.sum(cells.free_stretch * edges.tension[0] ** 2) / 2
-
-
-def _fields_at(manipulator: Manipulator, cells: Cells, moment: Moment, shape: _Shape, arc_length: Number) -> Fields:
-    """The fields at one arc length, tendons last; cubic polynomials within the cells."""
-    i = cells.at(arc_length)
-    width = cells.width[i]
-    place = (arc_length - cells.edges[i]) / jnp.where(width > 0, width, 1.0)
-    along, outboard = jax.tree.map(lambda x: x[i], (shape.along, moment.given.outboard))
-    between = partial(_cubic, place, width)
-    here = jax.tree.map(lambda x, rate: between(x[0], x[2], rate[0], rate[2]), along.values, along.rates)
-    axis, turning = axis_of(along.values.heading), jnp.abs(along.turning)
-    state = State(
-        Pull(jnp.ones_like(here.tension)),
-        here.heading,
-        here.moment,
-        outboard[0] + place * (outboard[2] - outboard[0]),
-        between(shape.wrap_angle[i], shape.wrap_angle[i + 1], turning[0], turning[2]),
-        between(shape.position[i], shape.position[i + 1], axis[0], axis[2]),
-    )
-    section = planar(guarded_section(manipulator, arc_length))
-    fields = planar_fields(section, here.tension, moment.step.share[i], arc_length, state)
-    return nan_unless((arc_length >= 0) & (arc_length <= cells.edges[-1]), fields)
-
-
-def _cubic(place: Number, width: Number, start: Array, end: Array, rate: Array, end_rate: Array) -> Array:
-    """Hermite's polynomial at a place from 0 to 1."""
-    t, u = place, 1 - place
-    return u**2 * (1 + 2 * t) * start + t**2 * (1 + 2 * u) * end + width * t * u * (u * rate - t * end_rate)
-
-
-class _Tip(NamedTuple):
-    """What the error is estimated of."""
-
-    tension: PerTendon
-    position: Float[Array, "2"]
-    heading: Number
-
-
-def _tip(cells: Cells, moment: Moment) -> _Tip:
-    edges = moment.step.edges
-    return _Tip(edges.tension[-1], _shape(cells, moment).position[-1], edges.heading[-1])
-
-
 # --- along the path -------------------------------------------------------------------------------
 
 
 def _followed(
     manipulator: Manipulator, path: Path, kind: Following, start: Moment | None, rough: _Rough
-) -> tuple[Moment, _Tip, Float[Array, "steps tendons"], Bool[Array, " steps"]]:
+) -> tuple[Moment, TipPose, Float[Array, "steps tendons"], Bool[Array, " steps"]]:
     """The moments after all steps, their tips, fronts, and whether fibres cross.
 
     Args:
@@ -200,19 +125,20 @@ def _followed(
     zero = zero_as(manipulator, path)  # under shard_map all of them vary over the devices, or none
     given = varying_as(_given(manipulator, cells, path, kind, rough.cells), zero)
     if start is None:
-        start = _at_rest(manipulator, cells, path, jax.tree.map(lambda x: x[0], given), kind)
+        resting = path.loads if kind.loads_stay else None
+        start = at_rest(manipulator, cells, *jax.tree.map(lambda x: x[0], (given, resting)))
     start = varying_as(start, zero)
     counts = jnp.arange(1, kind.num_steps + 1)
     driven = jnp.asarray(kind.driven, int)
 
-    def advance(moment: Moment, to: _Given) -> tuple[Moment, Moment]:
+    def advance(moment: Moment, to: Given) -> tuple[Moment, Moment]:
         before = moment.given
 
         def part(moment: Moment, count: Array) -> tuple[Moment, None]:
             here = jax.tree.map(lambda a, b: a + count / kind.num_steps * (b - a), before, to)
             left_out = (rough.steps > 0) & ((kind.num_steps - count) % 2 == 1)
-            moved = partial(_moved, cells, kind)
-            return jax.lax.cond(left_out, lambda moment, _: moment, moved, moment, here), None
+            moves = partial(moved, cells, kind.driven)
+            return jax.lax.cond(left_out, lambda moment, _: moment, moves, moment, here), None
 
         moment = jax.lax.scan(part, moment, counts)[0]
         edges, ends = moment.step.edges, moment.given.ends
@@ -221,76 +147,17 @@ def _followed(
         return moment._replace(given=to), moment._replace(given=found)
 
     moments = jax.lax.scan(advance, start, given)[1]
-    tip = jax.vmap(partial(_tip, cells))(moments)
-    return moments, tip, _fronts(cells, moments.step.share), jax.vmap(partial(_crosses, cells))(moments)
+    tip = jax.vmap(partial(tip_of, cells))(moments)
+    return moments, tip, fronts_of(cells, moments.step.share), jax.vmap(partial(crosses, cells))(moments)
 
 
-def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, rough: Number) -> _Given:
+def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, rough: Number) -> Given:
     count = path.tension.shape[0]
     if path.loads is None:
         outboard = jnp.zeros((count, *cells.sections.stiffness.shape, 2), path.tension.dtype)
-        return _Given(Ends(path.tension, path.displacement, jnp.zeros(count, path.tension.dtype)), outboard)
+        return Given(Ends(path.tension, path.displacement, jnp.zeros(count, path.tension.dtype)), outboard)
     outboard = jax.vmap(partial(forces_along, manipulator, kind.num_cells, rough))(path.loads)
-    return _Given(Ends(path.tension, path.displacement, jnp.asarray(path.loads.tip_moment)), outboard)
-
-
-def _at_rest(manipulator: Manipulator, cells: Cells, path: Path, given: _Given, kind: Following) -> Moment:
-    """The body before the first step, whose tendons have no tension: straight, or as loads that stay bend it."""
-    still = jnp.zeros_like(path.tension[0])
-    slips = jnp.zeros((cells.edges.size, still.size), still.dtype)
-    line = slips[:, 0]
-    edges, good = Edge(slips, line, slips, line), jnp.asarray(True)
-    if not kind.loads_stay or path.loads is None:
-        given = jax.tree.map(jnp.zeros_like, given)
-    else:
-        given = given._replace(ends=given.ends._replace(base_tension=still, displacement=still))
-        loads = jax.tree.map(lambda x: x[0], path.loads)
-        found = solve(manipulator, still, loads, direction=1.0, throw=False)
-        state = jax.vmap(found._dense.state)(cells.edges)
-        edges, good = Edge(slips, state.heading, slips, state.moment), found._dense.solved
-    along = cells.along(given.outboard, edges, slips[1:])
-    gains = jax.vmap(integral)(cells.width, -along.rates.slip)
-    slip = jnp.concatenate([jnp.cumsum(gains[::-1], axis=0)[::-1], slips[:1]])
-    edges = edges._replace(slip=slip)
-    step = Step(edges, slips[1:], -along.rates.slip[:, 1], good)
-    moment = Moment(given, step, cells.along(given.outboard, edges, slips[1:]), slips[1:], line[0], line[0])
-    return moment._replace(work=_stored(cells, moment))
-
-
-def _moved(cells: Cells, kind: Following, before: Moment, given: _Given) -> Moment:
-    """The body a short step later."""
-    step = after_step(Setting(cells, given.outboard, kind.driven), given.ends, before.step)
-    old, new = before.along, cells.along(given.outboard, step.edges, step.share)
-
-    def mean(a, b):
-        return (a + b) / 2
-
-    def whole(density):
-        return jnp.sum(jax.vmap(integral)(cells.width, density))
-
-    pulled_in = cells.pulled_in(step.edges) - cells.pulled_in(before.step.edges)
-    pull = mean(before.step.edges.tension[0], step.edges.tension[0])
-    # the work of N on t, as that of M_ext on kappa after integration by parts: so the ledger closes in each short step
-    by_force = -whole(mean(old.rates.moment, new.rates.moment) * (new.values.heading - old.values.heading))
-    heading = step.edges.heading[-1] - before.step.edges.heading[-1]
-    by_moment = mean(before.given.ends.tip_moment, given.ends.tip_moment) * heading
-    friction = mean(old.rates.tension, new.rates.tension) * (new.values.slip - old.values.slip)
-    slipped = step.edges.slip - before.step.edges.slip
-    jumps = mean(_jumps(old, before.step), _jumps(new, step)) * slipped[:-1]
-    lost = whole(jnp.sum(friction, axis=-1)) + jnp.sum(jumps)
-    return Moment(
-        given,
-        step,
-        new,
-        slid=(slipped[:-1] + slipped[1:]) / 2,
-        work=before.work + jnp.sum(pull * pulled_in) + by_force + by_moment,
-        friction_loss=before.friction_loss - lost,
-    )
-
-
-def _jumps(along: Along, step: Step) -> Float[Array, "P tendons"]:
-    """By how much the tensions change at once where cells start, N."""
-    return along.values.tension[:, 0] - step.edges.tension[:-1]
+    return Given(Ends(path.tension, path.displacement, jnp.asarray(path.loads.tip_moment)), outboard)
 
 
 # --- what is told of it ---------------------------------------------------------------------------
@@ -319,8 +186,8 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     cells = cut_into_cells(manipulator, kind.num_cells)
     moments, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
-    apart = jax.vmap(jax.vmap(partial(_difference, cells)), (None, 0))(tip, others)
-    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(_pushed, cells))(moments, tip)
+    apart = jax.vmap(jax.vmap(partial(difference, cells)), (None, 0))(tip, others)
+    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, cells))(moments, tip)
     step = moments.step
     good = physical & jnp.all(passes.step.converged, axis=0)
     numbers = jax.vmap(nan_unless)(good, (moments.given.ends, tip, error, fronts[0]))
@@ -475,46 +342,3 @@ def _last(path: Path) -> Loads:
 
 def _first(loads: Loads | None) -> Loads | None:
     return jax.tree.map(lambda x: x[0], loads)
-
-
-def _difference(cells: Cells, tip: _Tip, other: _Tip) -> Number:
-    """By how much two passes differ: tip tension (relative), position (per length), angle (rad); the largest."""
-    return jnp.max(
-        jnp.stack(
-            [
-                largest_size(tip.tension - other.tension) / _tension_scale(cells, tip),
-                largest_size(tip.position - other.position) / cells.edges[-1],
-                jnp.abs(tip.heading - other.heading),
-            ]
-        )
-    )
-
-
-def _tension_scale(cells: Cells, tip: _Tip) -> Number:
-    """What tensions are compared to, N: the largest at the tip, and what drag takes."""
-    drag = cells.sections.drag
-    dragged = 0.0 if drag is None else jnp.max(jnp.sum(cells.width[:, None] * drag[:, 1], axis=0))
-    return jnp.maximum(jnp.max(tip.tension), 1e-3) + dragged
-
-
-def _pushed(cells: Cells, moment: Moment, tip: _Tip) -> Number:
-    """How much a tendon pushes where drag has used up its tension, over what tensions are compared to: it cannot."""
-    return jnp.maximum(-jnp.min(moment.step.edges.tension), 0.0) / _tension_scale(cells, tip)
-
-
-def _crosses(cells: Cells, moment: Moment) -> Bool[Array, ""]:
-    bend = cells.sections.side * cells.sections.offset * moment.along.rates.heading[..., None]
-    return jnp.any(jnp.where(cells.sections.present, bend, 0.0) >= 1.0)
-
-
-def _fronts(cells: Cells, share: Float[Array, "steps P tendons"]) -> Float[Array, "steps tendons"]:
-    """Up to where, from the base, each tendon slides one way, m."""
-    direction = jnp.where(share[:, :1] < 0, -1.0, 1.0)
-    slides = share * direction > 1 - AT_LIMIT
-    whole = jnp.cumprod(slides, axis=1)
-    first = jnp.sum(whole, axis=1, keepdims=True).astype(int)
-    reach = jnp.sum(whole * cells.width[:, None], axis=1)
-    last = jnp.minimum(first, share.shape[1] - 1)
-    part = (1 + jnp.take_along_axis(share * direction, last, axis=1)[:, 0]) / 2
-    width = cells.width[last[:, 0]]
-    return jnp.where(first[:, 0] < share.shape[1], reach + jnp.clip(part, 0.0, 1.0) * width, cells.edges[-1])

@@ -46,7 +46,7 @@ from .solve import solve
 from .targets import Actuation
 
 
-@singledispatch  # after `trace`: history/compliance.py
+@singledispatch  # after `trace`: history/trace.py
 def tip_compliance(
     manipulator: Manipulator,
     base_tension: Actuation,

@@ -1,0 +1,225 @@
+"""A body at one moment of a path that is followed in short steps: how it begins, moves on, and what it is then."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..mechanics.fields import Fields, planar_fields
+from ..mechanics.friction import PerTendon, Pull
+from ..mechanics.problem import State, axis_of, guarded_section, stretch_rate
+from ..numerics.arrays import largest_size
+from ..robot.cross_section import planar
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..statics.equilibrium import nan_unless
+from ..statics.solve import solve
+from .cells import Along, Cells, Edge, integral
+from .stepping import Ends, Setting, Step, after_step
+
+Number = Float[Array, ""]
+AT_LIMIT = 1e-3  # how near its friction limit a tendon slides
+
+
+class Given(NamedTuple):
+    """What is given at one moment."""
+
+    ends: Ends
+    outboard: Float[Array, "P 3 2"]  # N, N, at the starts, middles and ends of the cells
+
+
+class Moment(NamedTuple):
+    """A body at one moment, and what it took to get there."""
+
+    given: Given
+    step: Step
+    along: Along  # the cells
+    slid: Float[Array, "P tendons"]  # towards the base in the last short step, m, the mean over a cell
+    work: Number  # of actuators and loads since the straight body, J
+    friction_loss: Number  # J
+
+
+def at_rest(manipulator: Manipulator, cells: Cells, given: Given, loads: Loads | None) -> Moment:
+    """The body before the first step, whose tendons have no tension: straight, or as loads that stay bend it.
+
+    Args:
+        manipulator: the body.
+        cells: of it.
+        given: after the first step.
+        loads: that rest on it before that step, or None.
+    """
+    still = jnp.zeros_like(given.ends.base_tension)
+    slips = jnp.zeros((cells.edges.size, still.size), still.dtype)
+    line = slips[:, 0]
+    edges, good = Edge(slips, line, slips, line), jnp.asarray(True)
+    if loads is None:
+        given = jax.tree.map(jnp.zeros_like, given)
+    else:
+        given = given._replace(ends=given.ends._replace(base_tension=still, displacement=still))
+        found = solve(manipulator, still, loads, direction=1.0, throw=False)
+        state = jax.vmap(found._dense.state)(cells.edges)
+        edges, good = Edge(slips, state.heading, slips, state.moment), found._dense.solved
+    along = cells.along(given.outboard, edges, slips[1:])
+    gains = jax.vmap(integral)(cells.width, -along.rates.slip)
+    slip = jnp.concatenate([jnp.cumsum(gains[::-1], axis=0)[::-1], slips[:1]])
+    edges = edges._replace(slip=slip)
+    step = Step(edges, slips[1:], -along.rates.slip[:, 1], good)
+    moment = Moment(given, step, cells.along(given.outboard, edges, slips[1:]), slips[1:], line[0], line[0])
+    return moment._replace(work=stored_in(cells, moment))
+
+
+def moved(cells: Cells, driven: tuple[int, ...], before: Moment, given: Given) -> Moment:
+    """The body a short step later, some tendons of which are driven by their displacement."""
+    step = after_step(Setting(cells, given.outboard, driven), given.ends, before.step)
+    old, new = before.along, cells.along(given.outboard, step.edges, step.share)
+
+    def mean(a, b):
+        return (a + b) / 2
+
+    def whole(density):
+        return jnp.sum(jax.vmap(integral)(cells.width, density))
+
+    pulled_in = cells.pulled_in(step.edges) - cells.pulled_in(before.step.edges)
+    pull = mean(before.step.edges.tension[0], step.edges.tension[0])
+    # the work of N on t, as that of M_ext on kappa after integration by parts: so the ledger closes in each short step
+    by_force = -whole(mean(old.rates.moment, new.rates.moment) * (new.values.heading - old.values.heading))
+    heading = step.edges.heading[-1] - before.step.edges.heading[-1]
+    by_moment = mean(before.given.ends.tip_moment, given.ends.tip_moment) * heading
+    friction = mean(old.rates.tension, new.rates.tension) * (new.values.slip - old.values.slip)
+    slipped = step.edges.slip - before.step.edges.slip
+    jumps = mean(_jumps(old, before.step), _jumps(new, step)) * slipped[:-1]
+    lost = whole(jnp.sum(friction, axis=-1)) + jnp.sum(jumps)
+    return Moment(
+        given,
+        step,
+        new,
+        slid=(slipped[:-1] + slipped[1:]) / 2,
+        work=before.work + jnp.sum(pull * pulled_in) + by_force + by_moment,
+        friction_loss=before.friction_loss - lost,
+    )
+
+
+def _jumps(along: Along, step: Step) -> Float[Array, "P tendons"]:
+    """By how much the tensions change at once where cells start, N."""
+    return along.values.tension[:, 0] - step.edges.tension[:-1]
+
+
+# --- what the body is then -----------------------------------------------------------------------
+
+
+class Shape(NamedTuple):
+    """A body along its cells."""
+
+    along: Along  # the cells
+    position: Float[Array, "edges 2"]  # u, m
+    wrap_angle: Float[Array, "edges tendons"]  # theta, rad
+
+
+def shape_of(cells: Cells, moment: Moment) -> Shape:
+    """What is summed up along the body."""
+    along = moment.along
+
+    def summed(rate: Array, jumps: Array | float = 0.0) -> Array:
+        gains = jax.vmap(integral)(cells.width, rate) + jumps
+        return jnp.concatenate([jnp.zeros_like(gains[:1]), jnp.cumsum(gains, axis=0)])
+
+    return Shape(along, summed(axis_of(along.values.heading)), summed(jnp.abs(along.turning), along.turn))
+
+
+def stored_in(cells: Cells, moment: Moment) -> Number:
+    """The energy of bending, and of tendons that stretch, J."""
+    along, edges = moment.along, moment.step.edges
+    tension = jnp.where(cells.sections.present, along.values.tension, 0.0)
+    stretch = jnp.sum(tension * stretch_rate(cells.stretch, tension, cells.sections), axis=-1)
+    density = (cells.sections.stiffness * along.rates.heading**2 + stretch) / 2
+    return jnp.sum(jax.vmap(integral)(cells.width, density)) + jnp.sum(cells.free_stretch * edges.tension[0] ** 2) / 2
+
+
+def fields_of_moment(
+    manipulator: Manipulator, cells: Cells, moment: Moment, shape: Shape, arc_length: Number
+) -> Fields:
+    """The fields at one arc length, tendons last; cubic polynomials within the cells."""
+    i = cells.at(arc_length)
+    width = cells.width[i]
+    place = (arc_length - cells.edges[i]) / jnp.where(width > 0, width, 1.0)
+    along, outboard = jax.tree.map(lambda x: x[i], (shape.along, moment.given.outboard))
+    between = partial(_cubic, place, width)
+    here = jax.tree.map(lambda x, rate: between(x[0], x[2], rate[0], rate[2]), along.values, along.rates)
+    axis, turning = axis_of(along.values.heading), jnp.abs(along.turning)
+    state = State(
+        Pull(jnp.ones_like(here.tension)),
+        here.heading,
+        here.moment,
+        outboard[0] + place * (outboard[2] - outboard[0]),
+        between(shape.wrap_angle[i], shape.wrap_angle[i + 1], turning[0], turning[2]),
+        between(shape.position[i], shape.position[i + 1], axis[0], axis[2]),
+    )
+    section = planar(guarded_section(manipulator, arc_length))
+    fields = planar_fields(section, here.tension, moment.step.share[i], arc_length, state)
+    return nan_unless((arc_length >= 0) & (arc_length <= cells.edges[-1]), fields)
+
+
+def _cubic(place: Number, width: Number, start: Array, end: Array, rate: Array, end_rate: Array) -> Array:
+    """Hermite's polynomial at a place from 0 to 1."""
+    t, u = place, 1 - place
+    return u**2 * (1 + 2 * t) * start + t**2 * (1 + 2 * u) * end + width * t * u * (u * rate - t * end_rate)
+
+
+class TipPose(NamedTuple):
+    """What the error is estimated of."""
+
+    tension: PerTendon
+    position: Float[Array, "2"]
+    heading: Number
+
+
+def tip_of(cells: Cells, moment: Moment) -> TipPose:
+    """The tip of a body."""
+    edges = moment.step.edges
+    return TipPose(edges.tension[-1], shape_of(cells, moment).position[-1], edges.heading[-1])
+
+
+def difference(cells: Cells, tip: TipPose, other: TipPose) -> Number:
+    """By how much two passes differ: tip tension (relative), position (per length), angle (rad); the largest."""
+    return jnp.max(
+        jnp.stack(
+            [
+                largest_size(tip.tension - other.tension) / _tension_scale(cells, tip),
+                largest_size(tip.position - other.position) / cells.edges[-1],
+                jnp.abs(tip.heading - other.heading),
+            ]
+        )
+    )
+
+
+def _tension_scale(cells: Cells, tip: TipPose) -> Number:
+    """What tensions are compared to, N: the largest at the tip, and what drag takes."""
+    drag = cells.sections.drag
+    dragged = 0.0 if drag is None else jnp.max(jnp.sum(cells.width[:, None] * drag[:, 1], axis=0))
+    return jnp.maximum(jnp.max(tip.tension), 1e-3) + dragged
+
+
+def pushed(cells: Cells, moment: Moment, tip: TipPose) -> Number:
+    """How much a tendon pushes where drag has used up its tension, over what tensions are compared to: it cannot."""
+    return jnp.maximum(-jnp.min(moment.step.edges.tension), 0.0) / _tension_scale(cells, tip)
+
+
+def crosses(cells: Cells, moment: Moment) -> Bool[Array, ""]:
+    """Whether fibres cross on the inside of the bend."""
+    bend = cells.sections.side * cells.sections.offset * moment.along.rates.heading[..., None]
+    return jnp.any(jnp.where(cells.sections.present, bend, 0.0) >= 1.0)
+
+
+def fronts_of(cells: Cells, share: Float[Array, "steps P tendons"]) -> Float[Array, "steps tendons"]:
+    """Up to where, from the base, each tendon slides one way, m."""
+    direction = jnp.where(share[:, :1] < 0, -1.0, 1.0)
+    slides = share * direction > 1 - AT_LIMIT
+    whole = jnp.cumprod(slides, axis=1)
+    first = jnp.sum(whole, axis=1, keepdims=True).astype(int)
+    reach = jnp.sum(whole * cells.width[:, None], axis=1)
+    last = jnp.minimum(first, share.shape[1] - 1)
+    part = (1 + jnp.take_along_axis(share * direction, last, axis=1)[:, 0]) / 2
+    width = cells.width[last[:, 0]]
+    return jnp.where(first[:, 0] < share.shape[1], reach + jnp.clip(part, 0.0, 1.0) * width, cells.edges[-1])
