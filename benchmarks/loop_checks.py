@@ -13,7 +13,7 @@ and all other remarks too.
 from collections.abc import Callable
 
 import numpy as np
-from loop_coverage import NOISE, PATH, SEED, readings
+from loop_coverage import NOISE, PATH, SCENARIOS, SEED, simulated
 from paper import paper_body
 from table import report
 
@@ -73,7 +73,7 @@ CHANGES: dict[str, Change] = {
 def noticed(change: Change) -> dict[str, float]:
     """Per cent of the loops with a remark about the order, and with any remark; how far off the modulus is."""
     body, found = paper_body(), []
-    read = readings(body, PATH)
+    read = simulated(SCENARIOS["tensions and angle"])
     for k in range(LOOPS):
         rng = np.random.default_rng((SEED, k))
         noisy = {name: values + NOISE[name] * rng.normal(size=values.size) for name, values in read.items()}
