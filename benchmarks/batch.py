@@ -28,7 +28,7 @@ from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax_for_batches
-from cddf_jax.identification.bench import with_parameters
+from cddf_jax.identification.parameters import with_parameters
 
 COUNT, LOADED, ROUNDS = 102_400, 16_384, 15
 CHUNK, LOADED_CHUNK = 5_120, 512

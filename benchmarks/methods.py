@@ -18,7 +18,7 @@ from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.identification.bench import with_parameters
+from cddf_jax.identification.parameters import with_parameters
 
 PULL, BATCH = 75.0, 4096
 METHODS = {

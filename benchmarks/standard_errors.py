@@ -1,6 +1,6 @@
 """Standard errors of every parameter of a bench against Monte Carlo: `python benchmarks/standard_errors.py`, 3 minutes.
 
-All parameters of `bench.PARAMETERS` that the body has are fitted together. The data are tip tensions, angles and
+All parameters of `parameters.PARAMETERS` that the body has are fitted together. The data are tip tensions, angles and
 positions of the paper's body at 12 levels and a pulley test of four angles. Priors describe what is known of the
 cells and dimensions of a bench. The readings are those of the solver at the true values. Noise is added 400 times, to
 the readings and to the means of the priors, and each time all is fitted again. The scatter of the refits divided by
@@ -18,8 +18,9 @@ import numpy as np
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
 from cddf_jax.files.artifacts import as_json, write_all
-from cddf_jax.identification.bench import PARAMETERS, Bench, starting_value, with_parameters
+from cddf_jax.identification.bench import Bench
 from cddf_jax.identification.fit import Fit
+from cddf_jax.identification.parameters import PARAMETERS, starting_value, with_parameters
 from cddf_jax.measurements.table import Measurements
 
 REPLICATES, DRAG = 400, 10.0

@@ -7,7 +7,7 @@ import pytest
 
 from cddf_jax.designing import body_quantities
 from cddf_jax.files.actuation import TARGETS
-from cddf_jax.identification.bench import PARAMETERS
+from cddf_jax.identification.parameters import PARAMETERS
 from cddf_jax.measurements.columns import COLUMNS
 from cddf_jax.quantities import QUANTITIES, dimension_of
 from cddf_jax.sweeping.one_solve import OUTPUTS

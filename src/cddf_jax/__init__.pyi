@@ -17,7 +17,6 @@ from .files.cross_sections import read_cross_sections as read_cross_sections, se
 from .files.manipulator_file import read_manipulator as read_manipulator, write_manipulator as write_manipulator
 from .history.history import History as History
 from .history.trace import trace as trace
-from .identification.bench import BenchSetting as BenchSetting
 from .identification.comparison import (
     Comparison as Comparison,
     compare as compare,
@@ -38,6 +37,7 @@ from .identification.model_free_loop import (
     ModelFreeLoop as ModelFreeLoop,
     model_free_loop as model_free_loop,
 )
+from .identification.parameters import BenchSetting as BenchSetting
 from .measurements.holds import SerialCorrelation as SerialCorrelation, average_holds as average_holds
 from .measurements.markers import Marker as Marker
 from .measurements.table import Measurements as Measurements, read_measurements as read_measurements

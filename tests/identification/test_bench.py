@@ -9,15 +9,8 @@ from test_fit import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.identification.bench import (
-    OF_SPACE,
-    PARAMETERS,
-    Bench,
-    experiment_of,
-    starting_value,
-    unit_of,
-    with_parameters,
-)
+from cddf_jax.identification.bench import Bench, experiment_of
+from cddf_jax.identification.parameters import OF_SPACE, PARAMETERS, starting_value, unit_of, with_parameters
 from cddf_jax.identification.past import is_past
 from cddf_jax.measurements.table import Measurements
 

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.identification.bench import PLAIN, experiment_of
+from cddf_jax.identification.bench import experiment_of
+from cddf_jax.identification.parameters import PLAIN
 from cddf_jax.measurements.columns import column_meant
 
 MU, E = 0.35, 1.2e6

@@ -25,7 +25,7 @@ from cddf_jax.figures import (
 )
 from cddf_jax.files import artifacts
 from cddf_jax.identification.bench import Bench, experiment_of
-from cddf_jax.identification.fit_diagnostics import correlated_names, normality
+from cddf_jax.identification.predictions import correlated_names, normality
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports import fit_report as report, fit_results
 

@@ -434,7 +434,7 @@ def test_tensions_tell_friction_over_the_factor(tmp_path):
 
 
 def test_the_paper_has_a_modulus_that_is_fitted():
-    from cddf_jax.identification.bench import free_parameters
+    from cddf_jax.identification.parameters import free_parameters
 
     modulus = PAPER["youngs_modulus"]
     assert free_parameters(paper_body(), None) == ("friction_coefficient", "youngs_modulus")

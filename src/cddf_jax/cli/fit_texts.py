@@ -10,8 +10,8 @@ from ..errors import InputError, within
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Prior, Uniform
 from ..files.manipulator_file import read_toml
-from ..identification.bench import parameter_named
 from ..identification.experiment_design import Candidate
+from ..identification.parameters import parameter_named
 from ..identification.past import REST, Before, One
 from ..measurements.columns import column_dimension
 from ..units import quantity

@@ -6,7 +6,7 @@ from typing import NamedTuple, SupportsFloat
 
 import numpy as np
 
-from ..identification.bench import starting_value, stiffness_parameter
+from ..identification.parameters import starting_value, stiffness_parameter
 from ..measurements.table import Measurements
 from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES, Quantity

@@ -14,10 +14,10 @@ from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED, Determination
 from ..estimation.profile_likelihood import Profile
-from ..identification.bench import parameter_named
 from ..identification.experiment_design import Plan
 from ..identification.fit import Fit
-from ..identification.fit_diagnostics import correlated_names, moving_names
+from ..identification.parameters import parameter_named
+from ..identification.predictions import correlated_names, moving_names
 from ..units import shown
 from . import looks, style as draw
 from .fit import PANEL_HEIGHT, shown_scale

@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from scipy.special import betaincinv, ndtri
 
 from ..errors import InputError
-from ..identification import fit_diagnostics as diagnostics
-from ..identification.bench import Bench, Group, parameter_named
+from ..identification import predictions as diagnostics
+from ..identification.bench import Bench, Group
 from ..identification.course import Course
 from ..identification.fit import Fit
+from ..identification.parameters import parameter_named
 from ..measurements.readings import kind_of
 from ..quantities import QUANTITIES, dimension_of
 from ..units import preferred

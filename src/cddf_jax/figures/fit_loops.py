@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..identification.course import Course
-from ..identification.fit_diagnostics import ModelCurve
+from ..identification.predictions import ModelCurve
 from . import looks, style as draw
 from .history import PULLED, RELEASED
 

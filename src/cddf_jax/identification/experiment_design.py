@@ -23,9 +23,10 @@ from ..measurements.table import Measurements
 from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
-from .bench import Bench, Parameters, Pulley, experiment_of, free_parameters, parameter_named, starting_value
+from .bench import Bench, Pulley, experiment_of
 from .course import course_of, has_history
 from .fit import Fit
+from .parameters import Parameters, free_parameters, parameter_named, starting_value
 
 BEFOREHAND = 100.0  # relative standard error before any data, for designs that leave a parameter undetermined
 
@@ -108,7 +109,7 @@ def plan(
     Args:
         known: a fit, to whose data the candidates would be added; or a manipulator, before any data.
         candidates: what could be measured; one may be chosen more than once.
-        free: parameters to determine, of `bench.PARAMETERS`; None as in `fit`. A fit has its own.
+        free: parameters to determine, of `parameters.PARAMETERS`; None as in `fit`. A fit has its own.
         priors: by parameter, mean and standard deviation, SI. A fit has its own.
         criterion: "D" for all parameters together (the volume of their joint interval), or the name of the one
             whose standard error is to become smallest (c-optimal).

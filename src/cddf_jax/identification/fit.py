@@ -19,6 +19,16 @@ from ..robot.manipulator import Manipulator
 from . import bench
 from .course import SHORT_STEPS, Course, course_of, has_history, num_paths
 from .order_checks import order_remarks
+from .parameters import (
+    PLAIN,
+    TRIALS,
+    BenchSetting,
+    free_parameters,
+    parameter_named,
+    starting_value,
+    stiffness_parameter,
+    with_parameters,
+)
 from .past import Before, first_guesses, starts_of
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import fit_trials
@@ -200,7 +210,7 @@ def fit(
     *,
     bounds: Bounds | None = None,
     noise: Mapping[str, ArrayLike | Noise] | None = None,
-    setting: bench.BenchSetting = bench.PLAIN,
+    setting: BenchSetting = PLAIN,
     history: bool | None = None,
     before: Before = "rest",
     short_steps: int = SHORT_STEPS,
@@ -224,8 +234,8 @@ def fit(
     Args:
         manipulator: the body; its numbers are the start.
         data: a table or several.
-        free: what is fitted, of `bench.PARAMETERS`; None for friction and modulus, of a body without a single modulus
-            friction and `stiffness_factor`. It may also be the constant drag per length,
+        free: what is fitted, of `parameters.PARAMETERS`; None for friction and modulus, of a body without a single
+            modulus friction and `stiffness_factor`. It may also be the constant drag per length,
             gain and zero of the cells (`tip_gain`, `base_zero`, `tip_gain_2` for the cell of tendon 2),
             `pretension`, `angle_zero`, the pose of the camera that sees tip and markers (`camera_x`, ...,
             `camera_turn_z`), the direction of gravity (`gravity_turn_x`, ...), and errors of dimensions
@@ -260,7 +270,7 @@ def fit(
         raise TypeError(f"fit: the first argument must be a Manipulator, got {type(manipulator).__name__}")
     tables = (data,) if isinstance(data, Measurements) else tuple(data)
     with within("fit"):
-        free = bench.free_parameters(manipulator, free)
+        free = free_parameters(manipulator, free)
     if not all(isinstance(table, Measurements) for table in tables):
         raise InputError("fit: data must be tables as read_measurements gives them, one or several")
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
@@ -275,7 +285,7 @@ def fit(
         **{"setting": setting.as_dict(), "history": history, "before": before, "short_steps": short_steps},
         **{"per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed, "nodes": nodes},
     }
-    kinds = {name: bench.parameter_named(name) for name in free}
+    kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):
         noise, courses, guesses = _courses(manipulator, tables, history, before, free, noise or {}, short_steps)
@@ -286,7 +296,7 @@ def fit(
     model = bench.BenchModel(manipulator, tuple(experiments), nodes)
     steadied = {name: course[1] for name, course in zip(model.names, courses, strict=True) if course}
     groups = bench.groups_of(tables, model)
-    start = {name: bench.starting_value(manipulator, name, setting.given) for name in free}
+    start = {name: starting_value(manipulator, name, setting.given) for name in free}
     start |= {name: guess for name, (guess, _) in guesses.items()}
     own_bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive}
     bounds = own_bounds | {name: (low, None) for name, (_, low) in guesses.items()} | dict(bounds or {})
@@ -368,9 +378,9 @@ def _conclude(
     looks = tuple(looks_at(statistics.parameters, tables, model))
     if statistics.success and (reason := next(filter(None, map(doubt, looks)), "")):
         statistics = statistics.doubted(reason)
-    both = "friction_coefficient", bench.stiffness_parameter(body)
-    fixed = {n: bench.starting_value(body, n) for n in both if n not in statistics.names}
-    own = [name for name in statistics.names if not name.startswith(bench.TRIALS)]
+    both = "friction_coefficient", stiffness_parameter(body)
+    fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
+    own = [name for name in statistics.names if not name.startswith(TRIALS)]
     of_fixed = {
         "value": fixed,
         "standard_error": dict.fromkeys(fixed, 0.0),
@@ -385,7 +395,7 @@ def _conclude(
     kept = [name for name in statistics.names if name not in own]
     return Fit(
         **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
-        manipulator=bench.with_parameters(body, statistics.parameters),
+        manipulator=with_parameters(body, statistics.parameters),
         tables=tables,
         model=model,
         alone={n: Alone(**vars(statistics.told_by(*labels[n], with_priors_of=kept))) for n in model.names},

@@ -14,8 +14,9 @@ from jaxtyping import Array, Float, Int
 from ..measurements.table import Measurements
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
-from .bench import Bench, Group, Parameters
+from .bench import Bench, Group
 from .course import Course
+from .parameters import Parameters
 from .predictions import noise_of_readings
 
 if TYPE_CHECKING:

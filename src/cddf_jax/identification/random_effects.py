@@ -8,7 +8,7 @@ import numpy as np
 from ..estimation.determination import determine
 from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.parameter_space import Priors
-from .bench import TRIALS, Parameters
+from .parameters import TRIALS, Parameters
 
 SPREAD_ROUNDS = 20
 FIRST_SPREAD = 0.1

@@ -13,7 +13,8 @@ from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
 from ..units import preferred, shown
-from .bench import TRIALS, Bench, BenchModel, Parameters, parameter_named, starting_value, unit_of
+from .bench import Bench, BenchModel
+from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
 from .past import is_past
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..files.artifacts import picked
 from ..files.csv_table import table_csv
 from ..history.history import History
-from ..identification.bench import unit_of
 from ..identification.experiment_design import Plan
+from ..identification.parameters import unit_of
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..mechanics.fields import AnyFields, SpatialFields

@@ -11,9 +11,10 @@ from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..estimation.observations import Noise
 from ..files.artifacts import as_json, markdown_table, write_all
-from ..identification.bench import TRIALS, Bench, unit_of
+from ..identification.bench import Bench
 from ..identification.fit import Fit
-from ..identification.fit_diagnostics import correlated_names, moving_names, tables_without_numbers
+from ..identification.parameters import TRIALS, unit_of
+from ..identification.predictions import correlated_names, moving_names, tables_without_numbers
 from ..identification.verdict import error_in_words, parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
 from ..progress import each, stage

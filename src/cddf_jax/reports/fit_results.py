@@ -14,9 +14,10 @@ from ..estimation.determination import Determination
 from ..estimation.profile_likelihood import Profile
 from ..files.artifacts import picked
 from ..files.manipulator_file import manipulator_text
-from ..identification.bench import Bench, unit_of
+from ..identification.bench import Bench
 from ..identification.fit import Fit
-from ..identification.fit_diagnostics import Normality, normality, own_names
+from ..identification.parameters import unit_of
+from ..identification.predictions import Normality, normality, own_names
 from ..measurements.jitter import Steady
 from ..measurements.table import Measurements
 from ..progress import each

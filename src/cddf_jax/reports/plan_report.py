@@ -2,8 +2,8 @@
 
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..files.artifacts import markdown_table, picked
-from ..identification.bench import unit_of
 from ..identification.experiment_design import Plan, Ranked
+from ..identification.parameters import unit_of
 from ..identification.verdict import error_in_words
 
 

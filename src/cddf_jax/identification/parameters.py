@@ -1,0 +1,199 @@
+"""The parameters of a fit: what they are, where a search for them starts, and the body that has them.
+
+They are the numbers of the manipulator, and the errors of the instruments and dimensions of its bench. What is known of
+a bench is given by its setting.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ..errors import InputError
+from ..measurements.markers import Marker
+from ..quantities import dimension_of
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator, in_space as body_in_space
+from ..robot.profiles import shifted
+from ..units import Dimension, si_unit
+from .past import PARAMETER, is_past
+
+TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
+
+Parameters = Mapping[str, ArrayLike]  # numbers by name; that of TRIALS is one for each trial
+
+
+class Parameter(NamedTuple):
+    """What may be fitted."""
+
+    name: str
+    start: float | None  # None: the manipulator's own
+    positive: bool
+    scale: float  # a size that matters, where the parameter may be 0; SI
+
+    @property
+    def dimension(self) -> Dimension:
+        return dimension_of(self.name)
+
+
+PARAMETERS = {
+    parameter.name: parameter
+    for parameter in (
+        Parameter("friction_coefficient", None, True, 1.0),
+        Parameter("youngs_modulus", None, True, 1.0),
+        Parameter("stiffness_factor", 1.0, True, 1.0),  # of a body without a single modulus
+        Parameter("length", None, True, 1.0),
+        Parameter("drag", 1.0, True, 1.0),
+        Parameter("outer_radius_error", 0.0, False, 1e-4),  # true less stated, all along the body
+        Parameter("tendon_offset_error", 0.0, False, 1e-4),
+        Parameter("base_gain", 1.0, True, 0.02),
+        Parameter("tip_gain", 1.0, True, 0.02),
+        Parameter("base_zero", 0.0, False, 0.5),
+        Parameter("tip_zero", 0.0, False, 0.5),
+        Parameter("pretension", 1.0, True, 0.5),  # of every tendon, not read by the cells
+        Parameter("angle_zero", 0.0, False, 0.02),
+        Parameter("tendon_angle_error", 0.0, False, 0.02),  # of a body in space, all tendons alike
+        *(Parameter(f"camera_{axis}", 0.0, False, 1e-3) for axis in "xyz"),  # where positions are counted from
+        *(Parameter(f"camera_turn_{axis}", 0.0, False, 0.02) for axis in "xyz"),  # as `markers.seen` takes it
+        *(Parameter(f"gravity_turn_{axis}", 0.0, False, 0.02) for axis in "xyz"),  # axis times angle
+        Parameter(PARAMETER, 1.0, True, 0.5),  # the largest base tension before the first row, as read
+    )
+}
+TURNS_OUT = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn") for axis in "xy")
+OF_SPACE = ("tendon_angle_error", "camera_z", *TURNS_OUT)
+
+
+def stiffness_parameter(manipulator: Manipulator) -> str:
+    """The parameter of stiffness: the modulus where that is one number, else the factor on the stiffness."""
+    modulus = manipulator.youngs_modulus
+    return "stiffness_factor" if modulus is None or callable(modulus) else "youngs_modulus"
+
+
+def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) -> tuple[str, ...]:
+    """The names that were asked for, or else those of friction and stiffness.
+
+    Raises:
+        InputError: for an unknown name, or a parameter that this body does not have.
+    """
+    names = ("friction_coefficient", stiffness_parameter(manipulator)) if free is None else free
+    names = (names,) if isinstance(names, str) else tuple(names)
+    for name in names:
+        parameter_named(name)
+    if "youngs_modulus" in names and stiffness_parameter(manipulator) != "youngs_modulus":
+        raise InputError("the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness")
+    turns = [name for name in names if name in OF_SPACE]
+    if turns and not manipulator.in_space:
+        raise InputError(f"{turns[0]} turns a body out of its plane; give its tendons an angle, or do not fit it")
+    if "outer_radius_error" in names and not manipulator.stiffened_by_radii:
+        raise InputError("outer_radius_error changes nothing where bending_stiffness is given; fit stiffness_factor")
+    return names
+
+
+def starting_value(manipulator: Manipulator, name: str, given: Mapping[str, float] | None = None) -> float:
+    """Where the search for a parameter starts: as given, or else at the manipulator's own or its usual value."""
+    start = parameter_named(name).start
+    if given and name in given:
+        return float(given[name])
+    own = getattr(manipulator, name, None)
+    return float(own) if own is not None and (start is None or own > 0) else float(start or 0.0)
+
+
+def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipulator:
+    """The manipulator with its numbers replaced and its dimensions corrected; other parameters are not its own."""
+    names = tuple(name for name in parameters if hasattr(manipulator, name))
+    numbers = [parameters[name] for name in names]
+    body = eqx.tree_at(lambda m: [getattr(m, n) for n in names], manipulator, numbers, is_leaf=lambda x: x is None)
+    if "outer_radius_error" in parameters:
+        radius = shifted(body.outer_radius, parameters["outer_radius_error"])
+        body = eqx.tree_at(lambda m: m.outer_radius, body, radius)
+    if "tendon_offset_error" in parameters:
+        offsets = [shifted(tendon.offset, parameters["tendon_offset_error"]) for tendon in body.tendons]
+        body = eqx.tree_at(lambda m: [tendon.offset for tendon in m.tendons], body, offsets)
+    if "tendon_angle_error" in parameters:
+        body = body_in_space(body)
+        error = parameters["tendon_angle_error"]
+        angles = [shifted(tendon.angle, error) for tendon in body.tendons if tendon.angle is not None]
+        body = eqx.tree_at(lambda m: [tendon.angle for tendon in m.tendons], body, angles)
+    return body
+
+
+def turn_of(parameters: Parameters, name: str) -> Float[Array, " 3"] | None:
+    """The three numbers of a turn or shift; None where none of them is known to differ from 0."""
+    own = [f"{name}_{axis}" for axis in "xyz"]
+    if not any(one in parameters for one in own):
+        return None
+    return jnp.stack([jnp.asarray(parameters.get(one, 0.0)) for one in own])
+
+
+@dataclass(frozen=True)
+class BenchSetting:
+    """What all rows of a bench share.
+
+    Args:
+        loads: constant ones, such as gravity, in the fixed frame at the base; tip forces of the rows are added.
+        markers: by the name that columns have behind the @: `x@head` is the first coordinate of markers["head"]. A
+            column such as `x@120mm` needs none here.
+        given: numbers of the bench by the names of their parameters, SI units, where they differ from their usual
+            values: a known `tip_gain`, or the pose of the camera. Where one of them is fitted, its search starts there.
+    """
+
+    loads: Loads | None = None
+    markers: Mapping[str, Marker] = field(default_factory=dict)
+    given: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name, value in self.given.items():
+            if parameter_named(name).start is None or name == "stiffness_factor" or is_past(name):
+                raise InputError(f"given: {name} is no number of the bench; give it with the manipulator or the trials")
+            if not np.isfinite(value):
+                raise InputError(f"given: {name} must be finite, got {value!r}")
+        for name, marker in self.markers.items():
+            if not 2 <= len(marker.offset) <= 3 or not np.all(np.isfinite([marker.arc_length, *marker.offset])):
+                raise InputError(f"markers: {name} needs an arc length and an offset (x, y) or (x, y, z), got {marker}")
+
+    def as_dict(self) -> dict[str, object]:
+        """For `json`; loads in SI units."""
+        loads = None if self.loads is None else {name: np.asarray(value) for name, value in vars(self.loads).items()}
+        markers = {name: marker._asdict() for name, marker in self.markers.items()}
+        return {"loads": loads, "markers": markers, "given": dict(self.given)}
+
+
+PLAIN = BenchSetting()
+
+
+def unit_of(name: str) -> str:
+    """The SI unit of a parameter, of a product of powers of some, such as "1/Pa", or of a sum of two.
+
+    "1" for a plain number, such as the friction of a trial over that of all; "" for an unknown name.
+    """
+    name = re.split(" [+-] ", name)[0]
+    above, below = [], []
+    for slash, stem, power in re.findall(r"(/ )?([^\s*/^]+)(?:\^(\S+))?", name):
+        try:
+            unit = "1" if stem == "1" or stem.startswith(TRIALS) else si_unit(parameter_named(stem).dimension)
+        except InputError:
+            return ""
+        if unit != "1":
+            whole = f"({unit})" if "/" in unit or " " in unit else unit
+            (below if slash else above).append(f"{whole}^{power}" if power else whole if slash else unit)
+    return "".join([" ".join(above) or "1", *(f"/{unit}" for unit in below)])
+
+
+def parameter_named(name: str) -> Parameter:
+    """What a parameter is; `tip_gain_2` is that of the cell of tendon 2, `before_2` that of trial 2.
+
+    Raises:
+        InputError: for an unknown name.
+    """
+    stem, _, tendon = name.rpartition("_")
+    if tendon.isdigit() and stem.endswith(("_gain", "_zero")) and stem != "angle_zero":
+        name = stem
+    name = PARAMETER if is_past(name) else name
+    if name not in PARAMETERS:
+        raise InputError(f"{name!r} is no parameter that can be fitted; there are {', '.join(PARAMETERS)}")
+    return PARAMETERS[name]
