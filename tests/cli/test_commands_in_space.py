@@ -1,11 +1,13 @@
 """Commands with the example bodies in space: their numbers, their files, and what is refused in one line."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pandas
 import pytest
 from places import DATA, ROOT
+from scipy.spatial.transform import Rotation
 
 import cddf_jax as cddf
 
@@ -105,6 +107,31 @@ def test_the_example_of_a_routing(cddf_command, tmp_path):
     assert np.arctan2(z, y) == pytest.approx(tendon["tendons.0.angle.base"], abs=1e-6)
     names = {"design.json", "design.md", "design.pdf", "design.png", "design.toml", "profile.csv"}
     assert {path.name for path in tmp_path.iterdir()} == names
+
+
+@pytest.mark.slow
+def test_a_fit_to_markers_that_a_camera_sees(cddf_command, tmp_path):
+    """Positions of `solve` at a known modulus, turned by SciPy, in a table of markers."""
+    body = dataclasses.replace(cddf.read_manipulator(HELIX), youngs_modulus=1.3e6)
+    markers = ["row,marker,arc_length [mm],offset_x [mm],offset_y [mm],offset_z [mm],x [mm],y [mm]"]
+    for row, pull in enumerate((20.0, 40.0, 60.0), 1):
+        found = cddf.solve(body, pull).at(0.080)
+        place = found.position + found.frame @ np.array([0.002, 0.011, 0.004])
+        x, y, _ = 1e3 * Rotation.from_rotvec([0.0, 0.0, 0.1]).apply(np.array(place)) + (10.0, 0.0, 0.0)
+        markers.append(f"{row},head,80,2,11,4,{x:.9f},{y:.9f}")
+    (tmp_path / "bench.csv").write_text("base_tension [N]\n20\n40\n60\n")
+    (tmp_path / "markers.csv").write_text("\n".join(markers))
+    told = ("--given", "camera_turn_z=0.1 rad", "--free", "youngs_modulus", "--free", "camera_x")
+    noise = ("--noise", "x@head=0.1 mm", "--noise", "y@head=0.1 mm")
+    code, out, err = cddf_command(
+        "fit", HELIX, tmp_path / "bench.csv", tmp_path / "markers.csv", *told, *noise, "--json"
+    )
+    assert (code, err) == (0, "note: bench.csv: markers of markers.csv: head, in 3 of 3 rows\n")
+    answer = json.loads(out)
+    assert answer["value"]["youngs_modulus"] == pytest.approx(1.3e6, rel=1e-6)
+    assert answer["value"]["camera_x"] == pytest.approx(0.010, rel=1e-6)
+    assert answer["options"]["setting"]["given"] == {"camera_turn_z": 0.1}
+    assert answer["data"][0]["markers"]["head"]["offset"] == pytest.approx([0.002, 0.011, 0.004])
 
 
 @pytest.mark.parametrize(

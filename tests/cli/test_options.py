@@ -5,7 +5,7 @@ import pytest
 from bodies import paper_body
 
 import cddf_jax as cddf
-from cddf_jax.cli.fit_texts import read_before, read_bounds, read_noise, read_priors
+from cddf_jax.cli.fit_texts import read_before, read_bounds, read_noise, read_priors, read_setting
 from cddf_jax.cli.options import read_data
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.observations import Noise
@@ -212,9 +212,34 @@ def test_priors_noise_and_bounds():
     assert read_bounds(["friction_coefficient=0.2:"]) == {"friction_coefficient": (0.2, None)}
 
 
+def of_marker(texts):
+    return read_setting(None, None, None, texts, None)
+
+
+def of_given(texts):
+    return read_setting(None, None, None, None, texts)
+
+
+def test_what_is_told_of_a_bench():
+    setting = read_setting(
+        None, None, "0, -9.81 m/s^2", ["head=1, 11 mm at 8 cm"], ["camera_turn_z=90 deg", "tip_gain_2=1.03"]
+    )
+    np.testing.assert_allclose(setting.loads.gravity, [0.0, -9.81])
+    assert setting.markers == {"head": cddf.Marker(0.08, (0.001, 0.011))}
+    assert setting.given == {"camera_turn_z": np.pi / 2, "tip_gain_2": 1.03}
+    assert read_setting(None, None, None, None, None) == cddf.BenchSetting()
+
+
 @pytest.mark.parametrize(
     ("read", "text", "message"),
     [
+        (of_marker, "head=80 mm", "--marker head: write for example "),
+        (of_marker, "head=11 mm at 80 mm", "--marker head needs two components X, Y, or three in space, got '11 mm'"),
+        (of_marker, "head=0, 11 mm at 80", "--marker head needs a unit of length, got '80'"),
+        (of_given, "tip_gain", "--given 'tip_gain': write for example "),
+        (of_given, "tip_gian=1", "'tip_gian' is no parameter that can be fitted"),
+        (of_given, "camera_x=1", "--given camera_x needs a unit of length, got '1'"),
+        (of_given, "youngs_modulus=1 MPa", "given: youngs_modulus is no number of the bench"),
         (read_priors, "youngs_modulus", "--prior 'youngs_modulus': write for example "),
         (read_priors, "youngs_modulus=1.4 MPa", "--prior youngs_modulus: write for example "),
         (

@@ -90,6 +90,19 @@ def test_the_figure_holds_the_table(candidates):
     assert sum(len(line.get_xdata()) for line in hollow) == 2 + 1  # both now, the modulus after a pulley test
 
 
+def test_a_known_gain(run, tmp_path):
+    """A cell that reads ten times as much tells ten times as much of the pull, at the same noise."""
+    path = tmp_path / "candidates.toml"
+    path.write_text('[[candidate]]\nbase_tension = "20 N"\nnoise = { tip_tension = "0.5 N" }\n')
+    errors = []
+    for gain in ("1", "10"):
+        given = ("--given", f"tip_gain={gain}", "--free", "friction_coefficient")
+        code, text, _ = run(PAPER, "--candidates", path, "--num", 1, "--json", *given)
+        assert code == 0
+        errors.append(json.loads(text)["ranking"][0]["standard_error"]["friction_coefficient"])
+    assert errors[0] / errors[1] == pytest.approx(10.0)
+
+
 @pytest.mark.slow
 def test_added_to_what_was_measured(run):
     """Load cells alone hold mu / E; the first thing to do is what separates the two, and the text says so."""

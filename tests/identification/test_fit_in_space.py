@@ -61,6 +61,12 @@ def test_a_marker_on_the_axis_at_the_tip_is_the_tip():
         ({"x@head": [0.01]}, PLAIN, "no marker of that name is given"),
         ({"x@200mm": [0.01]}, PLAIN, "at 200 mm, but the body is 140 mm long"),
         ({"x@head": [0.01]}, cddf.BenchSetting(markers={"head": cddf.Marker(-0.01)}), "at -10 mm"),
+        ({"tip_x": [0.01]}, cddf.BenchSetting(markers={"head": HEAD}), "the marker 'head' is in no table"),
+        (
+            {"tip_x": [0.01]},
+            cddf.BenchSetting(cddf.Loads(gravity=(0.0, -9.81))),
+            "loads.gravity: the body has no weight",
+        ),
     ],
 )
 def test_what_cannot_be_read(columns, setting, words):
@@ -69,12 +75,29 @@ def test_what_cannot_be_read(columns, setting, words):
         cddf.fit(in_plane(), table, setting=setting)
 
 
+def test_a_place_that_is_told_twice(tmp_path):
+    (tmp_path / "bench.csv").write_text("base_tension [N]\n10\n")
+    (tmp_path / "markers.csv").write_text("row,marker,arc_length [mm],x [mm]\n1,head,80,79\n")
+    (table,) = cddf.read_tables([tmp_path / "bench.csv", tmp_path / "markers.csv"])
+    with pytest.raises(InputError, match="the place of the marker 'head' is told by its table and once more"):
+        cddf.fit(in_plane(), table, setting=cddf.BenchSetting(markers={"head": HEAD}))
+
+
 @pytest.mark.parametrize(
     ("given", "words"), [({"youngs_modulus": 1e6}, "is no number of the bench"), ({"tip_gain": np.nan}, "finite")]
 )
 def test_what_cannot_be_given(given, words):
     with pytest.raises(InputError, match=words):
         cddf.BenchSetting(given=given)
+
+
+def test_a_setting_in_words():
+    setting = cddf.BenchSetting(cddf.Loads(gravity=(0.0, -9.81)), {"head": HEAD}, {"camera_turn_z": np.pi / 2})
+    assert setting.in_words == [
+        "camera_turn_z = 90 deg",
+        "loads in all rows: tip force 0, 0 N, tip moment 0 N m, gravity 0, -9.81 m/s^2",
+        "marker head: (2, 11, 4) mm from the axis at 80 mm",
+    ]
 
 
 def test_what_turns_out_of_the_plane():

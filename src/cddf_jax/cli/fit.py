@@ -53,6 +53,11 @@ def fit(
     prior: PriorOption = None,
     bound: Bound = None,
     noise: NoiseOption = None,
+    tip_force: options.TipForce = None,
+    tip_moment: options.TipMoment = None,
+    gravity: options.Gravity = None,
+    marker: options.Marker = None,
+    given: options.Given = None,
     history: options.HistoryOption = None,
     before: BeforeOption = None,
     short_steps: Annotated[
@@ -84,7 +89,7 @@ def fit(
         from ..identification.fit import fit
         from ..reports.fit_report import fit_in_words, write_report
         from ..reports.fit_results import fit_as_dict, make_report
-        from .fit_texts import read_before, read_bounds, read_noise, read_priors
+        from .fit_texts import read_before, read_bounds, read_noise, read_priors, read_setting
 
     found = fit(
         manipulator,
@@ -93,6 +98,7 @@ def fit(
         read_priors(prior),
         bounds=read_bounds(bound),
         noise=read_noise(noise),
+        setting=read_setting(tip_force, tip_moment, gravity, marker, given),
         history=history,
         before=read_before(before),
         short_steps=short_steps,

@@ -1,4 +1,4 @@
-"""What `cddf fit` and `cddf plan` are told: priors, bounds, noise, and a file of candidates for the next experiment."""
+"""What `cddf fit` and `cddf plan` are told: priors, bounds, noise, the bench, and what could be measured next."""
 
 import re
 from collections.abc import Sequence
@@ -9,16 +9,20 @@ import numpy as np
 from ..errors import InputError, within
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Prior, Uniform
+from ..files.actuation import read_loads
 from ..files.manipulator_file import read_toml
 from ..identification.experiment_design import Candidate
-from ..identification.parameters import parameter_named
+from ..identification.parameters import BenchSetting, parameter_named
 from ..identification.past import REST, Before, One
 from ..measurements.columns import column_dimension
-from ..units import quantity
+from ..measurements.markers import Marker
+from ..units import quantity, vector
 from .options import read_all
 
 PRIOR = '"youngs_modulus=1.4 MPa +- 0.1 MPa" or "friction_coefficient=0.1..0.6"'
 BOUND = '"pretension=0 N:2 N"'
+GIVEN = '"tip_gain=1.03" or "camera_turn_z=3 deg"'
+MARKER = '"head=0, 11, 0 mm at 80 mm"'
 NOISE = '"tip_tension=0.5 N" or "tip_tension=0.2 N + 1 %"'
 
 
@@ -64,6 +68,27 @@ def _tensions(text: str) -> One:
         return REST
     found = tuple(quantity(part.strip(), "force", "--before") for part in text.split("/"))
     return found if len(found) > 1 else found[0]
+
+
+def read_setting(
+    tip_force: str | None,
+    tip_moment: str | None,
+    gravity: str | None,
+    marker: Sequence[str] | None,
+    given: Sequence[str] | None,
+) -> BenchSetting:
+    """What all rows share: loads, places of markers, known numbers."""
+    numbers = read_all(given, "--given", GIVEN, lambda name, text: _of_parameter(name, text, "--given"))
+    return BenchSetting(
+        read_loads(tip_force, tip_moment, gravity), read_all(marker, "--marker", MARKER, _marker), numbers
+    )
+
+
+def _marker(name: str, text: str) -> Marker:
+    offset, at, place = (part.strip() for part in text.partition(" at "))
+    if not at:
+        raise InputError(f"--marker {name}: write for example {MARKER}, got {text!r}")
+    return Marker(quantity(place, "length", f"--marker {name}"), vector(offset, "length", f"--marker {name}"))
 
 
 def read_noise(texts: Sequence[str] | None) -> dict[str, float | Noise]:

@@ -44,6 +44,20 @@ Gravity = Annotated[
     str | None,
     typer.Option(help='Acceleration (X, Y), in space (X, Y, Z), "0, -9.81 m/s^2". The body needs a mass.'),
 ]
+Given = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='A known number of the bench, "tip_gain=1.03", "camera_turn_z=3 deg". Where it is fitted as well, the '
+        "search starts there.",
+    ),
+]
+Marker = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Where the marker of the columns x@NAME is: its offset from the axis, x along the body, y and z, and the "
+        'arc length, "head=0, 11, 0 mm at 80 mm".',
+    ),
+]
 Data = Annotated[
     list[Path] | None,
     typer.Argument(

@@ -29,6 +29,11 @@ def plan(
         str, typer.Option(help="Largest base tension of the default candidates, with its unit.")
     ] = "85 N",
     free: options.Free = None,
+    tip_force: options.TipForce = None,
+    tip_moment: options.TipMoment = None,
+    gravity: options.Gravity = None,
+    marker: options.Marker = None,
+    given: options.Given = None,
     history: options.HistoryOption = None,
     criterion: Annotated[
         str, typer.Option(help="D for all parameters together, or the one to be known best, youngs_modulus.")
@@ -45,16 +50,17 @@ def plan(
         from ..identification.fit import fit
         from ..reports.plan_report import plan_as_dict, plan_as_markdown
         from ..units import quantity
-        from .fit_texts import read_candidates
+        from .fit_texts import read_candidates, read_setting
 
     names = tuple(free) if free else None
     largest = quantity(tension, "force", "--tension")
     if not largest > 0:
         raise InputError(f"--tension {tension}: give a tension above 0 N")
-    choices = standard_candidates(manipulator, largest) if candidates is None else read_candidates(candidates)
+    setting = read_setting(tip_force, tip_moment, gravity, marker, given)
+    choices = standard_candidates(manipulator, largest, setting) if candidates is None else read_candidates(candidates)
     tables = options.read_data(data, column, holds_averaged=average_holds)
-    known = fit(manipulator, tables, names, history=history) if tables else manipulator
-    found = plan(known, choices, names, criterion=criterion, num=num)
+    known = fit(manipulator, tables, names, setting=setting, history=history) if tables else manipulator
+    found = plan(known, choices, names, setting=setting, criterion=criterion, num=num)
     text, answer = plan_as_markdown(found), plan_as_dict(found)
     if out is not None:
         from ..figures.estimates import draw_plan

@@ -173,7 +173,8 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
         return _Panel(*numbers, curve, np.nan, *words, label, there)
     kind = kind_of(column)
     scale, unit = preferred(dimension_of(kind))
-    number = column.removeprefix(kind).replace("_", " ")  # " 2" of tendon 2
+    # " 2" of tendon 2, " at head" of a marker
+    number = f" at {column.partition('@')[2]}" if "@" in column else column.removeprefix(kind).replace("_", " ")
     words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
     base, axis = rows["base_tension"][there], "Base tension (N)"
     if curve is not None:

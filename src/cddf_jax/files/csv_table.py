@@ -46,15 +46,8 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
     Raises:
         InputError: names the file, row (line), column, value and remedy.
     """
-    empty = f"is empty; write a header such as {kind.example!r} and rows below it"
-    given = {" ".join(name.split()): text for name, text in (columns or {}).items()}
-
-    def recognised(cells: Sequence[str]) -> int:
-        found = (table_header.heading_of(cell, kind, given).column for cell in cells)
-        return sum(column is not None and column not in kind.optional for column in found)
-
     with within(path):
-        source = open_table(path, recognised, empty)
+        source, given = _opened(path, kind, columns or {})
         headings = table_header.headings_of(source.header, source.row, kind, given)
         below = list(islice(source.rows, 1))
         if below and (with_units := table_header.with_units_below(headings, *below[0], kind)):
@@ -64,6 +57,27 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
         table_header.check_headings(headings, source.row, kind)
         names = {text for heading in headings for text in (heading.text, heading.name)}
         return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
+
+
+def says(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -> set[str]:
+    """Which columns of a kind of table the header of a file names; none of a file that cannot be read."""
+    try:
+        source, given = _opened(path, kind, columns)
+        return {column for cell in source.header if (column := table_header.heading_of(cell, kind, given).column)}
+    except InputError:
+        return set()
+
+
+def _opened(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -> tuple[Source, dict[str, str]]:
+    """The table in a file, and what is said of its columns, by their heads on one line."""
+    empty = f"is empty; write a header such as {kind.example!r} and rows below it"
+    given = {" ".join(name.split()): text for name, text in columns.items()}
+
+    def recognised(cells: Sequence[str]) -> int:
+        found = (table_header.heading_of(cell, kind, given).column for cell in cells)
+        return sum(column is not None and column not in kind.optional for column in found)
+
+    return open_table(path, recognised, empty), given
 
 
 def _with_usual_unit(heading: Heading, kind: Kind) -> Heading:

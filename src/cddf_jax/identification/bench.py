@@ -24,7 +24,8 @@ from ..mechanics.capstan import pulling_tension
 from ..programs.kept import kept_program
 from ..progress import stage
 from ..robot.loads import Loads, loads_in_space
-from ..robot.manipulator import Manipulator
+from ..robot.manipulator import Manipulator, in_space
+from ..robot.validation import check_weight
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.solve import solve
 from .course import WITHOUT, Course, Shown
@@ -305,7 +306,9 @@ def experiment_of(
         return Pulley(table["weight"], table["wrap_angle"], table.name)
     with within(table.name):
         columns = _observed(table, manipulator.num_tendons)
-        found = markers_of(columns, setting.markers, float(np.asarray(manipulator.length)))
+        if twice := [name for name in setting.markers if name in table.markers]:
+            raise InputError(f"the place of the marker {twice[0]!r} is told by its table and once more; leave one out")
+        found = markers_of(columns, {**setting.markers, **table.markers}, float(np.asarray(manipulator.length)))
         force = _tip_force(table)
         bench = Bench(
             np.stack([table[column] for column in of_tendons("base_tension", manipulator.num_tendons)], axis=1),
@@ -318,15 +321,24 @@ def experiment_of(
             course,
             AllRows.of(setting, found),
         )
-        if not bench.in_space(manipulator):
-            for column in columns:
-                if READINGS[kind_of(column)].in_space:
-                    raise InputError(
-                        f"column {column!r}, but the body is in the plane; give its tendons an angle, or leave it out"
-                    )
+        _check_body(bench, manipulator)
         if course is not None and (found or setting.loads is not None or bench.in_space(manipulator)):
             raise InputError(f"a history with {_not_followed(found, setting)} is not known yet; {WITHOUT}")
     return bench
+
+
+def _check_body(bench: Bench, manipulator: Manipulator) -> None:
+    """That it has a weight where there is gravity, and leaves the plane where columns or loads do."""
+    check_weight(manipulator, bench.setting.loads)
+    if bench.in_space(manipulator):
+        with within("loads of three components", ValueError):
+            in_space(manipulator)
+        return
+    for column in bench.columns:
+        if READINGS[kind_of(column)].in_space:
+            raise InputError(
+                f"column {column!r}, but the body is in the plane; give its tendons an angle, or leave it out"
+            )
 
 
 def _not_followed(markers: Mapping[str, Marker], setting: BenchSetting) -> str:

@@ -26,7 +26,7 @@ from ..statics.equilibrium import NOTEWORTHY, RESULTS
 from .bench import Bench, Pulley, experiment_of
 from .course import course_of, has_history
 from .fit import Fit
-from .parameters import Parameters, free_parameters, parameter_named, starting_value
+from .parameters import PLAIN, BenchSetting, Parameters, free_parameters, parameter_named, starting_value
 
 BEFOREHAND = 100.0  # relative standard error before any data, for designs that leave a parameter undetermined
 
@@ -100,6 +100,7 @@ def plan(
     free: Sequence[str] | None = None,
     *,
     priors: Priors | None = None,
+    setting: BenchSetting = PLAIN,
     criterion: str = "D",
     num: int = 3,
     nodes: int = 16,
@@ -111,6 +112,7 @@ def plan(
         candidates: what could be measured; one may be chosen more than once.
         free: parameters to determine, of `parameters.PARAMETERS`; None as in `fit`. A fit has its own.
         priors: by parameter, mean and standard deviation, SI. A fit has its own.
+        setting: what all rows share, as in `fit`. A fit has its own.
         criterion: "D" for all parameters together (the volume of their joint interval), or the name of the one
             whose standard error is to become smallest (c-optimal).
         num: how many to choose in turn.
@@ -125,14 +127,20 @@ def plan(
         if known.trial_effects:
             raise InputError("plan: needs a fit whose friction is the same in every trial; fit without per_trial")
         body, parameters, nodes = known.model.manipulator, known.parameters, known.model.nodes
-        evidence = known.evidence
+        evidence, setting = known.evidence, known.setting
     else:
-        body, parameters = known, {name: starting_value(known, name) for name in free_parameters(known, free)}
+        body, parameters = (
+            known,
+            {name: starting_value(known, name, setting.given) for name in free_parameters(known, free)},
+        )
         evidence = _nothing_measured(parameters, priors or {})
     if criterion != "D" and criterion not in evidence.space.names:
         raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.space.names)}")
     evidence = replace(evidence, noise_estimated=dict.fromkeys(evidence.rows, False))
-    rows = [_rows(body, parameters, candidate, evidence.size, nodes) for candidate in each("candidate", candidates)]
+    rows = [
+        _rows(_experiment(body, one, setting), body, parameters, one, evidence.size, nodes)
+        for one in each("candidate", candidates)
+    ]
     ranking = tuple(ranked for ranked, _ in _rank(evidence, candidates, rows, criterion))
     chosen, so_far = [], evidence
     for _ in range(num):
@@ -196,9 +204,15 @@ def _merit(evidence: Evidence, criterion: str) -> float:
     return -0.5 * float(np.log(np.linalg.inv(information)[i, i]))
 
 
-def _rows(body: Manipulator, parameters: Parameters, candidate: Candidate, size: np.ndarray, nodes: int) -> Rows:
+def _rows(
+    experiment: Pulley | Bench,
+    body: Manipulator,
+    parameters: Parameters,
+    candidate: Candidate,
+    size: np.ndarray,
+    nodes: int,
+) -> Rows:
     """The scaled Jacobian of what a candidate reads, and warnings of rows that have no solution and so tell nothing."""
-    experiment = _experiment(body, candidate)
     warnings: list[str] = []
     if isinstance(experiment, Pulley):
         flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, parameters))
@@ -220,7 +234,7 @@ def _rows(body: Manipulator, parameters: Parameters, candidate: Candidate, size:
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
 
 
-def _experiment(body: Manipulator, candidate: Candidate) -> Pulley | Bench:
+def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) -> Pulley | Bench:
     """The candidate as a table whose readings are not known yet."""
     conditions = {name: np.atleast_1d(np.asarray(value, float)) for name, value in candidate.conditions.items()}
     count = max(values.size for values in conditions.values()) if conditions else 0
@@ -235,15 +249,17 @@ def _experiment(body: Manipulator, candidate: Candidate) -> Pulley | Bench:
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
     table = Measurements.from_columns(name, notes=(), **columns)
-    return experiment_of(table, body, course=course_of(table, 0.0)[0] if has_history(table, None) else None)
+    course = course_of(table, 0.0)[0] if has_history(table, None) else None
+    return experiment_of(table, body, course=course, setting=setting)
 
 
-def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candidate]:
+def standard_candidates(manipulator: Manipulator, tension: float, setting: BenchSetting = PLAIN) -> list[Candidate]:
     """The usual measurements on a bench, six levels each, with the noise of usual instruments.
 
     Args:
         manipulator: with two tendons or more, pulling the second one as well is among them.
         tension: the largest base tension, N.
+        setting: of the bench; under loads of all rows nothing is let out.
     """
     levels = tension * np.arange(1, 7) / 6
     cell, angle, place = 0.01 * tension, np.radians(1.0), 1e-3
@@ -261,7 +277,8 @@ def standard_candidates(manipulator: Manipulator, tension: float) -> list[Candid
             {"tip_tension": cell},
         ),
     ]
-    if manipulator.num_tendons == 1 and not manipulator.in_space:  # a fit in space knows no history
+    # a fit in space, or with loads of all rows, knows no history
+    if manipulator.num_tendons == 1 and not manipulator.in_space and setting.loads is None:
         back = {"base_tension": [*levels, *levels[-2::-1]], "step": np.arange(11)}
         read = {"tip_tension": cell, "tip_angle": angle}
         found.append(Candidate("tip tensions and angles, pulled and come back down", back, read))

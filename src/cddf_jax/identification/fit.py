@@ -14,6 +14,7 @@ from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
+from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from . import bench
@@ -56,6 +57,7 @@ class Fit(LeastSquaresFit):
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 where there is none, NaN where not asked for
     looks: tuple[Look, ...]  # at the solves of each table of the manipulator
     steadied: dict[str, Steady]  # by table with a history, the base tensions without the jitter of their cell
+    setting: BenchSetting  # what all rows share
     options: dict[str, object]  # the arguments of `fit` beside body and data; with the names of what was free
 
     @property
@@ -296,6 +298,9 @@ def fit(
     model = bench.BenchModel(manipulator, tuple(experiments), nodes)
     steadied = {name: course[1] for name, course in zip(model.names, courses, strict=True) if course}
     groups = bench.groups_of(tables, model)
+    for name in setting.markers:
+        if not any(marker_column(group.column) == (axis, name) for group in groups for axis in "xyz"):
+            raise InputError(f"fit: the marker {name!r} is in no table; name its columns x@{name}, y@{name}")
     start = {name: starting_value(manipulator, name, setting.given) for name in free}
     start |= {name: guess for name, (guess, _) in guesses.items()}
     own_bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive}
@@ -305,12 +310,12 @@ def fit(
     search = partial(least_squares_fit, model, **data_of, bounds=bounds, loss=loss, seed=seed, prefer_start=True)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        return _conclude(statistics, tables, model, steadied, float("nan"), options)
+        return _conclude(statistics, tables, model, setting, steadied, float("nan"), options)
     if "friction_coefficient" not in free or earlier[-1] < 2:
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
-    return _conclude(statistics, tables, model, steadied, spread, options)
+    return _conclude(statistics, tables, model, setting, steadied, spread, options)
 
 
 def _courses(
@@ -369,6 +374,7 @@ def _conclude(
     statistics: LeastSquaresFit,
     tables: tuple[Measurements, ...],
     model: bench.BenchModel,
+    setting: BenchSetting,
     steadied: dict[str, Steady],
     trial_spread: float,
     options: dict[str, object],
@@ -403,5 +409,6 @@ def _conclude(
         trial_spread=trial_spread,
         looks=looks,
         steadied=steadied,
+        setting=setting,
         options=options,
     )

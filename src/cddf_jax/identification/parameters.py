@@ -20,7 +20,7 @@ from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space as body_in_space
 from ..robot.profiles import shifted
-from ..units import Dimension, si_unit
+from ..units import Dimension, shown, si_unit
 from .past import PARAMETER, is_past
 
 TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
@@ -155,6 +155,17 @@ class BenchSetting:
         for name, marker in self.markers.items():
             if not 2 <= len(marker.offset) <= 3 or not np.all(np.isfinite([marker.arc_length, *marker.offset])):
                 raise InputError(f"markers: {name} needs an arc length and an offset (x, y) or (x, y, z), got {marker}")
+
+    @property
+    def in_words(self) -> list[str]:
+        """What is told, a line each."""
+        lines = [f"{name} = {shown(value, parameter_named(name).dimension)}" for name, value in self.given.items()]
+        if self.loads is not None:
+            force, moment, gravity = (
+                ", ".join(f"{x:.5g}" for x in np.atleast_1d(value)) for value in vars(self.loads).values()
+            )
+            lines.append(f"loads in all rows: tip force {force} N, tip moment {moment} N m, gravity {gravity} m/s^2")
+        return lines + [f"marker {name}: {marker}" for name, marker in self.markers.items()]
 
     def as_dict(self) -> dict[str, object]:
         """For `json`; loads in SI units."""

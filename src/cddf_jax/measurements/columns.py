@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from ..errors import InputError
 from ..files.table_header import short
 from ..quantities import QUANTITIES
-from ..units import Dimension
+from ..units import Dimension, preferred
 from .markers import marker_column
 from .readings import NAMED, kind_of
 
@@ -105,3 +105,19 @@ def is_reading(column: str) -> bool:
 def is_direction(column: str) -> bool:
     """Of tendon 1, `direction`, or of another, `direction_2`."""
     return column.startswith("direction")
+
+
+def misspelt(name: str) -> str:
+    """What is said against a column whose name is nearly one of ours."""
+    meant = column_resembled(name)
+    if meant is None:
+        return ""
+    remedy = f'Rename it or give {as_option(name, meant)}, or leave it out by --column "{name}="'
+    return f"unknown column {short(name)}; did you mean {meant}? {remedy}"
+
+
+def as_option(name: str, column: str) -> str:
+    """How to say at the command line which column a name means."""
+    dimension = column_dimension(column)
+    unit = f" [{preferred(dimension)[1]}]" if dimension else ""
+    return f'--column "{name}={column}{unit}"'

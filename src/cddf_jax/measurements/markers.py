@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, SpatialFields
 from ..numerics.rotations import in_fixed_frame, of_turn
-from ..units import quantity
+from ..units import quantity, shown
 
 _COLUMN = re.compile(r"\s*([xyzXYZ])\s*@\s*(\S.*?)\s*")
 
@@ -30,6 +30,10 @@ class Marker(NamedTuple):
 
     arc_length: float
     offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+    def __str__(self) -> str:
+        offset = ", ".join(f"{1e3 * x:.5g}" for x in self.offset)
+        return f"({offset}) mm from the axis at {shown(self.arc_length, 'length')}"
 
 
 def marker_column(name: str) -> tuple[str, str] | None:
@@ -67,8 +71,9 @@ def _arc_length(column: str, place: str) -> float:
         return quantity(place, "length", f"column {column}")
     except InputError:
         raise InputError(
-            f"column {column}: {place!r} is no arc length such as 120mm, and no marker of that name is given; "
-            f"give markers={{{place!r}: Marker(arc_length, offset)}}"
+            f"column {column}: {place!r} is no arc length such as 120mm, and no marker of that name is given; give "
+            f"BenchSetting(markers={{{place!r}: Marker(arc_length, offset)}}), or --marker "
+            f'"{place}=0, 11, 0 mm at 80 mm"'
         ) from None
 
 

@@ -10,7 +10,7 @@
 | tip_tension, tip_tension_2, ... | force | the same tendon's tension at its tip end |
 | tip_angle | angle | phi(L) |
 | tip_x, tip_y, tip_z | length | u(L) in the frame at the base, tip_z of a body in space |
-| x@120mm, y@120mm, z@120mm | length | a marker at that arc length; `x@head` is one whose place `fit` is given |
+| x@120mm, y@120mm, z@120mm | length | a marker at that arc length; the place of `x@head` is told apart |
 | tip_force_x, tip_force_y, tip_force_z | force | known dead load on the tip |
 | direction, direction_2, ... | none | +1 where the tendon slides in (pulled), -1 out; without it: as `solve` finds it |
 | wrap_angle | angle | pulley test: angle of contact |
@@ -39,7 +39,7 @@ marks and encodings are understood; .xlsx needs the extra `excel`.
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -49,18 +49,21 @@ from numpy.typing import ArrayLike
 from ..errors import InputError, within
 from ..files.csv_table import read_table
 from ..files.table_header import Kind, short
-from ..units import preferred, written
+from ..units import written
 from .columns import (
     DIRECTIONS,
     ORDER,
     PER_TENDON,
     PULLEY,
+    as_option,
     column_dimension,
     column_meant,
-    column_resembled,
     is_direction,
     is_reading,
+    misspelt,
 )
+from .marker_table import NO_MARKERS, of_markers, read_marker_table
+from .markers import Marker
 from .readings import kind_of
 from .table_warnings import warnings_of
 
@@ -85,6 +88,7 @@ class Measurements:
         files: where the trials are files, their names, in the order of `trial_labels`.
         unread: columns that held no reading in any row and are left out.
         left_out: how many rows held no reading and are left out; with `step` or `time` they stay, as steps of a path.
+        markers: by name, the places that a table of markers tells.
     """
 
     name: str
@@ -98,6 +102,7 @@ class Measurements:
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     left_out: int = 0
+    markers: Mapping[str, Marker] = field(default_factory=dict)
 
     def __post_init__(self):
         for values in self.columns.values():
@@ -206,30 +211,27 @@ def read_measurements(path: str | os.PathLike[str], columns: Mapping[str, str] |
     return table
 
 
-def read_file(path: str | os.PathLike[str], columns: Mapping[str, str]) -> tuple[Measurements, tuple[str, ...]]:
-    """The measurements in a file, and which of `columns` it does not have."""
-    found = read_table(path, _KIND, columns)
+def read_file(
+    path: str | os.PathLike[str], columns: Mapping[str, str], markers: str | os.PathLike[str] | None = None
+) -> tuple[Measurements, tuple[str, ...]]:
+    """The measurements in a file, with its table of markers in another; and which of `columns` they do not have."""
+    theirs = {} if markers is None else of_markers(columns)
+    own = {name: meant for name, meant in columns.items() if name not in theirs or not meant.strip()}
+    found = read_table(path, _KIND, own)
     with within(path):
         _check_columns(found.columns, found.unused)
-        name = Path(path).name
-        table = _table(name, found.columns, notes=found.notes, rows=found.rows, read_as=found.read_as)
-        return table, found.missing
-
-
-def _misspelt(name: str) -> str:
-    """What is said against a column whose name is nearly one of ours."""
-    meant = column_resembled(name)
-    if meant is None:
-        return ""
-    remedy = f'Rename it or give {_option(name, meant)}, or leave it out by --column "{name}="'
-    return f"unknown column {short(name)}; did you mean {meant}? {remedy}"
-
-
-def _option(name: str, column: str) -> str:
-    """How to say at the command line which column a name means."""
-    dimension = column_dimension(column)
-    unit = f" [{preferred(dimension)[1]}]" if dimension else ""
-    return f'--column "{name}={column}{unit}"'
+    more = NO_MARKERS if markers is None else read_marker_table(markers, theirs, len(found.rows))
+    with within(path):
+        if twice := [column for column in more.columns if column in found.columns]:
+            raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
+        every, said = found.columns | more.columns, (*found.read_as, *more.read_as)
+        table = _table(Path(path).name, every, notes=found.notes, rows=found.rows, read_as=said)
+    missing = tuple(
+        name
+        for name in columns
+        if (name not in own or name in found.missing) and (name not in theirs or name in more.missing)
+    )
+    return replace(table, markers=more.places), missing
 
 
 _KIND = Kind(
@@ -241,7 +243,7 @@ _KIND = Kind(
     optional=("time",),
     gaps=is_reading,
     words=lambda column: DIRECTIONS if is_direction(column) else {},
-    objection=_misspelt,
+    objection=misspelt,
 )
 
 
@@ -338,7 +340,7 @@ def _check_columns(columns: Iterable[str], unused: Sequence[str] = ()) -> None:
         remedy = f"add it (a pulley test has {', '.join(PULLEY)})"
         if unused:
             there = ", ".join(map(short, unused[:6])) + (", ..." if len(unused) > 6 else "")
-            remedy = f"say which of {there} it is, by {_option(unused[0], missing[0])}, or add it"
+            remedy = f"say which of {there} it is, by {as_option(unused[0], missing[0])}, or add it"
         raise InputError(f"the column {missing[0]} is missing; {remedy}")
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from .marker_table import is_marker_table
 from .table import Measurements, read_file
 
 
@@ -16,7 +17,8 @@ def read_tables(
     """The measurements in several files; those that are trials of one experiment become one table.
 
     Files are trials where two or more have the same columns and none of these is `trial`; each file is then a trial.
-    To keep a table for each file, use `read_measurements`.
+    To keep a table for each file, use `read_measurements`. A file with a column `marker` is a table of markers
+    (`marker_table`), and belongs to the table before it.
 
     Args:
         paths: of the files.
@@ -25,11 +27,26 @@ def read_tables(
     Raises:
         InputError: as `read_measurements`.
     """
-    found = [read_file(path, columns or {}) for path in paths]
+    found = [read_file(path, columns or {}, markers) for path, markers in _with_markers(paths, columns or {})]
     for name in columns or {}:
         if found and all(name in missing for _, missing in found):
             raise InputError(f"{', '.join(table.name for table, _ in found)}: no column {name!r}; check the name")
     return trials_together([table for table, _ in found])
+
+
+def _with_markers(
+    paths: Iterable[str | os.PathLike[str]], columns: Mapping[str, str]
+) -> list[tuple[str | os.PathLike[str], str | os.PathLike[str] | None]]:
+    """Each file of measurements, with its table of markers where one comes behind it."""
+    found: list[tuple[str | os.PathLike[str], str | os.PathLike[str] | None]] = []
+    for path in paths:
+        if not is_marker_table(path, columns):
+            found.append((path, None))
+        elif found and found[-1][1] is None:
+            found[-1] = found[-1][0], path
+        else:
+            raise InputError(f"{path}: is a table of markers; name the file of the measurements just before it")
+    return found
 
 
 def trials_together(tables: Sequence[Measurements]) -> tuple[Measurements, ...]:
@@ -37,11 +54,12 @@ def trials_together(tables: Sequence[Measurements]) -> tuple[Measurements, ...]:
 
     A column without a reading in one of them is one of its columns all the same.
     """
-    alike: dict[frozenset[str], list[Measurements]] = {}
+    alike: dict[tuple[frozenset[str], frozenset[object]], list[Measurements]] = {}
     for table in tables:
-        alike.setdefault(frozenset((*table.columns, *table.unread)), []).append(table)
+        of_table = frozenset((*table.columns, *table.unread)), frozenset(table.markers.items())
+        alike.setdefault(of_table, []).append(table)
     found = []
-    for columns, group in alike.items():
+    for (columns, _), group in alike.items():
         again = len({table.checksum for table in group}) < len(group)  # given twice, of which `fit` warns
         found += group if len(group) == 1 or "trial" in columns or again else [_joined(group)]
     order = [table.name for table in tables]
@@ -71,6 +89,7 @@ def _joined(tables: Sequence[Measurements]) -> Measurements:
         read_as=tuple(said),
         files=tuple(names),
         unread=tuple(column for column in tables[0].unread if column not in columns),
+        markers=tables[0].markers,
     )
 
 

@@ -110,6 +110,7 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
         _noise_section(report),
         _bullets("Without a model of the body", _model_free_in_words(report)),
         _bullets("Warnings", later),
+        _bullets("What was told of the bench", _told(fit)),
         _figure_section(report, figures),
         _bullets("How the files were read", [line for table in fit.tables for line in table.read_as]),
         _repeat_section(report),
@@ -301,6 +302,11 @@ def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
     missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(report).items()]
     between = [""] if pictures and missing else []
     return ["## Figures", "", *pictures, *between, *missing]
+
+
+def _told(fit: Fit) -> list[str]:
+    places = [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
+    return [*fit.setting.in_words, *places]
 
 
 def _repeat_section(report: Report) -> list[str]:

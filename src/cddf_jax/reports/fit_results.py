@@ -180,6 +180,7 @@ def fit_as_dict(report: Report) -> dict[str, object]:
 
 def _table_as_dict(table: Measurements) -> dict[str, object]:
     named = {"files": table.files or (table.name,), "rows": len(table), "sha256": table.checksum}
+    named |= {"markers": {name: marker._asdict() for name, marker in table.markers.items()}} if table.markers else {}
     return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.spread is not None}
 
 
