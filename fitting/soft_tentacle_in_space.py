@@ -87,33 +87,20 @@ def read_poses() -> Poses:
     return Poses(table["run"], tension, np.moveaxis(places, -1, 0) @ TO_BODY.T)
 
 
-class AxialStiffness(eqx.Module):
-    """E A of a solid body, N, for a modulus of its own."""
-
-    radius: Any
-    youngs_modulus: Any
-
-    def __call__(self, arc_length: Any) -> jax.Array:
-        return self.youngs_modulus * jnp.pi * self.radius(arc_length) ** 2
-
-
 def body(numbers: dict[str, Any], extensible: bool) -> cddf.Manipulator:
     """The tentacle with both of its tendons."""
     plain = in_plane(1.0, 0.0, "exact")
-    modulus, axial = numbers["youngs_modulus"], None
-    if extensible:
-        axial = AxialStiffness(plain.outer_radius, numbers.get("axial_factor", 1.0) * modulus)
     return cddf.Manipulator(
         length=LENGTH,
         outer_radius=plain.outer_radius,
         inner_radius=0.0,
         tendons=tuple(cddf.Tendon(plain.tendons[0].offset, end=ANCHOR, angle=angle) for angle in ANGLES),
-        youngs_modulus=modulus,
+        youngs_modulus=numbers["youngs_modulus"],
         friction_coefficient=numbers.get("friction_coefficient", 0.0),
         poissons_ratio=numbers.get("poissons_ratio", 0.5),
         density=DENSITY,
         extensible=extensible,
-        axial_stiffness=axial,
+        axial_factor=numbers.get("axial_factor"),
     )
 
 

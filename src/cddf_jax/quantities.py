@@ -60,6 +60,8 @@ _ALL = (
     Quantity("free_length", "length"),
     Quantity("youngs_modulus", "pressure", title="Young's modulus"),
     Quantity("stiffness_factor", "dimensionless"),
+    Quantity("axial_factor", "dimensionless", "factor on the axial stiffness"),
+    Quantity("shear_factor", "dimensionless", "factor on the shear stiffness"),
     Quantity("bending_stiffness", "bending stiffness"),
     Quantity("torsional_stiffness", "torsional stiffness"),
     Quantity("axial_stiffness", "force"),

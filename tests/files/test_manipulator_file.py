@@ -160,6 +160,8 @@ inner_radius = "7 mm"
 youngs_modulus = "1.4 MPa"
 poissons_ratio = 0.45
 extensible = true
+axial_factor = 0.8
+shear_factor = 1.2
 rest_curvature = ["0 1/m", { base = "2 1/m", tip = "1 1/m" }, "0.5 1/m"]
 torsional_stiffness = "0.02 N m^2"
 axial_stiffness = "1 kN"
@@ -181,6 +183,7 @@ def test_a_body_in_space(tmp_path):
     rest = (cddf.Constant(0.0), cddf.Linear(2.0, 1.0, 0.14), cddf.Constant(0.5))
     assert_identical(body.rest_curvature, rest)
     assert (body.extensible, float(body.poissons_ratio)) == (True, 0.45)
+    assert (float(body.axial_factor), float(body.shear_factor)) == (0.8, 1.2)
     assert_identical((body.torsional_stiffness, body.axial_stiffness), (cddf.Constant(0.02), cddf.Constant(1000.0)))
     assert (body.tendons[1].axial_stiffness, body.shear_stiffness) == (12000.0, None)
     assert_same_when_read_again(body, tmp_path / "again.toml")

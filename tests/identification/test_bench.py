@@ -10,7 +10,14 @@ from test_fit import LEVELS, MU, E, closed_form, wrap
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import Bench, experiment_of
-from cddf_jax.identification.parameters import OF_SPACE, PARAMETERS, starting_value, unit_of, with_parameters
+from cddf_jax.identification.parameters import (
+    OF_SPACE,
+    OF_STRETCH,
+    PARAMETERS,
+    starting_value,
+    unit_of,
+    with_parameters,
+)
 from cddf_jax.identification.past import is_past
 from cddf_jax.measurements.table import Measurements
 
@@ -220,7 +227,7 @@ def test_every_parameter_reaches_the_readings(paper):
     plane, belong to bodies in space (test_fit_in_space.py).
     """
     bench = Bench(np.array([[30.0], [60.0]]), (None,))
-    elsewhere = (*OF_SPACE, "gravity_turn_z")
+    elsewhere = (*OF_SPACE, *OF_STRETCH, "gravity_turn_z")
     names = [name for name in PARAMETERS if not is_past(name) and name not in elsewhere]
     parameters = {name: starting_value(paper, name) for name in names}
     value, slope, *_ = bench.evaluate(paper, parameters, 16)

@@ -102,8 +102,41 @@ def test_a_setting_in_words():
 
 def test_what_turns_out_of_the_plane():
     table = cddf.Measurements.from_columns("bench", base_tension=[10.0], tip_x=[0.13])
-    with pytest.raises(InputError, match="camera_turn_x turns a body out of its plane"):
+    with pytest.raises(InputError, match="camera_turn_x matters to a body in space"):
         cddf.fit(in_plane(), table, ["camera_turn_x"])
+
+
+@pytest.mark.parametrize(
+    ("body", "name", "words"),
+    [
+        (in_plane(), "poissons_ratio", "poissons_ratio matters to a body in space; give its tendons an angle"),
+        (winding(), "shear_factor", "shear_factor matters to a body that stretches; make it extensible"),
+    ],
+)
+def test_stiffnesses_that_the_body_has_not(body, name, words):
+    table = cddf.Measurements.from_columns("bench", base_tension=[10.0], tip_x=[0.13])
+    with pytest.raises(InputError, match=words):
+        cddf.fit(body, table, [name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turns", [0.5, 0.0])
+def test_torsion_and_stretch_apart_from_bending(turns):
+    """What was put in comes back of a helix, which twists; a straight tendon alone does not twist: nothing is told."""
+    truth = {"poissons_ratio": 0.4, "axial_factor": 0.7} if turns else {"poissons_ratio": 0.4}
+    tendon = cddf.Tendon(0.010, angle=cddf.Linear(0.0, 2 * np.pi * turns, 0.14) if turns else 0.0)
+    start = dataclasses.replace(in_plane(), tendons=(tendon,), extensible=bool(turns))
+    body, pulls = dataclasses.replace(start, youngs_modulus=E, **truth), np.array([20.0, 40.0, 60.0])
+    found = [cddf.solve(body, pull).tip_position for pull in pulls]
+    columns = {f"tip_{axis}": [float(place[i]) for place in found] for i, axis in enumerate("xyz")}
+    table = cddf.Measurements.from_columns("simulated", base_tension=pulls, **columns)
+    fit = cddf.fit(start, table, ["youngs_modulus", *truth], noise=dict.fromkeys(columns, 1e-4))
+    assert fit.value["youngs_modulus"] == pytest.approx(E, rel=1e-6)
+    if turns:
+        assert [fit.status[name] for name in truth] == ["identified", "identified"]
+        assert [fit.value[name] for name in truth] == pytest.approx(list(truth.values()), rel=1e-5)
+    else:
+        assert fit.status["poissons_ratio"] == "not identified"
 
 
 def test_a_history_in_space_is_refused():

@@ -245,6 +245,7 @@ def test_sound_bodies_in_space_pass(body):
             "14.995 mm; move the tendon, or allow it with offsets_outside_wall",
         ),
         (in_space((0.01, 0.0), poissons_ratio=0.6), "poissons_ratio must be above -1 and at most 0.5, got 0.6;"),
+        (in_space((0.01, 0.0), axial_factor=0.0), "axial_factor must be above 0, got 0; correct its value"),
         (in_space((0.01, 0.0), poissons_ratio=-1.0), "poissons_ratio must be above -1 and at most 0.5, got -1;"),
         (
             in_space((0.01, 0.0), torsional_stiffness=cddf.Linear(0.02, -0.01, 0.14)),  # 0 after 2/3

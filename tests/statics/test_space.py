@@ -1,5 +1,7 @@
 """Bodies in space: the numbers on which two independent codes and a published one agree, and properties."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -240,6 +242,25 @@ def test_a_failing_lane_spoils_no_other():
 def test_the_tip_angle_at_zero_has_a_derivative():
     slope = jax.grad(lambda tension: cddf.solve(in_space(at_angle(0.0)), tension, throw=False).tip_angle)(0.0)
     assert np.isfinite(slope)
+
+
+def test_stiffnesses_by_hand():
+    """A solid rod: G = E / (2 (1 + nu)), J = pi r^4 / 4, A = pi r^2, and the factors on them."""
+    E, nu, r = 2e6, 0.3, 0.01
+    numbers = {
+        "outer_radius": r,
+        "inner_radius": 0.0,
+        "youngs_modulus": E,
+        "poissons_ratio": nu,
+        "stiffness_factor": 1.5,
+    }
+    body = in_space(at_angle(0.0, 0.005), extensible=True, axial_factor=0.7, shear_factor=0.8, **numbers)
+    J, A, G = np.pi * r**4 / 4, np.pi * r**2, E / (2 * (1 + nu))
+    expected = 1.5 * np.array([2 * G * J, E * J, E * J, 0.7 * E * A, 0.8 * G * A, 0.8 * G * A])
+    np.testing.assert_allclose(body.strain_stiffness(0.05), expected, rtol=1e-14)
+    given = dataclasses.replace(body, torsional_stiffness=3.0, axial_stiffness=5.0, shear_stiffness=7.0)
+    expected[[0, 3, 4, 5]] = 1.5 * np.array([3.0, 0.7 * 5.0, 0.8 * 7.0, 0.8 * 7.0])
+    np.testing.assert_allclose(given.strain_stiffness(0.05), expected, rtol=1e-14)
 
 
 @pytest.mark.slow

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from ..identification.fit import Fit
 
 # parameters of a fit that are numbers of the body
-BODY_PARAMETERS = ("friction_coefficient", "youngs_modulus", "length", "drag", "stiffness_factor")
+BODY_PARAMETERS = (
+    *("friction_coefficient", "youngs_modulus", "length", "drag"),
+    *("stiffness_factor", "axial_factor", "shear_factor", "poissons_ratio"),
+)
 
 
 class LoadCase(eqx.Module):

@@ -31,6 +31,8 @@ A body is in space where a tendon has an angle around the axis, which is a profi
 
     poissons_ratio = 0.5                 # optional, 0.5 unless given
     extensible = true                    # optional: the axis stretches and shears
+    axial_factor = 0.8                   # optional, 1 unless given: multiplies its axial stiffness
+    shear_factor = 0.8                   # optional, 1 unless given: multiplies its stiffness in shear
     rest_curvature = ["0 1/m", "2 1/m", "0 1/m"]  # optional: of the body without moment: twist, about y, about z
 
     [[tendons]]
@@ -87,7 +89,10 @@ _Table = Mapping[str, Any]
 _RADII = ("outer_radius", "inner_radius")
 _STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 _PROFILES = (*_RADII, "youngs_modulus", *_STIFFNESSES, "mass_per_length")
-_NUMBERS = ("friction_coefficient", "density", "drag", "yield_strain", "stiffness_factor", "poissons_ratio")
+_NUMBERS = (
+    *("friction_coefficient", "density", "drag", "yield_strain", "poissons_ratio"),
+    *("stiffness_factor", "axial_factor", "shear_factor"),
+)
 _TENDON_PROFILES = ("offset", "angle")
 _TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "drag")
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")

@@ -6,7 +6,7 @@ a bench is given by its setting.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import NamedTuple
 
 import equinox as eqx
@@ -47,6 +47,9 @@ PARAMETERS = {
         Parameter("friction_coefficient", None, True, 1.0),
         Parameter("youngs_modulus", None, True, 1.0),
         Parameter("stiffness_factor", 1.0, True, 1.0),  # of a body without a single modulus
+        Parameter("poissons_ratio", None, True, 1.0),  # of a body in space: torsion, and shear, beside bending
+        Parameter("axial_factor", 1.0, True, 1.0),  # of a body that stretches
+        Parameter("shear_factor", 1.0, True, 1.0),
         Parameter("length", None, True, 1.0),
         Parameter("drag", 1.0, True, 1.0),
         Parameter("outer_radius_error", 0.0, False, 1e-4),  # true less stated, all along the body
@@ -65,7 +68,9 @@ PARAMETERS = {
     )
 }
 TURNS_OUT = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn") for axis in "xy")
-OF_SPACE = ("tendon_angle_error", "camera_z", *TURNS_OUT)
+OF_SPACE = ("poissons_ratio", "tendon_angle_error", "camera_z", *TURNS_OUT)
+OF_STRETCH = ("axial_factor", "shear_factor")
+_OF_BODY = {field.name for field in fields(Manipulator)}
 
 
 def stiffness_parameter(manipulator: Manipulator) -> str:
@@ -86,9 +91,12 @@ def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) 
         parameter_named(name)
     if "youngs_modulus" in names and stiffness_parameter(manipulator) != "youngs_modulus":
         raise InputError("the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness")
-    turns = [name for name in names if name in OF_SPACE]
-    if turns and not manipulator.in_space:
-        raise InputError(f"{turns[0]} turns a body out of its plane; give its tendons an angle, or do not fit it")
+    for kinds, has, remedy in (
+        (OF_SPACE, manipulator.in_space, "in space; give its tendons an angle"),
+        (OF_STRETCH, manipulator.extensible, "that stretches; make it extensible"),
+    ):
+        if lacking := [name for name in names if name in kinds and not has]:
+            raise InputError(f"{lacking[0]} matters to a body {remedy}, or do not fit it")
     if "outer_radius_error" in names and not manipulator.stiffened_by_radii:
         raise InputError("outer_radius_error changes nothing where bending_stiffness is given; fit stiffness_factor")
     return names
@@ -148,7 +156,7 @@ class BenchSetting:
 
     def __post_init__(self):
         for name, value in self.given.items():
-            if parameter_named(name).start is None or name == "stiffness_factor" or is_past(name):
+            if parameter_named(name).name in _OF_BODY or is_past(name):
                 raise InputError(f"given: {name} is no number of the bench; give it with the manipulator or the trials")
             if not np.isfinite(value):
                 raise InputError(f"given: {name} must be finite, got {value!r}")

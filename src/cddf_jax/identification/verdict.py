@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .fit import Fit
 
 LARGEST_FRICTION = 2.0  # beyond it a warning
+INCOMPRESSIBLE = 0.5  # Poisson's ratio of a material that keeps its volume, the largest there is
 CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
 LARGEST_MOVE = 0.5  # standard errors, by which short steps may move an estimate in silence
 MOST = 0.5  # part of a table's rows; with more of them without a solution, the fit describes another body
@@ -105,6 +106,11 @@ def fit_warnings(fit: "Fit") -> list[str]:
         found.append(
             f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
             "for instance radians in a column of degrees"
+        )
+    if fit.confidence_interval.get("poissons_ratio", (0.0, 0.0))[0] > INCOMPRESSIBLE:
+        found.append(
+            f"poissons_ratio = {fit.value['poissons_ratio']:.3g} is above 0.5, which no uniform material has: the body "
+            "is softer in torsion or shear than its bending tells"
         )
     for look in fit.looks:
         for code in NOTEWORTHY:

@@ -30,7 +30,7 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
     length = float(manipulator.length)
     varies, known = callable(manipulator.youngs_modulus), _MATERIAL
     if manipulator.in_space:
-        known = (*known[:2], "poissons_ratio", *known[2:])
+        known = (*known[:2], "axial_factor", "shear_factor", "poissons_ratio", *known[2:])
     return "\n".join(
         [
             _first_line(manipulator, length),

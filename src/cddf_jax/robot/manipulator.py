@@ -120,6 +120,8 @@ class Manipulator(eqx.Module):
             has no single modulus.
         poissons_ratio: nu of the material, -; the shear modulus is E / (2 (1 + nu)). It matters in space.
         extensible: whether the axis stretches and shears.
+        axial_factor, shear_factor: of an extensible body, by which its axial and its shear stiffness are multiplied as
+            well, -; None for 1. A fit finds them where the axis stretches otherwise than its bending tells.
         rest_curvature: of the body in space without moment, 1/m: three profiles or numbers (twist, about y, about z).
         torsional_stiffness, axial_stiffness, shear_stiffness: N m^2, N, N, profiles or numbers, in place of what radii,
             modulus and Poisson's ratio make of them; in space they are required where there are no radii, the latter
@@ -153,6 +155,8 @@ class Manipulator(eqx.Module):
     torsional_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
     axial_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
     shear_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    axial_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    shear_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
 
     def __check_init__(self):
         if self.kinematics not in KINEMATICS:
@@ -334,21 +338,24 @@ class Manipulator(eqx.Module):
 
     def strain_stiffness(self, arc_length: Float[ArrayLike, ""]) -> Float[Array, " strains"]:
         """In torsion and twice in bending, N m^2; of an extensible body also along the axis and twice in shear, N."""
-        bending, shear_factor = self.stiffness(arc_length), 0.5 / (1.0 + jnp.asarray(self.poissons_ratio))
-        factor = 1.0 if self.stiffness_factor is None else jnp.asarray(self.stiffness_factor)
+        bending, shear_modulus = self.stiffness(arc_length), 0.5 / (1.0 + jnp.asarray(self.poissons_ratio))  # G / E
 
-        def given_or(given: Profile | None, otherwise: Callable[[], Array]) -> Array:
-            return otherwise() if given is None else factor * given(arc_length)
+        def given_or(given: Profile | None, otherwise: Callable[[], Array], factor: Scalar | None = None) -> Array:
+            found = otherwise() if given is None else times(self.stiffness_factor, given(arc_length))
+            return times(factor, found)
 
-        torsion = given_or(self.torsional_stiffness, lambda: 2.0 * shear_factor * bending)
+        def times(factor: Scalar | None, found: Array) -> Array:
+            return found if factor is None else jnp.asarray(factor) * found
+
+        torsion = given_or(self.torsional_stiffness, lambda: 2.0 * shear_modulus * bending)
         parts = [torsion, bending, bending]
         if self.extensible:
 
             def stretching() -> Array:  # E A
                 return bending * self.area(arc_length) / self.second_moment(arc_length)
 
-            shear = given_or(self.shear_stiffness, lambda: shear_factor * stretching())
-            parts += [given_or(self.axial_stiffness, stretching), shear, shear]
+            shear = given_or(self.shear_stiffness, lambda: shear_modulus * stretching(), self.shear_factor)
+            parts += [given_or(self.axial_stiffness, stretching, self.axial_factor), shear, shear]
         return jnp.stack(parts)
 
     def cross_section_in_space(self, arc_length: Float[ArrayLike, ""]) -> SpatialSection:

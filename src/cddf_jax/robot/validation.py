@@ -19,7 +19,10 @@ from .profiles import Number, Piecewise, Polyline, Profile, Spline, breakpoints
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
 _POINTS = 1001
 _MEET = "make the pieces meet"
-_ABOVE_ZERO = ("length", "youngs_modulus", "stiffness_factor", "yield_strain", "arc_length", "axial_stiffness", "end")
+_ABOVE_ZERO = (
+    *("length", "youngs_modulus", "stiffness_factor", "axial_factor", "shear_factor", "yield_strain"),
+    *("arc_length", "axial_stiffness", "end"),
+)
 _ZERO_OR_MORE = ("friction_coefficient", "drag", "density", "mass", "free_length")
 _STIFFNESSES = ("youngs_modulus", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 _DEMANDED_ALONG = {**dict.fromkeys(_STIFFNESSES, "above 0"), "mass_per_length": "0 or more"}

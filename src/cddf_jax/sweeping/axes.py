@@ -161,6 +161,9 @@ def _idle(swept: set[str], case: Case, wall_is_seen: bool) -> dict[str, str]:
         check_weight(body, loads)
     if "poissons_ratio" in swept and not case.in_space:
         found["poissons_ratio"] = "it matters in space; give the tendons an angle"
+    for name in sorted(swept & {"axial_factor", "shear_factor"}):
+        if not body.extensible:
+            found[name] = "the axis does not stretch; make the body extensible"
     dense = "density" in swept or np.any(np.asarray(body.density))
     if not body.stiffened_by_radii and not (dense and (gravity or not weightless)):
         for name in sorted(swept):
