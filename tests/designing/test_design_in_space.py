@@ -108,12 +108,14 @@ def tip_twist(turns, base_tension, d):
 
 @lru_cache
 def twisted(tension=10.0, d=8e-3):
+    """One tendon is pulled, and another winds beside it."""
+    tendons = [cddf.Tendon(d, angle=cddf.Linear(base, base + 2 * np.pi * -0.75, L)) for base in (0.0, 2.0)]
     return cddf.design(
-        tube(cddf.Tendon(d, angle=cddf.Linear(0.0, 2 * np.pi * -0.75, L))),
+        tube(*tendons),
         cddf.Most("tip_twist"),
-        free=("tendons.0.angle.tip",),
-        bounds={"tendons.0.angle.tip": (-6 * np.pi, -1.2 * np.pi)},
-        cases=cddf.LoadCase(tension, direction=1),
+        free=("tendons.*.angle.winding",),
+        bounds={"tendons.*.angle.winding": (-6 * np.pi, -1.2 * np.pi)},
+        cases=cddf.LoadCase((tension, 0.0), direction=1),
         options=cddf.DesignOptions(nodes=16),
     )
 
@@ -128,7 +130,10 @@ def test_the_most_twist_of_a_helix():
     best = minimize_scalar(lambda turns: -tip_twist(turns, 10.0, 8e-3), bounds=(-2.9, -0.7), options={"xatol": 1e-7})
     assert found.success
     assert found.objective == pytest.approx(-best.fun, rel=1e-7)
-    assert found.value["tendons.0.angle.tip"] == pytest.approx(2 * np.pi * best.x, rel=1e-4)
+    winding = found.value["tendons.*.angle.winding"]
+    assert winding == pytest.approx(2 * np.pi * best.x, rel=1e-4)
+    tips = [float(tendon.angle.tip) for tendon in found.manipulator.tendons]
+    assert tips == pytest.approx([winding, 2.0 + winding])
 
 
 # --- even loss between tendons -------------------------------------------------------------------
@@ -209,6 +214,9 @@ STRAIGHT = tube(cddf.Tendon(8e-3, angle=0.0))
 PLANAR = tube(cddf.Tendon(8e-3))
 
 
+HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
+
+
 @pytest.mark.parametrize(
     ("body", "objective", "message"),
     [
@@ -237,3 +245,36 @@ def test_tendons_that_share_a_number_start_at_one_value():
     three = tube(*(cddf.Tendon(8e-3, angle=a) for a in (0.0, 2.0, 4.0)))
     with pytest.raises(cddf.InputError, match=r"'tendons.\*.angle' starts at different values, 0, 2, 4; make them one"):
         cddf.design(three, cddf.Least("tip_z"), free=("tendons.*.angle",), cases=cddf.LoadCase(10.0, direction=1))
+
+
+def test_a_winding_moves_the_tip_with_the_base():
+    """By hand: the angle at the tip is that at the base and the winding, whatever else is set."""
+    tendons = [cddf.Tendon(8e-3, angle=cddf.Linear(base, base + 1.0, L)) for base in (0.0, 2.0)]
+    case = cddf.LoadCase(10.0).of(tube(*tendons))
+    assert float(case.number("tendons.1.angle.winding")) == pytest.approx(1.0)
+    assert case.unit("tendons.1.angle.winding") == "rad"
+    moved = case.with_numbers({"tendons.1.angle.winding": -3.0, "tendons.1.angle.base": 0.5, "length": 2 * L})
+    angle = moved.manipulator.tendons[1].angle
+    assert (float(angle.base), float(angle.tip), float(angle.length)) == pytest.approx((0.5, -2.5, 2 * L))
+    with pytest.raises(cddf.InputError, match="tip follows from base and winding; leave it or the winding out"):
+        case.with_numbers({"tendons.1.angle.winding": 0.0, "tendons.1.angle.tip": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("body", "free", "message"),
+    [
+        (
+            STRAIGHT,
+            ("tendons.*.angle.winding",),
+            "'?tendons.0.angle.winding'? is that of a linear angle; give this one",
+        ),
+        (
+            HELIX,
+            ("tendons.0.angle", "tendons.0.angle.winding"),
+            "winding' and 'tendons.0.angle.tip' are free; leave one",
+        ),
+    ],
+)
+def test_windings_that_cannot_be_free(body, free, message):
+    with pytest.raises(cddf.InputError, match=message):
+        cddf.design(body, cddf.Most("tip_twist"), free=free, cases=cddf.LoadCase(10.0, direction=1))

@@ -86,7 +86,7 @@ def design(
             small, or a list of pairs (weight, objective): each counts relative to its size at the start.
         free: what may change: names of numbers, or of profiles for all their values: "outer_radius", "length" (with it
             everything along the body is stretched), "tendons.*.offset" (one value for all tendons), "tendons.0.angle"
-            (rad, of a tendon that has one).
+            (rad, of a tendon that has one), "tendons.*.angle.winding" (how far all angles grow from base to tip).
         bounds: (lower, upper) by the same names, SI; unless given a tenth of the start value and ten times it, for an
             angle half a turn either way.
         constraints: `Limit`s. These are always kept, unless you limit the same quantity: kappa d <= 0.99 on the inside

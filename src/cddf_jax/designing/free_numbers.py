@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ..errors import InputError
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, stem_and_tendon, unit_of_name
+from ..robot.named_numbers import Case, stem_and_tendon, tip_of_winding, unit_of_name
 from .load_cases import LoadCase
 
 VALUE = re.compile(r"(pieces\.\d+\.?)*(base|tip|values\.\d+|\d+)?")  # a part of a profile
@@ -81,6 +81,8 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
     for name in flat:
         if flat.count(name) > 1:
             raise InputError(f"design: {name!r} is free twice; leave one out")
+        if tip_of_winding(name) in flat:
+            raise InputError(f"design: {name!r} and {tip_of_winding(name)!r} are free; leave one out")
     names = tuple(tied for tied, *_ in rows)
     start, low, high = np.transpose([numbers for _, *numbers in rows])
     origin = (start == 0) | [is_angle(tied[0]) for tied in names]  # numbers that have no size of their own

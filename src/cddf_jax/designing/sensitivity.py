@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from ..numerics.constrained import LocalMinimum
 from ..programs.kept import kept_program
-from ..robot.named_numbers import Case
+from ..robot.named_numbers import Case, tip_of_winding
 from .free_numbers import PLACE
 from .load_cases import case_numbers
 from .problem import DesignProblem, ProgramValues
@@ -46,6 +46,7 @@ class FixedNumber(NamedTuple):
 def fixed_numbers(problem: DesignProblem) -> dict[FixedNumber, float]:
     """All single numbers that are not free."""
     free = {name for names in problem.free.names for name in names}
+    free |= {tip_of_winding(name) for name in free}
     body = problem.manipulator
     set_by_cases = {name for case in problem.cases for name in case.numbers}
     of_body = _numbers(case_numbers(body))

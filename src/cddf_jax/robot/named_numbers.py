@@ -3,6 +3,9 @@
 A name is a path of attributes and places, as in Python and counted as there: "youngs_modulus", "outer_radius.tip",
 "tendons.0.offset" (of a constant profile its value), "loads.tip_force.1". How the tendons are actuated is named as in
 tables, which count tendons from 1: "base_tension" and "direction" of all tendons, "base_tension_2" of tendon 2.
+
+"tendons.0.angle.winding" is by how much a linear angle grows from base to tip, rad. It stands in place of the tip, so
+that tendons of different angles at the base may share it.
 """
 
 import re
@@ -25,6 +28,8 @@ from .reshape import stretched
 WHOLE = ("base_tension", "direction")  # may be one number for all tendons
 _OF_ONE_TENDON = re.compile(r"(base_tension|direction)_([1-9]\d*)")
 _NOT_OF_NOTHING = ("outer_radius", "inner_radius", "youngs_modulus", "bending_stiffness", "mass_per_length")
+
+_WINDING = re.compile(r"(tendons\.\d+\.angle)\.winding")
 
 Place = tuple[int, tuple[int, ...]]  # of a number: the leaf of the case, and where in an array it is
 
@@ -51,6 +56,10 @@ class Case(eqx.Module):
         if name in WHOLE:
             return getattr(self, name)
         leaves, places, _ = self._flat()
+        if tip := tip_of_winding(name):
+            if tip not in places:
+                raise InputError(f"{name} is that of a linear angle; give this one base and tip, Linear(0, 0, length)")
+            return self.number(tip) - self.number(_base_of(tip))
         leaf, index = _place(name, leaves, places)
         return leaves[leaf][index] if index else leaves[leaf]
 
@@ -60,11 +69,16 @@ class Case(eqx.Module):
         if "length" in others:
             case = replace(case, manipulator=stretched(case.manipulator, others.pop("length")))
         case = replace(case, **{name: others.pop(name) for name in WHOLE if name in others})
+        windings = {tip: others.pop(name) for name in tuple(others) if (tip := tip_of_winding(name))}
+        if twice := [tip for tip in windings if tip in others]:
+            raise InputError(f"{twice[0]} follows from base and winding; leave it or the winding out")
         leaves, places, structure = case._flat()
         for name, number in others.items():
             leaf, index = _place(name, leaves, places)
             leaves[leaf] = jnp.asarray(leaves[leaf]).at[index].set(number) if index else number
-        return jax.tree.unflatten(structure, leaves)
+        case = jax.tree.unflatten(structure, leaves)
+        tips = {tip: case.number(_base_of(tip)) + winding for tip, winding in windings.items()}
+        return case.with_numbers(tips) if tips else case
 
     @property
     def numbers(self) -> dict[str, Any]:
@@ -92,6 +106,16 @@ class Case(eqx.Module):
             for index in np.ndindex(np.shape(leaf)):
                 places[_short(_counted(".".join([own, *map(str, index)])))] = i, index
         return [leaf for _, leaf in paths], places, structure
+
+
+def tip_of_winding(name: str) -> str:
+    """ "tendons.0.angle.tip" of "tendons.0.angle.winding"; "" of any other name."""
+    found = _WINDING.fullmatch(name)
+    return f"{found[1]}.tip" if found else ""
+
+
+def _base_of(tip: str) -> str:
+    return f"{tip.removesuffix('.tip')}.base"
 
 
 def unit_of_name(name: str) -> str:
