@@ -204,6 +204,27 @@ def test_a_camera_and_a_tendon_turned_about_the_axis_act_alike():
 
 
 @pytest.mark.slow
+def test_rows_under_loads_in_space():
+    """Each as `solve` has it, and a row that has no solution spoils no other."""
+    tendon = cddf.Tendon(0.010, angle=0.0)
+    body = dataclasses.replace(in_plane(density=1070.0), tendons=(tendon,))
+    gravity, pulls = np.array([0.0, 0.0, -9.81]), np.array([10.0, 5000.0, 40.0])
+    table = cddf.Measurements.from_columns(
+        "rows", base_tension=pulls, direction=[1, 1, 1], tip_force_z=[0.2, 0.1, 0.0], tip_z=np.zeros(3)
+    )
+    bench = experiment_of(table, body, setting=cddf.BenchSetting(cddf.Loads(gravity=gravity)))
+    shown = bench.evaluate(body, {"friction_coefficient": 0.42}, 12)
+    good = shown.results == cddf.RESULTS.successful
+    assert good.tolist() == [True, False, True]
+    for row in np.flatnonzero(good):
+        loads = cddf.Loads(tip_force=(0.0, 0.0, table["tip_force_z"][row]), gravity=gravity)
+        found = cddf.solve(body, pulls[row], loads, direction=1, nodes=12)
+        for i, axis in enumerate("xyz"):
+            np.testing.assert_allclose(shown.readings[f"tip_{axis}"][row], found.tip_position[i], atol=1e-12)
+        assert np.all(np.isfinite(shown.derivatives["tip_z"][row]))
+
+
+@pytest.mark.slow
 def test_the_direction_of_gravity_and_a_known_cell():
     """In the plane: tips under gravity that is turned by 0.2 rad, and a tip cell that reads 3 % too much."""
     robot = in_plane(friction_coefficient=MU, youngs_modulus=E, density=1070.0)

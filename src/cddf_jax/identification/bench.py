@@ -32,6 +32,7 @@ from .course import WITHOUT, Course, Shown
 from .parameters import PARAMETERS, PLAIN, TRIALS, BenchSetting, Parameters, turn_of, with_parameters
 
 LANES = 128  # rows are solved in multiples of these: few sizes, so that tables and curves share compiled programs
+FEW = 16  # the same where rows are solved one by one
 
 
 class Evaluation(NamedTuple):
@@ -122,6 +123,11 @@ class Bench(eqx.Module):
         pushed = force is not None and force.shape[-1] == 3
         return manipulator.in_space or pushed or (loads is not None and loads.in_space)
 
+    def one_by_one(self, manipulator: Manipulator) -> bool:
+        """Whether rows are solved in turn: under loads in space all of a batch would wait for the slowest; static."""
+        loaded = self.tip_force is not None or self.setting.loads is not None
+        return loaded and self.in_space(manipulator)
+
     def shown(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Shown:
         """The rows in equilibrium: what instruments without errors show of them."""
         parameters = {**self.setting.given, **parameters}
@@ -151,7 +157,8 @@ class Bench(eqx.Module):
             )
 
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)
-        return jax.vmap(one)(tension, jax.tree.map(jnp.asarray, self.direction), force, deviation)
+        rows = tension, jax.tree.map(jnp.asarray, self.direction), force, deviation
+        return jax.lax.map(lambda row: one(*row), rows) if self.one_by_one(body) else jax.vmap(one)(*rows)
 
     def readings(self, shown: Shown, columns: Sequence[str], parameters: Parameters) -> dict[str, Array]:
         """What the instruments of columns read, one per row."""
@@ -184,7 +191,7 @@ class Bench(eqx.Module):
     def evaluate(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Evaluation:
         """Every reading of every row with its derivatives, whether it was read or not."""
         rows = self.base_tension.shape[0]
-        fill = -rows % LANES
+        fill = -rows % (FEW if self.one_by_one(manipulator) else LANES)
 
         def padded(arrays):
             return jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
