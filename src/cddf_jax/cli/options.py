@@ -62,7 +62,7 @@ Data = Annotated[
     list[Path] | None,
     typer.Argument(
         help="CSV or .xlsx files with the units in the header, bench.csv. Files of the same columns are the trials of "
-        "one experiment."
+        "one experiment. A table of markers comes behind its file."
     ),
 ]
 Free = Annotated[

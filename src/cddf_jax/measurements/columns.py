@@ -112,11 +112,11 @@ def misspelt(name: str) -> str:
     meant = column_resembled(name)
     if meant is None:
         return ""
-    remedy = f'Rename it or give {as_option(name, meant)}, or leave it out by --column "{name}="'
+    remedy = f'Rename it or give {as_column_option(name, meant)}, or leave it out by --column "{name}="'
     return f"unknown column {short(name)}; did you mean {meant}? {remedy}"
 
 
-def as_option(name: str, column: str) -> str:
+def as_column_option(name: str, column: str) -> str:
     """How to say at the command line which column a name means."""
     dimension = column_dimension(column)
     unit = f" [{preferred(dimension)[1]}]" if dimension else ""

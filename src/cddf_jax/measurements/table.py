@@ -55,7 +55,7 @@ from .columns import (
     ORDER,
     PER_TENDON,
     PULLEY,
-    as_option,
+    as_column_option,
     column_dimension,
     column_meant,
     is_direction,
@@ -340,7 +340,7 @@ def _check_columns(columns: Iterable[str], unused: Sequence[str] = ()) -> None:
         remedy = f"add it (a pulley test has {', '.join(PULLEY)})"
         if unused:
             there = ", ".join(map(short, unused[:6])) + (", ..." if len(unused) > 6 else "")
-            remedy = f"say which of {there} it is, by {as_option(unused[0], missing[0])}, or add it"
+            remedy = f"say which of {there} it is, by {as_column_option(unused[0], missing[0])}, or add it"
         raise InputError(f"the column {missing[0]} is missing; {remedy}")
 
 
