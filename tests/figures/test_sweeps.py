@@ -9,7 +9,8 @@ from matplotlib.patches import Rectangle
 
 from cddf_jax.errors import InputError
 from cddf_jax.figures.style import render
-from cddf_jax.figures.sweeps import draw_lines, draw_map, left_out_of_figure, name_in_words, sweep_figure
+from cddf_jax.figures.sweep_labels import name_in_words
+from cddf_jax.figures.sweeps import draw_lines, draw_map, left_out_of_figure, sweep_figure
 from cddf_jax.sweeping.one_solve import RESULT_NAMES
 
 CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")

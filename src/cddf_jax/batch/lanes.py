@@ -1,7 +1,7 @@
 """One function for many inputs at once, on every device of this process; the devices do not wait for each other."""
 
-from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from collections.abc import Callable
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -19,37 +19,30 @@ Inputs = TypeVar("Inputs")
 Outputs = TypeVar("Outputs")
 
 
-class Lanes(Generic[Inputs, Outputs]):
-    """A function of one input, compiled once for many inputs, in equal shares for all devices of this process.
+def in_lanes(function: Callable[[Inputs], Outputs], inputs: Inputs, count: int, most: int, each: int = 1) -> Outputs:
+    """A function of one input for many inputs, compiled once, in equal shares for all devices of this process.
 
     Args:
         function: a pytree of numbers in, a pytree of arrays out. If it is itself a pytree, its arrays are arguments of
             the compiled program; another function with the same structure then uses the same program.
-        count: the largest number of inputs; small jobs get a small program.
+        inputs: a pytree of NumPy arrays with the inputs along the leading axis; so are the outputs.
+        count: the number of inputs.
+        most: the largest number of inputs of all calls, which share one program; small jobs get a small program.
         each: how many solves the function makes of one input; as many fewer inputs are taken at once.
     """
-
-    def __init__(self, function: Callable[[Inputs], Outputs], count: int, each: int = 1):
-        devices = jax.local_devices()
-        most = CPU_BATCH if devices[0].platform == "cpu" else ACCELERATOR_BATCH
-        self.batch = min(max(most // each, 1), -(-count // len(devices)))
-        width = self.batch * len(devices)
-        batches = -(-count // width)
-        calls = -(-batches // CALL)
-        self.size = width * -(-batches // calls)  # of every call, so that one program serves all
-        self._function, self._mesh = function, Mesh(np.array(devices), ("lanes",))
-
-    def __call__(self, inputs: Inputs, count: int) -> Outputs:
-        """The outputs for `count` inputs: both are pytrees of NumPy arrays with the inputs along the leading axis."""
-        pieces = [_run(self._function, self._mesh, self.batch, *piece) for piece in self._pieces(inputs, count)]
-        return jax.tree.map(lambda *parts: np.concatenate([np.asarray(part) for part in parts])[:count], *pieces)
-
-    def _pieces(self, inputs: Inputs, count: int) -> Iterator[tuple[Inputs, Array]]:
-        sharding = NamedSharding(self._mesh, LANES)
-        for start in range(0, count, self.size):
-            lanes = np.minimum(np.arange(start, start + self.size), count - 1)  # the last one fills up
-            chosen = jax.tree.map(lambda x, at=lanes: np.asarray(x)[at], inputs)
-            yield jax.device_put((chosen, lanes), sharding)
+    devices = jax.local_devices()
+    at_once = CPU_BATCH if devices[0].platform == "cpu" else ACCELERATOR_BATCH
+    batch = min(max(at_once // each, 1), -(-most // len(devices)))
+    width = batch * len(devices)
+    batches = -(-most // width)
+    size = width * -(-batches // -(-batches // CALL))  # of every call, so that one program serves all
+    mesh, pieces = Mesh(np.array(devices), ("lanes",)), []
+    for start in range(0, count, size):
+        lanes = np.minimum(np.arange(start, start + size), count - 1)  # the last one fills up
+        chosen = jax.tree.map(lambda x, at=lanes: np.asarray(x)[at], inputs)
+        placed = jax.device_put((chosen, lanes), NamedSharding(mesh, LANES))
+        pieces.append(_run(function, mesh, batch, *placed))
+    return jax.tree.map(lambda *parts: np.concatenate([np.asarray(part) for part in parts])[:count], *pieces)
 
 
 @kept_program

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -15,36 +14,39 @@ from .store import Memory, ZarrStore
 COPIES = 3  # of a chunk in memory: as it is computed, gathered, written
 
 
-class Work(NamedTuple):
-    """Work whose chunks do not depend on each other; a chunk that is computed again gives the same numbers."""
-
-    what: str  # in words, "solving"
-    layout: Layout  # of the answer
-    identity: Callable[[], Mapping[str, object]]  # all that the answer depends on, JSON; computed for a store only
-    chunk: Callable[[Layout, Index], Mapping[str, np.ndarray]]  # the answer in the region of one chunk
-
-
-def carry_out(work: Work, out: str | os.PathLike[str] | None = None, allowed: float = np.inf) -> Memory | ZarrStore:
+def carry_out(
+    what: str,
+    layout: Layout,
+    identity: Callable[[], Mapping[str, object]],
+    chunk: Callable[[Layout, Index], Mapping[str, np.ndarray]],
+    out: str | os.PathLike[str] | None = None,
+    allowed: float = np.inf,
+) -> Memory | ZarrStore:
     """Compute the chunks that are missing, each process its share; return when all processes are done.
 
+    Chunks do not depend on each other. A chunk that is computed again gives the same numbers.
+
     Args:
-        work: to be done.
+        what: is done, in words, "solving".
+        layout: of the answer.
+        identity: all that the answer depends on, JSON; computed for a store only.
+        chunk: the answer in the region of one chunk.
         out: path of a Zarr store; None for memory.
         allowed: memory, bytes.
 
     Raises:
         InputError: for a store of other work, too little memory, several processes without a store.
     """
-    store = _store(work, out, allowed)
+    store = _store(layout, identity, out, allowed)
     layout, rank, ranks = store.layout, jax.process_index(), jax.process_count()
     mine = [index for i, index in enumerate(layout.indices()) if i % ranks == rank]
     missing = [index for index in mine if not store.has(index)]
     total, left = (sum(layout.count(index) for index in some) for some in (mine, missing))
     done = False
     try:
-        with stage(work.what, total, total - left) as now:
+        with stage(what, total, total - left) as now:
             for index in missing:
-                store.write(index, work.chunk(layout, index))
+                store.write(index, chunk(layout, index))
                 now.done += layout.count(index)
         done = True
     finally:
@@ -56,8 +58,9 @@ def carry_out(work: Work, out: str | os.PathLike[str] | None = None, allowed: fl
     return store
 
 
-def _store(work: Work, out: str | os.PathLike[str] | None, allowed: float) -> Memory | ZarrStore:
-    layout = work.layout
+def _store(
+    layout: Layout, identity: Callable[[], Mapping[str, object]], out: str | os.PathLike[str] | None, allowed: float
+) -> Memory | ZarrStore:
     if out is None:
         if jax.process_count() > 1:
             raise InputError(f"{jax.process_count()} processes need out=, a store that all of them reach")
@@ -67,7 +70,7 @@ def _store(work: Work, out: str | os.PathLike[str] | None, allowed: float) -> Me
     for create in (True, False):  # process 0 makes it, then the others open it
         try:
             if (jax.process_index() == 0) == create:
-                store = ZarrStore(out, layout, work.identity(), create=create)
+                store = ZarrStore(out, layout, identity(), create=create)
                 needed = COPIES * layout.bytes_each * store.layout.chunk_size
                 _check_memory(needed, allowed, "give memory= or another out=")
         except (InputError, OSError) as error:

@@ -73,11 +73,7 @@ def trace(
     paths, driven = read_paths(path, noise, count)
     largest = None if before is None else read_tensions_before(before, count)
     with within(robot, ValueError):
-        if count == 1 and loads is None:
-            past = None if largest is None else largest[0]
-            found = trace_report.traced(manipulator, paths[0], driven[0], nodes, max_turns, past)
-        else:
-            found = trace_report.traced_in_short_steps(manipulator, paths, driven, loads, nodes, largest)
+        found = trace_report.traced(manipulator, paths, driven, loads, nodes, max_turns, largest)
     answer = trace_report.trace_as_dict(found)
     if out is not None:
         from ..figures.history import history_figure

@@ -15,7 +15,7 @@ from scipy.special import ndtri, stdtr
 
 from ..batch.chunks import Coordinate, Index, Layout, Variable, even_chunks
 from ..batch.fingerprint import digest, numbers_of
-from ..batch.work import Work, carry_out
+from ..batch.work import carry_out
 from ..errors import InputError
 from ..progress import stage
 from .levenberg_marquardt import Data, Minimum, minimise_all
@@ -195,7 +195,7 @@ def _refit_all(
         data_and_model = digest(json.dumps(numbers_of((problem, best.z, drawn_from))))
         return {**of_draws, "data and model": data_and_model, dimension: count, "parameters": list(names)}
 
-    found = carry_out(Work("refitting", layout, identity, refit), out).values()
+    found = carry_out("refitting", layout, identity, refit, out).values()
     return Refits(names, found["estimate"], found["ended"])
 
 

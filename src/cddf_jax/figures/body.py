@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.markers import MarkerStyle
@@ -32,7 +31,7 @@ from .geometry import (
     tip_moment_line,
 )
 
-ROOM, VIEWS_WIDTH = 2.2, 6.6  # inches, of a plot in three dimensions and of three views
+VIEWS_WIDTH = 6.6  # inches, of three views
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 ARROWS = 10  # for each tendon
 LONGEST = 1 / 7  # of the body's length
@@ -102,8 +101,7 @@ def draw_shape(
         if len(tendons) > 1:
             _number_tendons(axes, tendons[:, 0, 1], 1e3 * s[-1])
         _draw_loads(axes, body, Loads() if loads is None else loads, 1e3 * s[-1])
-        scale = ScalarMappable(norm, draw.TENSION_COLOURS)
-        draw.figure_of(axes).colorbar(scale, ax=axes, aspect=35, pad=0.02, label="$T$ (N)")
+        draw.scale_beside(axes, norm, "$T$ (N)", pad=0.02)
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         axes.margins(0.08)
         draw.to_scale(axes)
@@ -137,7 +135,7 @@ def draw_view(
     norm, given = space.tension_scale(what.tension), axes
     with draw.axes_or_new(axes, HEIGHT) as axes:
         space.draw_in_plane(axes, what, norm, plane)
-        draw.figure_of(axes).colorbar(ScalarMappable(norm, draw.TENSION_COLOURS), ax=axes, label="$T$ (N)", aspect=35)
+        draw.scale_beside(axes, norm, "$T$ (N)")
         entries = space.legend_of_loads(what.loads)
         if entries:
             look = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "columnspacing": 0.8, "handlelength": 1.2}
@@ -163,19 +161,14 @@ def views_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Load
     with draw.house_style():
         height = max(space.height_of_views(what.points, VIEWS_WIDTH), 1.3)
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, height + 0.25)
-        space.draw_views(
-            figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, VIEWS_WIDTH
-        )
+        _draw_views(figure, what, norm)
         draw.colour_scale(figure, norm, "$T$ (N)", draw.DOUBLE_COLUMN - 0.52, 0.45, height - 0.6)
         _legend_of_loads(figure, what.loads)
     return figure
 
 
 def _draw_views(figure: Figure, what: Drawn, norm: Normalize) -> None:
-    def draw_into(axes: Axes, plane: str) -> None:
-        space.draw_in_plane(axes, what, norm, plane)
-
-    space.draw_views(figure, draw_into, what.points, VIEWS_WIDTH)
+    space.draw_views(figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, VIEWS_WIDTH)
 
 
 def _in_space(who: str, manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Drawn:
@@ -187,19 +180,11 @@ def _in_space(who: str, manipulator: Manipulator, equilibrium: Equilibrium, load
 
 def _draw_shape_in_space(what: Drawn, axes: Axes | None) -> Axes:
     norm = space.tension_scale(what.tension)
-    if axes is not None:
-        room = space.axes_in_space(axes)
-        space.set_room(room, what.points)
+    with space.room_or_new(axes, what.points, 2.2, 2.15) as room:
         space.draw_in_space(room, what, norm)
-        draw.figure_of(axes).colorbar(
-            ScalarMappable(norm, draw.TENSION_COLOURS), ax=axes, label="$T$ (N)", aspect=35, shrink=0.7, pad=0.12
-        )
-        return axes
-    with draw.house_style():
-        figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
-        room = space.draw_room(figure, lambda room: space.draw_in_space(room, what, norm), what.points, ROOM, 2.15)
-        draw.colour_scale(figure, norm, "$T$ (N)", draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
-        _legend_of_loads(figure, what.loads)
+        space.scale_of_room(room, norm, "$T$ (N)", given=axes is not None)
+        if axes is None:
+            _legend_of_loads(draw.figure_of(room), what.loads)
     return room
 
 
@@ -211,18 +196,14 @@ def _figure_in_space(manipulator: Manipulator, equilibrium: Equilibrium, loads: 
         below = space.height_of_views(what.points, VIEWS_WIDTH) + 0.1
         rows = -(-manipulator.num_tendons // 3)  # of the legend
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.2 + 0.16 * rows)
-        room = space.new_room(figure, 0.1, below + 0.45, 3.0, 2.4)
-        space.set_room(room, what.points)
-        space.fill_room(room, 3.0, 2.4)
+        room, _ = space.new_room(figure, what.points, 0.1, below + 0.45, 3.0, 2.4)
         space.draw_in_space(room, what, norm)
         for quantity, bottom in (("tension", 1.95), ("curvature", 0.45)):
             panel = draw.place_in(figure, 4.6, below + bottom, 2.45, 1.1)
             draw_along(manipulator, equilibrium, quantity, panel)
             if quantity == "tension":
                 panel.set_xlabel("")
-        space.draw_views(
-            figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, VIEWS_WIDTH
-        )
+        _draw_views(figure, what, norm)
         draw.colour_scale(figure, norm, "$T$ (N)", 3.72, below + 0.9, 1.6)
         _legend_of_loads(figure, what.loads)
     return figure
@@ -326,7 +307,7 @@ def _draw_forces_in_space(manipulator: Manipulator, equilibrium: Equilibrium, ax
     arrows = forces * (1e3 * LONGEST * length / (strongest or 1.0))
     points = np.concatenate([what.points, *(what.tendons[at] + arrows)])
 
-    def draw_into(room: space.Axes3D) -> None:
+    with space.room_or_new(axes, points, 2.6, 2.4) as room:
         space.draw_body_in_space(room, what)
         for path in what.tendons:
             room.plot(*path.T, color=looks.BLACK, linewidth=0.5, zorder=5)
@@ -335,17 +316,11 @@ def _draw_forces_in_space(manipulator: Manipulator, equilibrium: Equilibrium, ax
             most = np.max(np.linalg.norm(force, axis=-1), initial=0.0)
             look = {"color": color, "linewidth": 0.9, "arrow_length_ratio": 0.25, "zorder": 6}
             room.quiver(*what.tendons[at].T, *arrow.T, label=f"{name} force, at most {most:.3g} N/m", **look)
-
-    if axes is not None:
-        room = space.axes_in_space(axes)
-        space.set_room(room, points)
-        draw_into(room)
-        room.legend(loc="upper left")
-        return room
-    with draw.house_style():
-        figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
-        room = space.draw_room(figure, draw_into, points, 2.6, 2.4)
-        figure.legend(*room.get_legend_handles_labels(), loc="upper left", ncols=2, columnspacing=1.2)
+        if axes is None:
+            entries = room.get_legend_handles_labels()
+            draw.figure_of(room).legend(*entries, loc="upper left", ncols=2, columnspacing=1.2)
+        else:
+            room.legend(loc="upper left")
     return room
 
 

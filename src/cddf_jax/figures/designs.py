@@ -108,16 +108,10 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
 
 def _draw_design_in_space(design: Design, axes: Axes | None) -> Axes:
     after, old = _drawn_in_space(design)
-    norm, points = space.tension_scale(after.tension), np.concatenate([after.points, old])
-    if axes is not None:
-        room = space.axes_in_space(axes)
-        space.set_room(room, points)
+    with space.room_or_new(axes, np.concatenate([after.points, old]), 2.2, 2.15) as room:
         _draw_both(room, after, old)
-        return room
-    with draw.house_style():
-        figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
-        room = space.draw_room(figure, lambda room: _draw_both(room, after, old), points, 2.2, 2.15)
-        draw.colour_scale(figure, norm, "$T$ (N)", draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
+        if axes is None:
+            space.scale_of_room(room, space.tension_scale(after.tension), "$T$ (N)", given=False)
     return room
 
 
@@ -126,9 +120,7 @@ def _figure_in_space(design: Design) -> Figure:
     after, old = _drawn_in_space(design)
     with draw.house_style():
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, 3.5)
-        room = space.new_room(figure, 0.1, 0.45, 2.5, 2.6)
-        space.set_room(room, np.concatenate([after.points, old]))
-        space.fill_room(room, 2.5, 2.6)
+        room, _ = space.new_room(figure, np.concatenate([after.points, old]), 0.1, 0.45, 2.5, 2.6)
         _draw_both(room, after, old)
         draw.colour_scale(figure, space.tension_scale(after.tension), "$T$ (N)", 3.15, 1.0, 1.6)
         for quantity, left, bottom in (("angle", 4.15, 1.95), ("offset", 5.95, 1.95)):

@@ -21,11 +21,12 @@ from ..measurements.readings import kind_of
 from ..quantities import QUANTITIES, dimension_of
 from ..units import preferred
 from . import looks, style as draw
-from .fit_loops import draw_branches, draw_branches_about_zero, draw_model_loops
+from .history import draw_model_loops
 
 DEGREE = np.degrees(1.0)
 PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
 MOST_ACROSS = 3  # panels side by side
+BRANCHES = ((True, "o", "pulled"), (False, "v", "released"))
 INTERVAL: looks.Look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
 
 
@@ -64,7 +65,7 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
         if panel.loops and panel.course is not None:
             draw_model_loops(axes, panel.loops)
-            draw_branches(axes, panel.course, panel.there, panel.x, panel.observed, panel.data_label)
+            _draw_branches(axes, panel.course, panel)
         elif (curve := panel.curve) is None:
             _draw_over_prediction(axes, panel)
         else:
@@ -96,10 +97,8 @@ def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None
             draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
         elif np.all(np.isfinite(panel.half_width)):
             axes.errorbar(panel.x, 0 * panel.x, yerr=panel.half_width, **INTERVAL)
-        if panel.loops and panel.course is not None:
-            draw_branches_about_zero(axes, panel.course, panel.there, panel.x, panel.residual)
-        else:
-            draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None)
+        pulled = panel.course.pulled[panel.there] if panel.loops and panel.course is not None else None
+        draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None, pulled=pulled)
         axes.set(xlabel=panel.x_label, ylabel=f"Residual ({panel.unit})")
     return axes
 
@@ -256,7 +255,11 @@ def by_level(x: ArrayLike, y: ArrayLike) -> Levels:
     x, y = np.asarray(x, float), np.asarray(y, float)
     order = np.argsort(x, kind="stable")
     new_level = np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1
-    groups = np.split(order, new_level)
+    return _gathered(np.split(order, new_level), x, y)
+
+
+def _gathered(groups: Sequence[np.ndarray], x: np.ndarray, y: np.ndarray) -> Levels:
+    """Readings by level, from the places of those of each level."""
     return Levels(
         x=np.array([x[group].mean() for group in groups]),
         mean=np.array([y[group].mean() for group in groups]),
@@ -278,11 +281,36 @@ def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue
     axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
 
 
-def draw_about_zero(axes: Axes, x: np.ndarray, residual: np.ndarray, *, levels: bool = True) -> None:
-    """Every residual as a dot about a line at zero; over them mean and standard deviation at each level of x."""
-    axes.axhline(0.0, color=looks.BLUE)
-    axes.plot(x, residual, ".", color=looks.GREY, markersize=3.5, markeredgewidth=0)
-    if levels:
-        draw_levels(axes, x, residual, markersize=2.5)
+def _draw_branches(axes: Axes, course: Course, panel: _Panel) -> None:
+    """Readings over the base tension, those of one hold as mean and standard deviation; markers tell the branch."""
+    pulled, holds = course.pulled[panel.there], np.stack([course.trial, course.step], axis=1)[panel.there]
+    look: looks.Look = {"color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
+    for branch, marker, words in BRANCHES:
+        own = np.flatnonzero(pulled == branch)
+        if own.size:
+            _, hold, counts = np.unique(holds[own], axis=0, return_inverse=True, return_counts=True)
+            groups = np.split(own[np.argsort(hold, kind="stable")], np.cumsum(counts)[:-1])
+            levels, label = _gathered(groups, panel.x, panel.observed), f"{panel.data_label}, {words}"
+            axes.errorbar(levels.x, levels.mean, levels.deviation, fmt=marker, label=label, **look)
+
+
+def draw_about_zero(
+    axes: Axes, x: np.ndarray, residual: np.ndarray, *, levels: bool = True, pulled: np.ndarray | None = None
+) -> None:
+    """Every residual about a line at zero.
+
+    They are dots, over them mean and standard deviation at each level of x; or markers that tell the branch, where
+    `pulled` says of each reading whether the tendon was pulled.
+    """
+    if pulled is None:
+        axes.axhline(0.0, color=looks.BLUE)
+        axes.plot(x, residual, ".", color=looks.GREY, markersize=3.5, markeredgewidth=0)
+        if levels:
+            draw_levels(axes, x, residual, markersize=2.5)
+    else:
+        axes.axhline(0.0, color=looks.BLACK, linewidth=0.6)
+        for branch, marker, _ in BRANCHES:
+            look: looks.Look = {"color": looks.GREY, "markerfacecolor": "none", "markersize": 3}
+            axes.plot(x[pulled == branch], residual[pulled == branch], marker, **look)
     reach = 1.15 * np.max(np.abs(residual), initial=0.0) or 1.0
     axes.set_ylim(-reach, reach)

@@ -57,13 +57,8 @@ class SpatialBody(NamedTuple):
     @property
     def rings(self) -> np.ndarray:
         """The outer surface, closed around each cross-section, (points, around, 3)."""
-        return self.rings_of(self.outer_radius)
-
-    def rings_of(self, radius: np.ndarray) -> np.ndarray:
-        """Circles about the midline, (points, around, 3)."""
-        angles = np.linspace(0.0, 2 * np.pi, AROUND + 1)
-        across = np.stack([0.0 * angles, np.cos(angles), np.sin(angles)])
-        return self.midline[:, None] + radius[:, None, None] * np.swapaxes(self.frame @ across, 1, 2)
+        across = np.swapaxes(self.frame @ _circle(AROUND + 1).T, 1, 2)
+        return self.midline[:, None] + self.outer_radius[:, None, None] * across
 
     def is_behind(self, tendon: np.ndarray, sight: np.ndarray) -> np.ndarray:
         """Where a line along the body, (points, 3), lies beyond the midline as seen from the direction `sight`."""
@@ -93,6 +88,11 @@ class Drawn(NamedTuple):
     def plate(self) -> float:
         """The radius of the plate to which the body is clamped."""
         return 1.35 * float(max(self.body.outer_radius[0], np.max(np.linalg.norm(self.tendons[:, 0], axis=-1))))
+
+    @property
+    def plate_edge(self) -> np.ndarray:
+        """Around that plate, (points, 3)."""
+        return self.plate * _circle(61)
 
     @property
     def force_arrow(self) -> np.ndarray:
@@ -175,26 +175,13 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
     return _body(manipulator, arc_length, midline, 0.0 * arc_length)
 
 
-def spatial_body(manipulator: Manipulator, fields: SpatialFields) -> SpatialBody:
-    """The body in an equilibrium in space, from the fields along it."""
-    outer, _ = _radii(manipulator, np.asarray(fields.arc_length))
-    return SpatialBody(1e3 * np.asarray(fields.position), np.asarray(fields.frame), 1e3 * outer)
-
-
-def straight_spatial_body(manipulator: Manipulator, arc_length: np.ndarray) -> SpatialBody:
-    """The body in space, straight."""
-    outer, _ = _radii(manipulator, arc_length)
-    midline = arc_length[:, None] * np.array([1.0, 0.0, 0.0])
-    return SpatialBody(1e3 * midline, np.broadcast_to(np.eye(3), (len(arc_length), 3, 3)), 1e3 * outer)
-
-
 def drawn(manipulator: Manipulator, along: SpatialFields, loads: Loads | None) -> Drawn:
     """What is drawn, from the fields along a body."""
     s = np.asarray(along.arc_length)
-    there = reached(manipulator, s)
+    there, outer = reached(manipulator, s), 1e3 * _radii(manipulator, s)[0]
     return Drawn(
-        body=spatial_body(manipulator, along),
-        straight=straight_spatial_body(manipulator, s),
+        body=SpatialBody(1e3 * np.asarray(along.position), np.asarray(along.frame), outer),
+        straight=SpatialBody(np.outer(1e3 * s, [1.0, 0.0, 0.0]), np.tile(np.eye(3), (len(s), 1, 1)), outer),
         tendons=np.where(there[..., None], 1e3 * np.asarray(along.path), np.nan),
         tension=np.where(there, along.tension, np.nan),
         loads=loads_in_space(Loads() if loads is None else loads),
@@ -237,6 +224,12 @@ def _radii(manipulator: Manipulator, arc_length: np.ndarray) -> tuple[np.ndarray
         return evaluated(Manipulator.radii, manipulator, arc_length)
     outer = np.max(evaluated(Manipulator.offset, manipulator, arc_length), axis=0)
     return outer, 0.0 * outer
+
+
+def _circle(count: int) -> np.ndarray:
+    """Points around the axis x, (count, 3), the first and the last the same."""
+    angles = np.linspace(0.0, 2 * np.pi, count)
+    return np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
 
 
 def _size(vectors: ArrayLike) -> np.ndarray:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from ..errors import InputError
 from ..history.history import History
+from ..identification.predictions import ModelCurve
 from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
@@ -19,6 +20,7 @@ from .geometry import stations
 
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 LOOPS = ("tip_tension", "tip_angle", "tendon_displacement", "front")
+LEAST_LEG = 0.02  # of the range of a path; a shorter way bears no arrow
 LINES = len(looks.CURVES)  # along the body, at most
 NUMBERED = 10  # steps, at most: of more of them not all bear their numbers
 SAME = 1e-8  # of the range of a quantity, by which points and lines may differ that are drawn as one
@@ -144,8 +146,7 @@ def draw_energy(
         InputError: when a step failed.
     """
     steps = _steps(history, steps, tendon)
-    scale = QUANTITIES["work"].shown[0]
-    of = history._energies  # all by one program
+    of, scale = history._energies, QUANTITIES["work"].shown[0]  # all by one program
     work, lost, stored = (scale * np.asarray(energy) for energy in (of.work, of.friction_loss, of.stored_energy))
     at = np.interp(np.arange(len(work)), steps, np.arange(1, len(steps) + 1))
     with draw.axes_or_new(axes, HEIGHT) as axes:
@@ -159,9 +160,26 @@ def draw_energy(
         axes.set(xlabel="Step, base tension (N)", ylabel="Energy (mJ)")
         axes.margins(0.0, 0.05)
         axes.set_ylim(bottom=min(0.0, *stored, *work))
-        _name_steps(axes, _of_tendon(history.base_tension, tendon)[steps])
+        tensions = _of_tendon(history.base_tension, tendon)[steps]
+        named = np.arange(0, len(steps), -(-len(steps) // NUMBERED))  # as many as there is room for
+        axes.set_xticks(named + 1, [f"{i + 1}\n{tensions[i]:.4g}" for i in named])
         draw.legend_above(axes, 3)
     return axes
+
+
+def draw_model_loops(axes: Axes, loops: Sequence[ModelCurve]) -> None:
+    """The model of a fit with its 95 % band: solid when pulled, dashed when released, with arrows along the path."""
+    for loop in loops:
+        for start, end in pairwise(draw.turning_places(loop.grid)):
+            leg, look = slice(start, end + 1), PULLED if loop.grid[end] >= loop.grid[start] else RELEASED
+            x, y, half_width = loop.grid[leg], loop.value[leg], loop.half_width[leg]
+            if np.all(np.isfinite(half_width)):
+                band = {"color": looks.SKY, "alpha": 0.4, "linewidth": 0}
+                axes.fill_between(x, y - half_width, y + half_width, label="95 % band of the model", **band)
+            own: looks.Look = look | {"label": f"model, {look['label']}"}
+            axes.plot(x, y, **own)
+            if np.ptp(x) > LEAST_LEG * np.ptp(loop.grid):
+                draw.draw_arrow(axes, x, y, look["color"])
 
 
 # --- numbers -------------------------------------------------------------------------------------
@@ -182,11 +200,7 @@ def _steps(history: History, steps: Sequence[int] | None, tendon: int) -> list[i
     """
     if not np.all(np.isfinite(np.asarray(history.tip_angle))):
         raise InputError("a step of the trace failed, there is no history to draw; see its result")
-    return (
-        draw.turning_places(_of_tendon(history.base_tension, tendon))
-        if steps is None
-        else [int(step) for step in steps]
-    )
+    return draw.turning_places(_of_tendon(history.base_tension, tendon)) if steps is None else [*map(int, steps)]
 
 
 def _of_tendon(values: jax.Array, tendon: int) -> np.ndarray:
@@ -256,21 +270,11 @@ def _alike(lines: dict[int, np.ndarray]) -> list[list[int]]:
     """The numbers of lines, those of equal ones together; in the order of the last of each."""
     groups: list[list[int]] = []
     for number, line in lines.items():
-        same = next((group for group in groups if _are_alike(line, lines[group[0]])), [])
+        near = {"rtol": 0.0, "atol": SAME * np.nanmax(np.abs(line)), "equal_nan": True}
+        same = next((group for group in groups if np.allclose(line, lines[group[0]], **near)), [])
         groups = [*(group for group in groups if group is not same), [*same, number]]
     return groups
 
 
 def _listed(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers))
-
-
-def _are_alike(line: np.ndarray, other: np.ndarray) -> bool:
-    return bool(np.allclose(line, other, rtol=0.0, atol=SAME * np.max(np.abs(other)), equal_nan=True))
-
-
-def _name_steps(axes: Axes, tensions: np.ndarray) -> None:
-    """Numbers with base tensions below, as many as there is room for."""
-    every = -(-len(tensions) // NUMBERED)
-    shown = np.arange(0, len(tensions), every)
-    axes.set_xticks(shown + 1, [f"{i + 1}\n{tensions[i]:.4g}" for i in shown])

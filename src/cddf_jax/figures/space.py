@@ -1,6 +1,7 @@
 """The bent body in space, mm: in three dimensions with shadows on the walls, and in three plane views."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import product
 from typing import cast
 
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.axis3d import Axis
 from mpl_toolkits.mplot3d.proj3d import proj_transform
@@ -39,25 +40,52 @@ def tension_scale(tension: np.ndarray) -> Normalize:
 # --- in three dimensions -------------------------------------------------------------------------
 
 
-def axes_in_space(axes: Axes) -> Axes3D:
-    """Axes that are known to have three dimensions.
+@contextmanager
+def room_or_new(axes: Axes | None, points: np.ndarray, width: float, height: float) -> Iterator[Axes3D]:
+    """Axes of three dimensions around points, mm, to draw into: those given, or those of a new figure.
+
+    The plot in a new figure is so wide and at most so high, inches; the figure fits around it.
 
     Raises:
-        InputError: for others.
+        InputError: for given axes without three dimensions.
     """
-    if not isinstance(axes, Axes3D):
+    if isinstance(axes, Axes3D):
+        _set_room(axes, points)
+        yield axes
+        return
+    if axes is not None:
         raise InputError('figures: the body is in space; give axes with projection="3d", or none')
-    return axes
+    with draw.house_style():
+        figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
+        room, taken = new_room(figure, points, 0.12, 0.45, width, height)
+        figure.set_figheight(taken + 0.95)
+        side, left = max(width, height), 0.12 + 0.5 * (width - max(width, height))
+        up, across = figure.get_figheight(), figure.get_figwidth()
+        room.set_position((left / across, (0.6 + 0.5 * (taken - side)) / up, side / across, side / up))
+        yield room
 
 
-def new_room(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes3D:
-    """Axes of three dimensions within a rectangle of a figure, inches; the box of the plot fills it in `fill_room`."""
+def new_room(
+    figure: Figure, points: np.ndarray, left: float, bottom: float, width: float, height: float
+) -> tuple[Axes3D, float]:
+    """Axes of three dimensions around points, mm, in a rectangle of a figure, inches, and the height that they take."""
     side, across, up = max(width, height), *figure.get_size_inches()
     place = (left + 0.5 * (width - side), bottom + 0.5 * (height - side), side, side)
     axes = figure.add_axes((place[0] / across, place[1] / up, side / across, side / up), projection="3d")
-    axes.set_in_layout(False)
-    axes.patch.set_visible(False)
-    return cast(Axes3D, axes)
+    room = cast(Axes3D, axes)
+    room.set_in_layout(False)
+    room.patch.set_visible(False)
+    _set_room(room, points)
+    return room, _fill_room(room, width, height)
+
+
+def scale_of_room(room: Axes3D, norm: Normalize, label: str, *, given: bool) -> None:
+    """The colours of values beside a plot in given axes, or in a figure of `room_or_new`."""
+    if given:
+        draw.scale_beside(room, norm, label, shrink=0.7, pad=0.12)
+    else:
+        figure = draw.figure_of(room)
+        draw.colour_scale(figure, norm, label, draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
 
 
 def sight() -> np.ndarray:
@@ -66,7 +94,7 @@ def sight() -> np.ndarray:
     return np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
 
 
-def set_room(axes: Axes3D, points: np.ndarray) -> None:
+def _set_room(axes: Axes3D, points: np.ndarray) -> None:
     """Limits around points, mm, one scale for all three, white walls."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.08 * np.max(high - low)
@@ -86,7 +114,7 @@ def set_room(axes: Axes3D, points: np.ndarray) -> None:
         axis.set_label_text(f"${name}$ (mm)")
 
 
-def fill_room(axes: Axes3D, width: float, height: float) -> float:
+def _fill_room(axes: Axes3D, width: float, height: float) -> float:
     """Enlarge the box of a plot until it fills a rectangle, inches; the height that it takes then, inches."""
     corners = np.array(list(product(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())))
     flat = _on_paper(axes, corners)
@@ -114,21 +142,6 @@ def _keep_labels_off(axes: Axes3D, edges: np.ndarray) -> None:
         axis.labelpad = points[1] - 21
 
 
-def draw_room(
-    figure: Figure, draw_into: Callable[[Axes3D], None], points: np.ndarray, width: float, height: float
-) -> Axes3D:
-    """One plot in three dimensions around points, mm, so wide and at most so high, inches; the figure fits around."""
-    room = new_room(figure, 0.12, 0.45, width, height)
-    set_room(room, points)
-    taken = fill_room(room, width, height)
-    figure.set_figheight(taken + 0.95)
-    side, left = max(width, height), 0.12 + 0.5 * (width - max(width, height))
-    up, across = figure.get_figheight(), figure.get_figwidth()
-    room.set_position((left / across, (0.6 + 0.5 * (taken - side)) / up, side / across, side / up))
-    draw_into(room)
-    return room
-
-
 def _axis_of(axes: Axes3D) -> Sequence[Axis]:
     return cast(Sequence[Axis], (axes.xaxis, axes.yaxis, axes.zaxis))
 
@@ -148,19 +161,22 @@ def draw_in_space(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
     draw_body_in_space(axes, what)
     for path, tension in zip(what.tendons, what.tension, strict=True):
         behind, hidden = what.body.is_behind(path, sight()), what.body.is_hidden(path, sight())
-        _draw_tendon(axes, path, np.where(behind & ~hidden, tension, np.nan), norm, 3.0)
-        _draw_tendon(axes, path, np.where(behind, np.nan, tension), norm, 6.0)
-        _draw_hidden(axes, path, np.where(hidden, tension, np.nan), norm)
+        dashes = np.where(hidden, _dashed(path, tension), np.nan)
+        draw.draw_coloured_line(axes, path, np.where(behind & ~hidden, tension, np.nan), norm, 3.0)
+        draw.draw_coloured_line(axes, path, np.where(behind, np.nan, tension), norm, 6.0)
+        draw.draw_coloured_line(axes, path, dashes, norm, 5.0, rim=False)
         axes.plot(*path[np.isfinite(tension)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=7)
     _draw_loads(axes, what)
 
 
 def draw_body_in_space(axes: Axes3D, what: Drawn) -> None:
     """The body without its tendons, their numbers, the rest shape dotted, and shadows."""
-    _draw_shadows(axes, what.body)
+    look = {"facecolor": looks.PALE, "edgecolor": looks.PALE, "linewidth": 0.3, "zorder": 1}
+    axes.add_collection3d(Poly3DCollection(shadows(axes, what.body), **look))
     for line in (what.straight.midline, what.straight.rings[-1]):
         axes.plot(*line.T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=2)
-    _draw_clamp(axes, what)
+    look = {"facecolor": "white", "edgecolor": looks.BLACK, "linewidth": 0.7, "zorder": 2}
+    axes.add_collection3d(Poly3DCollection([what.plate_edge], **look))
     _draw_tube(axes, what.body)
     _number(axes, what)
 
@@ -183,18 +199,6 @@ def shadows(axes: Axes3D, body: SpatialBody) -> list[np.ndarray]:
     return polygons
 
 
-def _draw_shadows(axes: Axes3D, body: SpatialBody) -> None:
-    look = {"facecolor": looks.PALE, "edgecolor": looks.PALE, "linewidth": 0.3, "zorder": 1}
-    axes.add_collection3d(Poly3DCollection(shadows(axes, body), **look))
-
-
-def _draw_clamp(axes: Axes3D, what: Drawn) -> None:
-    """The plate to which a body is clamped, at X = 0."""
-    angles, radius = np.linspace(0.0, 2 * np.pi, 61), what.plate
-    plate = radius * np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
-    axes.add_collection3d(Poly3DCollection([plate], facecolor="white", edgecolor=looks.BLACK, linewidth=0.7, zorder=2))
-
-
 def _draw_tube(axes: Axes3D, body: SpatialBody) -> None:
     rings = body.rings
     faces = np.stack([rings[:-1, :-1], rings[1:, :-1], rings[1:, 1:], rings[:-1, 1:]], axis=2)
@@ -210,36 +214,10 @@ def _draw_tube(axes: Axes3D, body: SpatialBody) -> None:
     axes.add_collection3d(cap)
 
 
-def _draw_tendon(axes: Axes3D, path: np.ndarray, tension: np.ndarray, norm: Normalize, zorder: float) -> None:
-    """A line with a dark rim, coloured by tension; none where this is NaN."""
-    if np.count_nonzero(np.isfinite(tension)) < 2:
-        return
-    rim = np.where(np.isnan(tension)[:, None], np.nan, path)
-    axes.plot(*rim.T, color=looks.BLACK, linewidth=2.2, zorder=zorder - 0.5)
-    axes.add_collection3d(_coloured(path, tension, norm, linewidth=1.5, zorder=zorder))
-
-
-def _draw_hidden(axes: Axes3D, path: np.ndarray, tension: np.ndarray, norm: Normalize) -> None:
-    """A dashed line, coloured by tension; none where this is NaN."""
-    if np.count_nonzero(np.isfinite(tension)) >= 2:
-        axes.add_collection3d(_coloured(path, _dashed(path, tension), norm, linewidth=1.0, zorder=5.0))
-
-
 def _dashed(path: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values along a line, NaN in the gaps between dashes of a 48th of its length."""
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(np.nan_to_num(path), axis=0), axis=1)))
     return np.where((way * 48 / way[-1]).astype(int) % 2 == 0, values, np.nan)
-
-
-def _coloured(
-    path: np.ndarray, values: np.ndarray, norm: Normalize, *, linewidth: float, zorder: float
-) -> Line3DCollection:
-    pieces, between = np.stack([path[:-1], path[1:]], axis=1), 0.5 * (values[:-1] + values[1:])
-    there = np.isfinite(between)
-    look = {"cmap": draw.TENSION_COLOURS, "norm": norm, "capstyle": "round", "zorder": zorder}
-    lines = Line3DCollection(list(pieces[there]), linewidth=linewidth, **look)
-    lines.set_array(between[there])
-    return lines
 
 
 def _number(axes: Axes3D, what: Drawn) -> None:
@@ -276,7 +254,7 @@ def draw_in_plane(axes: Axes, what: Drawn, norm: Normalize, plane: str) -> None:
     axes.add_collection(PolyCollection(polygons, facecolor=looks.PALE, edgecolor=looks.PALE, linewidth=0.3, zorder=4))
     for line in (what.straight.midline, what.straight.rings[-1]):
         axes.plot(*line[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=2)
-    _draw_plate(axes, what, plane)
+    axes.plot(*what.plate_edge[:, flat].T, color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=3)
     if what.body.frame[-1, :, 0] @ towards > 0:
         axes.fill(*what.body.rings[-1][:, flat].T, facecolor="white", edgecolor=looks.GREY, linewidth=0.6, zorder=4.2)
     for path, tension in zip(what.tendons, what.tension, strict=True):
@@ -286,7 +264,10 @@ def draw_in_plane(axes: Axes, what: Drawn, norm: Normalize, plane: str) -> None:
         dashes = np.where(hidden, _dashed(path, tension), np.nan)
         draw.draw_coloured_line(axes, line, dashes, norm, 4.4, rim=False)
         axes.plot(*line[np.isfinite(tension)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=7)
-    _draw_loads_in_plane(axes, what, flat)
+    for arrow, color in ((what.force_arrow, looks.VERMILION), (what.moment_arrow, looks.PURPLE)):
+        if len(arrow):
+            axes.plot(*arrow[:, flat].T, color=color, linewidth=1.2, zorder=6)
+            draw.draw_head(axes, arrow[-2, flat], arrow[-1, flat], color)
     axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
     axes.set_aspect("equal")
     axes.autoscale_view()
@@ -313,10 +294,10 @@ def height_of_views(points: np.ndarray, width: float) -> float:
     return float(_scale_of_views(extents, width) * np.max(np.ptp(extents[1:], axis=1))) + LABELS
 
 
-def draw_views(figure: Figure, draw_into: Callable[[Axes, str], None], points: np.ndarray, width: float) -> list[Axes]:
+def draw_views(figure: Figure, draw_into: Callable[[Axes, str], None], points: np.ndarray, width: float) -> None:
     """Three plane views of points, mm, beside each other to one scale, in the middle of a width at a figure's foot."""
     extents = _extents(points)
-    scale, top, panels = _scale_of_views(extents, width), height_of_views(points, width), []
+    scale, top = _scale_of_views(extents, width), height_of_views(points, width)
     taken = scale * sum(np.ptp(extents[right]) for right, _, _ in VIEWS.values()) + 3 * (LABELS + GAP)
     left = 0.5 * (width - taken)
     for plane, (right, up, _) in VIEWS.items():
@@ -327,23 +308,6 @@ def draw_views(figure: Figure, draw_into: Callable[[Axes, str], None], points: n
         axes.set(xlim=extents[right], ylim=extents[up])
         for axis, size in ((axes.xaxis, wide), (axes.yaxis, high)):
             axis.set_major_locator(MaxNLocator(int(np.clip(size / 0.25, 1, 6)), steps=[1, 2, 5, 10], min_n_ticks=1))
-        panels.append(axes)
-    return panels
-
-
-def _draw_plate(axes: Axes, what: Drawn, plane: str) -> None:
-    """The plate at the base: a line, or from the front a circle."""
-    angles = np.linspace(0.0, 2 * np.pi, 61)
-    edge = what.plate * np.stack([0.0 * angles, np.cos(angles), np.sin(angles)])
-    right, up, _ = VIEWS[plane]
-    axes.plot(edge[right], edge[up], color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=3)
-
-
-def _draw_loads_in_plane(axes: Axes, what: Drawn, flat: list[int]) -> None:
-    for line, color in ((what.force_arrow, looks.VERMILION), (what.moment_arrow, looks.PURPLE)):
-        if len(line):
-            axes.plot(*line[:, flat].T, color=color, linewidth=1.2, zorder=6)
-            draw.draw_head(axes, line[-2, flat], line[-1, flat], color)
 
 
 def legend_of_loads(loads: Loads) -> list[Line2D]:

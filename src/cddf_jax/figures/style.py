@@ -21,6 +21,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.style import context
 from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from ..errors import InputError
 from ..files.artifacts import write_all
@@ -99,6 +101,11 @@ def panels_figure(
         common_legend(figure, panels)
         figure.align_labels()
     return figure
+
+
+def scale_beside(axes: Axes, norm: Normalize, label: str, **look: LookValue) -> None:
+    """The colours of values beside axes."""
+    figure_of(axes).colorbar(ScalarMappable(norm, TENSION_COLOURS), ax=axes, label=label, aspect=35, **look)
 
 
 def colour_scale(figure: Figure, norm: Normalize, label: str, left: float, bottom: float, height: float) -> None:
@@ -238,16 +245,20 @@ def draw_body(axes: Axes, body: Body) -> None:
 def draw_coloured_line(
     axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize, zorder: float = 4.5, *, rim: bool = True
 ) -> None:
-    """A line coloured by a value at each of its points (points, 2), with a dark rim; none where it is NaN."""
+    """A line coloured by a value at each of its points, (points, 2 or 3), with a dark rim; none where it is NaN."""
+    pieces, between = np.stack([points[:-1], points[1:]], axis=1), 0.5 * (values[:-1] + values[1:])
+    there = np.isfinite(between)
+    if not np.any(there):
+        return
     if rim:
         dark = np.where(np.isnan(values)[:, None], np.nan, points)
         axes.plot(*dark.T, color=BLACK, linewidth=2.2, zorder=zorder - 0.5)
-    pieces = np.stack([points[:-1], points[1:]], axis=1)
-    between = 0.5 * (values[:-1] + values[1:])
-    there = np.isfinite(between)
     look = {"cmap": TENSION_COLOURS, "norm": norm, "linewidth": 1.5 if rim else 1.0, "zorder": zorder}
-    look["capstyle"] = "round" if rim else "butt"
-    axes.add_collection(LineCollection(list(pieces[there]), array=between[there], **look))
+    look |= {"array": between[there], "capstyle": "round" if rim else "butt"}
+    if isinstance(axes, Axes3D):
+        axes.add_collection3d(Line3DCollection(list(pieces[there]), **look))
+    else:
+        axes.add_collection(LineCollection(list(pieces[there]), **look))
 
 
 def draw_clamp(axes: Axes, half_width: float, depth: float) -> None:

@@ -4,9 +4,9 @@ A sweep is first brought into the units of its labels. The code of each solve is
 output: so every part of an output that is drawn knows which of its solves failed.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice, pairwise, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,26 +19,27 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from ..errors import InputError
-from ..quantities import QUANTITIES
 from ..sweeping.axes import OPTIONS, PATH
-from ..sweeping.one_solve import COMPONENTS, RESULT, RESULT_NAMES
-from ..units import DIMENSION_OF, preferred
+from ..sweeping.one_solve import RESULT
 from . import looks, style as draw
+from .sweep_labels import (
+    PARTS,
+    SUCCESSFUL,
+    axis_label,
+    in_label_units,
+    is_numeric,
+    name_in_words,
+    results_in_words,
+    value_words,
+)
 
 if TYPE_CHECKING:
     import xarray
 
-SUCCESSFUL = RESULT_NAMES.index("successful")
 LINES, COLUMNS, DOT_COLUMNS, PANELS = len(looks.CURVES), 4, 6, 12  # drawn at most
 SAMPLES, VALUES = 3000, 500  # drawn at most: in all, and along each axis
 MARKED = 30  # values up to which a line has a marker at each
 LABELLED = 2  # maps beside each other up to which contours have their numbers
-# which part of an output
-PARTS: dict[str, Callable[[Any], str]] = {
-    "tendon": lambda number: f"of tendon {number + 1}",
-    "component": str,
-    "axis": lambda axis: f"axis {axis}",
-}
 
 
 # --- one output ----------------------------------------------------------------------------------
@@ -97,7 +98,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
     if output not in answer.data_vars or RESULT not in answer.data_vars:
         there = ", ".join(map(str, answer))
         raise InputError(f"{who}: {output!r} is no output of this sweep, or one along the body; there are {there}")
-    numbers = [name for name, c in _lists(answer).items() if _is_numeric(c.values) and name not in PARTS]
+    numbers = [name for name, c in _lists(answer).items() if is_numeric(c.values) and name not in PARTS]
     if lost := [name for name in over if name not in numbers]:
         raise InputError(f"{who}: {lost[0]!r} is no number that varies; there are {', '.join(numbers) or 'none left'}")
     own = [answer[name].dims[0] for name in over]
@@ -168,25 +169,20 @@ def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list
     names = [name for name in outputs if "point" not in answer[name].dims]
     short = _over_a_tension(answer.drop_dims("point", errors="ignore").squeeze(drop=True))
     kinds, sizes = _kinds(short), short.sizes
-    along = [f"{name}, which runs along the body" for name in outputs if name not in names]
     varied = [name for name in short.coords if name not in (*OPTIONS, *PARTS)]
     components = sum(short[name].size // short[RESULT].size for name in names)
     combinations = int(np.prod([sizes[name] for name in kinds.options]))
-    loops = short[RESULT].size // sizes[short.attrs[PATH]] if short.attrs.get(PATH) in kinds.numbers else 0
-    lines = bool(kinds.sampled) or len(kinds.numbers) == 1
     counts = [(components, PANELS, "components of outputs")]
-    if loops:
-        return _too_many([*counts, (loops, LINES, "loops")], along)
-    counts += [(combinations, LINES if lines else COLUMNS, "combinations of options")]
-    counts += [(sizes[name], COLUMNS, f"values of {name}") for name in kinds.numbers[:-2]]
-    counts += [(len(varied), DOT_COLUMNS, "numbers that vary")] if kinds.sampled else []
-    counts += [(sizes[name], kinds.room[name], "samples") for name in kinds.sampled]
-    return _too_many(counts, along)
-
-
-def _too_many(counts: Sequence[tuple[int, int, str]], others: Sequence[str]) -> list[str]:
-    """What there is more of than has room, after what has none at all, in words."""
-    return [*others, *(f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room)]
+    if short.attrs.get(PATH) in kinds.numbers:
+        counts += [(short[RESULT].size // sizes[short.attrs[PATH]], LINES, "loops")]
+    else:
+        lines = bool(kinds.sampled) or len(kinds.numbers) == 1
+        counts += [(combinations, LINES if lines else COLUMNS, "combinations of options")]
+        counts += [(sizes[name], COLUMNS, f"values of {name}") for name in kinds.numbers[:-2]]
+        counts += [(len(varied), DOT_COLUMNS, "numbers that vary")] if kinds.sampled else []
+        counts += [(sizes[name], kinds.room[name], "samples") for name in kinds.sampled]
+    along = [f"{name}, which runs along the body" for name in outputs if name not in names]
+    return [*along, *(f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room)]
 
 
 def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
@@ -220,12 +216,8 @@ def _kinds(answer: "xarray.Dataset") -> _Kinds:
 
 def _thinned(answer: "xarray.Dataset", room: Mapping[str, int]) -> "xarray.Dataset":
     """At most so many places along each dimension, numbers in ascending order but for a path."""
-    places = {name: _spread(answer.sizes[name], most) for name, most in room.items()}
-    return (
-        answer.isel(places)
-        .load()
-        .sortby([name for name in room if name in answer.coords and name != answer.attrs.get(PATH)])
-    )
+    some = answer.isel({name: _spread(answer.sizes[name], most) for name, most in room.items()}).load()
+    return some.sortby([name for name in room if name in answer.coords and name != answer.attrs.get(PATH)])
 
 
 def _spread(size: int, most: int) -> np.ndarray:
@@ -263,77 +255,13 @@ def _maps_figure(arrays: Sequence["xarray.DataArray"], kinds: _Kinds) -> Figure:
     return figure
 
 
-# --- units and words -----------------------------------------------------------------------------
-
-
-def in_label_units(answer: "xarray.Dataset", words: Mapping[str, str]) -> "xarray.Dataset":
-    """A sweep in the units of its labels, NaN where there is no number; the results are a coordinate of each output."""
-    there = answer[RESULT] >= 0
-    for array in answer.data_vars.values():
-        if array.dtype.kind == "f":
-            there = there & array.notnull().all([d for d in array.dims if d not in there.dims])
-
-    def shown(array: "xarray.DataArray") -> tuple[object, np.ndarray, dict[str, object]]:
-        name, unit = str(array.name), array.attrs.get("units", "1")
-        scale, unit = preferred(DIMENSION_OF[unit]) if unit in DIMENSION_OF else (1.0, unit)
-        if name in QUANTITIES and QUANTITIES[name].in_percent:
-            scale, unit = QUANTITIES[name].shown
-        # whole numbers and true or false cannot be NaN: other outputs tell
-        values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
-        attrs = {"words": words.get(name) or name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
-        attrs["is_path"] = name == answer.attrs.get(PATH)
-        return array.dims, np.asarray(scale * values), attrs
-
-    outputs = {name: shown(array) for name, array in answer.data_vars.items() if name != RESULT}
-    numbers = {name: shown(c) for name, c in answer.coords.items() if _is_numeric(c.values) and name not in PARTS}
-    return answer.assign(outputs).assign_coords(numbers).set_coords(RESULT)
-
-
-def _is_numeric(values: np.ndarray) -> bool:
-    return bool(np.issubdtype(values.dtype, np.number))
-
-
 def _parts_of(array: "xarray.DataArray", over: Sequence[object], most: int) -> Iterator[tuple[str, "xarray.DataArray"]]:
     """One array over some dimensions for each combination of the others, which the words name; at most so many."""
     others = [str(d) for d in array.dims if d not in over]
     places = list(np.ndindex(*(array.sizes[d] for d in others)))
     for k in _spread(len(places), most):
         at = dict(zip(others, places[k], strict=True))
-        yield ", ".join(_value_words(array[d], i) for d, i in at.items()), array.isel(at)
-
-
-def _value_words(coordinate: "xarray.DataArray", place: int) -> str:
-    """The value at a place along a dimension: "tendon 2", "exact kinematics", "Friction coefficient = 0.4"."""
-    name, value = str(coordinate.name), coordinate.values[place]
-    if name in PARTS:
-        return PARTS[name](value).removeprefix("of ")
-    if name in OPTIONS or "words" not in coordinate.attrs:
-        return f"{value} {name}"
-    words = f"{coordinate.attrs['words']} = {value:.4g} {coordinate.attrs['unit']}"
-    return words.strip().replace("-", "\N{MINUS SIGN}")
-
-
-def axis_label(array: "xarray.DataArray") -> str:
-    """What is drawn, which part of an output it is, and the unit: "Tip tension of tendon 2 (N)"."""
-    at = {} if array.name in array.coords else array.coords
-    parts = [words(at[name].item()) for name, words in PARTS.items() if name in at and not at[name].ndim]
-    unit = f"({array.attrs['unit']})" if array.attrs["unit"] else ""
-    return " ".join(filter(None, [array.attrs["words"], *parts, unit]))
-
-
-def name_in_words(name: str) -> str:
-    """The name of a number or output in words: "loads.tip_force.1" is "Tip force Y"."""
-    if name in QUANTITIES:
-        return QUANTITIES[name].label
-    parts = name.removeprefix("loads.").replace("tendons.", "tendon.").split(".")
-    places = COMPONENTS if parts[0] in ("tip_force", "tip_moment", "gravity") else range(1, 100)
-    words = " ".join(str(places[int(part)]) if part.isdigit() else part for part in parts).replace("_", " ")
-    return words[:1].upper() + words[1:]
-
-
-def results_in_words(codes: np.ndarray) -> str:
-    """What kept some solves from being successful."""
-    return ", ".join(RESULT_NAMES[code].replace("_", " ") for code in np.unique(codes) if code != SUCCESSFUL)
+        yield ", ".join(value_words(array[d], i) for d, i in at.items()), array.isel(at)
 
 
 # --- drawing -------------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -14,7 +13,7 @@ from ..quantities import QUANTITIES
 from ..robot.named_numbers import stem_and_tendon
 from ..sweeping.one_solve import RESULT
 from . import looks, space, style as draw
-from .sweeps import SUCCESSFUL, axis_label, in_label_units, name_in_words, results_in_words
+from .sweep_labels import SUCCESSFUL, axis_label, in_label_units, name_in_words, results_in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -64,21 +63,13 @@ def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOT
         with draw.axes_or_new(axes, 2.6) as axes:
             _draw_dots(axes, cloud, "XY")
             draw.to_scale(axes)
-            draw.figure_of(axes).colorbar(_colours(cloud), ax=axes, label=cloud.label, aspect=35, pad=0.02)
+            draw.scale_beside(axes, cloud.norm, cloud.label, pad=0.02)
             _legend(axes, cloud)
         return axes
-    if axes is not None:
-        room = space.axes_in_space(axes)
-        space.set_room(room, cloud.tips)
+    with space.room_or_new(axes, cloud.tips, 2.2, 2.2) as room:
         _draw_cloud(room, cloud)
-        draw.figure_of(axes).colorbar(_colours(cloud), ax=axes, label=cloud.label, aspect=35, shrink=0.7, pad=0.12)
-        _legend(room, cloud)
-        return axes
-    with draw.house_style():
-        figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
-        room = space.draw_room(figure, lambda room: _draw_cloud(room, cloud), cloud.tips, 2.2, 2.2)
-        draw.colour_scale(figure, cloud.norm, cloud.label, draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
-        _legend(figure, cloud)
+        space.scale_of_room(room, cloud.norm, cloud.label, given=axes is not None)
+        _legend(draw.figure_of(room) if axes is None else room, cloud)
     return room
 
 
@@ -97,9 +88,7 @@ def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = T
     with draw.house_style():
         width, below = 5.9, space.height_of_views(cloud.tips, 6.9) + 0.15
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.3)
-        room = space.new_room(figure, 1.3, below + 0.55, width - 2.0, 2.6)
-        space.set_room(room, cloud.tips)
-        space.fill_room(room, width - 2.0, 2.6)
+        room, _ = space.new_room(figure, cloud.tips, 1.3, below + 0.55, width - 2.0, 2.6)
         _draw_cloud(room, cloud)
         draw.colour_scale(figure, cloud.norm, cloud.label, width, below + 0.8, 2.0)
         space.draw_views(figure, lambda axes, plane: _draw_dots(axes, cloud, plane), cloud.tips, 6.9)
@@ -201,10 +190,6 @@ def _scatter(axes: Axes, points: np.ndarray, size: float, **look: looks.LookValu
     if points.shape[1] == 3:
         look["depthshade"] = False
     axes.scatter(*points.T, s=size**2, rasterized=len(points) > 500, **({"linewidths": 0.0} | look))
-
-
-def _colours(cloud: Cloud) -> ScalarMappable:
-    return ScalarMappable(cloud.norm, draw.TENSION_COLOURS)
 
 
 def _legend(where: Axes | Figure, cloud: Cloud) -> None:

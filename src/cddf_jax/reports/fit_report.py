@@ -9,7 +9,6 @@ import numpy as np
 
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
-from ..estimation.observations import Noise
 from ..files.artifacts import as_json, markdown_table, write_all
 from ..identification.bench import Bench
 from ..identification.fit import Fit
@@ -261,7 +260,10 @@ def _noise_section(report: Report) -> list[str]:
     rows = []
     for label, deviation in fit.noise.items():
         scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
-        alike, made_of = fit.serial_correlation[label], _noise_in_words(fit.noise_model.get(label), scale, unit)
+        alike, made_of = fit.serial_correlation[label], "the same for all"
+        if label in fit.noise_model:
+            floor, fraction = (part or 0.0 for part in fit.noise_model[label])
+            made_of = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
         tests = _or_dash(report.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
         independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
         rows.append([label, f"{scale * deviation:.3g} {unit}", made_of, *tests, independent])
@@ -272,13 +274,6 @@ def _noise_section(report: Report) -> list[str]:
 
 def _or_dash(value: float, form: str) -> str:
     return format(value, form) if np.isfinite(value) else "-"
-
-
-def _noise_in_words(model: Noise | None, scale: float, unit: str) -> str:
-    if model is None:
-        return "the same for all"
-    floor, fraction = model.floor or 0.0, model.fraction or 0.0
-    return f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
 
 
 def _model_free_in_words(report: Report) -> list[str]:

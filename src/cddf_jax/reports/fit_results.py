@@ -18,7 +18,6 @@ from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import unit_of
 from ..identification.predictions import Normality, normality, own_names
-from ..measurements.jitter import Steady
 from ..measurements.table import Measurements
 from ..progress import each
 from ..robot.manipulator import Manipulator
@@ -33,30 +32,14 @@ LEAST_ROWS = 3  # for friction without a model
 # of results.json
 OF_FIT = (
     *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "serial_correlation"),
-    *(
-        "trial_effects",
-        "trial_spread",
-        "moved_by_steps",
-        "mean_relative_error",
-        "reduced_chi_square",
-        "degrees_of_freedom",
-    ),
-    *("log_likelihood", "information_criteria", "restarted", "num_steps"),
+    *("trial_effects", "trial_spread", "moved_by_steps", "mean_relative_error", "reduced_chi_square"),
+    *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
 )
 OF_DETERMINATION = (
-    *(
-        "names",
-        "value",
-        "standard_error",
-        "confidence_interval",
-        "status",
-        "combinations",
-        "sums",
-        "correlation",
-        "rank",
-    ),
-    *("condition_number", "sloppy_direction"),
+    *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
+    *("rank", "condition_number", "sloppy_direction"),
 )
+OF_JITTER = ("noise", "least_turn", "num_ignored")
 OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
 OF_LOOP = (
     *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),
@@ -157,7 +140,7 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         **picked(fit, OF_FIT),
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
         "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
-        "without_jitter": {name: _steady_as_dict(steady) for name, steady in fit.steadied.items()},
+        "without_jitter": {name: {"unit": "N"} | picked(steady, OF_JITTER) for name, steady in fit.steadied.items()},
         "normality": report.normality,
         "cost_from_each_start": fit.starts,
         "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
@@ -187,10 +170,6 @@ def _table_as_dict(table: Measurements) -> dict[str, object]:
 def _determination_as_dict(told: Determination) -> dict[str, object]:
     units = {name: unit_of(name) for name in (*told.names, *told.told_together)}
     return {"unit": units} | picked(told, OF_DETERMINATION)
-
-
-def _steady_as_dict(steady: Steady) -> dict[str, object]:
-    return {"unit": "N", "noise": steady.noise, "least_turn": steady.least_turn, "num_ignored": steady.num_ignored}
 
 
 def _profile_as_dict(profile: Profile) -> dict[str, object]:

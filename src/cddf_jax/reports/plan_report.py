@@ -9,28 +9,16 @@ from ..identification.verdict import error_in_words
 
 def plan_as_markdown(plan: Plan) -> str:
     """First in words what to do, then the table."""
-    head = ("candidate", "cost", "gain", "expected standard error", "told")
-    warnings = [f"- warning: {r.candidate.name}: {text}" for r in plan.ranking for text in r.warnings]
-    lines = ["# What to measure next", "", *(f"- {line}" for line in plan_in_words(plan)), ""]
-    lines += [*markdown_table(head, [_row(ranked) for ranked in plan.ranking]), "", _meaning_of_gain(plan), ""]
-    return "\n".join(lines + warnings)
-
-
-def plan_in_words(plan: Plan) -> list[str]:
-    """What is known now, and what to do in turn."""
-    lines = [f"now: {_known_in_words(plan.now)}"]
+    lines = ["# What to measure next", "", f"- now: {_known_in_words(plan.now)}"]
     for i, ranked in enumerate(plan.chosen, 1):
-        lines.append(f"{i}. {ranked.candidate.name}: then {_known_in_words(ranked.expected)}")
-    return lines
-
-
-def _meaning_of_gain(plan: Plan) -> str:
-    gain = (
-        "growth of the logarithm of the determinant of the Fisher information (D-optimality)"
-        if plan.criterion == "D"
-        else f"fall of the logarithm of the standard error of {plan.criterion} (c-optimality)"
-    )
-    return f"Gain: {gain}, each candidate alone; ranked by gain per cost."
+        lines.append(f"- {i}. {ranked.candidate.name}: then {_known_in_words(ranked.expected)}")
+    head = ("candidate", "cost", "gain", "expected standard error", "told")
+    lines += ["", *markdown_table(head, [_row(ranked) for ranked in plan.ranking])]
+    gain = "growth of the logarithm of the determinant of the Fisher information (D-optimality)"
+    if plan.criterion != "D":
+        gain = f"fall of the logarithm of the standard error of {plan.criterion} (c-optimality)"
+    lines += ["", f"Gain: {gain}, each candidate alone; ranked by gain per cost.", ""]
+    return "\n".join(lines + [f"- warning: {r.candidate.name}: {text}" for r in plan.ranking for text in r.warnings])
 
 
 def _row(ranked: Ranked) -> list[str]:

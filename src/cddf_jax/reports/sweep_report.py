@@ -144,7 +144,8 @@ def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
 def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> Json:
     """Write exports, figures and the JSON; where they are, and what has no place in them."""
     from ..figures.style import render
-    from ..figures.sweeps import left_out_of_figure, name_in_words, sweep_figure
+    from ..figures.sweep_labels import name_in_words
+    from ..figures.sweeps import left_out_of_figure, sweep_figure
     from ..figures.workspace import workspace_figure
     from ..files.artifacts import as_json, write_all
 
@@ -156,7 +157,8 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
     figure = sweep_figure(answer, work.outputs, {name: _target(work, name) or name_in_words(name) for name in varied})
     folder, stem = places.store.parent, places.store.stem
     files = {} if isinstance(figure, str) else render(figure, stem)
-    if _is_cloud(answer):
+    tips = answer.data_vars.get("tip_position")
+    if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
         files |= render(workspace_figure(answer, _colour_of_tips(work)), f"{stem}_workspace")
     name = f"{stem}.json"
     paths: Json = {
@@ -171,12 +173,6 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
     }
     write_all(folder, {**files, name: as_json(summary | {"paths": paths})})
     return paths
-
-
-def _is_cloud(answer: "xarray.Dataset") -> bool:
-    """Whether there are tips in space to be drawn as a cloud."""
-    tips = answer.data_vars.get("tip_position")
-    return tips is not None and answer.sizes["component"] == 3 and bool(tips.notnull().all("component").any())
 
 
 def _colour_of_tips(work: Sweep) -> str:
@@ -263,7 +259,8 @@ def summary_in_words(summary: Json) -> str:
     some = f", {before:,} there already, {total - before:,} more" if before else ""
     seconds, rate = summary["seconds"], (total - before) / summary["seconds"]
     speed = f"{rate:,.0f} a second" if rate >= 10 else f"{rate:.2g} a second"
-    how = f"{some} in {_duration(seconds)} with compiling, {speed}" if before < total else ", all there already"
+    lasted = f"{seconds:.2g} s" if seconds < 10 else f"{timedelta(seconds=round(seconds))} h"  # "2.1 s", "1:02:03 h"
+    how = f"{some} in {lasted} with compiling, {speed}" if before < total else ", all there already"
     lines = [f"{total:,} solve{'s' if total > 1 else ''}{how}: {counts}"]
     failed = [name for name in summary["results"] if name != "successful"]
     lines += [f"{plain_words(name)}: {RESULTS[getattr(RESULTS, name)]}" for name in failed]
@@ -321,8 +318,3 @@ def _number(value: np.ndarray, unit: str | None) -> str:
 
 def plain_words(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _duration(seconds: float) -> str:
-    """ "2.1 s", from a minute on hours, minutes and seconds: "1:02:03 h"."""
-    return f"{seconds:.2g} s" if seconds < 10 else f"{timedelta(seconds=round(seconds))} h"

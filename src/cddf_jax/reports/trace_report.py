@@ -20,7 +20,7 @@ from ..units import Dimension, shown
 from .export import POINTS, field_columns, history_columns, history_numbers
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
-FINE_IN_STEPS, SHORT_STEPS = 64, 4  # in space or where short steps are followed, and into how many each is divided
+FINE_IN_STEPS, SHORT_STEPS = 64, 4  # the same in space or where short steps are followed; the parts of each step
 STEPS = 20  # of which words are made, at most
 SAME = 1e-9  # of its size, by which the number of two states may differ that are one
 SEEN = 1e-5  # of the work, by which it may differ from its parts in silence
@@ -61,72 +61,44 @@ class Cycle(NamedTuple):
 
 def traced(
     manipulator: Manipulator,
-    path: Sequence[float],
-    driven: Dimension,
-    nodes: int,
-    max_turns: int,
-    before: float | None = None,
-) -> TracedPath:
-    """Trace a path of one tendon, with so many points between its steps that loops are smooth.
-
-    Args:
-        manipulator: the body.
-        path: base tensions, N, displacements of the tendon, m, or tip angles, rad, after each step; not all 0.
-        driven: what they are, "force", "length" or "angle".
-        nodes, max_turns: as `trace` takes them.
-        before: the largest base tension before the path, N; None for rest.
-
-    Raises:
-        SolveError: names the step that failed.
-        ValueError: as `trace`.
-    """
-    known = 0.0 if before is None else before if driven == "force" else path[0]  # where the path comes from
-    values, steps = _with_points_between(
-        np.array(path)[:, None], np.array([known]), FINE_IN_STEPS if manipulator.in_space else FINE
-    )
-    with stage("tracing"):
-        past = "rest" if before is None else before
-        history = trace(
-            manipulator, TARGETS[driven](values[:, 0]), before=past, nodes=nodes, max_turns=max_turns, throw=False
-        )
-        _check(history, steps, values, [driven])
-        return TracedPath(manipulator, history, steps.tolist(), history_numbers(history))
-
-
-def traced_in_short_steps(
-    manipulator: Manipulator,
     paths: Sequence[Sequence[float]],
     driven: Sequence[Dimension],
     loads: Loads | None,
     nodes: int,
+    max_turns: int,
     before: Sequence[float] | None = None,
 ) -> TracedPath:
-    """Trace paths of all tendons, or under loads that rest on the body, with points between their steps.
+    """Trace the paths of all tendons, with so many points between their steps that loops are smooth.
+
+    Several tendons, and loads, are followed in short steps.
 
     Args:
         manipulator: the body.
-        paths: one for each tendon, all of one length: base tensions, N, or displacements, m, after each step.
-        driven: what each of them is, "force" or "length".
+        paths: one for each tendon, all of one length: base tensions, N, displacements of the tendon, m, or of one
+            tendon alone tip angles, rad, after each step; not all 0.
+        driven: what each of them is, "force", "length" or "angle".
         loads: on the body before the first step; they stay.
-        nodes: as `trace` takes them.
-        before: the base tensions before the paths, N; None for rest.
+        nodes, max_turns: as `trace` takes them.
+        before: the largest base tension of each tendon before the paths, N; None for rest.
 
     Raises:
         SolveError: names the step that failed.
         ValueError: as `trace`.
     """
-    start = np.zeros(len(paths)) if before is None else np.array(before)
-    values, steps = _with_points_between(np.array(paths).T, start, FINE_IN_STEPS)
-    columns = [Displacement(x) if kind == "length" else x for x, kind in zip(values.T, driven, strict=True)]
+    is_exact = len(paths) == 1 and loads is None
+    start = np.zeros(len(paths)) if before is None else np.array(before)  # where the paths come from
+    if is_exact and before is not None and driven[0] != "force":
+        start = np.array(paths)[:, 0]
+    fine = FINE if is_exact and not manipulator.in_space else FINE_IN_STEPS
+    values, steps = _with_points_between(np.array(paths).T, start, fine)
     with stage("tracing"):
-        history = trace(
-            manipulator,
-            values if "length" not in driven else columns,
-            loads,
-            nodes=nodes,
-            short_steps=SHORT_STEPS,
-            throw=False,
-        )
+        if is_exact:
+            options = {"before": "rest" if before is None else before[0], "max_turns": max_turns}
+            history = trace(manipulator, TARGETS[driven[0]](values[:, 0]), nodes=nodes, throw=False, **options)
+        else:
+            columns = [Displacement(x) if kind == "length" else x for x, kind in zip(values.T, driven, strict=True)]
+            given = columns if "length" in driven else values
+            history = trace(manipulator, given, loads, nodes=nodes, short_steps=SHORT_STEPS, throw=False)
         _check(history, steps, values, driven)
         return TracedPath(manipulator, history, steps.tolist(), history_numbers(history))
 

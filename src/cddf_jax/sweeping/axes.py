@@ -1,8 +1,6 @@
 """The axes of a sweep: what varies along each dimension of its answer."""
 
-import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +8,12 @@ import numpy as np
 from ..errors import InputError, within
 from ..mechanics.problem import Method
 from ..robot.manipulator import KINEMATICS
-from ..robot.named_numbers import Case, holds, stem_and_tendon
-from ..robot.validation import check_weight
+from ..robot.named_numbers import holds, stem_and_tendon
 from ..statics.arguments import check_nodes
 
 OPTIONS = ("nodes", "method", "kinematics")  # each value is a program of its own
 PATH = "path"  # the attribute of an answer that names the dimension whose base tensions were traced in their order
+ALONG_A_PATH = ("base_tension", "loads.")  # beginnings of the names of what may vary along it
 RESERVED = ("tendon", "point", "component", "axis", "result", "successful")
 
 
@@ -94,79 +92,3 @@ def _options(name: str, given: object) -> tuple[object, ...]:
         elif name == "method" and (not isinstance(value, Method) or isinstance(value, type)):
             raise InputError(f"sweep: method must be one such as FixedPoint(), got {value!r}")
     return values
-
-
-def check_names(
-    dimensions: tuple[Dimension, ...], sensitivities: tuple[str, ...], case: Case, wall_is_seen: bool
-) -> None:
-    """Refuse names that are not numbers of the case, and numbers that have no effect.
-
-    Args:
-        dimensions: what varies.
-        sensitivities: names to differentiate by.
-        case: what is solved.
-        wall_is_seen: whether an output depends on the outer radius itself, as the strain of the wall does.
-
-    Raises:
-        InputError: names it, and what is near.
-    """
-    swept = {name for dimension in dimensions for name in dimension.numbers}
-    for name in swept:
-        case.number(name)
-    length = None if "length" in swept else float(np.asarray(case.manipulator.length))
-    for dimension in dimensions:
-        for name, values in dimension.numbers.items():
-            outside = values[(values <= 0) | (values > (length or np.inf))]
-            if re.fullmatch(r"tendons\.\d+\.end", name) and outside.size:
-                raise InputError(
-                    f"sweep: the axis {name!r} holds {outside[0]:g} m, which is not on the body; leave it out"
-                )
-    for name, remedy in _idle(swept, case, wall_is_seen).items():
-        raise InputError(f"sweep: {name!r} has no effect here; {remedy}")
-    tension = case.base_tension
-    if tension is None and "base_tension" not in swept:
-        raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
-    for name in sensitivities:
-        if name in OPTIONS or stem_and_tendon(name)[0] == "direction":
-            raise InputError(f"sweep: nothing can be differentiated by {name!r}; take it out of the sensitivities")
-        if case.number(name) is None and name not in swept:
-            raise InputError(f"sweep: the case has no {name!r} to differentiate by; give it a value")
-        wider = [other for other in swept if holds(other, name) or holds(name, other)]
-        if wider:
-            close = get_close_matches(name, wider, 1) or wider
-            raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")
-
-
-def _idle(swept: set[str], case: Case, wall_is_seen: bool) -> dict[str, str]:
-    """Numbers that have no effect on the answer, each with the remedy."""
-    found: dict[str, str] = {}
-    if "yield_strain" in swept:
-        found["yield_strain"] = "it only says when a solve warns; ask for the output peak_strain"
-    for i, tendon in enumerate(case.manipulator.tendons):
-        stiff = tendon.axial_stiffness is None and f"tendons.{i}.axial_stiffness" not in swept
-        if f"tendons.{i}.free_length" in swept and stiff:
-            found[f"tendons.{i}.free_length"] = "the tendon does not stretch; give it an axial_stiffness"
-    body, loads = case.manipulator, case.loads
-    for name in ("friction_coefficient", "drag"):
-        if name in swept and all(getattr(tendon, name) is not None for tendon in body.tendons):
-            found[name] = f"every tendon has its own; let 'tendons.0.{name}' vary"
-    gravity = {name for name in swept if name.startswith("loads.gravity.")}
-    weightless = loads is None or not np.any(np.asarray(loads.gravity))
-    masses = {name for name in swept if name.split(".")[0] in ("density", "mass_per_length", "point_masses")}
-    if masses and not gravity and weightless:
-        found[min(masses)] = "there is no gravity; give loads=Loads(gravity=(0.0, -9.81))"
-    if gravity and not masses and not body.has_mass:
-        found[min(gravity)] = "the body has no weight; give it density, mass_per_length or point_masses"
-    if not masses and not gravity:
-        check_weight(body, loads)
-    if "poissons_ratio" in swept and not case.in_space:
-        found["poissons_ratio"] = "it matters in space; give the tendons an angle"
-    for name in sorted(swept & {"axial_factor", "shear_factor"}):
-        if not body.extensible:
-            found[name] = "the axis does not stretch; make the body extensible"
-    dense = "density" in swept or np.any(np.asarray(body.density))
-    if not body.stiffened_by_radii and not (dense and (gravity or not weightless)):
-        for name in sorted(swept):
-            if name.startswith("inner_radius") or (name.startswith("outer_radius") and not wall_is_seen):
-                found[name] = "the bending_stiffness of this body is given beside it; let that vary"
-    return found

@@ -15,8 +15,8 @@ from jaxtyping import ArrayLike
 
 from ..batch.chunks import Index, Layout, Variable, even_chunks
 from ..batch.fingerprint import code_digest, numbers_of, recorded
-from ..batch.lanes import Lanes
-from ..batch.work import COPIES, Work, carry_out
+from ..batch.lanes import in_lanes
+from ..batch.work import COPIES, carry_out
 from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.fixed_point import FixedPoint
@@ -25,10 +25,10 @@ from ..programs.kept import shapes_of
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, of_tendon
-from ..statics.arguments import check_nodes
 from ..statics.equilibrium import Equilibrium
-from ..statics.targets import Actuation, Target, TipPosition
-from .axes import PATH, RESERVED, Dimension, check_names, dimensions_of
+from ..statics.targets import Actuation
+from .axes import PATH, Dimension, dimensions_of
+from .checks import check_sweep
 from .one_solve import (
     IN_SPACE,
     OF_HISTORY,
@@ -52,7 +52,6 @@ SHARE = 0.25  # of the memory that is free
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
 Observable = Callable[[Equilibrium], ArrayLike]
-ALONG_A_PATH = ("base_tension", "loads.")  # beginnings of the names of what may vary along it
 _OF_SPACE = re.compile(r"loads\.((tip_force|gravity)\.2|tip_moment\.[0-2])")  # components that the plane has not
 
 
@@ -186,7 +185,7 @@ class Sweep:
     @property
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """What can be asked for, and its dimensions beside those of the sweep."""
-        if self._in_short_steps:
+        if self.in_short_steps:
             return {name: dims for name, dims in OF_HISTORY.items() if name != "num_turns"}  # which one tendon has
         if self.history:
             return OF_HISTORY_IN_SPACE if self.case.in_space else OF_HISTORY
@@ -207,91 +206,6 @@ class Sweep:
         """The memory that may be used, bytes."""
         return SHARE * needed("psutil").virtual_memory().available if self.memory is None else float(self.memory)
 
-    def _check_kinds(self) -> None:
-        if not isinstance(self.manipulator, Manipulator):
-            raise InputError(
-                f"sweep: manipulator must be a Manipulator, as of read_manipulator, got {self.manipulator!r}"
-            )
-        if self.loads is not None and not isinstance(self.loads, Loads):
-            raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {self.loads!r}")
-        if not isinstance(self.method, Method) or isinstance(self.method, type):
-            raise InputError(f"sweep: method must be one such as FixedPoint(), got {self.method!r}")
-        if self.memory is not None and not (isinstance(self.memory, int | float) and self.memory > 0):
-            raise InputError(f"sweep: memory must be a number of bytes above 0, as in memory=2e9, got {self.memory!r}")
-        if self.chunk_size is not None and (not isinstance(self.chunk_size, int) or self.chunk_size < 1):
-            raise InputError(f"sweep: chunk must be a whole number of 1 or more, got {self.chunk_size!r}")
-        with within("sweep", ValueError):
-            check_nodes(self.nodes)
-
-    def _check_history(self) -> None:
-        """What cannot be traced."""
-        among = [dimension.name for dimension in self._pulled]
-        if not among:
-            raise InputError('sweep: history needs the axis "base_tension", whose values are the path')
-        if self.path is None:
-            which = ", ".join(map(repr, among))
-            raise InputError(
-                f"sweep: base tensions vary along {which}; history must be the name of the one that is the path"
-            )
-        beside = [name for name in (*self.path.numbers, *self.path.options) if not name.startswith(ALONG_A_PATH)]
-        if beside:
-            raise InputError(f"sweep: only base tensions and loads vary along a path, not {beside[0]}; give it an axis")
-        numbers = {name for d in self.dimensions for name in (*d.numbers, *d.options)}
-        given = {"direction": self.direction, "observables": self.observables or None}
-        others = [name for name, value in given.items() if value is not None]
-        others += [name for name in numbers if name.startswith(("direction", "method"))]
-        others += [name for name in self.sensitivities if name.startswith(ALONG_A_PATH)]
-        if others or not isinstance(self.method, FixedPoint):
-            what = others[0] if others else "method"
-            raise InputError(f"sweep: with history there is no {what}; leave it out")
-        if self._in_short_steps:
-            self._check_short_steps()
-
-    def _check_short_steps(self) -> None:
-        """What cannot be followed in short steps."""
-        what = "of several tendons or under loads"
-        if self.case.in_space:
-            raise InputError(f"sweep: a history {what} is known in the plane only; take one tendon without loads")
-        entries = jax.tree.leaves(self.case.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
-        if any(isinstance(entry, Target | TipPosition) for entry in entries):
-            raise InputError("sweep: with history base_tension must hold tensions, N, in place of targets")
-        if self.dtype != np.float64:
-            raise InputError(f"sweep: a history {what} needs float64; set jax.config.update('jax_enable_x64', True)")
-        if self.sensitivities:
-            raise InputError(
-                f"sweep: derivatives of a history {what} are right to about 1 % only; leave sensitivities out"
-            )
-        if isinstance(self.short_steps, bool) or not isinstance(self.short_steps, int) or self.short_steps < 2:
-            raise InputError(f"sweep: short_steps must be a whole number of 2 or more, got {self.short_steps!r}")
-
-    def _check(self) -> None:
-        if self.history:
-            self._check_history()
-        for name in ("outputs", "sensitivities"):
-            if len(set(getattr(self, name))) < len(getattr(self, name)):
-                raise InputError(f"sweep: {name} names something twice; leave one out")
-        known = {name for dimension in self.dimensions for name in (dimension.name, *dimension.numbers)}
-        if self.base_tension is not None and "base_tension" in known:
-            raise InputError("sweep: base_tension is given and an axis; leave one out")
-        for name in self.outputs:
-            if name not in self.known_outputs:
-                of = " of a history" if self.history else " in space" if self.case.in_space else ""
-                raise InputError(f"sweep: {name!r} is no output{of}; there are {', '.join(self.known_outputs)}")
-        for name in (*self.outputs, *self.observables):
-            if name in known:
-                raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")
-        for name in self.observables:
-            if name in OUTPUTS | IN_SPACE or name in RESERVED or "/" in name:
-                raise InputError(f"sweep: no observable can be called {name!r}; give it another name")
-            if not callable(self.observables[name]):
-                raise InputError(f"sweep: the observable {name!r} must be a function of an Equilibrium")
-        if not self.outputs and not self.observables:
-            raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
-        if not all(np.all(np.abs(stated) == 1) for stated in jax.tree.leaves(self.case.direction)):
-            raise InputError(f"sweep: direction is 1 for sliding in and -1 for sliding out, got {self.direction!r}")
-        wall_is_seen = bool(self.observables) or not {"peak_strain", "peak_strain_at"}.isdisjoint(self.outputs)
-        check_names(self.dimensions, self.sensitivities, self.case, wall_is_seen)
-
     # --- the answer before it is computed -------------------------------------------------------------
 
     @cached_property
@@ -301,8 +215,7 @@ class Sweep:
         Raises:
             InputError: where an argument of the sweep is wrong.
         """
-        self._check_kinds()
-        self._check()
+        check_sweep(self)
         variables = self._variables()
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
         layout = Layout(
@@ -316,7 +229,7 @@ class Sweep:
         each = COPIES * layout.bytes_each * self.steps
         if each > self.allowed:
             raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
-        usual = CHUNK_IN_SHORT_STEPS if self._in_short_steps else CHUNK
+        usual = CHUNK_IN_SHORT_STEPS if self.in_short_steps else CHUNK
         most = max((self.chunk_size or min(usual, int(self.allowed // each) * self.steps)) // self.steps, 1)
         sizes = [1 if d is self.path else d.size for d in self.dimensions]
         chunks = even_chunks(sizes, most, [bool(d.options) for d in self.dimensions])
@@ -324,7 +237,7 @@ class Sweep:
         return replace(layout, chunks=tuple(whole))
 
     @property
-    def _pulled(self) -> list[Dimension]:
+    def pulled(self) -> list[Dimension]:
         """The dimensions along which base tensions vary."""
         return [d for d in self.dimensions if any(name.startswith("base_tension") for name in d.numbers)]
 
@@ -332,11 +245,11 @@ class Sweep:
     def path(self) -> Dimension | None:
         """The dimension whose base tensions are traced in their order; None without one, or if there are several."""
         if isinstance(self.history, str):
-            return next((dimension for dimension in self._pulled if dimension.name == self.history), None)
-        return self._pulled[0] if self.history and len(self._pulled) == 1 else None
+            return next((dimension for dimension in self.pulled if dimension.name == self.history), None)
+        return self.pulled[0] if self.history and len(self.pulled) == 1 else None
 
     @property
-    def _in_short_steps(self) -> bool:
+    def in_short_steps(self) -> bool:
         """Whether a history has no exact answer."""
         return bool(self.history) and (self.case.manipulator.num_tendons > 1 or self.case.loads is not None)
 
@@ -346,16 +259,11 @@ class Sweep:
         return 1 if self.path is None else self.path.size
 
     @property
-    def _varied(self) -> list[Dimension]:
-        """What varies from one solve or one trace to another."""
-        return [dimension for dimension in self.dimensions if dimension is not self.path]
-
-    @property
     def _shape(self) -> dict[str, int]:
         return {dimension.name: dimension.size for dimension in self.dimensions}
 
     def _variables(self) -> dict[str, Variable]:
-        inputs = {name: np.zeros((), self.dtype) for d in self._varied for name in d.numbers}
+        inputs = {n: np.zeros((), self.dtype) for d in self.dimensions if d is not self.path for n in d.numbers}
         found: dict[str, Variable] = {}
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
             shapes = shapes_of(self.solver(index), inputs)
@@ -393,7 +301,7 @@ class Sweep:
             "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
             "kinematics": self.manipulator.kinematics,
             "history": self.history,
-            **({"short_steps": self.short_steps} if self._in_short_steps else {}),
+            **({"short_steps": self.short_steps} if self.in_short_steps else {}),
             "nodes": self.nodes,
             "method": recorded(self.method),
             "outputs": list(self.outputs),
@@ -423,14 +331,13 @@ class Sweep:
 
     def run(self, out: str | os.PathLike[str] | None = None) -> "xarray.Dataset":
         """Compute the chunks that the store does not have yet, and return the whole answer."""
-        work = Work("solving", self.layout, lambda: self.identity, self.chunk)
-        return carry_out(work, out, self.allowed).dataset()
+        done = carry_out("solving", self.layout, lambda: self.identity, self.chunk, out, self.allowed)
+        return done.dataset()
 
     def chunk(self, layout: Layout, index: Index) -> dict[str, np.ndarray]:
         """The outputs of one chunk, in the shape of its region."""
         region = layout.region(index)
         options = tuple(r.start if d.options else 0 for d, r in zip(self.dimensions, region, strict=True))
-        lanes = Lanes(self.solver(options), layout.chunk_size // self.steps, self.steps)
         along = [
             np.zeros(1, int) if dimension is self.path else np.arange(r.start, r.stop)
             for dimension, r in zip(self.dimensions, region, strict=True)
@@ -442,7 +349,8 @@ class Sweep:
             for name, values in dimension.numbers.items()
             if dimension is not self.path
         }
-        outputs = lanes(numbers, places[0].size)
+        most = layout.chunk_size // self.steps
+        outputs = in_lanes(self.solver(options), numbers, places[0].size, most, self.steps)
         return {name: self._in_place(np.reshape(x, (*places[0].shape, *x.shape[1:]))) for name, x in outputs.items()}
 
     def _in_place(self, output: np.ndarray) -> np.ndarray:
