@@ -227,11 +227,7 @@ def si_unit(dimension: Dimension) -> str:
 
 
 def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: str) -> Decimal:
-    """How many SI units of the dimension one `unit` is.
-
-    Raises:
-        InputError: for a missing, unknown or unfit unit.
-    """
+    """How many SI units of the dimension one `unit` is."""
     if dimension == "moment":
         unit = _NEWTON_METRES.sub(r"\1 \2", unit)
     if (own := _own_size(unit, dimension)) is not None:

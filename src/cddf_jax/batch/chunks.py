@@ -69,10 +69,7 @@ class Layout:
 def even_chunks(sizes: Sequence[int], most: int, single: Sequence[bool]) -> Index:
     """Chunks of nearly equal size with no more than `most` items; the last dimensions stay whole where they can.
 
-    Args:
-        sizes: of the dimensions.
-        most: items in a chunk.
-        single: by dimension, whether a chunk holds one place of it only.
+    `single` says of each dimension whether a chunk holds one place of it only.
     """
     chunks: list[int] = []
     for size, alone in zip(reversed(sizes), reversed(single), strict=True):

@@ -144,11 +144,7 @@ def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
 
 
 def _same_work(zarr: ModuleType, path: Path, identity: Mapping[str, object], names: Collection[str]) -> Any:
-    """The group at the path.
-
-    Raises:
-        InputError: where it is not that of this very work.
-    """
+    """The group at the path."""
     remedy = "give another path, or delete it"
     try:
         group = zarr.open_group(path, mode="r+")

@@ -118,10 +118,7 @@ def print_answer(text: str, answer: object, *, as_json: bool) -> None:
 def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[], None] | None = None) -> "RobotFile":
     """Set JAX up and read the manipulator's file; how a table of cross-sections was read is noted on standard error.
 
-    Args:
-        robot: the TOML file.
-        kinematics: instead of those of the file; None for these.
-        configure: sets JAX up; None for `application.configure_jax`.
+    `kinematics` stand in place of those of the file. `configure` sets JAX up, `application.configure_jax` unless given.
     """
     from dataclasses import replace
 
@@ -155,11 +152,7 @@ def read_data(
 
 
 def read_all(texts: Sequence[str] | None, option: str, example: str, read: Callable[[str, str], T]) -> dict[str, T]:
-    """What an option that may be repeated says, by name: what `read` makes of the name and the text behind its "=".
-
-    Raises:
-        InputError: for a text without a name and "=", and for a name that is given twice.
-    """
+    """What an option that may be repeated says, by name: what `read` makes of the name and the text behind its "="."""
     found: dict[str, T] = {}
     for text in texts or ():
         name, equals, value = (part.strip() for part in text.rpartition("="))

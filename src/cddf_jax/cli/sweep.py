@@ -18,11 +18,7 @@ EXAMPLE = (
 
 
 def read_sweep_task(context: typer.Context, path: Path | None) -> Path | None:
-    """Take the options that a TOML file gives, where the command line does not give them.
-
-    Raises:
-        InputError: for a file that cannot be read, and for a key that is no option.
-    """
+    """Take the options that a TOML file gives, where the command line does not give them."""
     if path is None:
         return None
     from ..files.manipulator_file import read_toml

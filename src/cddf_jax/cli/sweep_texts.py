@@ -37,16 +37,8 @@ def read_sweep(
 ) -> Sweep:
     """The sweep over axes such as "base_tension=5N:85N:17" and samples such as "youngs_modulus=1.2MPa:1.6MPa".
 
-    Args:
-        manipulator: the body.
-        over: one axis each, in the order of the dimensions.
-        together: names of axes such as "friction_coefficient,youngs_modulus" that are one.
-        sample: what varies together along one more dimension, "sample".
-        samples, sampler, seed: how many samples, how they are spread, and the seed.
-        given: other fields of `Sweep`.
-
-    Raises:
-        InputError: names the option, the text and the remedy.
+    Axes that are one are named together, "friction_coefficient,youngs_modulus". What is sampled varies along one more
+    dimension, "sample". `given` are other fields of `Sweep`.
     """
     axes = read_all(over, "--over", OVER, lambda name, text: text)
     ranges = read_all(sample, "--sample", SAMPLE, lambda name, text: text)
@@ -145,11 +137,7 @@ def _limits(name: str, text: str, dimension: units.Dimension) -> tuple[float, fl
 
 
 def read_base_tension(texts: Sequence[str], manipulator: Manipulator) -> Actuation | None:
-    """What `Sweep` takes for texts as `cddf solve` takes them; None for none.
-
-    Raises:
-        InputError: as `read_actuation`.
-    """
+    """What `Sweep` takes for texts as `cddf solve` takes them; None for none."""
     if not texts:
         return None
     entries = read_actuation(texts, manipulator)
@@ -157,11 +145,7 @@ def read_base_tension(texts: Sequence[str], manipulator: Manipulator) -> Actuati
 
 
 def read_memory(text: str) -> float:
-    """Bytes out of a text such as "2 GB".
-
-    Raises:
-        InputError: for text that cannot be read.
-    """
+    """Bytes out of a text such as "2 GB"."""
     found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([A-Za-z]+)\s*", text)
     if not found or found[2] not in BYTES or not float(found[1]) > 0:
         raise InputError(f"--memory {text!r}: write a number above 0 and one of {', '.join(BYTES)} as in '2 GB'")
@@ -171,11 +155,7 @@ def read_memory(text: str) -> float:
 def read_processes(
     coordinator: str | None, num_processes: int | None, process_id: int | None, *, distributed: bool
 ) -> Mapping[str, str | int | None] | None:
-    """Arguments of `jax.distributed.initialize`; None for one process alone.
-
-    Raises:
-        InputError: where some of them are missing, or do not fit.
-    """
+    """Arguments of `jax.distributed.initialize`; None for one process alone."""
     given: dict[str, str | int | None] = {
         "coordinator_address": coordinator,
         "num_processes": num_processes,

@@ -91,11 +91,7 @@ def trace(
 
 
 def read_paths(texts: "Sequence[str]", noise: str | None, count: int) -> "tuple[list[list[float]], list[Dimension]]":
-    """Paths of all tendons, of one length, and what they measure.
-
-    Raises:
-        InputError: as `read_path`, and for paths that do not fit each other or the tendons.
-    """
+    """Paths of all tendons, of one length, and what they measure."""
     from ..files.actuation import one_for_each_tendon
 
     read = one_for_each_tendon("--path", [read_path(text, noise) for text in texts], count)
@@ -124,11 +120,7 @@ def read_tensions_before(text: str, count: int) -> list[float]:
 
 
 def read_path(text: str, noise: str | None = None) -> "tuple[list[float], Dimension]":
-    """A path as typed or in a file, SI, and what it measures; how a file was read is noted on standard error.
-
-    Raises:
-        InputError: names what cannot be read, and the remedy.
-    """
+    """A path as typed or in a file, SI, and what it measures; how a file was read is noted on standard error."""
     from ..measurements.path_file import read_path_file
     from ..units import series, written
 

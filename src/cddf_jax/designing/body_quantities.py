@@ -105,11 +105,7 @@ QuantityName = str | Callable[[Manipulator, Equilibrium], ArrayLike]  # a name o
 
 
 def quantity_named(name: QuantityName) -> BodyQuantity:
-    """A quantity by its name, or made of a function of manipulator and equilibrium.
-
-    Raises:
-        InputError: for an unknown name; names one like it, or the known ones.
-    """
+    """A quantity by its name, or made of a function of manipulator and equilibrium."""
     if callable(name):
         return BodyQuantity("", lambda view: jnp.asarray(name(view.body, view.equilibrium)))
     if name not in BODY_QUANTITIES:
@@ -139,11 +135,7 @@ class OfQuantity(eqx.Module):
 
 
 def check_fits(name: str, wanted: ArrayLike, value: Array) -> None:
-    """Refuse a wanted value whose shape is not that of the quantity.
-
-    Raises:
-        InputError: names the quantity and the shapes.
-    """
+    """Refuse a wanted value whose shape is not that of the quantity."""
     if jnp.shape(wanted) not in ((), jnp.shape(value)):
         raise InputError(f"design: {name} has shape {jnp.shape(value)}, and {jnp.shape(wanted)} was asked of it")
 

@@ -117,11 +117,7 @@ def design(
 
 
 def weighted(objective: Aim | Sequence[tuple[float, Aim]]) -> list[tuple[float, Objective]]:
-    """The argument `objective` of `design` as pairs of weight and objective.
-
-    Raises:
-        InputError: for anything else.
-    """
+    """The argument `objective` of `design` as pairs of weight and objective."""
     found = []
     for pair in objective if isinstance(objective, list | tuple) else [(1.0, objective)]:
         if not isinstance(pair, tuple | list) or len(pair) != 2:
@@ -171,14 +167,7 @@ def problem_of(
 ) -> DesignProblem:
     """The problem of `design`, checked, with sizes taken from the start.
 
-    Args:
-        objectives: pairs of weight and objective.
-        capped: whether every objective also gets a level that it may not exceed, far away at first.
-
-    The others are as in `design`.
-
-    Raises:
-        InputError: for unknown names and contradictions, and for a start without equilibrium.
+    `capped`: whether every objective also gets a level that it may not exceed, far away at first.
     """
     constraints = [constraints] if isinstance(constraints, Limit) else constraints
     if not isinstance(constraints, list | tuple) or not all(isinstance(limit, Limit) for limit in constraints):

@@ -55,15 +55,9 @@ class FreeNumbers(eqx.Module):
 
 
 def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumbers:
-    """The free numbers with these names, their start values and their bounds.
+    """The free numbers with these names, and their bounds; the case is the start.
 
-    Args:
-        case: the start.
-        free: names of numbers, or of profiles for all their values: "outer_radius", "length", "tendons.*.offset".
-        bounds: (lower, upper) by the same names, SI.
-
-    Raises:
-        InputError: names what is unknown, without effect, or out of its bounds.
+    A name is that of a number, or of a profile for all its values: "outer_radius", "length", "tendons.*.offset".
     """
     if any(stem_and_tendon(str(name))[0] == "direction" for name in free):
         raise InputError("design: a direction cannot be free; it is 1 or -1")
@@ -126,11 +120,7 @@ def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
 
 
 def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:
-    """The numbers that a free name means, each with those that share its value.
-
-    Raises:
-        InputError: names what is not there.
-    """
+    """The numbers that a free name means, each with those that share its value."""
     if "*" not in group:
         return [(name,) for name in _within(case, group)]
     if not group.startswith("tendons.*."):

@@ -91,11 +91,7 @@ class LoadCase(eqx.Module):
         return solve(body, self.base_tension, self.loads, direction=self.direction, nodes=nodes, throw=False)
 
     def check_loop(self, manipulator: Manipulator) -> None:
-        """Refuse what has no hysteresis that is known.
-
-        Raises:
-            InputError: names what is missing, or what there is too much of.
-        """
+        """Refuse what has no hysteresis that is known."""
         own = self.name or "the load case"
         if self.loop is None:
             raise InputError(f"design: 'hysteresis' needs a loop of {own}, as in LoadCase(40.0, loop=(5.0, 75.0))")

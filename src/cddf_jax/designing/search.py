@@ -77,12 +77,7 @@ class SearchResult(NamedTuple):
 
 
 class DesignSearch:
-    """Searches of one problem.
-
-    Args:
-        problem: its last `WANDERING` stations are moved.
-        max_iterations: of every search.
-    """
+    """Searches of one problem, whose last `WANDERING` stations are moved."""
 
     def __init__(self, problem: DesignProblem, max_iterations: int):
         self.problem, self.max_iterations = problem, max_iterations

@@ -88,11 +88,7 @@ class DesignTask:
 
 
 def read_task(path: Path) -> DesignTask:
-    """The task in a TOML file; `template` shows the keys.
-
-    Raises:
-        InputError: names the file, the key, the value and the remedy.
-    """
+    """The task in a TOML file; `template` shows the keys."""
     with within(path, ValueError):
         return _task(read_toml(path, 'least = "2 mm"'), path)
 

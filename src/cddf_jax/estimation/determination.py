@@ -108,11 +108,7 @@ class Evidence:
         )
 
     def within(self, kept: Mapping[str, np.ndarray]) -> "Evidence":
-        """Without some of the data; the priors stay.
-
-        Args:
-            kept: by group, whether each of its data is kept; a group that is left out is kept whole.
-        """
+        """Without some of the data; the priors stay, and groups that are not named by `kept` as well."""
         rows = {name: own[kept[name]] if name in kept else own for name, own in self.rows.items()}
         return replace(self, rows=rows, open_profile=(), bounded_above=())
 

@@ -107,14 +107,9 @@ class Minimum(NamedTuple):
     outcome: Outcome
 
     def refit(self, held: np.ndarray, z: np.ndarray | None = None) -> tuple[Outcome, float]:
-        """Hold some parameters, fit the others.
+        """Hold some parameters (`held` is NaN for the others), and fit the others, from z or from here.
 
-        Args:
-            held: values at which parameters are held, NaN for those that are free.
-            z: where the search begins; None for here.
-
-        Returns:
-            Where the search ended, and the rise of the cost; NaN where the model gives no number.
+        Told are where the search ended, and the rise of the cost: NaN where the model gives no number.
         """
         moved = minimise(self.problem, self.outcome.z if z is None else z, held)
         return moved, float(moved.cost - self.outcome.cost)
@@ -138,24 +133,18 @@ class _Acceptance(optx.ClassicalTrustRegion):
 
 
 def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | None = None) -> Outcome:
-    """Search for the minimum from z.
+    """Search for the minimum from the dimensionless unknowns z.
 
-    Args:
-        problem: whose sum of squares it is.
-        z: dimensionless unknowns.
-        held: values at which parameters are held, NaN for those that are free; None for all free.
+    `held` are values at which parameters are held, NaN for those that are free.
     """
     held = np.full(len(z), np.nan) if held is None else held
     return _outcome(_descend(problem, z, held, TOLERANCE))
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:
-    """Many searches at once.
+    """Many searches at once, from z, (searches, n).
 
-    Args:
-        problem: of all of them.
-        z: (searches, n), where they start.
-        data: in place of the problem's; arrays that have a leading axis hold those of each search.
+    The data stand in place of the problem's. Arrays that have a leading axis hold those of each search.
     """
 
     def one_each(x: Numbers, own: Numbers) -> np.ndarray:

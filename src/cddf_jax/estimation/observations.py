@@ -142,11 +142,7 @@ def _most_likely(
 
 
 def group_observations(observed: PyTree, sigma: PyTree) -> tuple[Observed, ...]:
-    """Check the data and put noise beside each group.
-
-    Raises:
-        InputError: for data that are empty or not finite, noise that is not positive or fits no group.
-    """
+    """Check the data and put noise beside each group."""
     leaves = jax.tree_util.tree_flatten_with_path(observed)[0]
     names = tuple(jax.tree_util.keystr(path, simple=True, separator=".") or "data" for path, _ in leaves)
     values = tuple(np.asarray(leaf, dtype=np.float64) for _, leaf in leaves)

@@ -70,11 +70,7 @@ def _known(kind: str, names: tuple[str, ...], given: Collection[str]) -> None:
 def bounds_of(
     names: tuple[str, ...], start: np.ndarray, bounds: Bounds, priors: Priors
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds by the order of the names, infinite where there are none, narrowed by uniform priors.
-
-    Raises:
-        InputError: for a name that is not fitted, a prior that is no range, or a start outside its bounds.
-    """
+    """Lower and upper bounds by the order of the names, infinite where there are none, narrowed by uniform priors."""
     _known("bounds", names, bounds)
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for i, name in enumerate(names):
@@ -95,11 +91,7 @@ def bounds_of(
 
 
 def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
-    """The Gaussian priors, by the number of their parameter; uniform ones are bounds (`bounds_of`).
-
-    Raises:
-        InputError: for a name that is not fitted, or a prior that is not (mean, standard deviation > 0).
-    """
+    """The Gaussian priors, by the number of their parameter; uniform ones are bounds (`bounds_of`)."""
     _known("prior", names, priors)
     found = {}
     for name, prior in priors.items():
@@ -173,11 +165,7 @@ class ParameterSpace:
         """Another start: a space about it, in which a search feels as though it were the given one, and its z.
 
         What has a bound moves by up to so many powers of ten of its distance from it. Of what has none the size does,
-        and in one draw of four the sign changes.
-
-        Args:
-            draw: (n,), of the uniform distribution over (0, 1).
-            decades: how many powers of ten up and down.
+        and in one draw of four the sign changes. `draw`, (n,), is of the uniform distribution over (0, 1).
         """
         same = draw >= FLIPPED
         size = np.where(same, (draw - FLIPPED) / (1 - FLIPPED), draw / FLIPPED)
@@ -214,12 +202,9 @@ class ParameterSpace:
 def parameter_space(
     names: tuple[str, ...], start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray | None = None
 ) -> ParameterSpace:
-    """The space of some parameters.
+    """The space of some parameters; a bound that is not there is infinite.
 
-    Args:
-        names: of the parameters.
-        start, lower, upper: (n,), infinite where there is no bound.
-        scale: (n,), sizes that matter for parameters that may be 0; NaN for that of the start (1 where it is 0).
+    `scale`, (n,), holds sizes that matter for parameters that may be 0; NaN for that of the start (1 where it is 0).
     """
     given = np.full(np.shape(start), np.nan) if scale is None else scale
     known = np.isfinite(given)

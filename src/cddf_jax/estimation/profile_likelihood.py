@@ -37,13 +37,8 @@ class Profile(NamedTuple):
 def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quantile: float) -> Profile:
     """Profile one parameter, out to where its 95 % interval closes, or to its bounds.
 
-    The noise is held at its estimate: for a linear model the interval is the t interval.
-
-    Args:
-        minimum: where the fit ended.
-        name: of the parameter.
-        standard_error: a first guess of its precision, may be infinite.
-        quantile: half-width of a 95 % interval over its standard error.
+    The noise is held at its estimate: for a linear model the interval is the t interval. The standard error is a first
+    guess, and may be infinite. The quantile is the half-width of a 95 % interval over its standard error.
     """
     best, space = minimum.outcome, minimum.problem.space
     i, threshold = space.names.index(name), quantile**2 * _stretch(minimum)

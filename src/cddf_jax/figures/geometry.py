@@ -150,11 +150,7 @@ def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> AnyFields:
 
 
 def planar_fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
-    """The same of a body in the plane.
-
-    Raises:
-        InputError: for a body in space too.
-    """
+    """The same of a body in the plane."""
     return in_the_plane(fields_along(equilibrium, arc_length), "figures")
 
 

@@ -193,11 +193,7 @@ def _label(history: History, quantity: str, tendon: int) -> str:
 
 
 def _steps(history: History, steps: Sequence[int] | None, tendon: int) -> list[int]:
-    """Which steps bear numbers.
-
-    Raises:
-        InputError: when a step failed.
-    """
+    """Which steps bear numbers."""
     if not np.all(np.isfinite(np.asarray(history.tip_angle))):
         raise InputError("a step of the trace failed, there is no history to draw; see its result")
     return draw.turning_places(_of_tendon(history.base_tension, tendon)) if steps is None else [*map(int, steps)]

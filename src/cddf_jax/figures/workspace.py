@@ -97,11 +97,7 @@ def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = T
 
 
 def _cloud(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArray") -> Cloud:
-    """Tips and values, in the units of their labels.
-
-    Raises:
-        InputError: as `draw_workspace`.
-    """
+    """Tips and values, in the units of their labels."""
     if "tip_position" not in dataset.data_vars or RESULT not in dataset:
         raise InputError(f"{who}: there is no tip_position; ask the sweep for it, with outputs=('tip_position',)")
     array = _coloured_by(who, dataset, by)

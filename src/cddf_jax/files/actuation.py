@@ -42,9 +42,6 @@ def read_actuation(
         texts: as typed.
         manipulator: whose tendons are pulled.
         called: how messages call a quantity, by its name.
-
-    Raises:
-        InputError: names the quantity, the text and the remedy.
     """
     name, count = called("base_tension"), manipulator.num_tendons
     if any(text.partition("=")[0].strip() == TipPosition.quantity for text in texts):
@@ -70,11 +67,7 @@ def one_for_each_tendon(name: str, values: list[Entry], count: int) -> list[Entr
 def read_directions(
     given: Sequence[object] | None, manipulator: Manipulator, *, called: Callable[[str], str] = as_option
 ) -> list[int] | None:
-    """The directions of all tendons, of which one or one for each is given; None where they are to be found.
-
-    Raises:
-        InputError: for a direction other than 1 and -1, or for too few or too many of them.
-    """
+    """The directions of all tendons, of which one or one for each is given; None where they are to be found."""
     name, found = called("direction"), []
     for value in given or ():
         if isinstance(value, bool) or value not in (1, -1):
@@ -148,9 +141,6 @@ def read_loads(
     Args:
         tip_force, tip_moment, gravity: as typed.
         called: how messages call a quantity, by its name.
-
-    Raises:
-        InputError: for text that cannot be read.
     """
     if tip_force is None and tip_moment is None and gravity is None:
         return None

@@ -42,9 +42,6 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
         path: CSV or .xlsx.
         kind: of table.
         columns: by the head of a column in the file, what it is, such as "base_tension [N]"; "" to leave it out.
-
-    Raises:
-        InputError: names the file, row (line), column, value and remedy.
     """
     with within(path):
         source, given = _opened(path, kind, columns or {})

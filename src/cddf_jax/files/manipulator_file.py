@@ -173,11 +173,7 @@ def write_manipulator(
 
 
 def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = False) -> str:
-    """What `write_manipulator` writes.
-
-    Raises:
-        InputError: for a manipulator that `validate` refuses, or a profile of another kind.
-    """
+    """What `write_manipulator` writes."""
     import tomli_w
 
     manipulator.validate(offsets_outside_wall=offsets_outside_wall)
@@ -339,11 +335,7 @@ def _built(where: str, make: Callable[..., Built], *arguments: object, **named: 
 
 
 def check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
-    """Refuse keys that are not known, and demand those that are required.
-
-    Raises:
-        InputError: begins with `where`, names the key and what is near.
-    """
+    """Refuse keys that are not known, and demand those that are required."""
     known = (*required, *optional)
     for key in table:
         if key not in known:

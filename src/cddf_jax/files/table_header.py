@@ -96,11 +96,7 @@ def _unit_behind(text: str, dimension: Dimension | None) -> str | None:
 
 
 def headings_of(cells: list[str], row: int, kind: Kind, given: Mapping[str, str]) -> list[Heading]:
-    """Of every column.
-
-    Raises:
-        InputError: for what is no header, or a name that is to be another.
-    """
+    """Of every column."""
     while len(cells) > 1 and not cells[-1].strip():  # spreadsheets leave separators at the end
         cells = cells[:-1]
     headings = [heading_of(cell, kind, given) for cell in cells]

@@ -93,12 +93,7 @@ def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, A
 
 
 def shapes_of(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What `jax.eval_shape` gives: kept like a program, because it takes a trace.
-
-    Args:
-        function: a callable pytree.
-        arguments: its arguments, with arrays.
-    """
+    """What `jax.eval_shape` gives for a callable pytree: kept like a program, because it takes a trace."""
     leaves, structure = jax.tree.flatten((function, *arguments))
     question = Question(jax.eval_shape, structure, tuple(map(_signature, leaves)))
     try:

@@ -113,11 +113,7 @@ def fields_csv(fields: AnyFields, notes: Sequence[str] = ()) -> str:
 
 
 def fields_on_grid(equilibrium: Equilibrium) -> AnyFields:
-    """The fields at 201 arc lengths from base to tip.
-
-    Raises:
-        InputError: for a batch of equilibria.
-    """
+    """The fields at 201 arc lengths from base to tip."""
     return fields_on(equilibrium, _stations(equilibrium, None))
 
 

@@ -90,9 +90,7 @@ def left_out(report: Report) -> dict[str, str]:
 def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str:
     """The report: first in words what was determined and what was not, then the numbers.
 
-    Args:
-        report: what to say.
-        figures: names of the figures beside it; None where no figures are made.
+    `figures` are the names of the figures beside it; None where no figures are made.
     """
     fit = report.fit
     several = len(fit.tables) > 1 or len(fit.noise) > 1

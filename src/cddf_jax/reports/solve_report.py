@@ -19,13 +19,7 @@ Entries = Sequence[float | Target] | TipPosition  # the tension (N) or target of
 
 
 def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | None) -> dict[str, object]:
-    """Everything about an equilibrium, SI units, for JSON; loads and targets where there are any.
-
-    Args:
-        equilibrium: one.
-        actuation: what was given in place of base tensions.
-        loads: the dead loads; None for none.
-    """
+    """Everything about an equilibrium, SI units, for JSON; loads and targets where there are any."""
     answer: dict[str, object] = {"result": RESULTS[equilibrium.result] or "successful", "remarks": equilibrium.remarks}
     if isinstance(actuation, TipPosition):
         answer["targets"] = [picked(actuation, ("value", "minimum_tension", "maximum_tension"))]
@@ -46,12 +40,7 @@ def _target_as_dict(target: Target) -> dict[str, object]:
 
 
 def solve_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence[str], loads: Loads | None) -> str:
-    """The answer for people.
-
-    Args:
-        equilibrium, actuation, loads: as of `solve_as_dict`.
-        texts: what was given, as it was typed.
-    """
+    """The answer for people; `texts` are the tensions and targets as they were typed."""
     if isinstance(actuation, TipPosition):
         found = [f"base tension {tension:.4f} N" for tension in equilibrium.base_tension]
     else:
@@ -88,7 +77,7 @@ def _moment(moment: ArrayLike) -> str:
 
 
 def missed_targets_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence[str]) -> str:
-    """How near to its targets a solve came, and at which tensions; arguments as of `solve_in_words`."""
+    """How near to its targets a solve came, and at which tensions."""
     if isinstance(actuation, TipPosition):
         near, far = equilibrium.tip_position, shown(np.linalg.norm(equilibrium.target_miss), "length")
         place = ", ".join(shown(x, "length") for x in near)

@@ -47,11 +47,7 @@ Json = dict[str, Any]  # what `--json` prints: SI units
 
 
 def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Places:
-    """The store itself where the name ends with .zarr, or the folder for it and all that goes with it.
-
-    Raises:
-        InputError: for no place, and for a place that cannot be.
-    """
+    """The store itself where the name ends with .zarr, or the folder for it and all that goes with it."""
     if out is None:
         raise InputError("--out is missing; give a store such as --out sweep.zarr, or --dry-run to see what it takes")
     for option, path in (("--netcdf", netcdf), ("--csv", csv)):
@@ -63,12 +59,7 @@ def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Plac
 
 
 def _check_places(places: Places, work: Sweep) -> None:
-    """Find out before everything is computed what could not be written afterwards.
-
-    Raises:
-        InputError: for an answer that does not fit into a NetCDF file, or has nothing for a table.
-        OSError: for a folder that cannot be made.
-    """
+    """Find out before everything is computed what could not be written afterwards."""
     layout, csv, netcdf = work.layout, places.csv, places.netcdf
     if netcdf is not None:
         largest = max(int(np.prod(v.shape)) * v.dtype.itemsize for v in layout.variables.values())
@@ -94,18 +85,9 @@ def is_first_process() -> bool:
 
 
 def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Json | None:
-    """Run the sweep, and write what goes beside the store.
+    """Run the sweep, write what goes beside the store, and return what is to be said.
 
-    Args:
-        work: the sweep.
-        places: where everything goes.
-        options: of the command line, which go into the JSON.
-
-    Returns:
-        What is to be said; None for all processes but the first.
-
-    Raises:
-        InputError: as `sweep`, and for a place that cannot be written.
+    The options of the command line go into the JSON. All processes but the first return None.
     """
     _check_places(places, work)
     before, _ = _there_already(work, places.store)
@@ -128,11 +110,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Jso
 
 
 def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
-    """How many solves a store has already, in how many chunks.
-
-    Raises:
-        InputError: for a store of something else.
-    """
+    """How many solves a store has already, in how many chunks."""
     if not store.exists():
         return 0, 0
     opened = ZarrStore(store, work.layout, work.identity, create=False)
@@ -229,11 +207,7 @@ def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
 
 
 def rehearse(work: Sweep, places: Places | None) -> Json:
-    """What a sweep would take, without solving or writing anything.
-
-    Raises:
-        InputError: as `run_sweep`.
-    """
+    """What a sweep would take, without solving or writing anything."""
     layout, store = work.layout, None
     if places is not None:
         solves, chunks = _there_already(work, places.store)

@@ -30,11 +30,7 @@ class Dimension(NamedTuple):
 
 
 def dimensions_of(axes: object) -> tuple[Dimension, ...]:
-    """The dimensions of a sweep from its argument `axes`.
-
-    Raises:
-        InputError: names the axis and the remedy.
-    """
+    """The dimensions of a sweep from its argument `axes`."""
     if not isinstance(axes, Mapping) or not axes:
         raise InputError('sweep: axes must be a dictionary such as {"base_tension": values}, with one axis or more')
     found = tuple(_dimension(name, values) for name, values in axes.items())

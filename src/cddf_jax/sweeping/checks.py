@@ -81,11 +81,7 @@ def _check_short_steps(work: "Sweep") -> None:
 
 
 def check_sweep(work: "Sweep") -> None:
-    """Refuse what cannot be solved or is not known.
-
-    Raises:
-        InputError: names the argument and the remedy.
-    """
+    """Refuse what cannot be solved or is not known."""
     _check_kinds(work)
     if work.history:
         _check_history(work)

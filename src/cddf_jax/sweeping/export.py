@@ -21,11 +21,7 @@ LABELS = {"component": COMPONENTS, "axis": AXES}  # of places along a dimension;
 
 
 def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
-    """The whole answer as a NetCDF file.
-
-    Raises:
-        InputError: where it cannot be written.
-    """
+    """The whole answer as a NetCDF file."""
     whole = answer.load().drop_encoding()
     texts = {name: (c.dims, list(map(str, c.values))) for name, c in whole.coords.items() if c.dtype.kind == "T"}
     with in_one_step(path) as draft:  # SciPy's writer knows no text of any length
@@ -33,11 +29,7 @@ def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
 
 
 def write_csv(layout: Layout, answer: "xarray.Dataset", path: Path) -> None:
-    """A table with a row for each solve: what varies, the outputs that are no lines along the body, the result.
-
-    Raises:
-        InputError: where it cannot be written.
-    """
+    """A table with a row for each solve: what varies, the outputs that are no lines along the body, the result."""
     pandas = needed("pandas")
     with in_one_step(path) as draft, open(draft, "w", encoding="utf-8", newline="") as file:
         places = {name: np.arange(size) for name, size in layout.shape.items() if name not in answer.coords}

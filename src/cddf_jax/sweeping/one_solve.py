@@ -91,14 +91,9 @@ def variable(
     unit_by: str = "",
     by: str = "",
 ) -> Variable:
-    """An output of `array`'s shape and type for every solve, or its derivative by what has the unit `unit_by`.
+    """An output of `array`'s shape and type for every solve, or its derivative by the number `by` with its unit.
 
-    Args:
-        name: of the output.
-        array: its shape and type after one solve.
-        shape: of the sweep.
-        known: the dimensions of outputs that are no observables.
-        unit_by, by: the number that it is differentiated by.
+    `shape` is that of the sweep. `known` holds the dimensions of outputs that are no observables.
     """
     dims, unit, meaning = tuple(f"{name}_{i}" for i in range(array.ndim)), "", name
     if name in known:

@@ -210,11 +210,7 @@ class Sweep:
 
     @cached_property
     def layout(self) -> Layout:
-        """Its shape.
-
-        Raises:
-            InputError: where an argument of the sweep is wrong.
-        """
+        """Its shape."""
         check_sweep(self)
         variables = self._variables()
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
