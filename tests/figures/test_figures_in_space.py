@@ -11,7 +11,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 import cddf_jax as cddf
 from cddf_jax import figures
 from cddf_jax.errors import InputError
-from cddf_jax.figures import body as body_figures, space
+from cddf_jax.figures import geometry, space
 from cddf_jax.figures.geometry import drawn, stations
 
 LENGTH, RADIUS, OFFSET, BEND = 0.2, 0.01, 0.006, 2.0
@@ -42,7 +42,7 @@ def arc(s):
 @pytest.fixture
 def equilibrium(monkeypatch):
     """What the figures ask of one, without solving."""
-    for module in ("body", "along"):
+    for module in ("geometry", "along"):
         monkeypatch.setattr(f"cddf_jax.figures.{module}.fields_along", lambda _, s: arc(s))
     return SimpleNamespace(tip_frame=np.eye(3))
 
@@ -147,7 +147,7 @@ def test_what_is_refused(equilibrium, monkeypatch):
         figures.draw_shape(ROBOT, equilibrium, axes=flat)
     with pytest.raises(InputError, match="draw_view: plane must be one of XY, XZ, YZ, got 'ZX'"):
         figures.draw_view(ROBOT, equilibrium, "ZX")
-    monkeypatch.setattr(body_figures, "fields_along", lambda *_: None)
+    monkeypatch.setattr(geometry, "fields_along", lambda *_: None)
     with pytest.raises(InputError, match="views_figure: the body is in the plane; draw_shape draws it"):
         figures.views_figure(paper_body(), equilibrium)
     soft = cddf.Manipulator(LENGTH, RADIUS, 0.0, TENDONS, youngs_modulus=1e6, friction_coefficient=0.1, extensible=True)

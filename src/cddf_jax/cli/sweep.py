@@ -205,8 +205,11 @@ def _configure(
     from .sweep_texts import read_processes
 
     processes = read_processes(coordinator, num_processes, process_id, distributed=distributed)
-    if processes is not None:
-        _keep_standard_output()
+    if processes is not None:  # what libraries print when processes meet goes to standard error, the answer does not
+        sys.stdout.flush()
+        ours = os.dup(sys.stdout.fileno())
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+        sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding)
     try:
         application.configure_jax_for_batches(processes)
     except (ValueError, RuntimeError) as error:
@@ -214,11 +217,3 @@ def _configure(
             raise
         remedy = "check --coordinator" if processes else "give --coordinator, --num-processes and --process-id"
         raise InputError(f"the processes do not find each other ({error}); {remedy}") from None
-
-
-def _keep_standard_output() -> None:
-    """Keep standard output for the answer: what libraries print there when processes meet goes to standard error."""
-    sys.stdout.flush()
-    ours = os.dup(sys.stdout.fileno())
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding)

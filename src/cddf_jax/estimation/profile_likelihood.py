@@ -41,7 +41,11 @@ def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quant
     guess, and may be infinite. The quantile is the half-width of a 95 % interval over its standard error.
     """
     best, space = minimum.outcome, minimum.problem.space
-    i, threshold = space.names.index(name), quantile**2 * _stretch(minimum)
+    i, threshold, loss = space.names.index(name), quantile**2, LOSSES[minimum.problem.loss]
+    if loss is not LOSSES["linear"]:
+        # the mean rise, over that of least squares, at one standard error: mean psi^2 over mean psi' (Huber 1981)
+        spread, slope = loss.moments(best.residual[: minimum.problem.num_data], best.z.size)
+        threshold *= spread / max(slope, TINY)
     size = float(max(best.size[i], space.scale[i]) if space.at_bound(best.parameters)[i] else best.size[i])
     half_width = min(quantile * standard_error, size)
     estimate = _Point(float(best.parameters[i]), 0.0, best.z, best.parameters)
@@ -60,15 +64,6 @@ def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quant
     value, rise, _, others = map(np.array, zip(*low_to_high, strict=True))
     interval, closed, model_ends = zip(*ends, strict=True)
     return Profile(name, value, rise, others, space.names, threshold, interval, closed, model_ends)
-
-
-def _stretch(minimum: Minimum) -> float:
-    """The mean rise, over that of least squares, at one standard error: mean psi^2 over mean psi' (Huber 1981)."""
-    problem, best = minimum
-    if problem.loss == "linear":
-        return 1.0
-    spread, slope = LOSSES[problem.loss].moments(best.residual[: problem.num_data], best.z.size)
-    return spread / max(slope, TINY)
 
 
 class _Point(NamedTuple):

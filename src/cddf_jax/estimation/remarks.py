@@ -72,9 +72,14 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
             )
         elif problem.loss == "linear":
             found += _uneven(name, residual, values) if estimated and np.ptp(noise) == 0 else []
-            found += (
-                _outlier(fit.place(name, far[0]), far[1], _distance(fit.minimum, i, far[0], estimated)) if far else []
-            )
+            if far:
+                k, count = far
+                others = f" (and {count - 1} more are far off)" if count > 1 else ""
+                distance = _distance(fit.minimum, i, k, estimated)
+                number = f"{distance:.0f}" if distance >= 100 else f"{distance:.2g}"
+                how_far = f"{number} standard deviations" if np.isfinite(distance) else "far"
+                place = fit.place(name, k)
+                found.append(f"{place} lies {how_far} off the model{others}: check it, or use a robust loss")
     return found
 
 
@@ -128,13 +133,6 @@ def _far_off(residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> tup
         chance = 2 * stdtr(freedom - 1, -distance)
     far = np.flatnonzero(chance * residual.size < OUTLIER_CHANCE)
     return (int(far[np.argmax(distance[far])]), far.size) if far.size else None
-
-
-def _outlier(place: str, count: int, distance: float) -> list[str]:
-    others = f" (and {count - 1} more are far off)" if count > 1 else ""
-    number = f"{distance:.0f}" if distance >= 100 else f"{distance:.2g}"
-    how_far = f"{number} standard deviations" if np.isfinite(distance) else "far"
-    return [f"{place} lies {how_far} off the model{others}: check it, or use a robust loss"]
 
 
 def _distance(minimum: Minimum, group: int, k: int, estimated: bool) -> float:

@@ -61,7 +61,12 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
                 return Searched(first, np.empty(0))
             break
     costs.sort()
-    return Searched(ending, costs, _in_words(reason, costs, ending is not first))
+    if ending is first:
+        remark = f"the search {reason}; {len(costs) - 1} searches from other starts found nothing better"
+    else:
+        same = f"{np.sum(costs <= (1 + LOWER) * costs[0] + EXACT)} of {len(costs)} starts"
+        remark = f"the search from the given start {reason}; {same} led to the result, the best found"
+    return Searched(ending, costs, remark)
 
 
 def _better(task: FitTask, ending: Ending, found: list[Outcome]) -> Ending:
@@ -81,13 +86,6 @@ def _is_enough(task: FitTask, ending: Ending, found: list[Outcome]) -> bool:
     alike = np.isfinite(cost) and np.allclose(_costs(found), cost, rtol=SAME, atol=EXACT)
     plateau = ending.determination.rank < len(task.problem.space.names) and _is_flat(task, ending)
     return bool(alike and not plateau)
-
-
-def _in_words(reason: str, cost: np.ndarray, improved: bool) -> str:
-    if not improved:
-        return f"the search {reason}; {len(cost) - 1} searches from other starts found nothing better"
-    same = int(np.sum(cost <= (1 + LOWER) * cost[0] + EXACT))
-    return f"the search from the given start {reason}; {same} of {len(cost)} starts led to the result, the best found"
 
 
 def trouble(task: FitTask, ending: Ending) -> str:

@@ -14,22 +14,9 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..units import round_number
-from . import looks, space, style as draw
+from . import geometry, looks, space, style as draw
 from .along import draw_along
-from .geometry import (
-    Body,
-    Drawn,
-    bent_body,
-    drawn,
-    fields_along,
-    planar_fields_along,
-    reached,
-    stations,
-    straight_body,
-    tendon_paths,
-    tip_force_line,
-    tip_moment_line,
-)
+from .geometry import Body, Drawn
 
 VIEWS_WIDTH = 6.6  # inches, of three views
 HEIGHT = 2.4  # inches, of a figure as wide as a column
@@ -43,9 +30,7 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
     In space the curvature over arc length stands there too, and three plane views below.
 
     Args:
-        manipulator: the body that was solved.
-        equilibrium: its equilibrium.
-        loads: those under which it was solved; None for none.
+        manipulator, equilibrium, loads: as of `draw_shape`.
 
     Raises:
         InputError: when the solve failed and there is no shape to draw.
@@ -82,19 +67,19 @@ def draw_shape(
     Raises:
         InputError: when the solve failed and there is no shape to draw, or for axes of the wrong kind.
     """
-    s = stations(manipulator)
-    along = fields_along(equilibrium, s)
+    s = geometry.stations(manipulator)
+    along = geometry.fields_along(equilibrium, s)
     if isinstance(along, SpatialFields):
-        return _draw_shape_in_space(drawn(manipulator, along, loads), axes)
-    body, straight = bent_body(manipulator, along), straight_body(manipulator, s)
-    tension = np.where(reached(manipulator, s), along.tension, np.nan)
+        return _draw_shape_in_space(geometry.drawn(manipulator, along, loads), axes)
+    body, straight = geometry.bent_body(manipulator, along), geometry.straight_body(manipulator, s)
+    tension = np.where(geometry.reached(manipulator, s), along.tension, np.nan)
     norm = space.tension_scale(tension)
     given, around = axes, 0.05 * 1e3 * s[-1]
     with draw.axes_or_new(axes, HEIGHT) as axes:
         axes.plot(*straight.outline.T, color=looks.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
         draw.draw_clamp(axes, body.outer_radius[0] + around, around)
         draw.draw_body(axes, body)
-        tendons = tendon_paths(manipulator, body, s)
+        tendons = geometry.tendon_paths(manipulator, body, s)
         for path, own in zip(tendons, tension, strict=True):
             draw.draw_coloured_line(axes, path, own, norm)
             axes.plot(*path[np.isfinite(own)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=5)
@@ -120,10 +105,8 @@ def draw_view(
     """A body in space as it is seen along an axis, mm, to scale; else as `draw_shape` draws it.
 
     Args:
-        manipulator: the body that was solved.
-        equilibrium: its equilibrium, in space.
+        manipulator, equilibrium, loads: as of `draw_shape`, in space.
         plane: "XY" from above, "XZ" from the side, or "YZ" from the tip towards the base.
-        loads: those under which it was solved; None for none.
         axes: where to draw; None for a new figure, one column wide.
 
     Raises:
@@ -149,9 +132,7 @@ def views_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Load
     """A body in space in three plane views to one scale, with one scale of tensions.
 
     Args:
-        manipulator: the body that was solved.
-        equilibrium: its equilibrium, in space.
-        loads: those under which it was solved; None for none.
+        manipulator, equilibrium, loads: as of `draw_shape`, in space.
 
     Raises:
         InputError: for a body in the plane, or when the solve failed.
@@ -172,10 +153,10 @@ def _draw_views(figure: Figure, what: Drawn, norm: Normalize) -> None:
 
 
 def _in_space(who: str, manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Drawn:
-    along = fields_along(equilibrium, stations(manipulator))
+    along = geometry.fields_along(equilibrium, geometry.stations(manipulator))
     if not isinstance(along, SpatialFields):
         raise InputError(f"{who}: the body is in the plane; draw_shape draws it")
-    return drawn(manipulator, along, loads)
+    return geometry.drawn(manipulator, along, loads)
 
 
 def _draw_shape_in_space(what: Drawn, axes: Axes | None) -> Axes:
@@ -236,10 +217,10 @@ def _draw_loads(axes: Axes, body: Body, loads: Loads, length: float) -> None:
     turn = r"$\curvearrowleft$" if moment > 0 else r"$\curvearrowright$"
     entries = []
     if np.any(force):
-        _draw_arrow(axes, tip_force_line(body, loads, length), looks.VERMILION)
+        _draw_arrow(axes, geometry.tip_force_line(body, loads, length), looks.VERMILION)
         entries.append((f"$F$ = {size:.3g} N", _arrow_along(force), looks.VERMILION))
     if moment:
-        _draw_arrow(axes, tip_moment_line(body, loads, length), looks.PURPLE)
+        _draw_arrow(axes, geometry.tip_moment_line(body, loads, length), looks.PURPLE)
         entries.append((f"$m$ = {abs(moment):.3g} N m", MarkerStyle(turn), looks.PURPLE))
     if np.any(gravity):
         entries.append((f"$g$ = {np.linalg.norm(gravity):.3g} m/s$^2$", _arrow_along(gravity), looks.BLACK))
@@ -279,17 +260,23 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
         return _draw_forces_in_space(manipulator, equilibrium, axes)
     places = length * (np.arange(ARROWS) + 0.45) / ARROWS
     s = np.unique(np.concatenate([np.linspace(0.0, length, 201), places]))
-    fields, there = planar_fields_along(equilibrium, s), reached(manipulator, s)
-    body = bent_body(manipulator, fields)
-    tendons = tendon_paths(manipulator, body, s)
+    fields, there = geometry.planar_fields_along(equilibrium, s), geometry.reached(manipulator, s)
+    body = geometry.bent_body(manipulator, fields)
+    tendons = geometry.tendon_paths(manipulator, body, s)
     forces, at = np.stack([fields.normal_force, fields.friction_force]), there & np.isin(s, places)
     strongest = float(np.max(np.linalg.norm(forces[:, there], axis=-1)))
     with draw.axes_or_new(axes, HEIGHT) as axes:
         draw.draw_body(axes, body)
         for path in tendons:
             axes.plot(*path.T, color=looks.BLACK, linewidth=0.5)
-        if strongest > 0:
-            _draw_forces(axes, tendons[at], forces[:, at], round_number(strongest), 1e3 * LONGEST * length / strongest)
+        heights = (0.13, 0.05) if axes.dataLim.y0 + axes.dataLim.y1 < 0 else (0.95, 0.87)
+        look: looks.Look = {"angles": "xy", "scale_units": "xy", "units": "inches", "width": 0.011, "zorder": 3}
+        kinds = zip(("normal", "friction"), (looks.BLUE, looks.VERMILION), forces[:, at], heights, strict=True)
+        for name, color, force, height in kinds if strongest > 0 else ():
+            size, key = 1e3 * LONGEST * length / strongest, round_number(strongest)  # mm per N/m; N/m of the key
+            axes.update_datalim(tendons[at] + size * force)
+            arrows = axes.quiver(*tendons[at].T, *force.T, scale=1 / size, color=color, **look)
+            axes.quiverkey(arrows, 0.17, height, key, f"{name} force, {key:g} N/m", labelpos="E", color=color)
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         draw.to_scale(axes)
     return axes
@@ -298,10 +285,10 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
 def _draw_forces_in_space(manipulator: Manipulator, equilibrium: Equilibrium, axes: Axes | None) -> Axes:
     length = float(manipulator.length)
     places = length * (np.arange(ARROWS) + 0.45) / ARROWS
-    s = np.unique(np.concatenate([stations(manipulator), places]))
-    along = fields_along(equilibrium, s)
+    s = np.unique(np.concatenate([geometry.stations(manipulator), places]))
+    along = geometry.fields_along(equilibrium, s)
     assert isinstance(along, SpatialFields)
-    what, at = drawn(manipulator, along, None), reached(manipulator, s) & np.isin(s, places)
+    what, at = geometry.drawn(manipulator, along, None), geometry.reached(manipulator, s) & np.isin(s, places)
     forces = np.stack([along.normal_force, along.friction_force])[:, at]
     strongest = float(np.max(np.linalg.norm(forces, axis=-1), initial=0.0))
     arrows = forces * (1e3 * LONGEST * length / (strongest or 1.0))
@@ -322,14 +309,3 @@ def _draw_forces_in_space(manipulator: Manipulator, equilibrium: Equilibrium, ax
         else:
             room.legend(loc="upper left")
     return room
-
-
-def _draw_forces(axes: Axes, points: np.ndarray, forces: np.ndarray, key: float, size: float) -> None:
-    """Normal and friction force at points as arrows, `size` mm per N/m, and what an arrow of `key` N/m looks like."""
-    heights = (0.13, 0.05) if axes.dataLim.y0 + axes.dataLim.y1 < 0 else (0.95, 0.87)
-    look: looks.Look = {"angles": "xy", "scale_units": "xy", "units": "inches", "width": 0.011, "zorder": 3}
-    kinds = zip(("normal", "friction"), (looks.BLUE, looks.VERMILION), forces, heights, strict=True)
-    for name, color, force, height in kinds:
-        axes.update_datalim(points + size * force)
-        arrows = axes.quiver(*points.T, *force.T, scale=1 / size, color=color, **look)
-        axes.quiverkey(arrows, 0.17, height, key, f"{name} force, {key:g} N/m", labelpos="E", color=color)

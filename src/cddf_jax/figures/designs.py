@@ -13,19 +13,9 @@ from ..mechanics.fields import SpatialFields
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator, in_space as body_in_space
 from ..units import preferred
-from . import looks, space, style as draw
+from . import geometry, looks, space, style as draw
 from .along import draw_along
-from .geometry import (
-    Drawn,
-    bent_body,
-    drawn,
-    fields_along,
-    planar_fields_along,
-    reached,
-    stations,
-    straight_body,
-    tendon_paths,
-)
+from .geometry import Drawn
 
 START: dict[str, Any] = {"color": looks.GREY, "linestyle": (0, (4, 2)), "label": "before"}
 END: dict[str, Any] = {"color": looks.BLUE, "linestyle": "-", "label": "after"}
@@ -83,10 +73,11 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     if design.equilibria[0].in_space:
         return _draw_design_in_space(design, axes)
     before, after = design.start, design.manipulator
-    s, line = stations(after), LINE * 1e3 * float(after.length)
-    bent = bent_body(after, planar_fields_along(design.equilibria[0], s))
-    paths = tendon_paths(after, bent, s)
-    old = bent_body(before, planar_fields_along(design.equilibria_at_start[0], stations(before)))
+    s, line = geometry.stations(after), LINE * 1e3 * float(after.length)
+    bent = geometry.bent_body(after, geometry.planar_fields_along(design.equilibria[0], s))
+    paths = geometry.tendon_paths(after, bent, s)
+    fields = geometry.planar_fields_along(design.equilibria_at_start[0], geometry.stations(before))
+    old = geometry.bent_body(before, fields)
     with draw.axes_or_new(axes, HEIGHT) as axes:
         draw.draw_body(axes, bent)
         axes.plot(*old.outline.T, color=looks.GREY, linewidth=0.6, linestyle=(0, (4, 2)))
@@ -136,10 +127,10 @@ def _figure_in_space(design: Design) -> Figure:
 
 def _drawn_in_space(design: Design) -> tuple[Drawn, np.ndarray]:
     """What is drawn of the designed body in its first load case, and the axis of the start, mm, (points, 3)."""
-    along = fields_along(design.equilibria[0], stations(design.manipulator))
-    before = fields_along(design.equilibria_at_start[0], stations(design.start))
+    along = geometry.fields_along(design.equilibria[0], geometry.stations(design.manipulator))
+    before = geometry.fields_along(design.equilibria_at_start[0], geometry.stations(design.start))
     assert isinstance(along, SpatialFields)
-    return drawn(design.manipulator, along, design.cases[0].loads), 1e3 * np.asarray(before.position)
+    return geometry.drawn(design.manipulator, along, design.cases[0].loads), 1e3 * np.asarray(before.position)
 
 
 def _draw_both(room: space.Axes3D, after: Drawn, old: np.ndarray) -> None:
@@ -151,8 +142,9 @@ def _draw_routing(design: Design, quantity: str, axes: Axes) -> None:
     """The angle or the offset of each tendon over arc length, before and after, with their numbers at the ends."""
     known, ends = QUANTITIES[quantity], {}
     for body, look in ((design.start, START), (design.manipulator, END)):
-        s = stations(body)
-        for i, (tendon, there) in enumerate(zip(body_in_space(body).tendons, reached(body, s), strict=True), 1):
+        s = geometry.stations(body)
+        tendons = zip(body_in_space(body).tendons, geometry.reached(body, s), strict=True)
+        for i, (tendon, there) in enumerate(tendons, 1):
             values = known.shown[0] * np.asarray(getattr(tendon, quantity)(s))[there]
             axes.plot(1e3 * s[there], values, **look)
             if look is END and body.num_tendons > 1:
@@ -169,14 +161,14 @@ def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: floa
 
     `line` is the height of a line of text, mm.
     """
-    s = stations(manipulator)
-    rest = straight_body(manipulator, s)
-    heights = np.concatenate([rest.outline[:, 1], tendon_paths(manipulator, rest, s)[..., 1].ravel()])
+    s = geometry.stations(manipulator)
+    rest = geometry.straight_body(manipulator, s)
+    heights = np.concatenate([rest.outline[:, 1], geometry.tendon_paths(manipulator, rest, s)[..., 1].ravel()])
     reach = max(float(np.nanmax(np.abs(heights))), line / 2)
     level = below + 1.5 * line + reach
-    body = straight_body(manipulator, s, level)
+    body = geometry.straight_body(manipulator, s, level)
     draw.draw_body(axes, body)
-    for path in tendon_paths(manipulator, body, s):
+    for path in geometry.tendon_paths(manipulator, body, s):
         axes.plot(*path.T, color=looks.BLACK, linewidth=0.6)
     for end, align, gap in ((0, "right", -3.0), (-1, "left", 3.0)) if manipulator.has_radii else ():
         text = f"{2 * body.outer_radius[end]:.3g}/{2 * body.inner_radius[end]:.3g}"

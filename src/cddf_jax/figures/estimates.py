@@ -12,7 +12,7 @@ from scipy.special import chdtri, fdtri
 
 from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
-from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED, Determination
+from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..estimation.profile_likelihood import Profile
 from ..identification.experiment_design import Plan
 from ..identification.fit import Fit
@@ -78,6 +78,8 @@ def bootstrap_figure(fit: Fit, bootstrap: Bootstrap) -> Figure:
     index = [fit.names.index(name) for name in names]
     points, estimate = scales * bootstrap.estimates[:, index], scales * bootstrap.estimate[index]
     covariance = np.outer(scales, scales) * fit.covariance[np.ix_(index, index)]
+    # of the ellipse of one standard deviation to that of 95 %
+    stretch = np.sqrt(2 * fdtri(2, max(fit.degrees_of_freedom, 1), 0.95) if fit.noise_estimated else chdtri(2, 0.05))
     width = draw.SINGLE_COLUMN if len(names) < 3 else draw.DOUBLE_COLUMN
     with draw.house_style():
         figure = draw.new_figure(width, 0.9 * width + 0.25)
@@ -91,7 +93,7 @@ def bootstrap_figure(fit: Fit, bootstrap: Bootstrap) -> Figure:
             else:
                 known = {names[i], names[k]} <= set(correlated_names(fit))
                 pair = covariance[np.ix_([k, i], [k, i])] if known else None
-                _draw_pair(panel, points[:, [k, i]], estimate[[k, i]], pair, _stretch(fit))
+                _draw_pair(panel, points[:, [k, i]], estimate[[k, i]], pair, float(stretch))
             panel.xaxis.set_major_locator(MaxNLocator(3))
             panel.yaxis.set_major_locator(MaxNLocator(4, integer=i == k))
             panel.set_xlabel(labels[k] if i == len(names) - 1 else "")
@@ -100,13 +102,6 @@ def bootstrap_figure(fit: Fit, bootstrap: Bootstrap) -> Figure:
         figure.align_labels()
         draw.common_legend(figure, [axes[0, 0], axes[-1, 0]])
     return figure
-
-
-def _stretch(fit: Fit) -> float:
-    """Of the ellipse of one standard deviation to that of 95 %."""
-    if fit.noise_estimated:
-        return float(np.sqrt(2 * fdtri(2, max(fit.degrees_of_freedom, 1), 0.95)))
-    return float(np.sqrt(chdtri(2, 0.05)))
 
 
 def _draw_histogram(axes: Axes, values: np.ndarray, estimate: float) -> None:
@@ -206,7 +201,10 @@ def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
     """
     rows = [("now", plan.now), *((ranked.candidate.name, ranked.expected) for ranked in plan.ranking)]
     names = plan.now.names
-    errors = np.array([[_relative(told, name) for name in names] for _, told in rows])
+    kinds = {name: parameter_named(name) for name in names}
+    sizes = [{n: abs(told.value[n]) if kind.positive else kind.scale for n, kind in kinds.items()} for _, told in rows]
+    pairs = zip(rows, sizes, strict=True)
+    errors = np.array([[100 * told.standard_error[n] / size[n] for n in names] for (_, told), size in pairs])
     known = errors[np.isfinite(errors) & (errors > 0)]
     edge = 5 * known.max(initial=10.0)
     with draw.axes_or_new(axes, 1.1 + ROW_HEIGHT * len(rows), draw.DOUBLE_COLUMN) as axes:
@@ -215,7 +213,8 @@ def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
             look: looks.Look = looks.CURVES[k % len(looks.CURVES)] | {"linestyle": "none", "markersize": 4.5}
             height = np.arange(len(rows)) + 0.16 * (k - (len(names) - 1) / 2)
             there = np.isfinite(errors[:, k])
-            axes.plot(errors[there, k], height[there], **look, label=_candidate_label(name))
+            of = "" if kinds[name].positive else f", of {shown(kinds[name].scale, kinds[name].dimension)}"
+            axes.plot(errors[there, k], height[there], **look, label=f"{name}{of}")
             axes.plot(np.full((~there).sum(), edge), height[~there], **look, markerfacecolor="none")
         axes.axvline(edge, color=looks.GREY, linewidth=0.6, linestyle=":")
         _scale_errors(axes, 0.5 * known.min(initial=10.0), edge)
@@ -233,14 +232,3 @@ def _scale_errors(axes: Axes, low: float, edge: float) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(axis="x", color=looks.PALE)
     axes.annotate("open", (edge, 0.0), (0, -4), axes.get_xaxis_transform(), "offset points", ha="center", va="top")
-
-
-def _relative(told: Determination, name: str) -> float:
-    """Per cent of the value; of what may be zero, per cent of a size that matters."""
-    kind = parameter_named(name)
-    return 100 * told.standard_error[name] / (abs(told.value[name]) if kind.positive else kind.scale)
-
-
-def _candidate_label(name: str) -> str:
-    kind = parameter_named(name)
-    return name if kind.positive else f"{name}, of {shown(kind.scale, kind.dimension)}"

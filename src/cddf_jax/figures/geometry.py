@@ -232,29 +232,25 @@ def _size(vectors: ArrayLike) -> np.ndarray:
     return np.linalg.norm(vectors, axis=-1)
 
 
+def _bending(along: AnyFields) -> np.ndarray:
+    return np.abs(along.curvature) if isinstance(along, Fields) else _size(along.curvature[..., 1:])
+
+
+def _heading(along: AnyFields) -> ArrayLike:
+    """In space the angle between the axes of cross-section and base."""
+    return along.heading if isinstance(along, Fields) else np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))
+
+
 # values in the unit of their label, (points,) or (tendons, points)
-ALONG: dict[str, Callable[[Manipulator, Fields], ArrayLike]] = {
+ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "tension": lambda _, along: along.tension,
-    "curvature": lambda _, along: along.curvature,
-    "bending": lambda _, along: np.abs(along.curvature),
-    "twist": lambda _, along: np.zeros_like(along.curvature),
+    "curvature": lambda _, along: np.transpose(along.curvature),  # in space (3, points)
+    "bending": lambda _, along: _bending(along),
+    "twist": lambda _, along: np.zeros_like(along.curvature) if isinstance(along, Fields) else along.twist,
     "normal_force": lambda _, along: _size(along.normal_force),
     "friction_force": lambda _, along: _size(along.friction_force),
-    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, along.curvature)),
-    "heading": lambda _, along: np.degrees(along.heading),
-}
-
-
-# the same of a body in space: curvature is (3, points), twist and bending about y and z
-ALONG_IN_SPACE: dict[str, Callable[[Manipulator, SpatialFields], ArrayLike]] = {
-    "tension": lambda _, along: along.tension,
-    "curvature": lambda _, along: np.asarray(along.curvature).T,
-    "bending": lambda _, along: _size(along.curvature[..., 1:]),
-    "twist": lambda _, along: along.twist,
-    "normal_force": lambda _, along: _size(along.normal_force),
-    "friction_force": lambda _, along: _size(along.friction_force),
-    "strain": lambda body, along: 100 * body.outer_strain(along.arc_length, _size(along.curvature[..., 1:])),
-    "heading": lambda _, along: np.degrees(np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))),
+    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, _bending(along))),
+    "heading": lambda _, along: np.degrees(_heading(along)),
 }
 BENDING = ("twist, $x$", "bending, $y$", "bending, $z$")
 
@@ -267,14 +263,11 @@ def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np
     Raises:
         InputError: for the strain of an axis that stretches, which is not told along the body.
     """
-    if isinstance(along, Fields):
-        values = np.asarray(ALONG[quantity](manipulator, along))
-    else:
-        if quantity == "strain" and manipulator.extensible:
-            raise InputError("draw_along: the strain along an axis that stretches is not known; see peak_strain")
-        values = np.asarray(ALONG_IN_SPACE[quantity](manipulator, along))
-        if quantity == "curvature":
-            return values
+    if quantity == "strain" and manipulator.extensible:
+        raise InputError("draw_along: the strain along an axis that stretches is not known; see peak_strain")
+    values = np.asarray(ALONG[quantity](manipulator, along))
+    if quantity == "curvature" and values.ndim == 2:
+        return values
     return values[None] if values.ndim == 1 else np.where(reached(manipulator, along.arc_length), values, np.nan)
 
 

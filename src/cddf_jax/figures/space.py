@@ -117,7 +117,10 @@ def _set_room(axes: Axes3D, points: np.ndarray) -> None:
 def _fill_room(axes: Axes3D, width: float, height: float) -> float:
     """Enlarge the box of a plot until it fills a rectangle, inches; the height that it takes then, inches."""
     corners = np.array(list(product(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())))
-    flat = _on_paper(axes, corners)
+    side = axes.get_position(original=True).width * draw.figure_of(axes).get_figwidth()
+    x, y, z = corners.T
+    projected = np.stack(proj_transform(x, y, z, axes.get_proj())[:2], axis=-1)
+    flat = projected / np.array([axes.viewLim.width, axes.viewLim.height]) * side  # places on the page, inches
     size = np.ptp(flat, axis=0)
     zoom = float(np.min([width, height] / size))
     limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
@@ -126,13 +129,12 @@ def _fill_room(axes: Axes3D, width: float, height: float) -> float:
     for axis, edge in zip(_axis_of(axes), edges, strict=True):
         count = int(np.clip(np.linalg.norm(edge) / 0.24, 1, 6))
         axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10], min_n_ticks=1))
-    _keep_labels_off(axes, edges)
+    _keep_labels_off(axes, edges, side)
     return zoom * float(size[1])
 
 
-def _keep_labels_off(axes: Axes3D, edges: np.ndarray) -> None:
+def _keep_labels_off(axes: Axes3D, edges: np.ndarray, side: float) -> None:
     """Numbers and names at one distance from their axes: Matplotlib lets it depend on the shape of the box."""
-    side = axes.get_position(original=True).width * draw.figure_of(axes).get_figwidth()
     step = 0.08 * 48 / (144 * side)  # of the box for each point of pad, as in mpl_toolkits.mplot3d.axis3d
     outward = -edges[1] - edges[2], edges[0] - edges[2], edges[0] + edges[1]
     for axis, edge, out, (number, name) in zip(_axis_of(axes), edges, outward, LABELS_OFF, strict=True):
@@ -144,16 +146,6 @@ def _keep_labels_off(axes: Axes3D, edges: np.ndarray) -> None:
 
 def _axis_of(axes: Axes3D) -> Sequence[Axis]:
     return cast(Sequence[Axis], (axes.xaxis, axes.yaxis, axes.zaxis))
-
-
-def _on_paper(axes: Axes3D, points: np.ndarray) -> np.ndarray:
-    """Places on the page, inches, (points, 2)."""
-    x, y, z = points.T
-    flat = np.stack(proj_transform(x, y, z, axes.get_proj())[:2], axis=-1)
-    figure = draw.figure_of(axes)
-    side = axes.get_position(original=True).width * figure.get_figwidth()
-    shown = np.array([axes.viewLim.width, axes.viewLim.height])
-    return flat / shown * side
 
 
 def draw_in_space(axes: Axes3D, what: Drawn, norm: Normalize) -> None:

@@ -21,17 +21,8 @@ from matplotlib.ticker import MaxNLocator
 from ..errors import InputError
 from ..sweeping.axes import OPTIONS, PATH
 from ..sweeping.one_solve import RESULT
-from . import looks, style as draw
-from .sweep_labels import (
-    PARTS,
-    SUCCESSFUL,
-    axis_label,
-    in_label_units,
-    is_numeric,
-    name_in_words,
-    results_in_words,
-    value_words,
-)
+from . import looks, style as draw, sweep_labels as labels
+from .sweep_labels import PARTS, SUCCESSFUL, axis_label, results_in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -98,7 +89,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
     if output not in answer.data_vars or RESULT not in answer.data_vars:
         there = ", ".join(map(str, answer))
         raise InputError(f"{who}: {output!r} is no output of this sweep, or one along the body; there are {there}")
-    numbers = [name for name, c in _lists(answer).items() if is_numeric(c.values) and name not in PARTS]
+    numbers = [name for name, c in _lists(answer).items() if labels.is_numeric(c.values) and name not in PARTS]
     if lost := [name for name in over if name not in numbers]:
         raise InputError(f"{who}: {lost[0]!r} is no number that varies; there are {', '.join(numbers) or 'none left'}")
     own = [answer[name].dims[0] for name in over]
@@ -112,7 +103,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
     if (path := answer.attrs.get(PATH)) in own:
         answer = answer.assign_attrs({PATH: over[own.index(path)]})
     answer = answer.swap_dims(dict(zip(own, over, strict=True)))
-    return in_label_units(_thinned(answer, dict.fromkeys(over, VALUES)), {})[output].transpose(*over, ...)
+    return labels.in_label_units(_thinned(answer, dict.fromkeys(over, VALUES)), {})[output].transpose(*over, ...)
 
 
 def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
@@ -151,8 +142,8 @@ def sweep_figure(
     if not loops and not kinds.sampled and len(kinds.numbers) > 3 - bool(kinds.options):
         count = f"{len(kinds.numbers)} axes{' and options' if kinds.options else ''}"
         return f"{count} are too many for one; choose with xarray"
-    varied = varied or {name: name_in_words(name) for name in _lists(answer)}
-    shown, swept = in_label_units(_thinned(answer, kinds.room), varied), answer[RESULT].dims
+    varied = varied or {name: labels.name_in_words(name) for name in _lists(answer)}
+    shown, swept = labels.in_label_units(_thinned(answer, kinds.room), varied), answer[RESULT].dims
     each = (part for name in names for _, part in _parts_of(shown[name], swept, PANELS))
     arrays = list(islice(each, PANELS))
     if loops:
@@ -261,7 +252,7 @@ def _parts_of(array: "xarray.DataArray", over: Sequence[object], most: int) -> I
     places = list(np.ndindex(*(array.sizes[d] for d in others)))
     for k in _spread(len(places), most):
         at = dict(zip(others, places[k], strict=True))
-        yield ", ".join(value_words(array[d], i) for d, i in at.items()), array.isel(at)
+        yield ", ".join(labels.value_words(array[d], i) for d, i in at.items()), array.isel(at)
 
 
 # --- drawing -------------------------------------------------------------------------------------

@@ -106,7 +106,9 @@ def _read(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
         )
     headings = [
-        h._replace(column=None) if h.column in kind.optional and not all(map(_is_number, own)) else h
+        h._replace(column=None)
+        if h.column in kind.optional and not all(is_number(text.strip().replace(",", ".")) for text in own)
+        else h
         for h, own in zip(headings, cells, strict=True)
     ]
     unit_of = {heading.column: heading.unit for heading in headings}
@@ -171,11 +173,6 @@ def _in_numbers(texts: list[str], words: Mapping[str, str], said: dict[str, str]
         return texts
     said |= {text.strip(): words[text.strip().lower()] for text in texts if text.strip().lower() in words}
     return [words.get(text.strip().lower(), text) for text in texts]
-
-
-def _is_number(text: str) -> bool:
-    """With a decimal point or a decimal comma."""
-    return is_number(text.strip().replace(",", "."))
 
 
 def _with_points(columns: Mapping[str, list[str]], rows: Sequence[int]) -> dict[str, list[str]]:

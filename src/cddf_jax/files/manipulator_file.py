@@ -69,21 +69,21 @@ What is written reads back to the last bit, in float64.
 import dataclasses
 import os
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
-import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..quantities import QUANTITIES, dimension_of
 from ..robot.manipulator import Manipulator, PointMass, Tendon
-from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
-from ..units import Dimension, quantity, written
+from ..robot.profiles import Constant, Profile, as_profile
+from ..units import quantity
 from .artifacts import write_all
 from .cross_sections import TOLERANCE, CrossSections, SectionColumn, sections_and_columns
+from .profile_forms import number_text, profile_form, read_profile
 
 _Table = Mapping[str, Any]
 _RADII = ("outer_radius", "inner_radius")
@@ -101,8 +101,6 @@ _OTHERS = ("kinematics", "rest_curvature", *_SWITCHES, "name", "description", "p
 _UNLESS_GIVEN = {"free_length": 0.0, "poissons_ratio": 0.5}  # what is not written
 _STRAINS = ("twist", "about y", "about z")
 _SECTIONS = "cross_sections"
-Built = TypeVar("Built")
-_FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
 
 class RobotFile(NamedTuple):
@@ -218,7 +216,7 @@ def _rest_curvature(value: object, length: float) -> list[Profile]:
         remedy = '["0 1/m", "2 1/m", "0 1/m"]: twist, and curvature about y and about z'
         raise InputError(f"rest_curvature holds three profiles, got {value!r}; write {remedy}")
     parts = zip(value, _STRAINS, strict=True)
-    return [_profile(part, length, f"rest_curvature: {name}", "curvature") for part, name in parts]
+    return [read_profile(part, length, f"rest_curvature: {name}", "curvature") for part, name in parts]
 
 
 def _values(table: _Table, length: float, profiles: Sequence[str], where: str = "") -> dict[str, Any]:
@@ -226,7 +224,7 @@ def _values(table: _Table, length: float, profiles: Sequence[str], where: str = 
     found: dict[str, Any] = {}
     for key, value in table.items():
         if key in profiles:
-            found[key] = _profile(value, length, f"{where}{key}", dimension_of(key))
+            found[key] = read_profile(value, length, f"{where}{key}", dimension_of(key))
         elif key in QUANTITIES and key not in _OTHERS:
             found[key] = quantity(value, dimension_of(key), f"{where}{key}")
     return found
@@ -294,44 +292,8 @@ def _tendon(table: _Table, length: float, where: str) -> Tendon:
     if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
         raise InputError(f"{where}side must be 1 or -1, got {side!r}")
     values = _values(table, length, _TENDON_PROFILES, where)
-    return _built(where.removesuffix(": "), Tendon, side=int(side), **values)
-
-
-def _profile(value: object, length: float, where: str, kind: Dimension) -> Profile:
-    match value:
-        case str() | int() | float():
-            return Constant(quantity(value, kind, where))
-        case {"base": base, "tip": tip, **rest} if rest.keys() <= {"length"}:
-            ends = quantity(base, kind, f"{where}: base"), quantity(tip, kind, f"{where}: tip")
-            return Linear(*ends, length=quantity(rest["length"], "length", f"{where}: length") if rest else length)
-        case {"ends": list(ends), "pieces": list(pieces), **rest} if not rest:
-            joints = [quantity(end, "length", f"{where}: ends") for end in ends]
-            parts = [_profile(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(pieces, 1)]
-            return _built(where, Piecewise, joints, parts)
-        case {"lines": list(points), **rest} if not rest:
-            return _built(where, Piecewise.linear, *_points(points, f"{where}: lines", kind))
-        case {"spline": list(points), **rest} if not rest:
-            return _built(where, Spline, *_points(points, f"{where}: spline", kind))
-    raise InputError(f"{where} is no profile, got {value!r}; write {_FORMS}")
-
-
-def _points(points: Sequence[object], where: str, kind: Dimension) -> tuple[list[float], list[float]]:
-    knots, values, before = [], [], None
-    for point in points:
-        if not isinstance(point, list) or len(point) != 2:
-            raise InputError(f'{where} holds pairs [arc length, value], got {point!r}; write ["60 mm", "15 mm"]')
-        knots.append(quantity(point[0], "length", where))
-        values.append(quantity(point[1], kind, where))
-        if len(knots) > 1 and knots[-1] <= knots[-2]:
-            raise InputError(f"{where}: arc lengths must increase, got {point[0]!r} after {before!r}")
-        before = point[0]
-    return knots, values
-
-
-def _built(where: str, make: Callable[..., Built], *arguments: object, **named: object) -> Built:
-    """The profile or tendon, or its own complaint, about the number of values say, with the place in the file."""
-    with within(where, ValueError):
-        return make(*arguments, **named)
+    with within(where.removesuffix(": "), ValueError):
+        return Tendon(side=int(side), **values)
 
 
 def check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
@@ -352,10 +314,10 @@ def check_keys(where: str, table: _Table, required: Sequence[str], optional: Seq
 
 def _table(manipulator: Manipulator) -> dict[str, object]:
     length, rest = manipulator.length, manipulator.rest_curvature or ()
-    bent = [
-        _form(part, length, f"rest_curvature: {name}", "curvature") for part, name in zip(rest, _STRAINS, strict=False)
-    ]
-    masses = [{"at": _text(point.arc_length), "mass": _text(point.mass, "mass")} for point in manipulator.point_masses]
+    parts = zip(rest, _STRAINS, strict=False)
+    bent = [profile_form(part, length, f"rest_curvature: {name}", "curvature") for part, name in parts]
+    points = manipulator.point_masses
+    masses = [{"at": number_text(point.arc_length), "mass": number_text(point.mass, "mass")} for point in points]
     return {
         **_forms(manipulator, ("length", *_PROFILES, *_NUMBERS), length),
         "kinematics": manipulator.kinematics,
@@ -374,37 +336,7 @@ def _forms(owner: Manipulator | Tendon, keys: Iterable[str], length: ArrayLike, 
     """The profiles and numbers that the owner has, by key."""
     values = {key: getattr(owner, key) for key in keys}
     return {
-        key: _form(as_profile(value), length, f"{where}{key}", dimension_of(key))
+        key: profile_form(as_profile(value), length, f"{where}{key}", dimension_of(key))
         for key, value in values.items()
         if value is not None and not (key in _UNLESS_GIVEN and value == _UNLESS_GIVEN[key])
     }
-
-
-def _form(profile: Profile, length: ArrayLike, where: str, kind: Dimension) -> object:
-    """A profile in one of the forms that `_profile` reads; a number is a constant one."""
-
-    def value(x: ArrayLike) -> float | str:
-        return _text(x, kind)
-
-    match profile:
-        case Constant():
-            return value(profile.value)
-        case Linear():
-            own = {} if profile.length == length else {"length": _text(profile.length)}
-            return {"base": value(profile.base), "tip": value(profile.tip), **own}
-        case Piecewise():
-            pieces = [_form(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(profile.pieces, 1)]
-            return {"ends": [_text(end) for end in profile.ends], "pieces": pieces}
-        case Polyline() | Spline():
-            points = zip(profile.arc_length, profile.values, strict=True)
-            form = "lines" if isinstance(profile, Polyline) else "spline"
-            return {form: [[_text(s), value(v)] for s, v in points]}
-    raise InputError(
-        f"{where}: a profile of type {type(profile).__name__} cannot be written to a file; "
-        "sample it into a Spline or Piecewise.linear"
-    )
-
-
-def _text(value: ArrayLike, kind: Dimension = "length") -> float | str:
-    number = float(np.asarray(value))
-    return number if kind in ("dimensionless", "strain") else written(number, kind)

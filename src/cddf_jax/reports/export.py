@@ -99,9 +99,15 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
         case Determination():
             return pandas.DataFrame(_parameters(what)).set_index("parameter")
         case Measurements():
-            return pandas.DataFrame({_head(name): _column(what, name) for name in what.columns})
+            trials = [what.trial_labels[int(code)] for code in what["trial"]] if "trial" in what.columns else []
+            return pandas.DataFrame({_head(n): trials if n == "trial" else what[n] for n in what.columns})
         case Plan():
-            return pandas.DataFrame(_candidates(what)).set_index("candidate")
+            rows = [
+                {"candidate": ranked.candidate.name, "gain": ranked.gain, "cost": ranked.candidate.cost}
+                | {f"{name} [{unit_of(name)}]": ranked.expected.standard_error[name] for name in what.now.names}
+                for ranked in what.ranking
+            ]
+            return pandas.DataFrame(rows).set_index("candidate")
     raise TypeError(
         f"as_frame takes an Equilibrium, a History, a Fit, Measurements or a Plan, got {type(what).__name__}"
     )
@@ -181,18 +187,6 @@ def _parameters(told: Determination) -> list[dict[str, str | float]]:
     return [dict(zip(heads, row, strict=True)) for row in rows]
 
 
-def _candidates(plan: Plan) -> list[dict[str, str | float]]:
-    return [
-        {"candidate": ranked.candidate.name, "gain": ranked.gain, "cost": ranked.candidate.cost}
-        | {f"{name} [{unit_of(name)}]": ranked.expected.standard_error[name] for name in plan.now.names}
-        for ranked in plan.ranking
-    ]
-
-
 def _head(column: str) -> str:
     dimension = column_dimension(column)
     return column if dimension is None else f"{column} [{si_unit(dimension)}]"
-
-
-def _column(table: Measurements, name: str) -> Sequence[str] | np.ndarray:
-    return [table.trial_labels[int(code)] for code in table[name]] if name == "trial" else table[name]

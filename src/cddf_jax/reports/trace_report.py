@@ -164,21 +164,16 @@ def trace_in_words(found: TracedPath) -> str:
         lines.append(f"cycle from step {cycle.first} to {cycle.last}, closed at {tension}: {loss} lost")
     rest = "by the published kinematics" if found.manipulator.kinematics == "published" else "by the short steps"
     work, stored, lost = (float(states[name][-1]) for name in ("work", "stored_energy", "friction_loss"))
-    lines.append(_work_in_words(work, stored, lost, rest))
+    parts = [f"{shown(stored, 'energy')} stored", f"{shown(lost, 'energy')} lost to friction"]
+    if abs(left := work - stored - lost) > SEEN * abs(work):
+        parts.append(f"{shown(left, 'energy')} unaccounted for {rest}")
+    lines.append(f"work put in {shown(work, 'energy')}: {', '.join(parts)}")
     return "\n".join([*lines, f"error estimate {np.max(found.numbers['error_estimate']):.1e}; successful"])
 
 
 def _listed(values: np.ndarray, dimension: Dimension) -> str:
     """ "60 N, 20 N"."""
     return ", ".join(shown(float(value), dimension) for value in np.ravel(values))
-
-
-def _work_in_words(work: float, stored: float, lost: float, why: str) -> str:
-    """ "work put in 415.41 mJ: 355.68 mJ stored, 59.726 mJ lost to friction"."""
-    parts = [f"{shown(stored, 'energy')} stored", f"{shown(lost, 'energy')} lost to friction"]
-    if abs(rest := work - stored - lost) > SEEN * abs(work):
-        parts.append(f"{shown(rest, 'energy')} unaccounted for {why}")
-    return f"work put in {shown(work, 'energy')}: {', '.join(parts)}"
 
 
 def _step_in_words(states: dict[str, np.ndarray], i: int, direction: float, length: float) -> str:

@@ -27,21 +27,10 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, of_tendon
 from ..statics.equilibrium import Equilibrium
 from ..statics.targets import Actuation
+from . import one_solve
 from .axes import PATH, Dimension, dimensions_of
 from .checks import check_sweep
-from .one_solve import (
-    IN_SPACE,
-    OF_HISTORY,
-    OF_HISTORY_IN_SPACE,
-    OUTPUTS,
-    RESULT,
-    SUCCESSFUL,
-    OneSolve,
-    coordinates,
-    prepared,
-    slope_name,
-    variable,
-)
+from .one_solve import RESULT, SUCCESSFUL, OneSolve, slope_name
 
 if TYPE_CHECKING:
     import xarray
@@ -186,10 +175,10 @@ class Sweep:
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """What can be asked for, and its dimensions beside those of the sweep."""
         if self.in_short_steps:
-            return {name: dims for name, dims in OF_HISTORY.items() if name != "num_turns"}  # which one tendon has
+            return {name: dims for name, dims in one_solve.OF_HISTORY.items() if name != "num_turns"}  # which one tendon has
         if self.history:
-            return OF_HISTORY_IN_SPACE if self.case.in_space else OF_HISTORY
-        return IN_SPACE if self.case.in_space else OUTPUTS
+            return one_solve.OF_HISTORY_IN_SPACE if self.case.in_space else one_solve.OF_HISTORY
+        return one_solve.IN_SPACE if self.case.in_space else one_solve.OUTPUTS
 
     @cached_property
     def dtype(self) -> np.dtype:
@@ -217,7 +206,7 @@ class Sweep:
         layout = Layout(
             self._shape,
             tuple(1 for _ in self.dimensions),
-            coordinates(self.dimensions, units, variables),
+            one_solve.coordinates(self.dimensions, units, variables),
             variables,
             {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name}
             | ({PATH: self.path.name} if self.path else {}),
@@ -267,7 +256,7 @@ class Sweep:
                 shapes = {name: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for name, x in shapes.items()}
             for name, base, by in self._names(shapes):
                 unit_by = self.case.unit(by) if by else ""
-                new = variable(base, shapes[name], self._shape, self.known_outputs, unit_by, by)
+                new = one_solve.variable(base, shapes[name], self._shape, self.known_outputs, unit_by, by)
                 if found.setdefault(name, new).shape != new.shape:
                     raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
         return found
@@ -315,7 +304,7 @@ class Sweep:
             for name, values in dimension.options.items()
         }
         kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
-        case, observed = prepared(self.case, kinematics, self.dtype), tuple(self.observables.items())
+        case, observed = one_solve.prepared(self.case, kinematics, self.dtype), tuple(self.observables.items())
         path = None
         if self.path is not None:
             path = {name: jnp.asarray(values, self.dtype) for name, values in self.path.numbers.items()}
