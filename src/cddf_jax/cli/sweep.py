@@ -69,8 +69,6 @@ Sample = Annotated[
         help='What varies at random between two values, "youngs_modulus=1.2MPa:1.6MPa". Repeated: all together.'
     ),
 ]
-Samples = Annotated[int | None, typer.Option(help="Number of samples, for --sample.", min=1)]
-Sampler = Annotated[Literal["latin_hypercube", "sobol"], typer.Option(help="How the samples are spread.")]
 History = Annotated[
     bool,
     typer.Option(
@@ -90,19 +88,10 @@ Sensitivity = Annotated[
     list[str] | None,
     typer.Option(help="Derivatives of the outputs by this number, into the store and the files."),
 ]
-Precision = Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")]
 Memory = Annotated[
     str | None,
     typer.Option(help='Memory that the sweep may use, "2 GB".', show_default="a quarter of what is free"),
 ]
-Chunk = Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")]
-Netcdf = Annotated[Path | None, typer.Option(help="Also a NetCDF file, sweep.nc.")]
-Csv = Annotated[Path | None, typer.Option(help="Also a table, sweep.csv, a row for each solve.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the sweep would take; solve and write nothing.")]
-Coordinator = Annotated[str | None, typer.Option(help="HOST:PORT of process 0, where several share the work.")]
-NumProcesses = Annotated[int | None, typer.Option(help="Number of these processes.", min=1)]
-ProcessId = Annotated[int | None, typer.Option(help="Which of them this is, from 0.", min=0)]
-Distributed = Annotated[bool, typer.Option("--distributed", help="Several processes, as Slurm or MPI started them.")]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -119,8 +108,10 @@ def sweep(
     over: Over = None,
     together: Together = None,
     sample: Sample = None,
-    samples: Samples = None,
-    sampler: Sampler = "latin_hypercube",
+    samples: Annotated[int | None, typer.Option(help="Number of samples, for --sample.", min=1)] = None,
+    sampler: Annotated[
+        Literal["latin_hypercube", "sobol"], typer.Option(help="How the samples are spread.")
+    ] = "latin_hypercube",
     seed: Annotated[int, typer.Option(help="Seed of the samples.", min=0)] = 0,
     history: History = False,
     base_tension: BaseTension = None,
@@ -132,16 +123,22 @@ def sweep(
     nodes: options.Nodes = 16,
     output: Output = "tip_tension,tip_position,tip_angle",
     sensitivity: Sensitivity = None,
-    precision: Precision = "float64",
+    precision: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")] = "float64",
     memory: Memory = None,
-    chunk: Chunk = None,
-    netcdf: Netcdf = None,
-    csv: Csv = None,
-    dry_run: DryRun = False,
-    coordinator: Coordinator = None,
-    num_processes: NumProcesses = None,
-    process_id: ProcessId = None,
-    distributed: Distributed = False,
+    chunk: Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")] = None,
+    netcdf: Annotated[Path | None, typer.Option(help="Also a NetCDF file, sweep.nc.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Also a table, sweep.csv, a row for each solve.")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what the sweep would take; solve and write nothing.")
+    ] = False,
+    coordinator: Annotated[
+        str | None, typer.Option(help="HOST:PORT of process 0, where several share the work.")
+    ] = None,
+    num_processes: Annotated[int | None, typer.Option(help="Number of these processes.", min=1)] = None,
+    process_id: Annotated[int | None, typer.Option(help="Which of them this is, from 0.", min=0)] = None,
+    distributed: Annotated[
+        bool, typer.Option("--distributed", help="Several processes, as Slurm or MPI started them.")
+    ] = False,
     as_json: options.AsJson = False,
     out: Out = None,
 ) -> None:

@@ -51,7 +51,9 @@ def read_sweep(
     )
     dimension_of: dict[str, units.Dimension] = {name: units.DIMENSION_OF[draft.case.unit(name)] for name in names}
     values = {
-        name: _options(name, text) if name in OPTIONS else _numbers(name, text, dimension_of[name])
+        name: _options(name, text)
+        if name in OPTIONS
+        else np.concatenate([_range(name, part.strip(), dimension_of[name]) for part in text.split(",")])
         for name, text in axes.items()
     }
     joined = _joined(values, together)
@@ -88,11 +90,6 @@ def _num_samples(ranges: Mapping[str, str], count: int | None) -> int:
         if name in OPTIONS:
             raise InputError(f"--sample {name}: only numbers have a range; write --over {name}=, with a list")
     return count or 0
-
-
-def _numbers(name: str, text: str, dimension: units.Dimension) -> np.ndarray:
-    """The values along an axis: numbers and even ranges of them, in their order."""
-    return np.concatenate([_range(name, part.strip(), dimension) for part in text.split(",")])
 
 
 def _range(name: str, text: str, dimension: units.Dimension) -> np.ndarray:

@@ -68,10 +68,15 @@ def trace(
         from ..files.actuation import read_loads
         from ..files.artifacts import as_json as json_text, write_all
         from ..reports import trace_report
+        from ..units import series
 
     loads, count = read_loads(tip_force, tip_moment, gravity), manipulator.num_tendons
     paths, driven = read_paths(path, noise, count)
-    largest = None if before is None else read_tensions_before(before, count)
+    largest = None
+    if before is not None:
+        largest, _ = series(before, ("force",), "--before")
+        if len(largest) != count or min(largest) < 0:
+            raise InputError(f"--before {before}: give a tension of 0 N or more for each of {count} tendon(s)")
     with within(robot, ValueError):
         found = trace_report.traced(manipulator, paths, driven, loads, nodes, max_turns, largest)
     answer = trace_report.trace_as_dict(found)
@@ -107,16 +112,6 @@ def read_paths(texts: "Sequence[str]", noise: str | None, count: int) -> "tuple[
     if not any(map(any, paths)):
         raise InputError(f"--path {', '.join(texts)}: nothing moves; give a value other than 0")
     return paths, driven
-
-
-def read_tensions_before(text: str, count: int) -> list[float]:
-    """ "80 N", or one for each tendon: "80 N, 20 N"."""
-    from ..units import series
-
-    values, _ = series(text, ("force",), "--before")
-    if len(values) != count or min(values) < 0:
-        raise InputError(f"--before {text}: give a tension of 0 N or more for each of {count} tendon(s)")
-    return values
 
 
 def read_path(text: str, noise: str | None = None) -> "tuple[list[float], Dimension]":

@@ -175,21 +175,18 @@ def _case(table: Table, body: Manipulator) -> LoadCase:
     texts = table["base_tension"] if isinstance(table["base_tension"], list) else [table["base_tension"]]
     direction = table.get("direction")
     loads = {key: _text(table, key) if key in table else None for key in ("tip_force", "tip_moment", "gravity")}
+    numbers = _entries(table, "numbers") if "numbers" in table else {}
+    for name in numbers:
+        case_numbers(body).number(name)
     return LoadCase(
         read_actuation([str(text) for text in texts], body, called=str),
         read_loads(**loads, called=str),
         read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
-        _case_numbers(_entries(table, "numbers"), body) if "numbers" in table else {},
+        {name: quantity(value, DIMENSION_OF[unit_of_name(name)], name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),
         _pair(table["loop"], "force", "loop") if "loop" in table else None,
     )
-
-
-def _case_numbers(table: Table, body: Manipulator) -> dict[str, float]:
-    for name in table:
-        case_numbers(body).number(name)
-    return {name: quantity(value, DIMENSION_OF[unit_of_name(name)], name) for name, value in table.items()}
 
 
 def _uncertain(

@@ -20,7 +20,6 @@ from .determination import (
     determine,
     without_nan,
 )
-from .kinks import is_steep, kink_of
 from .levenberg_marquardt import LeastSquaresProblem, Minimum, Outcome, evaluate, hold_one, minimise
 from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
@@ -37,6 +36,10 @@ NOTEWORTHY_FALL = 0.01  # of the sum of squares beside the minimum
 CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
 EXPECTED_PART = 0.5  # of the rise that the curvature foretells: with less the valley is flatter than it seems
 MOSTLY_LOST = 0.7  # length of a direction within the parameters that are not identified, of 1
+STEEPEST = 1e-4  # slope of the cost at a minimum, over what residuals and derivatives could make it
+STEEPEST_UNSOLVED = 1e-6  # the same where the optimiser ran out of steps
+EXACT = 1e-3  # root mean square residual, over the noise, below which the slope is rounding
+BESIDE = 0.1  # standard errors, how far on both sides of a kink the sum of squares has to rise
 
 
 class FitTask(NamedTuple):
@@ -113,7 +116,10 @@ def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
     rows, prior_rows = problem.by_group(jacobian), jacobian[problem.num_data :]
     if problem.loss != "linear":
         residuals = problem.by_group(outcome.residual)
-        rows = [row * _efficiency(problem.loss, r, len(size)) for row, r in zip(rows, residuals, strict=True)]
+        moments = [LOSSES[problem.loss].moments(residual, len(size)) for residual in residuals]
+        # what the loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)
+        factors = [slope / np.sqrt(max(spread, TINY)) for spread, slope in moments]
+        rows = [row * factor for row, factor in zip(rows, factors, strict=True)]
     return Evidence(
         space=space,
         value=outcome.parameters,
@@ -123,12 +129,6 @@ def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
         prior_rows={i: row[None] for i, row in zip(problem.data.prior, prior_rows, strict=True)},
         noise_estimated={group.name: group.estimated_parts > 0 for group in task.groups},
     )
-
-
-def _efficiency(loss: str, residual: np.ndarray, num_parameters: int) -> float:
-    """What a robust loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)."""
-    spread, slope = LOSSES[loss].moments(residual, num_parameters)
-    return slope / np.sqrt(max(spread, TINY))
 
 
 def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled: bool, stopped: bool) -> str:
@@ -148,6 +148,50 @@ def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled:
             "check units and signs, start closer, or search from more starts"
         )
     return SUCCESSFUL
+
+
+# --- kinks ---------------------------------------------------------------------------------------
+# There the sum of squares rises on both sides of a parameter, although its slope is not zero. A model whose derivative
+# jumps has them. Searches end beside such a place and look as if they had stopped short.
+
+
+def slopes(minimum: Minimum, outcome: Outcome) -> np.ndarray:
+    """(parameters,), of the cost, over what residuals and derivatives could make them."""
+    column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
+    slope = np.abs(outcome.jacobian.T @ minimum.problem.influence(outcome.residual))
+    return slope / np.maximum(column * total, TINY)
+
+
+def is_steep(minimum: Minimum, evidence: Evidence) -> bool:
+    """Whether the cost slopes where the search ended; at a bound it may well do so."""
+    outcome = minimum.outcome
+    exact = np.linalg.norm(outcome.residual) <= EXACT * np.sqrt(outcome.residual.size)
+    steepest = STEEPEST if outcome.solved else STEEPEST_UNSOLVED
+    return not exact and bool(np.any(slopes(minimum, outcome)[~evidence.at_bound] > steepest))
+
+
+def kink_of(minimum: Minimum, evidence: Evidence) -> tuple[int, Minimum] | None:
+    """The parameter with the kink, and the minimum there; None where the end of a search is none.
+
+    The steepest parameter is held, and the others are fitted again. With that parameter a little to either side, the
+    sum of squares has to be larger, however the others are fitted.
+    """
+    value, free = minimum.outcome.parameters, ~evidence.at_bound
+    i = int(np.argmax(np.where(free, slopes(minimum, minimum.outcome), -1.0)))
+    held = hold_one(len(value), i, value[i])
+    z = np.where(np.isnan(held), minimum.refit(held)[0].z, minimum.outcome.z)
+    there = minimum._replace(outcome=evaluate(minimum.problem, z))
+    others = free & np.isnan(held)
+    if not np.all(slopes(there, there.outcome)[others] <= STEEPEST):
+        return None
+    away = BESIDE * evidence.spectrum.relative_error[i] * evidence.size[i]
+    space = minimum.problem.space
+    for place in (value[i] - away, value[i] + away):
+        inside = space.lower[i] < place < space.upper[i]
+        if not inside or not there.refit(hold_one(len(value), i, place))[1] > 0:
+            return None
+    steps = minimum.outcome.num_steps
+    return i, there._replace(outcome=there.outcome._replace(num_steps=steps))
 
 
 # --- valleys --------------------------------------------------------------------------------------

@@ -255,15 +255,16 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     Raises:
         InputError: when the solve failed.
     """
-    length = float(manipulator.length)
-    if equilibrium.tip_frame is not None:
-        return _draw_forces_in_space(manipulator, equilibrium, axes)
+    length, in_space = float(manipulator.length), equilibrium.tip_frame is not None
     places = length * (np.arange(ARROWS) + 0.45) / ARROWS
-    s = np.unique(np.concatenate([np.linspace(0.0, length, 201), places]))
-    fields, there = geometry.planar_fields_along(equilibrium, s), geometry.reached(manipulator, s)
-    body = geometry.bent_body(manipulator, fields)
+    grid = geometry.stations(manipulator) if in_space else np.linspace(0.0, length, 201)
+    s = np.unique(np.concatenate([grid, places]))
+    along, there = geometry.fields_along(equilibrium, s), geometry.reached(manipulator, s)
+    forces, at = np.stack([along.normal_force, along.friction_force]), there & np.isin(s, places)
+    if isinstance(along, SpatialFields):
+        return _draw_forces_in_space(geometry.drawn(manipulator, along, None), forces[:, at], at, axes)
+    body = geometry.bent_body(manipulator, along)
     tendons = geometry.tendon_paths(manipulator, body, s)
-    forces, at = np.stack([fields.normal_force, fields.friction_force]), there & np.isin(s, places)
     strongest = float(np.max(np.linalg.norm(forces[:, there], axis=-1)))
     with draw.axes_or_new(axes, HEIGHT) as axes:
         draw.draw_body(axes, body)
@@ -282,18 +283,11 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     return axes
 
 
-def _draw_forces_in_space(manipulator: Manipulator, equilibrium: Equilibrium, axes: Axes | None) -> Axes:
-    length = float(manipulator.length)
-    places = length * (np.arange(ARROWS) + 0.45) / ARROWS
-    s = np.unique(np.concatenate([geometry.stations(manipulator), places]))
-    along = geometry.fields_along(equilibrium, s)
-    assert isinstance(along, SpatialFields)
-    what, at = geometry.drawn(manipulator, along, None), geometry.reached(manipulator, s) & np.isin(s, places)
-    forces = np.stack([along.normal_force, along.friction_force])[:, at]
+def _draw_forces_in_space(what: Drawn, forces: np.ndarray, at: np.ndarray, axes: Axes | None) -> Axes:
+    """Normal and friction force as arrows at some points of the tendons."""
     strongest = float(np.max(np.linalg.norm(forces, axis=-1), initial=0.0))
-    arrows = forces * (1e3 * LONGEST * length / (strongest or 1.0))
+    arrows = forces * (LONGEST * what.length / (strongest or 1.0))
     points = np.concatenate([what.points, *(what.tendons[at] + arrows)])
-
     with space.room_or_new(axes, points, 2.6, 2.4) as room:
         space.draw_body_in_space(room, what)
         for path in what.tendons:

@@ -35,9 +35,7 @@ def history_figure(
 
     Args:
         manipulator: the body that was traced.
-        history: of `trace`; the closer its steps, the smoother the loops.
-        steps: which of its steps, from 0, bear the numbers 1, 2, ...; those where it turns unless given. Along the
-            body there is room for the last six lines.
+        history, steps, tendon: as of `draw_loop`. Along the body there is room for the last six lines.
 
     Raises:
         InputError: when a step failed.
@@ -137,9 +135,7 @@ def draw_energy(
     In the exact kinematics the work is the sum of the others.
 
     Args:
-        history: of `trace`; the closer its steps, the smoother the lines.
-        axes: where to draw; None for a new figure, one column wide.
-        steps: which of its steps, from 0, bear the numbers 1, 2, ...; those where it turns unless given.
+        history, axes, steps: as of `draw_loop`.
         tendon: whose base tensions stand below the steps, from 0.
 
     Raises:

@@ -50,7 +50,12 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
         if below and (with_units := table_header.with_units_below(headings, *below[0], kind)):
             headings = with_units
             source.read_as.append(f"row {below.pop()[0]} holds the units")
-        headings = [_with_usual_unit(heading, kind) for heading in headings]
+        for i, heading in enumerate(headings):
+            dimension = (
+                kind.dimension_of(heading.column) if heading.column and heading.column in kind.optional else None
+            )
+            if dimension and heading.unit is None:  # the usual one
+                headings[i] = heading._replace(unit=preferred(dimension)[1])
         table_header.check_headings(headings, source.row, kind)
         names = {text for heading in headings for text in (heading.text, heading.name)}
         return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
@@ -75,12 +80,6 @@ def _opened(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]
         return sum(column is not None and column not in kind.optional for column in found)
 
     return open_table(path, recognised, empty), given
-
-
-def _with_usual_unit(heading: Heading, kind: Kind) -> Heading:
-    """An optional column without a unit has the usual one."""
-    dimension = kind.dimension_of(heading.column) if heading.column in kind.optional and heading.column else None
-    return heading._replace(unit=preferred(dimension)[1]) if dimension and heading.unit is None else heading
 
 
 def table_csv(columns: Mapping[str, ArrayLike]) -> str:

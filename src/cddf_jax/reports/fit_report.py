@@ -309,18 +309,15 @@ def _repeat_section(report: Report) -> list[str]:
     starts = "as needed" if starts is None else starts
     text = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
     text += f" With history: {', '.join(fit.steadied)}." if fit.steadied else ""
-    text += f" Before the first row: {_before_in_words(fit)}." if fit.steadied else ""
+    courses = [one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
+    past = [
+        words for course in courses for words in course.past_in_words
+    ]  # "rest", or where trials differ "rest, 80 N"
+    past = past if len(set(past)) > 1 else past[:1]
+    text += f" Before the first row: {', '.join(past)}." if fit.steadied else ""
     text += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
     text += " results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
     return _section("To repeat it", [*markdown_table(("data", "rows", "SHA-256, first digits"), rows), "", text])
-
-
-def _before_in_words(fit: Fit) -> str:
-    """ "rest", or where trials differ "rest, 80 N"."""
-    words: list[str] = []
-    for course in (one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None):
-        words += course.past_in_words
-    return ", ".join(words if len(set(words)) > 1 else words[:1])
 
 
 def fit_in_words(report: Report) -> str:

@@ -1,7 +1,7 @@
 """All that is found around a fit, and the dictionary of it from which the fit can be repeated."""
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple
@@ -91,25 +91,24 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
         return {}
     from ..identification.model_free import COLUMNS, disagreement, model_free_friction
 
-    found, without_past = {}, _without_past(fit)
-    for name, table in zip(fit.alone, fit.tables, strict=True):
-        if len(table) < LEAST_ROWS or not all(column in table for column in COLUMNS) or name not in without_past:
-            continue
-        try:
-            friction = model_free_friction(table, in_order=name in fit.steadied)
-        except InputError:  # no row is bent
-            continue
-        mu = "friction_coefficient"
-        determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
-        compared = disagreement(friction, fit.value[mu], fit.standard_error[mu]) if determined else None
-        found[name] = ModelFree(friction, compared)
+    found, mu = {}, "friction_coefficient"
+    for name, table in _from_rest(fit, COLUMNS):
+        if len(table) >= LEAST_ROWS:
+            with suppress(InputError):  # no row is bent
+                friction = model_free_friction(table, in_order=name in fit.steadied)
+                determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
+                compared = disagreement(friction, fit.value[mu], fit.standard_error[mu]) if determined else None
+                found[name] = ModelFree(friction, compared)
     return found
 
 
-def _without_past(fit: Fit) -> set[str]:
-    """The tables whose trials all begin at rest, as far as their rows have a history."""
+def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measurements]]:
+    """The tables with some columns whose trials all begin at rest, as far as their rows have a history."""
     named = zip(fit.model.names, fit.model.experiments, strict=True)
-    return {name for name, one in named if not isinstance(one, Bench) or one.course is None or one.course.past is None}
+    rest = {name for name, one in named if not isinstance(one, Bench) or one.course is None or one.course.past is None}
+    for name, table in zip(fit.alone, fit.tables, strict=True):
+        if name in rest and all(column in table for column in columns):
+            yield name, table
 
 
 def _loops(fit: Fit) -> dict[str, LoopTold]:
@@ -119,13 +118,12 @@ def _loops(fit: Fit) -> dict[str, LoopTold]:
         return {}
     from ..identification.model_free_loop import model_free_loop
 
-    found, without_past = {}, _without_past(fit)
-    for name, table in zip(fit.alone, fit.tables, strict=True):
-        if name not in fit.steadied or "tip_tension" not in table or name not in without_past:
-            continue
-        with suppress(InputError):  # not let out far enough
-            told, tension = model_free_loop(table), float(table["base_tension"].max())
-            found[name] = LoopTold(told, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
+    found = {}
+    for name, table in _from_rest(fit, ("tip_tension",)):
+        if name in fit.steadied:
+            with suppress(InputError):  # not let out far enough
+                told, tension = model_free_loop(table), float(table["base_tension"].max())
+                found[name] = LoopTold(told, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
     return found
 
 

@@ -13,7 +13,6 @@ import jax
 import numpy as np
 from rich import filesize
 
-from .. import units
 from ..batch.store import ZarrStore
 from ..batch.work import COPIES
 from ..errors import InputError
@@ -24,6 +23,7 @@ from ..statics.targets import Target
 from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
 from ..sweeping.one_solve import RESULT, RESULT_NAMES, VERDICTS
 from ..sweeping.sweep import Sweep
+from ..units import DIMENSION_OF, shown
 
 if TYPE_CHECKING:
     import xarray
@@ -284,10 +284,8 @@ def _ranges(outputs: Json) -> Iterator[str]:
 
 def _number(value: np.ndarray, unit: str | None) -> str:
     if value.dtype.kind == "b" or unit is None:
-        return str(value.item()).lower() if value.dtype.kind == "b" else str(value)
-    if unit in units.DIMENSION_OF and unit != "1":
-        return units.shown(value, units.DIMENSION_OF[unit])
-    return f"{float(value):.5g} {'' if unit == '1' else unit}".strip()
+        return str(value).lower() if value.dtype.kind == "b" else str(value)
+    return shown(value, DIMENSION_OF[unit]) if unit in DIMENSION_OF else f"{float(value):.5g} {unit}".strip()
 
 
 def plain_words(name: str) -> str:

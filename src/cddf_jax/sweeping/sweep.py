@@ -175,7 +175,8 @@ class Sweep:
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """What can be asked for, and its dimensions beside those of the sweep."""
         if self.in_short_steps:
-            return {name: dims for name, dims in one_solve.OF_HISTORY.items() if name != "num_turns"}  # which one tendon has
+            of_one_tendon = "num_turns"
+            return {name: dims for name, dims in one_solve.OF_HISTORY.items() if name != of_one_tendon}
         if self.history:
             return one_solve.OF_HISTORY_IN_SPACE if self.case.in_space else one_solve.OF_HISTORY
         return one_solve.IN_SPACE if self.case.in_space else one_solve.OUTPUTS
