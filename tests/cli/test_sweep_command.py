@@ -71,8 +71,7 @@ def tip_tension(tension, friction):
 
 def read(*over, base_tension=None, body=None, **asked):
     body = body or paper_body(density=1070.0)
-    actuation = sweep_options.read_base_tension(base_tension or [], body)
-    return sweep_options.read_sweep(body, over, base_tension=actuation, **asked)
+    return sweep_options.read_sweep(body, over, base_tension=base_tension or [], **asked)
 
 
 # --- reading -------------------------------------------------------------------------------------

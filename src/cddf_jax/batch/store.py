@@ -52,14 +52,14 @@ class Memory:
 class ZarrStore:
     """A Zarr store on disk.
 
+    Where it exists already, the work goes on with it, and its chunks hold. A store of something else, or of the answer
+    of other work, is refused.
+
     Args:
-        path: of the store. Where it exists already, the work goes on with it.
-        layout: of the answer. Where a store exists already, its chunks hold.
+        path: of the store.
+        layout: of the answer.
         identity: all that the answer depends on, JSON.
         create: whether this process makes the store where there is none.
-
-    Raises:
-        InputError: where `path` holds something else, or the answer of other work.
     """
 
     def __init__(

@@ -33,9 +33,6 @@ def carry_out(
         chunk: the answer in the region of one chunk.
         out: path of a Zarr store; None for memory.
         allowed: memory, bytes.
-
-    Raises:
-        InputError: for a store of other work, too little memory, several processes without a store.
     """
     store = _store(layout, identity, out, allowed)
     layout, rank, ranks = store.layout, jax.process_index(), jax.process_count()

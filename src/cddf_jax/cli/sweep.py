@@ -166,7 +166,7 @@ def sweep(
         samples,
         sampler,
         seed,
-        base_tension=sweep_texts.read_base_tension(base_tension or [], read.manipulator),
+        base_tension or [],
         loads=read_loads(tip_force, tip_moment, gravity),
         history=history,
         direction=read_directions(direction, read.manipulator),

@@ -11,7 +11,6 @@ from .. import units
 from ..errors import InputError
 from ..files.actuation import read_actuation
 from ..robot.manipulator import Manipulator
-from ..statics.targets import Actuation
 from ..sweeping.axes import OPTIONS, Dimension as Axis, dimensions_of
 from ..sweeping.sampling import latin_hypercube, sobol
 from ..sweeping.sweep import Sweep
@@ -33,6 +32,7 @@ def read_sweep(
     samples: int | None = None,
     sampler: str = "latin_hypercube",
     seed: int = 0,
+    base_tension: Sequence[str] = (),
     **given: Any,
 ) -> Sweep:
     """The sweep over axes such as "base_tension=5N:85N:17" and samples such as "youngs_modulus=1.2MPa:1.6MPa".
@@ -46,8 +46,12 @@ def read_sweep(
         raise InputError(f"nothing varies; give --over {OVER} or --sample")
     count = _num_samples(ranges, samples)
     names = [name for name in (*axes, *ranges) if name not in OPTIONS]
+    tensions = read_actuation(base_tension, manipulator) if base_tension else None
     draft = Sweep(
-        manipulator=manipulator, dimensions=tuple(Axis(name, {name: np.zeros(1)}, {}) for name in names), **given
+        manipulator=manipulator,
+        dimensions=tuple(Axis(name, {name: np.zeros(1)}, {}) for name in names),
+        base_tension=tensions[0] if isinstance(tensions, list) and len(tensions) == 1 else tensions,
+        **given,
     )
     dimension_of: dict[str, units.Dimension] = {name: units.DIMENSION_OF[draft.case.unit(name)] for name in names}
     values = {
@@ -131,14 +135,6 @@ def _limits(name: str, text: str, dimension: units.Dimension) -> tuple[float, fl
         raise InputError(f"--sample {name}: write least and largest as in {_example(name, dimension)}, got {text!r}")
     least, largest = (units.quantity(end.strip(), dimension, f"--sample {name}") for end in ends)
     return least, largest
-
-
-def read_base_tension(texts: Sequence[str], manipulator: Manipulator) -> Actuation | None:
-    """What `Sweep` takes for texts as `cddf solve` takes them; None for none."""
-    if not texts:
-        return None
-    entries = read_actuation(texts, manipulator)
-    return entries[0] if isinstance(entries, list) and len(entries) == 1 else entries
 
 
 def read_memory(text: str) -> float:

@@ -92,10 +92,6 @@ class Evidence:
     kink: int | None = None  # the parameter at a kink of the model
     failed: bool = False  # whether the fit failed, so that nothing is identified
 
-    def after_failure(self) -> "Evidence":
-        """The same of a fit that failed."""
-        return replace(self, failed=True, bounded_above=())
-
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
         """Some groups of the data alone, without priors but those of the named parameters."""
         return replace(

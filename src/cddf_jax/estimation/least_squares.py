@@ -149,7 +149,7 @@ class LeastSquaresFit(Determination):
 
     def doubted(self, reason: str) -> "LeastSquaresFit":
         """The same as a failed fit, for a reason that is not in its sum of squares."""
-        evidence = self.evidence.after_failure()
+        evidence = replace(self.evidence, failed=True, bounded_above=())
         return replace(self, **vars(determine(evidence)), evidence=evidence, success=False, result=reason)
 
     def told_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:

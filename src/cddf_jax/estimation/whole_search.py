@@ -81,7 +81,7 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
         seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above}
         evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
-        evidence = evidence.after_failure()
+        evidence = replace(evidence, failed=True, bounded_above=())
     determination = determine(evidence)
     if result == SUCCESSFUL and not are_products(minimum, determination):
         evidence = replace(evidence, products=False)

@@ -36,12 +36,8 @@ def read_actuation(
 ) -> list[float | Target] | TipPosition:
     """Tensions (N) and targets out of texts such as "75 N" and "tip_angle=45 deg": one for all tendons or one each.
 
-    A place of the tip, "tip_position=100, 80 mm from 1 N to 50 N", stands for all tendons.
-
-    Args:
-        texts: as typed.
-        manipulator: whose tendons are pulled.
-        called: how messages call a quantity, by its name.
+    A place of the tip, "tip_position=100, 80 mm from 1 N to 50 N", stands for all tendons. `called` says how messages
+    call a quantity, by its name.
     """
     name, count = called("base_tension"), manipulator.num_tendons
     if any(text.partition("=")[0].strip() == TipPosition.quantity for text in texts):
@@ -136,11 +132,7 @@ def read_loads(
 ) -> Loads | None:
     """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where no text is given.
 
-    In space each has three components, "0, -5, 1 N", the moment as well.
-
-    Args:
-        tip_force, tip_moment, gravity: as typed.
-        called: how messages call a quantity, by its name.
+    In space each has three components, "0, -5, 1 N", the moment as well. `called` is as of `read_actuation`.
     """
     if tip_force is None and tip_moment is None and gravity is None:
         return None

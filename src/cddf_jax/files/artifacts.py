@@ -20,13 +20,7 @@ def write_all(folder: str | Path, contents: Mapping[str, str | bytes]) -> None:
     """Write several files into a folder, which is made if it is missing.
 
     Only when all are complete do they take their places, each in one step. A failure before that leaves what was there.
-
-    Args:
-        folder: where the files go.
-        contents: text (written as UTF-8) or bytes by file name.
-
-    Raises:
-        InputError: when the folder cannot be made or written to.
+    Text is written as UTF-8.
     """
     folder = Path(folder)
     try:

@@ -36,12 +36,9 @@ class Table(NamedTuple):
 
 
 def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str] | None = None) -> Table:
-    """The columns of a file.
+    """The columns of a CSV or .xlsx file.
 
-    Args:
-        path: CSV or .xlsx.
-        kind: of table.
-        columns: by the head of a column in the file, what it is, such as "base_tension [N]"; "" to leave it out.
+    `columns` says by the head of a column in the file what it is, such as "base_tension [N]"; "" leaves it out.
     """
     with within(path):
         source, given = _opened(path, kind, columns or {})

@@ -131,11 +131,7 @@ def read_robot_file(path: str | os.PathLike[str]) -> RobotFile:
 
 
 def read_toml(path: str | os.PathLike[str], example: str) -> dict[str, Any]:
-    """The tables of a TOML file; `example` is a line of such a file.
-
-    Raises:
-        InputError: without the name of the file.
-    """
+    """The tables of a TOML file; errors do not name it. `example` is a line of such a file."""
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:

@@ -40,15 +40,10 @@ class Source(NamedTuple):
 
 
 def open_table(path: str | os.PathLike[str], recognised: Recognised, empty: str) -> Source:
-    """The table in a file.
+    """The table in a file; errors do not name it.
 
-    Args:
-        path: of the file.
-        recognised: how many of some cells are heads of columns, by which the header is found.
-        empty: what is said of a file without any text.
-
-    Raises:
-        InputError: without the name of the file.
+    `recognised` tells how many of some cells are heads of columns, by which the header is found. `empty` is what is
+    said of a file without any text.
     """
     try:
         with open(path, "rb") as file:

@@ -17,7 +17,6 @@ from ..batch.store import ZarrStore
 from ..batch.work import COPIES
 from ..errors import InputError
 from ..progress import stage
-from ..robot.named_numbers import of_tendon
 from ..statics.equilibrium import RESULTS
 from ..statics.targets import Target
 from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
@@ -137,7 +136,11 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
     files = {} if isinstance(figure, str) else render(figure, stem)
     tips = answer.data_vars.get("tip_position")
     if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
-        files |= render(workspace_figure(answer, _colour_of_tips(work)), f"{stem}_workspace")
+        try:
+            cloud = workspace_figure(answer)
+        except InputError:  # not every base tension is known
+            cloud = workspace_figure(answer, next(name for axis in work.dimensions for name in axis.numbers))
+        files |= render(cloud, f"{stem}_workspace")
     name = f"{stem}.json"
     paths: Json = {
         "store": str(places.store),
@@ -153,15 +156,6 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
     return paths
 
 
-def _colour_of_tips(work: Sweep) -> str:
-    """What colours the dots: the sum of the base tensions where all of them vary, or else the first number."""
-    names, count = [name for axis in work.dimensions for name in axis.numbers], work.manipulator.num_tendons
-    tensions = {of_tendon("base_tension", i) for i in range(count)}
-    alone = "base_tension" in names and "tip_tension" in work.outputs  # which tells the number of tendons
-    known = "base_tension" in work.outputs or (tensions <= set(names) and "tip_tension" in work.outputs) or alone
-    return "total_tension" if known else names[0]
-
-
 def _target(work: Sweep, name: str) -> str:
     """What is to be reached, in words, where a number is that of a target."""
     found = re.fullmatch(r"base_tension(?:_(\d+))?\.value", name)
@@ -169,7 +163,7 @@ def _target(work: Sweep, name: str) -> str:
         return ""
     given = work.base_tension
     target = given[int(found[1]) - 1] if found[1] and isinstance(given, Sequence) else given
-    return f"Target {plain_words(target.quantity)}" if isinstance(target, Target) else ""
+    return f"Target {target.quantity.replace('_', ' ')}" if isinstance(target, Target) else ""
 
 
 def _axes(work: Sweep) -> list[Json]:
@@ -229,7 +223,7 @@ def rehearse(work: Sweep, places: Places | None) -> Json:
 def summary_in_words(summary: Json) -> str:
     """What the terminal shows of what `run_sweep` returns."""
     total, before, paths = summary["solves"], summary["solves_there_before"], summary["paths"]
-    counts = ", ".join(f"{count:,} {plain_words(name)}" for name, count in summary["results"].items())
+    counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in summary["results"].items())
     some = f", {before:,} there already, {total - before:,} more" if before else ""
     seconds, rate = summary["seconds"], (total - before) / summary["seconds"]
     speed = f"{rate:,.0f} a second" if rate >= 10 else f"{rate:.2g} a second"
@@ -237,7 +231,7 @@ def summary_in_words(summary: Json) -> str:
     how = f"{some} in {lasted} with compiling, {speed}" if before < total else ", all there already"
     lines = [f"{total:,} solve{'s' if total > 1 else ''}{how}: {counts}"]
     failed = [name for name in summary["results"] if name != "successful"]
-    lines += [f"{plain_words(name)}: {RESULTS[getattr(RESULTS, name)]}" for name in failed]
+    lines += [f"{name.replace('_', ' ')}: {RESULTS[getattr(RESULTS, name)]}" for name in failed]
     lines += _ranges(summary["outputs"])
     for what, entries in (
         ("no figure", paths["no_figure"]),
@@ -286,7 +280,3 @@ def _number(value: np.ndarray, unit: str | None) -> str:
     if value.dtype.kind == "b" or unit is None:
         return str(value).lower() if value.dtype.kind == "b" else str(value)
     return shown(value, DIMENSION_OF[unit]) if unit in DIMENSION_OF else f"{float(value):.5g} {unit}".strip()
-
-
-def plain_words(name: str) -> str:
-    return name.replace("_", " ")
