@@ -11,7 +11,7 @@ from datetime import timedelta
 from typing import Any, TypeVar
 
 PATIENCE = 2.0  # s, in which nothing is shown
-RARER = 0.25  # of the time so far, at least so long between two lines of a log
+RARER = 0.25  # of the time so far: the least time between two lines of a log
 TICK = 0.1  # s, between two looks
 Item = TypeVar("Item")
 
@@ -39,7 +39,7 @@ class Stage:
 
 
 class Log:
-    """A line of text for each stage that takes long, and ever more rarely."""
+    """A line of text for each stage that takes long; the longer it takes, the more time between two lines."""
 
     def __init__(self, write: Callable[[str], object]):
         self.write, self.next, self.last = write, PATIENCE, ""
@@ -51,11 +51,11 @@ class Log:
             self.next, self.last = seconds + max(PATIENCE, RARER * seconds), words
 
     def hide(self) -> None:
-        """Leave the place to an answer."""
+        """Nothing is left to remove before the answer is printed: lines of a log stay."""
 
 
 class Bar:
-    """The same as a bar on a terminal, which goes in the end."""
+    """A bar on a terminal instead of lines; it is removed when the work is done."""
 
     bar: Any = None
 

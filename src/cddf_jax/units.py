@@ -124,13 +124,8 @@ def vector(text: str, dimension: Dimension, what: str) -> tuple[float, ...]:
 def series(text: str, dimensions: Sequence[Dimension], what: str) -> tuple[list[float], Dimension]:
     """The SI values of a list such as "0 N, 75 N, 40 N", or with one unit for all "0, 75, 40 N", and what they measure.
 
-    Args:
-        text: numbers with units, and commas between them.
-        dimensions: what they may measure; the first is named where a unit is missing or unknown.
-        what: the name of the list, with which an error message begins.
-
-    Raises:
-        InputError: as `quantity`.
+    They may measure some dimensions, of which the first is named where a unit is missing or unknown. An error message
+    begins with `what`, as that of `quantity` does.
     """
     parts = _with_their_unit([part.strip() for part in text.split(",")])
     unit = _unit_of(parts[0])
@@ -155,16 +150,10 @@ def _unit_of(part: str) -> str | None:
 
 
 def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.ndarray:
-    """A whole column of numbers in one `unit`, converted to SI.
-
-    Args:
-        values: the numbers, float64.
-        unit: of all of them, such as "mm".
-        dimension: what is measured, not "dimensionless".
-        what: the name of the column, with which an error message begins.
+    """A whole column of numbers in one unit, such as "mm", converted to SI; for all dimensions but "dimensionless".
 
     Raises:
-        InputError: for a missing, unknown or unfit unit.
+        InputError: for a missing, unknown or unfit unit; the message begins with `what`, the name of the column.
     """
     example = f"[{_UNITS[dimension].preferred}]"
     size = _size_in_si(unit, dimension, what, f"got [{unit}]" if unit else "got none", example)

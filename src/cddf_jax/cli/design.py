@@ -59,8 +59,7 @@ def design(
 def run_design(task: "DesignTask", out: Path | None) -> Answer:
     """Design, and write what is asked for; the new manipulator only where it keeps to all limits."""
     from ..designing import report
-    from ..figures.designs import design_figure
-    from ..figures.style import render
+    from ..figures import design_figure, render
     from ..files.artifacts import as_json, write_all
     from ..files.cross_sections import cross_sections_csv
 
@@ -80,8 +79,8 @@ def run_design(task: "DesignTask", out: Path | None) -> Answer:
 def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
     """As `run_design`, of the two objectives against each other."""
     from ..designing import report
-    from ..figures.designs import draw_trade_off
-    from ..figures.style import figure_of, render
+    from ..figures import draw_trade_off, render
+    from ..figures.style import figure_of
     from ..files.artifacts import as_json, write_all
 
     if task.choices or task.options.starts > 1 or any(weight != 1 for weight, _ in task.objective):

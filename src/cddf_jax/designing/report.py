@@ -136,7 +136,7 @@ def _sensitivity(found: Design) -> Iterator[str]:
 
 
 def _follows(found: Design) -> bool:
-    """Whether the best objective has a size that can follow; a distance from what is wanted is zero at best."""
+    """Whether relative changes of the best objective mean something: the least distance to a wanted value is zero."""
     kinds = {each.name.split()[0] for each in found.objectives}
     return found.feasible and not (len(found.objectives) == 1 and kinds & {"near", "even"})
 

@@ -162,7 +162,7 @@ class ParameterSpace:
         return np.array([bounded == FREE for bounded in self.bounded])
 
     def elsewhere(self, draw: np.ndarray, decades: float) -> "tuple[ParameterSpace, np.ndarray]":
-        """Another start: a space about it, in which a search feels as though it were the given one, and its z.
+        """Another start: a space around it, in which a search runs as from the given start, and its z.
 
         What has a bound moves by up to so many powers of ten of its distance from it. Of what has none the size does,
         and in one draw of four the sign changes. `draw`, (n,), is of the uniform distribution over (0, 1).

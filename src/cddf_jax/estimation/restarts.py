@@ -13,7 +13,7 @@ from .whole_search import BETTER_ELSEWHERE, NO_NUMBER, NOT_SETTLED, STOPPED_SHOR
 
 ROUNDS = (8, 8, 16)  # further searches; after each round the best is looked at
 DECADES = (1.0, 2.0, 3.0)  # powers of ten, up and down, over which the starts of each round spread; later as the last
-FAR = 1e3  # times its start: an unidentified parameter beyond it went far away from the start
+FAR = 1e3  # an unidentified parameter beyond this times its start went far away
 SAME = 1e-6  # relative difference of costs below which two searches came to the same
 LOWER = 1e-3  # relative difference of costs that makes one the better
 ONE_DATUM = 0.99  # share of one datum in the squared derivatives, from which on it counts as the only one

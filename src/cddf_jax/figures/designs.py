@@ -184,7 +184,8 @@ def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: floa
 def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
     """The two objectives against each other: every design a point, the start apart.
 
-    Designs that are not stationary are hollow. A start that would squash the front is named in words.
+    Designs that are not stationary are hollow. A start so far off that the front could not be seen beside it is given
+    as text.
 
     Args:
         front: of `pareto_front`.
@@ -209,7 +210,7 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
 
 
 def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.ndarray]) -> None:
-    """The start as a square; where it would squash the front, in words at its side of the figure."""
+    """The start as a square, or as text where it is so far off that the front could not be seen beside it."""
     spans = [(np.nanmin(values), np.nanmax(values)) for values in points]
     within = [2 * low - high <= value <= 2 * high - low for value, (low, high) in zip(start, spans, strict=True)]
     if all(within):
@@ -220,7 +221,7 @@ def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.nda
 
 
 def _widen(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Axis limits around designs that hardly differ, so that their last digits do not look like a trade-off."""
+    """Wider axis limits around designs that hardly differ: else differences of rounding would look like a trade-off."""
     for values, set_limits in ((x, axes.set_xlim), (y, axes.set_ylim)):
         middle = float(np.nanmean(values))
         if np.nanmax(values) - np.nanmin(values) < 1e-3 * abs(middle):

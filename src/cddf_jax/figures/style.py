@@ -157,7 +157,7 @@ def _labelled(panels: Sequence[Axes]) -> dict[str, Artist]:
 
 
 def to_scale(axes: Axes) -> None:
-    """One scale for x and y: the limits give way, or the axes where their limits are those of others too."""
+    """One scale for x and y: the limits are widened, or, where other axes share them, the axes are made smaller."""
     groups = axes.get_shared_x_axes(), axes.get_shared_y_axes()
     shared = all(len(group.get_siblings(axes)) > 1 for group in groups)
     axes.set_aspect("equal", adjustable="box" if shared else "datalim")
@@ -204,18 +204,18 @@ def _bytes(figure: Figure, suffix: str) -> bytes:
     return buffer.getvalue()
 
 
-# --- lines whose order in time counts ------------------------------------------------------------
+# --- lines along a path in time ------------------------------------------------------------------
 
 
 def turning_places(values: np.ndarray) -> list[int]:
-    """The first and the last place, and those at which values begin to rise or to fall."""
+    """The indices of the first and the last value, and of those between at which values begin to rise or to fall."""
     moved = np.flatnonzero(np.diff(values))
     ways = np.sign(np.diff(values))[moved]
     return [0, *(int(place) for place in moved[1:][ways[1:] != ways[:-1]]), len(values) - 1]
 
 
 def draw_arrow(axes: Axes, x: np.ndarray, y: np.ndarray, color: str) -> None:
-    """The head of an arrow in the middle of a line, along the order of its points; none where it does not go."""
+    """The head of an arrow in the middle of a line, along the order of its points; none where x does not change."""
     way = np.abs(x - x[0])
     if len(x) < 2 or not np.all(np.isfinite([*y, *way])) or way[-1] == 0:
         return

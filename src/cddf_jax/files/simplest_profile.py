@@ -133,10 +133,10 @@ def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> t
 
 
 def _strays(curve: "BSpline", s: np.ndarray, values: np.ndarray, tolerance: float) -> str:
-    """What a cubic spline does between the points though they give no reason for it, "" for nothing.
+    """How a cubic spline leaves the range of two neighbouring points, or turns back between them; "" if it does not.
 
-    It is at an end of an interval, where it is near enough, or level where it is highest and lowest there: these
-    places are the roots of a quadratic in each piece, so that nothing is missed between two stations.
+    Within an interval it is highest and lowest at the ends, where it is near enough, or where its slope is zero. The
+    slope of each piece is a quadratic, so all these places are found.
     """
     from scipy.interpolate import PPoly
 

@@ -1,4 +1,4 @@
-"""A few numbers of a body on the host, by one program that is kept, and not by one for every operation."""
+"""A function evaluated once, by one kept program: without it JAX compiles a program for every operation."""
 
 from collections.abc import Callable
 from typing import Any
