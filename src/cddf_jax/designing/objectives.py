@@ -26,9 +26,11 @@ class Objective(OfQuantity):
     def values(self, view: BodyView) -> Array:
         """The number to be made small, or the values along the body whose largest is, SI."""
 
+    squared: ClassVar[bool] = False  # whether the root of the number is displayed
+
     def displayed(self, value: float) -> float:
         """A value that is made small, as the user reads it, in `dimension`."""
-        return value
+        return float(np.sqrt(max(value, 0.0))) if self.squared else value
 
     @property
     def dimension(self) -> Dimension:
@@ -85,6 +87,8 @@ class Even(Objective):
     relative standard deviation. Quantities along a tendon count up to its anchor.
     """
 
+    squared = True
+
     def __check_init__(self):
         if not (self.known.along or self.known.per_tendon):
             remedy = "take Least or Most of it"
@@ -98,9 +102,6 @@ class Even(Objective):
             shares = jnp.full_like(values, 1.0 / values.size)
         mean = jnp.sum(values * shares, axis=-1, keepdims=True)
         return jnp.mean(jnp.sum((values - mean) ** 2 * shares, axis=-1, keepdims=True) / mean**2)
-
-    def displayed(self, value: float) -> float:
-        return float(np.sqrt(max(value, 0.0)))
 
     @property
     def dimension(self) -> Dimension:
@@ -117,6 +118,7 @@ class Near(Objective):
             quantities of a tendon count up to its anchor.
     """
 
+    squared = True
     value: Float[Array | np.ndarray, "..."] = eqx.field(default=0.0, converter=as_number)
     at: Float[np.ndarray | Array, " points"] | None = eqx.field(
         default=None, converter=lambda at: None if at is None else as_number(at)
@@ -140,9 +142,6 @@ class Near(Objective):
             value = value.T  # points come last in quantities along the body
         check_fits(name, value, found)
         return jnp.mean((found - value) ** 2)
-
-    def displayed(self, value: float) -> float:
-        return float(np.sqrt(max(value, 0.0)))
 
 
 def _on_panels(known: BodyQuantity, view: BodyView) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:

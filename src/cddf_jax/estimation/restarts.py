@@ -84,8 +84,11 @@ def _is_enough(task: FitTask, ending: Ending, found: list[Outcome]) -> bool:
         return True
     cost = _cost(task, ending)
     alike = np.isfinite(cost) and np.allclose(_costs(found), cost, rtol=SAME, atol=EXACT)
-    plateau = ending.determination.rank < len(task.problem.space.names) and _is_flat(task, ending)
-    return bool(alike and not plateau)
+    problem, outcome = ending.minimum
+    groups = zip(problem.data.values, problem.data.noise, problem.by_group(outcome.residual), strict=True)
+    # on a plateau what is left of some group scatters like the group itself
+    flat = any(np.std(r * np.ravel(s)) > UNEXPLAINED * np.std(v) > 0 for v, s, r in groups)
+    return bool(alike and not (flat and ending.determination.rank < len(problem.space.names)))
 
 
 def trouble(task: FitTask, ending: Ending) -> str:
@@ -116,13 +119,6 @@ def _ran_away(task: FitTask, ending: Ending) -> bool:
     if determination.combinations or set(determination.status.values()) != {NOT_IDENTIFIED}:
         return False
     return bool(np.any(task.problem.space.times_the_start(ending.minimum.outcome.parameters) > FAR))
-
-
-def _is_flat(task: FitTask, ending: Ending) -> bool:
-    """Whether what is left of some group scatters like the group itself."""
-    problem, outcome = ending.minimum
-    groups = zip(problem.data.values, problem.data.noise, problem.by_group(outcome.residual), strict=True)
-    return any(np.std(r * np.ravel(s)) > UNEXPLAINED * np.std(v) > 0 for v, s, r in groups)
 
 
 # --- searches -------------------------------------------------------------------------------------

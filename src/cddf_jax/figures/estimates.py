@@ -137,10 +137,32 @@ def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
         profile: of `fit.profile`.
         axes: where to draw; None for a new figure, one column wide.
     """
-    name = profile.name
+    name, estimate, status = profile.name, fit.value[profile.name], fit.status[profile.name]
     scale, label = shown_scale(name)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
-        _draw_profile(axes, profile, scale, fit.value[name], fit.status[name])
+        interval, limit = profile.confidence_interval, np.sqrt(profile.threshold)
+        # what is positive and open on a side is best seen on a logarithmic axis
+        valley = status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
+        low, high = _reach(profile, estimate, valley)
+        axes.set(
+            xscale="log" if valley else "linear", xlim=(scale * low, scale * high), ylim=(-0.1 * limit, 1.9 * limit)
+        )
+        if not valley:
+            axes.xaxis.set_major_locator(MaxNLocator(5))
+        ends = np.clip(interval, low, high)
+        axes.axvspan(scale * ends[0], scale * ends[1], color=looks.SKY, alpha=0.35, linewidth=0, label="95 % interval")
+        root = np.sqrt(np.maximum(profile.rise, 0.0))
+        axes.plot(scale * profile.value, root, "o-", color=looks.BLUE, markersize=2.2, label="profile")
+        axes.axhline(limit, color=looks.VERMILION, linestyle="--", label="95 % limit")
+        if status != NOT_IDENTIFIED:
+            axes.axvline(scale * estimate, color=looks.BLACK, linestyle=":", label="estimate")
+        patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+        look = {"transform": axes.transAxes, "va": "top", "color": looks.VERMILION, "bbox": patch}
+        if not profile.closed[0]:
+            word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
+            axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
+        if not profile.closed[1]:
+            axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
         axes.set(xlabel=label, ylabel="Root of the rise in squares")
         draw.legend_above(axes)
     return axes
@@ -150,30 +172,6 @@ def profiles_figure(fit: Fit, profiles: Mapping[str, Profile]) -> Figure:
     """A panel for each profile, with one legend."""
     drawn = list(profiles.values())
     return draw.panels_figure(lambda panel, profile: draw_profile(fit, profile, panel), drawn, PANEL_HEIGHT)
-
-
-def _draw_profile(axes: Axes, profile: Profile, scale: float, estimate: float, status: str) -> None:
-    interval, limit = profile.confidence_interval, np.sqrt(profile.threshold)
-    # what is positive and open on a side is best seen on a logarithmic axis
-    valley = status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
-    low, high = _reach(profile, estimate, valley)
-    axes.set(xscale="log" if valley else "linear", xlim=(scale * low, scale * high), ylim=(-0.1 * limit, 1.9 * limit))
-    if not valley:
-        axes.xaxis.set_major_locator(MaxNLocator(5))
-    ends = np.clip(interval, low, high)
-    axes.axvspan(scale * ends[0], scale * ends[1], color=looks.SKY, alpha=0.35, linewidth=0, label="95 % interval")
-    root = np.sqrt(np.maximum(profile.rise, 0.0))
-    axes.plot(scale * profile.value, root, "o-", color=looks.BLUE, markersize=2.2, label="profile")
-    axes.axhline(limit, color=looks.VERMILION, linestyle="--", label="95 % limit")
-    if status != NOT_IDENTIFIED:
-        axes.axvline(scale * estimate, color=looks.BLACK, linestyle=":", label="estimate")
-    patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
-    look = {"transform": axes.transAxes, "va": "top", "color": looks.VERMILION, "bbox": patch}
-    if not profile.closed[0]:
-        word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
-        axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
-    if not profile.closed[1]:
-        axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
 
 
 def _reach(profile: Profile, estimate: float, valley: bool) -> tuple[float, float]:

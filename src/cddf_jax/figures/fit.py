@@ -67,7 +67,13 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
             draw_model_loops(axes, panel.loops)
             _draw_branches(axes, panel.course, panel)
         elif (curve := panel.curve) is None:
-            _draw_over_prediction(axes, panel)
+            ends = [np.min(panel.x), np.max(panel.x)]
+            axes.plot(ends, ends, color=looks.BLUE, label="measured = predicted")
+            if np.all(np.isfinite(panel.half_width)):
+                interval = {"xerr": panel.half_width, "label": "95 % interval of the model"} | INTERVAL
+                axes.errorbar(panel.x, panel.observed, **interval)
+            look = {"color": looks.BLACK, "markerfacecolor": "none", "zorder": 3}
+            axes.plot(panel.x, panel.observed, "o", label=panel.data_label, **look)
         else:
             low, high = curve.value - curve.half_width, curve.value + curve.half_width
             draw_band(axes, curve.grid, low, high, label="95 % band of the model")
@@ -201,17 +207,6 @@ def _the_one(who: str, what: str, given: str | None, there: list[str]) -> str:
     if given not in there:
         raise InputError(f"{who}: {what} must be one of {', '.join(there)}; got {given!r}")
     return given
-
-
-def _draw_over_prediction(axes: Axes, panel: _Panel) -> None:
-    """Readings over predictions, with the intervals of these, and the line on which they would be equal."""
-    ends = [np.min(panel.x), np.max(panel.x)]
-    axes.plot(ends, ends, color=looks.BLUE, label="measured = predicted")
-    if np.all(np.isfinite(panel.half_width)):
-        label = "95 % interval of the model"
-        axes.errorbar(panel.x, panel.observed, xerr=panel.half_width, label=label, **INTERVAL)
-    look = {"color": looks.BLACK, "markerfacecolor": "none", "zorder": 3}
-    axes.plot(panel.x, panel.observed, "o", label=panel.data_label, **look)
 
 
 # --- residuals -----------------------------------------------------------------------------------

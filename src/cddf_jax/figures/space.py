@@ -170,7 +170,10 @@ def draw_body_in_space(axes: Axes3D, what: Drawn) -> None:
     look = {"facecolor": "white", "edgecolor": looks.BLACK, "linewidth": 0.7, "zorder": 2}
     axes.add_collection3d(Poly3DCollection([what.plate_edge], **look))
     _draw_tube(axes, what.body)
-    _number(axes, what)
+    for i, path in enumerate(what.tendons if len(what.tendons) > 1 else (), 1):  # their numbers around the plate
+        x, y, z = (what.plate + 0.04 * what.length) * path[0] / np.linalg.norm(path[0])
+        text = axes.text(x, y, z, str(i), ha="center", va="center", fontsize=7.5, zorder=8)
+        text.set_path_effects([withStroke(linewidth=1.5, foreground="white")])
 
 
 def silhouette(body: SpatialBody, plane: Sequence[int]) -> list[np.ndarray]:
@@ -210,17 +213,6 @@ def _dashed(path: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values along a line, NaN in the gaps between dashes of a 48th of its length."""
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(np.nan_to_num(path), axis=0), axis=1)))
     return np.where((way * 48 / way[-1]).astype(int) % 2 == 0, values, np.nan)
-
-
-def _number(axes: Axes3D, what: Drawn) -> None:
-    """The number of each tendon beside its base, around the plate."""
-    if len(what.tendons) > 1:
-        for i, path in enumerate(what.tendons):
-            at = (what.plate + 0.04 * what.length) * path[0] / np.linalg.norm(path[0])
-            halo = [withStroke(linewidth=1.5, foreground="white")]
-            axes.text(
-                at[0], at[1], at[2], str(i + 1), ha="center", va="center", fontsize=7.5, zorder=8, path_effects=halo
-            )
 
 
 def _draw_loads(axes: Axes3D, what: Drawn) -> None:

@@ -88,7 +88,9 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
     for name in each("figure", list(figures)):
         contents |= draw.render(figures[name], name)
     rows = compared_numbers(results)
-    contents["reproduction.md"] = reproduction_as_markdown(rows)
+    numbers = ("the paper", "ours", "difference")
+    lines = markdown_table(("quantity", *numbers, "note"), [row.cells() for row in rows], right=numbers)
+    contents["reproduction.md"] = "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"
     answer = {"table": plain([row.as_dict() for row in rows]), "files": [*contents, "reproduction.json"]}
     write_all(out, contents | {"reproduction.json": as_json(answer)})
     return answer
@@ -277,10 +279,3 @@ def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
         ComparedNumber("friction_force", f"largest friction force {at}", FORCE_PER_LENGTH, strongest[1],
             note=f"{NO_NUMBER}; ours by the second line of eq. (10), the one that closes eq. (13)"),
     ]  # fmt: skip
-
-
-def reproduction_as_markdown(rows: list[ComparedNumber]) -> str:
-    """The table as Markdown."""
-    numbers = ("the paper", "ours", "difference")
-    lines = markdown_table(("quantity", *numbers, "note"), [row.cells() for row in rows], right=numbers)
-    return "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"
