@@ -82,8 +82,6 @@ AverageHolds = Annotated[
     bool,
     typer.Option("--average-holds", help="One reading for each hold: consecutive rows of a trial at one level."),
 ]
-
-
 HistoryOption = Annotated[
     bool | None,
     typer.Option(

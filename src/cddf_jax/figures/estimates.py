@@ -144,9 +144,8 @@ def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
         # what is positive and open on a side is best seen on a logarithmic axis
         valley = status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
         low, high = _reach(profile, estimate, valley)
-        axes.set(
-            xscale="log" if valley else "linear", xlim=(scale * low, scale * high), ylim=(-0.1 * limit, 1.9 * limit)
-        )
+        axes.set(xscale="log" if valley else "linear", xlabel=label, ylabel="Root of the rise in squares")
+        axes.set(xlim=(scale * low, scale * high), ylim=(-0.1 * limit, 1.9 * limit))
         if not valley:
             axes.xaxis.set_major_locator(MaxNLocator(5))
         ends = np.clip(interval, low, high)
@@ -163,7 +162,6 @@ def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
             axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
         if not profile.closed[1]:
             axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
-        axes.set(xlabel=label, ylabel="Root of the rise in squares")
         draw.legend_above(axes)
     return axes
 
@@ -215,18 +213,14 @@ def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
             axes.plot(errors[there, k], height[there], **look, label=f"{name}{of}")
             axes.plot(np.full((~there).sum(), edge), height[~there], **look, markerfacecolor="none")
         axes.axvline(edge, color=looks.GREY, linewidth=0.6, linestyle=":")
-        _scale_errors(axes, 0.5 * known.min(initial=10.0), edge)
+        low = 0.5 * known.min(initial=10.0)
+        axes.set(xscale="log", xlim=(low, 1.5 * edge), xlabel="Expected standard error (%)")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if edge / low < MANY else (1,), numticks=50))
+        axes.xaxis.set_major_formatter(lambda tick, _: f"{tick:g}" if tick < 0.4 * edge else "")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.grid(axis="x", color=looks.PALE)
+        axes.annotate("open", (edge, 0.0), (0, -4), axes.get_xaxis_transform(), "offset points", ha="center", va="top")
         axes.set_yticks(range(len(rows)), [fill(name, 24) for name, _ in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
         draw.legend_above(axes, 4)
     return axes
-
-
-def _scale_errors(axes: Axes, low: float, edge: float) -> None:
-    """A logarithmic axis with round numbers, and "open" at the edge."""
-    axes.set(xscale="log", xlim=(low, 1.5 * edge), xlabel="Expected standard error (%)")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if edge / low < MANY else (1,), numticks=50))
-    axes.xaxis.set_major_formatter(lambda tick, _: f"{tick:g}" if tick < 0.4 * edge else "")
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.grid(axis="x", color=looks.PALE)
-    axes.annotate("open", (edge, 0.0), (0, -4), axes.get_xaxis_transform(), "offset points", ha="center", va="top")

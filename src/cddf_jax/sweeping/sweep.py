@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -250,27 +250,22 @@ class Sweep:
 
     def _variables(self) -> dict[str, Variable]:
         inputs = {n: np.zeros((), self.dtype) for d in self.dimensions if d is not self.path for n in d.numbers}
-        found: dict[str, Variable] = {}
+        outputs, found = (*self.outputs, *self.observables), dict[str, Variable]()
+        # name, output and the number that it is differentiated by, in the order of the answer
+        wanted = [(slope_name(n, by) if by else n, n, by) for n in outputs for by in ("", *self.sensitivities)]
+        wanted += [(SUCCESSFUL, SUCCESSFUL, ""), (RESULT, RESULT, "")]
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
             shapes = shapes_of(self.solver(index), inputs)
             if self.path:  # the steps are a dimension of the sweep
                 shapes = {name: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for name, x in shapes.items()}
-            for name, base, by in self._names(shapes):
+            for name, base, by in wanted:
+                if name not in shapes:  # a derivative of what is not real
+                    continue
                 unit_by = self.case.unit(by) if by else ""
                 new = one_solve.variable(base, shapes[name], self._shape, self.known_outputs, unit_by, by)
                 if found.setdefault(name, new).shape != new.shape:
                     raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
         return found
-
-    def _names(self, known: Collection[str]) -> Iterator[tuple[str, str, str]]:
-        """Of all variables, in the order of the answer: name, output and the number that it is differentiated by."""
-        for name in (*self.outputs, *self.observables):
-            yield name, name, ""
-            for by in self.sensitivities:
-                if (slope := slope_name(name, by)) in known:
-                    yield slope, name, by
-        for name in (SUCCESSFUL, RESULT):
-            yield name, name, ""
 
     @cached_property
     def identity(self) -> dict[str, object]:
