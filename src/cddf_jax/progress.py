@@ -106,12 +106,9 @@ SHOWN: ContextVar[Stages | None] = ContextVar("SHOWN", default=None)
 
 @contextmanager
 def stage(what: str, total: int | None = None, done: int = 0) -> Iterator[Stage]:
-    """Say what is being done, to those who asked; also a decorator.
+    """Say what is being done, "searching", to those who asked; also a decorator.
 
-    Args:
-        what: in words, "searching".
-        total: how many items are to be done, where they are counted.
-        done: how many of them are done already.
+    `total` is how many items are to be done, where they are counted, and `done` how many of them are done already.
     """
     shown = SHOWN.get()
     here = Stage(what, total, done, done, shown.clock() if shown else 0.0)

@@ -108,11 +108,7 @@ def quantity(text: object, dimension: Dimension, what: str) -> float:
 
 
 def vector(text: str, dimension: Dimension, what: str) -> tuple[float, ...]:
-    """The SI values of components such as "0 N, -5 N", in space three, or with one unit for all "0, -5 N".
-
-    Raises:
-        InputError: as `quantity`, and for another number of components.
-    """
+    """The SI values of components such as "0 N, -5 N", in space three, or with one unit for all "0, -5 N"."""
     parts = [part.strip() for part in text.split(",")]
     if len(parts) not in (2, 3):
         unit, wanted = _UNITS[dimension].preferred, "two components X, Y, or three in space"
@@ -139,9 +135,8 @@ def _with_their_unit(parts: list[str]) -> list[str]:
     units = {unit for part in parts if (unit := _unit_of(part))}
     if len(units) != 1:
         return parts
-    return [
-        f"{part} {next(iter(units))}" if _QUANTITY.fullmatch(part) and not _unit_of(part) else part for part in parts
-    ]
+    (unit,) = units
+    return [f"{part} {unit}" if _QUANTITY.fullmatch(part) and not _unit_of(part) else part for part in parts]
 
 
 def _unit_of(part: str) -> str | None:

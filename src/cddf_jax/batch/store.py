@@ -53,13 +53,8 @@ class ZarrStore:
     """A Zarr store on disk.
 
     Where it exists already, the work goes on with it, and its chunks hold. A store of something else, or of the answer
-    of other work, is refused.
-
-    Args:
-        path: of the store.
-        layout: of the answer.
-        identity: all that the answer depends on, JSON.
-        create: whether this process makes the store where there is none.
+    of other work, is refused. The identity is all that the answer depends on, JSON. `create` says whether this process
+    makes the store where there is none.
     """
 
     def __init__(
@@ -105,11 +100,7 @@ class ZarrStore:
 
 @contextmanager
 def in_one_step(path: Path) -> Iterator[Path]:
-    """A name beside the path, of a file or a folder, which takes its place when all is written.
-
-    Raises:
-        InputError: where it cannot be written.
-    """
+    """A name beside the path, of a file or a folder, which takes its place when all is written."""
     draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         yield draft

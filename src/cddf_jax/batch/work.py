@@ -28,7 +28,6 @@ def carry_out(
 
     Args:
         what: is done, in words, "solving".
-        layout: of the answer.
         identity: all that the answer depends on, JSON; computed for a store only.
         chunk: the answer in the region of one chunk.
         out: path of a Zarr store; None for memory.

@@ -44,7 +44,13 @@ def read_sweep(
     ranges = read_all(sample, "--sample", SAMPLE, lambda name, text: text)
     if not axes and not ranges:
         raise InputError(f"nothing varies; give --over {OVER} or --sample")
-    count = _num_samples(ranges, samples)
+    if ranges and samples is None:
+        raise InputError("--sample needs the number of samples; give for example --samples 1000")
+    if samples is not None and not ranges:
+        raise InputError(f"--samples {samples}: nothing is sampled; give for example --sample {SAMPLE}")
+    for name in ranges:
+        if name in OPTIONS:
+            raise InputError(f"--sample {name}: only numbers have a range; write --over {name}=, with a list")
     names = [name for name in (*axes, *ranges) if name not in OPTIONS]
     tensions = read_actuation(base_tension, manipulator) if base_tension else None
     draft = Sweep(
@@ -63,7 +69,7 @@ def read_sweep(
     joined = _joined(values, together)
     if ranges:
         limits = {name: _limits(name, text, dimension_of[name]) for name, text in ranges.items()}
-        joined["sample"] = SAMPLERS[sampler](limits, count, seed)
+        joined["sample"] = SAMPLERS[sampler](limits, samples or 0, seed)
     return replace(draft, dimensions=dimensions_of(joined))
 
 
@@ -83,17 +89,6 @@ def _joined(values: Mapping[str, object], together: Sequence[str]) -> dict[str, 
         rest = {name: values for name, values in joined.items() if name not in names[1:]}
         joined = dict(axis if name == names[0] else (name, values) for name, values in rest.items())
     return joined
-
-
-def _num_samples(ranges: Mapping[str, str], count: int | None) -> int:
-    if ranges and count is None:
-        raise InputError("--sample needs the number of samples; give for example --samples 1000")
-    if count is not None and not ranges:
-        raise InputError(f"--samples {count}: nothing is sampled; give for example --sample {SAMPLE}")
-    for name in ranges:
-        if name in OPTIONS:
-            raise InputError(f"--sample {name}: only numbers have a range; write --over {name}=, with a list")
-    return count or 0
 
 
 def _range(name: str, text: str, dimension: units.Dimension) -> np.ndarray:

@@ -41,9 +41,8 @@ class Limit(OfQuantity):
             raise InputError(f"{name} varies along the body and cannot equal one value; take Near or Even of it")
         for side in ("least", "most", "equal", "scale"):
             number = getattr(self, side)
-            if isinstance(number, np.ndarray) and (
-                not np.all(np.isfinite(number)) or (number.ndim and side != "equal")
-            ):
+            shaped = np.ndim(number) > 0 and side != "equal"
+            if isinstance(number, np.ndarray) and (shaped or not np.all(np.isfinite(number))):
                 raise InputError(f"a limit of {name} must be a finite number, got {side}={number.tolist()}")
         if isinstance(self.scale, np.ndarray) and not self.scale > 0:
             raise InputError(f"the scale of a limit of {name} must be above 0, got {self.scale:g}")

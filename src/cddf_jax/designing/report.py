@@ -70,9 +70,7 @@ def _objective(found: Design, value: float) -> str:
 def _numbers(found: Design) -> Iterator[str]:
     rows = []
     for name, free in found.free.items():
-        start, value, lower, upper = (
-            number_in_words(name, x) for x in (free.start, free.value, free.lower, free.upper)
-        )
+        start, value, lower, upper = (number_in_words(name, x) for x in free[:4])
         rows.append((name, start, value, f"{lower} to {upper}", free.status))
     yield from markdown_table(("free number", "start", "design", "bounds", ""), rows, right=("start", "design"))
     yield ""

@@ -188,9 +188,8 @@ class DesignSearch:
         if local.feasible:
             return local, ()
         aims = problem.evaluation(local.point.x).aims
-        least = least_violation(
-            problem, local.point.x, *self.bounds, rigid=sum(aims[i].size for i in self.problem.peaks)
-        )
+        rigid = sum(aims[i].size for i in self.problem.peaks)
+        least = least_violation(problem, local.point.x, *self.bounds, rigid=rigid)
         inner = least.point.x[:-1]
         if least.point.objective > TOLERANCE:
             point = problem(inner)

@@ -63,9 +63,8 @@ class Determination:
             if status == IDENTIFIED:
                 number += f" +- {self.standard_error[name]:.2g} (95 %: {low:.4g} to {high:.4g})"
             lines.append(f"{name}{number}: {status}")
-        lines += [
-            f"{name} = {e.value:.4g} +- {e.standard_error:.2g}: identified" for name, e in self.told_together.items()
-        ]
+        together = self.told_together.items()
+        lines += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g}: identified" for name, e in together]
         return "\n".join(lines)
 
     @property

@@ -94,9 +94,8 @@ def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
     """
     problem, outcome = minimum
     found, residuals = {}, problem.by_group(outcome.residual)
-    for name, values, sigma, residual in zip(
-        problem.groups, problem.data.values, problem.data.noise, residuals, strict=True
-    ):
+    groups = zip(problem.groups, problem.data.values, problem.data.noise, residuals, strict=True)
+    for name, values, sigma, residual in groups:
         values = np.ravel(values)
         estimated = evidence.noise_estimated[name]
         near = np.abs(residual) <= WITHIN if estimated else np.full(values.size, True)

@@ -203,11 +203,9 @@ def look_along_valleys(
     """Hold each parameter that looks identified at values ever farther off and fit the others again.
 
     The curvature at a minimum can suggest an interval although the valley is flat farther off. A side is closed where
-    the sum of squares has risen by twice what ends a 95 % interval.
-
-    Returns:
-        The evidence with what was seen of each parameter, the least rise of the sum of squares over all that was tried,
-        and the z of its place; None where it fell nowhere.
+    the sum of squares has risen by twice what ends a 95 % interval. Returned are the evidence with what was seen of
+    each parameter, the least rise of the sum of squares over all that was tried, and the z of its place: None where it
+    fell nowhere.
     """
     space, value, quantile = minimum.problem.space, evidence.value, determination.quantile
     error = evidence.spectrum.relative_error * evidence.size

@@ -138,11 +138,7 @@ def with_joints(grid: np.ndarray, joints: ArrayLike) -> np.ndarray:
 
 
 def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> AnyFields:
-    """The fields at some arc lengths as NumPy arrays.
-
-    Raises:
-        InputError: when the solve failed.
-    """
+    """The fields at some arc lengths as NumPy arrays; a solve that failed is refused."""
     fields = jax.tree.map(np.asarray, fields_on(equilibrium, arc_length))
     if not np.all(np.isfinite(fields.position)):
         raise InputError("the solve failed, there is no shape to draw; see its result")
@@ -259,9 +255,6 @@ def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np
     """A quantity in the unit of its label, (lines, points).
 
     One line, one for each tendon up to its anchor, or for the curvature in space three.
-
-    Raises:
-        InputError: for the strain of an axis that stretches, which is not told along the body.
     """
     if quantity == "strain" and manipulator.extensible:
         raise InputError("draw_along: the strain along an axis that stretches is not known; see peak_strain")

@@ -107,9 +107,8 @@ def draw_history_along(
 
     Args:
         manipulator: the body that was traced.
-        history: of `trace`.
+        history, axes: as of `draw_loop`.
         quantity: as `draw_along` takes it.
-        axes: where to draw; None for a new figure, one column wide.
         steps: which of its steps, from 0, are drawn and bear the numbers 1, 2, ...; unless given the last six of those
             where it turns.
         tendon: whose tensions and fronts are drawn, from 0.

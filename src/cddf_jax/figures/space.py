@@ -45,9 +45,6 @@ def room_or_new(axes: Axes | None, points: np.ndarray, width: float, height: flo
     """Axes of three dimensions around points, mm, to draw into: those given, or those of a new figure.
 
     The plot in a new figure is so wide and at most so high, inches; the figure fits around it.
-
-    Raises:
-        InputError: for given axes without three dimensions.
     """
     if isinstance(axes, Axes3D):
         _set_room(axes, points)

@@ -39,10 +39,7 @@ def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: floa
         arc_length: m, the first 0, increasing but for those that are given twice, which are neither first nor last.
         values: m, at these arc lengths; of a step the left one first.
         tolerance: m, the most by which the profile may miss a value.
-        name: of the quantity, with which an error begins.
-
-    Raises:
-        InputError: where more lines are needed than a solve should have.
+        name: of the quantity, with which an error begins: where more lines are needed than a solve should have.
     """
     parts = _between_steps(arc_length, values, tolerance)
     pieces = [_straight(*part, tolerance) or _curved(*part, tolerance, name) for part in parts]

@@ -11,11 +11,9 @@ from .kept import kept_program
 
 
 def evaluated(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function gives, with NumPy arrays in the place of those of JAX.
+    """What a function of the library or a callable pytree, such as a profile, gives; NumPy arrays in place of JAX's.
 
-    Args:
-        function: a function of the library, such as `Manipulator.stiffness`, or a callable pytree, such as a profile.
-        arguments: its arguments; arrays must be arrays, as every Python number makes another program.
+    Numbers among the arguments must be arrays, as every Python number makes another program.
     """
     return jax.tree.map(np.asarray, _called(function, *arguments))
 

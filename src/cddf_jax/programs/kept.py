@@ -153,11 +153,7 @@ def _remember(at: Hashable, call: Call | None) -> Call | None:
 
 
 def _answer_to(question: Question, arrays: Sequence[Any]) -> Call:
-    """The program from the disk, or else a new one.
-
-    Raises:
-        UnavailableError: where it is none that can be kept.
-    """
+    """The program from the disk, or else a new one; `UnavailableError` where it is none that can be kept."""
     if are_special() or not is_source_unchanged():
         raise UnavailableError("special settings of JAX, or a source that was edited")
     if question.mesh is None and any(one.spec for one in question.inputs):
@@ -170,11 +166,7 @@ def _answer_to(question: Question, arrays: Sequence[Any]) -> Call:
 
 
 def _key(question: Question) -> str:
-    """A digest of all that the program depends on.
-
-    Raises:
-        NotDescribedError: where something of a user's takes part.
-    """
+    """A digest of all that the program depends on; `NotDescribedError` where something of a user's takes part."""
     leaves = [Place(leaf) if isinstance(leaf, Signature) else leaf for leaf in question.leaves]
     function = f"{question.function.__module__}:{question.function.__qualname__}"
     parts = [function, describe(question.structure.unflatten(leaves)), machine_and_versions(), named_settings()]

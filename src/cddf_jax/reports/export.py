@@ -23,7 +23,7 @@ from ..quantities import QUANTITIES
 from ..statics.description import result_in_words
 from ..statics.equilibrium import Equilibrium, fields_on
 from ..sweeping.one_solve import AXES, COMPONENTS, IN_SPACE, OUTPUTS
-from ..units import si_unit
+from ..units import Dimension, si_unit
 
 if TYPE_CHECKING:
     import pandas
@@ -100,7 +100,9 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
             return pandas.DataFrame(_parameters(what)).set_index("parameter")
         case Measurements():
             trials = [what.trial_labels[int(code)] for code in what["trial"]] if "trial" in what.columns else []
-            return pandas.DataFrame({_head(n): trials if n == "trial" else what[n] for n in what.columns})
+            known: dict[str, Dimension | None] = {name: column_dimension(name) for name in what.columns}
+            heads = {n: n if dimension is None else f"{n} [{si_unit(dimension)}]" for n, dimension in known.items()}
+            return pandas.DataFrame({head: trials if n == "trial" else what[n] for n, head in heads.items()})
         case Plan():
             rows = [
                 {"candidate": ranked.candidate.name, "gain": ranked.gain, "cost": ranked.candidate.cost}
@@ -185,8 +187,3 @@ def _parameters(told: Determination) -> list[dict[str, str | float]]:
         rows.append((name, value, error, value - reach, value + reach, unit_of(name), IDENTIFIED))
     heads = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")
     return [dict(zip(heads, row, strict=True)) for row in rows]
-
-
-def _head(column: str) -> str:
-    dimension = column_dimension(column)
-    return column if dimension is None else f"{column} [{si_unit(dimension)}]"

@@ -59,16 +59,12 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
     """Write the paper's Fig. 3, 4, 5, 6 and 8 (PDF and PNG) and a table of its numbers beside ours.
 
     Args:
-        manipulator: the paper's, with one tendon.
+        manipulator: the paper's, with one tendon, in the plane.
         load_cells: trials with the columns base_tension and tip_tension; what is simulated is called so.
         out: folder for the figures, reproduction.md and reproduction.json; all are written or none.
 
     Returns:
         What reproduction.json holds: `table`, a list of rows in SI units, and `files`, their names.
-
-    Raises:
-        InputError: for a manipulator with several tendons or in space, or trials without tip tensions.
-        SolveError: when the body has no equilibrium at one of the tensions.
     """
     if manipulator.num_tendons != 1:
         raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; leave one")

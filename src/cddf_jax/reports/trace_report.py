@@ -70,20 +70,15 @@ def traced(
 ) -> TracedPath:
     """Trace the paths of all tendons, with so many points between their steps that loops are smooth.
 
-    Several tendons, and loads, are followed in short steps.
+    Several tendons, and loads, are followed in short steps. A `SolveError` names the step that failed.
 
     Args:
-        manipulator: the body.
         paths: one for each tendon, all of one length: base tensions, N, displacements of the tendon, m, or of one
             tendon alone tip angles, rad, after each step; not all 0.
         driven: what each of them is, "force", "length" or "angle".
         loads: on the body before the first step; they stay.
         nodes, max_turns: as `trace` takes them.
         before: the largest base tension of each tendon before the paths, N; None for rest.
-
-    Raises:
-        SolveError: names the step that failed.
-        ValueError: as `trace`.
     """
     is_exact = len(paths) == 1 and loads is None
     start = np.zeros(len(paths)) if before is None else np.array(before)  # where the paths come from
@@ -118,10 +113,8 @@ def _check(history: History, steps: np.ndarray, values: np.ndarray, driven: Sequ
         return
     first = int(np.argmax(failed))
     step = int(np.searchsorted(steps, first))
-    to, at = (
-        ", ".join(shown(value, kind) for value, kind in zip(values[place], driven, strict=True))
-        for place in (steps[step], first)
-    )
+    pairs = (zip(values[place], driven, strict=True) for place in (steps[step], first))
+    to, at = (", ".join(shown(value, kind) for value, kind in pair) for pair in pairs)
     raise SolveError(f"step {step + 1}, on the way to {to}, at {at}: {RESULTS[result_of(codes[first])]}")
 
 

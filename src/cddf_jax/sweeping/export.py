@@ -16,7 +16,6 @@ from .one_solve import AXES, COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
 if TYPE_CHECKING:
     import xarray
 
-
 LABELS = {"component": COMPONENTS, "axis": AXES}  # of places along a dimension; others are counted
 
 

@@ -25,7 +25,6 @@ COMPONENTS = ("X", "Y", "Z")  # in the fixed frame; a body in the plane has the 
 AXES = ("x", "y", "z")  # of a cross-section of a body in space
 SUCCESSFUL, RESULT = VERDICTS = "successful", "result"
 
-
 # what can be asked of an `Equilibrium`, and its dimensions beside those of the sweep
 OUTPUTS: dict[str, tuple[str, ...]] = {
     "tip_position": ("component",),

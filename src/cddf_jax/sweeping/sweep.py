@@ -205,7 +205,7 @@ class Sweep:
         variables = self._variables()
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
         layout = Layout(
-            self._shape,
+            {dimension.name: dimension.size for dimension in self.dimensions},
             tuple(1 for _ in self.dimensions),
             one_solve.coordinates(self.dimensions, units, variables),
             variables,
@@ -244,13 +244,10 @@ class Sweep:
         """How many solves are made together, as one goes on where another ended."""
         return 1 if self.path is None else self.path.size
 
-    @property
-    def _shape(self) -> dict[str, int]:
-        return {dimension.name: dimension.size for dimension in self.dimensions}
-
     def _variables(self) -> dict[str, Variable]:
         inputs = {n: np.zeros((), self.dtype) for d in self.dimensions if d is not self.path for n in d.numbers}
         outputs, found = (*self.outputs, *self.observables), dict[str, Variable]()
+        shape = {dimension.name: dimension.size for dimension in self.dimensions}
         # name, output and the number that it is differentiated by, in the order of the answer
         wanted = [(slope_name(n, by) if by else n, n, by) for n in outputs for by in ("", *self.sensitivities)]
         wanted += [(SUCCESSFUL, SUCCESSFUL, ""), (RESULT, RESULT, "")]
@@ -262,7 +259,7 @@ class Sweep:
                 if name not in shapes:  # a derivative of what is not real
                     continue
                 unit_by = self.case.unit(by) if by else ""
-                new = one_solve.variable(base, shapes[name], self._shape, self.known_outputs, unit_by, by)
+                new = one_solve.variable(base, shapes[name], shape, self.known_outputs, unit_by, by)
                 if found.setdefault(name, new).shape != new.shape:
                     raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
         return found
