@@ -310,10 +310,8 @@ def _repeat_section(report: Report) -> list[str]:
     text = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
     text += f" With history: {', '.join(fit.steadied)}." if fit.steadied else ""
     courses = [one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
-    past = [
-        words for course in courses for words in course.past_in_words
-    ]  # "rest", or where trials differ "rest, 80 N"
-    past = past if len(set(past)) > 1 else past[:1]
+    past = [words for course in courses for words in course.past_in_words]
+    past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
     text += f" Before the first row: {', '.join(past)}." if fit.steadied else ""
     text += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
     text += " results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
