@@ -12,7 +12,7 @@ from cddf_jax.explorer.model import Exploration
 from cddf_jax.explorer.past import why_no_loop
 from cddf_jax.explorer.space import SpacePlot, body_rows, floor_rows, load_rows, tendon_rows
 from cddf_jax.explorer.words import numbers_html
-from cddf_jax.figures.geometry import Drawn, stations, straight_spatial_body
+from cddf_jax.figures.geometry import Drawn, SpatialBody, stations
 from cddf_jax.measurements.table import Measurements
 
 THREE = DATA / "three_tendons_made_up.toml"
@@ -32,7 +32,8 @@ def three():
 def straight(manipulator, loads=None):
     """What is drawn of a body without tensions: all lines straight, at 9 mm and 0, 120 and 240 degrees."""
     s = stations(manipulator)
-    body, angles = straight_spatial_body(manipulator, s), np.radians([0.0, 120.0, 240.0])
+    radius, angles = 1e3 * np.asarray(manipulator.radii(s)[0]), np.radians([0.0, 120.0, 240.0])
+    body = SpatialBody(np.outer(1e3 * s, [1.0, 0.0, 0.0]), np.tile(np.eye(3), (len(s), 1, 1)), radius)
     across = 9.0 * np.stack([0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
     paths = body.midline + across[:, None]
     loads = cddf.Loads((0.0, 0.0, 0.0)) if loads is None else loads
