@@ -66,8 +66,8 @@ def read_before(text: str | None) -> Before:
 def _tensions(text: str) -> One:
     if text == REST:
         return REST
-    found = tuple(quantity(part.strip(), "force", "--before") for part in text.split("/"))
-    return found if len(found) > 1 else found[0]
+    found = [quantity(part.strip(), "force", "--before") for part in text.split("/")]
+    return tuple(found) if len(found) > 1 else found[0]
 
 
 def read_setting(

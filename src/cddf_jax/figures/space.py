@@ -17,7 +17,6 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.axis3d import Axis
 from mpl_toolkits.mplot3d.proj3d import proj_transform
-from scipy.spatial import ConvexHull
 
 from ..errors import InputError
 from ..robot.loads import Loads
@@ -175,6 +174,8 @@ def draw_body_in_space(axes: Axes3D, what: Drawn) -> None:
 
 def silhouette(body: SpatialBody, plane: Sequence[int]) -> list[np.ndarray]:
     """What a body covers of a plane of two coordinates: a polygon (corners, 2) for each piece between two rings."""
+    from scipy.spatial import ConvexHull  # takes long to load, and sweeps load this module for other figures
+
     flat = body.rings[:, :-1][..., list(plane)]
     pairs = np.concatenate([flat[:-1], flat[1:]], axis=1)
     return [pair[ConvexHull(pair, qhull_options="QJ").vertices] for pair in pairs]
