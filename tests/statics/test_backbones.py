@@ -247,12 +247,13 @@ def beside_radii(**changes: Any) -> cddf.Manipulator:
     return cddf.Manipulator(**told | {"outer_radius": cddf.Linear(0.01, 0.008, L), "inner_radius": 0.002} | changes)
 
 
-def checked(body: cddf.Manipulator, name: str, wall_is_seen: bool = False, **loads: Any) -> None:
-    from cddf_jax.robot.named_numbers import Case
-    from cddf_jax.sweeping.axes import check_names, dimensions_of
+def checked(body: cddf.Manipulator, name: str, output: str = "tip_tension", **loads: Any) -> None:
+    from cddf_jax.sweeping.axes import dimensions_of
+    from cddf_jax.sweeping.checks import check_sweep
+    from cddf_jax.sweeping.sweep import Sweep
 
-    case = Case(body, 1.0, cddf.Loads(**loads) if loads else None, 1.0)
-    check_names(dimensions_of({name: [0.006, 0.007]}), (), case, wall_is_seen)
+    varied, given = dimensions_of({name: [0.006, 0.007]}), cddf.Loads(**loads) if loads else None
+    check_sweep(Sweep(manipulator=body, dimensions=varied, base_tension=1.0, loads=given, outputs=(output,)))
 
 
 def test_radii_that_change_nothing_do_not_vary():
@@ -263,8 +264,8 @@ def test_radii_that_change_nothing_do_not_vary():
         checked(beside_radii(density=1000.0), name, **fall)  # they weigh
         assert message in refused(lambda name=name: checked(beside_radii(mass_per_length=0.1), name, **fall))
         checked(beside_radii(bending_stiffness=None, youngs_modulus=1e6), name)  # they stiffen
-    checked(body, "outer_radius.tip", wall_is_seen=True)
-    assert "has no effect" in refused(lambda: checked(body, "inner_radius.value", wall_is_seen=True))
+    checked(body, "outer_radius.tip", "peak_strain")
+    assert "has no effect" in refused(lambda: checked(body, "inner_radius.value", "peak_strain"))
     cddf.sweep(body, {"outer_radius.tip": [0.006]}, 1.0, outputs=["peak_strain"], nodes=4)
     assert "has no effect" in refused(lambda: cddf.sweep(body, {"outer_radius.tip": [0.006]}, 1.0))
 
