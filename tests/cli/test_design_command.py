@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from places import ROOT
 
 import cddf_jax as cddf
+from cddf_jax import figures
 from cddf_jax.cli import design as design_command
 from cddf_jax.designing.task_file import KEYS, read_task
 from cddf_jax.estimation.determination import IDENTIFIED
-from cddf_jax.figures import style
 from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off
 
 PAPER = ROOT / "data" / "smooth_sil_940.toml"
@@ -220,13 +220,13 @@ value = "30 deg"
 @pytest.mark.slow
 def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch):
     """The angle is ln(1 + mu T d L / (E I)) / mu, design.md section 4; profile and diameters are not known."""
-    figures, drawn = [], style.render
+    kept, drawn = [], figures.render
 
     def keeping(figure, name):
-        figures.append(figure)
+        kept.append(figure)
         return drawn(figure, name)
 
-    monkeypatch.setattr(style, "render", keeping)
+    monkeypatch.setattr(figures, "render", keeping)
     (tmp_path / "backbone.toml").write_text(BACKBONE)
     _, _, success = design_command.run_design(read_task(task(BEND)), tmp_path / "out")
     assert success
@@ -234,7 +234,7 @@ def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch)
     assert written == {"design.md", "design.json", "design.toml", "design.pdf", "design.png"}
     stiffness = cddf.read_manipulator(tmp_path / "out" / "design.toml").stiffness(0.1)
     assert float(stiffness) == pytest.approx(0.2 * 5 * 0.008 * 0.2 / np.expm1(0.2 * np.pi / 6), rel=1e-4)
-    assert [text.get_text() for text in figures[0].axes[0].texts if text.get_text()] == ["after", "before"]
+    assert [text.get_text() for text in kept[0].axes[0].texts if text.get_text()] == ["after", "before"]
 
 
 @pytest.mark.parametrize("name", ["uniform_curvature", "least_tension", "robust", "routing"])
