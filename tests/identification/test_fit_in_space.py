@@ -205,7 +205,7 @@ def test_a_camera_and_a_tendon_turned_about_the_axis_act_alike():
 
 @pytest.mark.slow
 def test_rows_under_loads_in_space():
-    """Each as `solve` has it, and a row that has no solution spoils no other."""
+    """Each as `solve` has it, and a row that has no solution changes no other."""
     tendon = cddf.Tendon(0.010, angle=0.0)
     body = dataclasses.replace(in_plane(density=1070.0), tendons=(tendon,))
     gravity, pulls = np.array([0.0, 0.0, -9.81]), np.array([10.0, 5000.0, 40.0])

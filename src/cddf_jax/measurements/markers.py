@@ -1,7 +1,7 @@
 """Markers on a body, and the camera that sees them and the tip.
 
 A column `x@120mm` is the first coordinate of a marker on the axis at 120 mm; `x@head` is that of the marker "head",
-whose place is told apart from the table.
+whose place is given separately from the table.
 """
 
 import re

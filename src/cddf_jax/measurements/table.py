@@ -10,7 +10,7 @@
 | tip_tension, tip_tension_2, ... | force | the same tendon's tension at its tip end |
 | tip_angle | angle | phi(L) |
 | tip_x, tip_y, tip_z | length | u(L) in the frame at the base, tip_z of a body in space |
-| x@120mm, y@120mm, z@120mm | length | a marker at that arc length; the place of `x@head` is told apart |
+| x@120mm, y@120mm, z@120mm | length | a marker at that arc length; the place of `x@head` is given separately |
 | tip_force_x, tip_force_y, tip_force_z | force | known dead load on the tip |
 | direction, direction_2, ... | none | +1 where the tendon slides in (pulled), -1 out; without it: as `solve` finds it |
 | wrap_angle | angle | pulley test: angle of contact |

@@ -137,7 +137,7 @@ def locate(problem: Problem, state: AnyState) -> Splits:
 
 
 def with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:
-    """The same with its polynomials at the ends of the panels, beside which it may change its sign."""
+    """The turning at the start, the nodes and the end of each panel, on the polynomials through its nodes."""
     starts, ends = at_starts_and_ends(cut, turning)
     return jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)
 
