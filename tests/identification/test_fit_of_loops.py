@@ -4,6 +4,7 @@ On the paper's body in the exact kinematics 1/T at the tip is a play of 1/T_base
 g = (mu/E) int d/J; the tip angle has a closed form too.
 """
 
+import dataclasses
 from itertools import pairwise
 
 import equinox as eqx
@@ -485,6 +486,69 @@ def test_a_loop_under_a_tip_force():
     found = cddf.fit(BODY, Measurements.from_columns("bench", **columns, **read), noise=NOISE, short_steps=8)
     for name, truth in (("friction_coefficient", MU), ("youngs_modulus", E)):
         assert abs(found.value[name] - truth) < 0.3 * found.standard_error[name]
+
+
+HEAVY = cddf.Loads(tip_force=(0.0, -0.3), gravity=(0.0, -9.81))
+AS_FITTED = {"nodes": 8, "short_steps": 4}  # of `trace`, with which it has the cells and steps of a fit
+
+
+def heavy(num_tendons=1):
+    """The body with the weight of silicone rubber."""
+    return dataclasses.replace(paper_body("exact", num_tendons=num_tendons), density=1070.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("num_tendons", [1, 2])
+def test_a_loop_under_gravity(num_tendons):
+    """Simulated by `trace` under loads that rest on the body, without noise: the rows of the fit are those of it."""
+    body, path = heavy(num_tendons), np.array([[20.0, 45, 70, 55, 40, 20], np.full(6, 10.0)])[:num_tendons].T
+    history = cddf.trace(body, path, HEAVY, **AS_FITTED)
+    names = [f"{name}{end}" for end in ("", "_2")[:num_tendons] for name in ("base_tension", "tip_tension")]
+    numbers = np.stack([path, np.reshape(history.tip_tension, path.shape)], axis=2).reshape(6, -1).T
+    columns = dict(zip(names, numbers, strict=True)) | {"tip_angle": history.tip_angle, "step": range(6)}
+    start = dataclasses.replace(body, friction_coefficient=0.35, youngs_modulus=1.2e6)
+    setting, noise = cddf.BenchSetting(loads=HEAVY), NOISE | {"tip_tension_2": CELL}
+    noise = {name: noise[name] for name in columns if name in noise}
+    found = cddf.fit(start, Measurements.from_columns("bench", **columns), noise=noise, setting=setting)
+    assert found.value["friction_coefficient"] == pytest.approx(MU, rel=1e-8)
+    assert found.value["youngs_modulus"] == pytest.approx(E, rel=1e-8)
+    for residual in found.residuals.values():
+        np.testing.assert_allclose(residual, 0.0, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_tip_force_that_changes_under_gravity():
+    """As a `trace` under gravity alone, and another that goes on from there with the forces."""
+    path, before = np.array([50.0, 65.0, 30.0, 10.0]), 60.0
+    force = np.array([[0.1, -0.2], [0.0, -0.4], [0.0, -0.4], [0.0, 0.0]])
+    gravity = cddf.Loads(gravity=HEAVY.gravity)
+    first = cddf.trace(heavy(), [before], gravity, **AS_FITTED)
+    loads = [dataclasses.replace(gravity, tip_force=pair) for pair in force]
+    history = cddf.trace(heavy(), path, loads, start=first, **AS_FITTED)
+    columns = {"base_tension": path, "tip_force_x": force[:, 0], "tip_force_y": force[:, 1], "step": range(4)}
+    read = {"tip_tension": np.zeros(4), "tip_angle": np.zeros(4), "tip_y": np.zeros(4)}
+    table = Measurements.from_columns("bench", **columns, **read)
+    course = course_of(table, starts=[Start((before,), ("",))], loaded=True)[0]
+    rows = experiment_of(table, heavy(), course=course, setting=cddf.BenchSetting(loads=gravity))
+    shown = rows.predict(heavy(), {}, 16)
+    np.testing.assert_allclose(shown["tip_tension"], history.tip_tension, rtol=1e-9)
+    np.testing.assert_allclose(shown["tip_angle"], history.tip_angle, atol=1e-9)
+    np.testing.assert_allclose(shown["tip_y"], history.tip_position[:, 1], atol=1e-11)
+
+
+def test_loads_of_all_rows_leave_no_exact_answer():
+    """Nor one curve on which all rows lie."""
+    course, _ = course_of(table(UP), loaded=True)
+    assert course.short_steps == 4
+    setting = cddf.BenchSetting(loads=HEAVY)
+    rows = experiment_of(table(UP), heavy(), course=course, setting=setting)
+    assert not rows.on_one_curve
+    pull = {"base_tension": PULLS[:10], "base_tension_2": np.full(10, 20.0), "tip_angle": np.zeros(10)}
+    pair = Measurements.from_columns("pair", step=range(10), **pull)
+    assert not experiment_of(pair, PAIR, course=course_of(pair)[0]).on_one_curve
+    assert experiment_of(table(UP), BODY, course=course_of(table(UP))[0]).on_one_curve
+    with pytest.raises(InputError, match=r"bench: loads\.gravity: the body has no weight"):
+        cddf.fit(BODY, table(UP), setting=setting)
 
 
 # --- jitter of the base cell -----------------------------------------------------------------------

@@ -62,7 +62,7 @@ def fit(
     before: BeforeOption = None,
     short_steps: Annotated[
         int,
-        typer.Option(help="Into how many each step of a history is divided with several tendons or tip forces.", min=2),
+        typer.Option(help="Into how many each step of a history is divided with several tendons or loads.", min=2),
     ] = 4,
     loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[

@@ -47,17 +47,14 @@ def at_rest(manipulator: Manipulator, cells: Cells, given: Given, loads: Loads |
     Args:
         manipulator: the body.
         cells: of it.
-        given: after the first step.
-        loads: that rest on it before that step, or None.
+        given: at that moment.
+        loads: that rest on it, or None.
     """
-    still = jnp.zeros_like(given.ends.base_tension)
+    still = given.ends.base_tension
     slips = jnp.zeros((cells.edges.size, still.size), still.dtype)
     line = slips[:, 0]
     edges, good = Edge(slips, line, slips, line), jnp.asarray(True)
-    if loads is None:
-        given = jax.tree.map(jnp.zeros_like, given)
-    else:
-        given = given._replace(ends=given.ends._replace(base_tension=still, displacement=still))
+    if loads is not None:
         found = solve(manipulator, still, loads, direction=1.0, throw=False)
         state = jax.vmap(found._dense.state)(cells.edges)
         edges, good = Edge(slips, state.heading, slips, state.moment), found._dense.solved

@@ -22,22 +22,23 @@ class Path(NamedTuple):
     tension: Float[Array, "steps tendons"]  # N; zero for a tendon that is driven by its displacement
     displacement: Float[Array, "steps tendons"]  # m; zero for a tendon whose tension is given
     loads: Loads | None
+    resting: Loads | None = None  # on the body before the first step; without an axis of steps
 
     def under(self, loads: Loads) -> "Path":
         """The same path, along which loads stay."""
         count = self.tension.shape[0]
         return self._replace(loads=jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), loads))
 
-    def behind(self, tension: Float[Array, " tendons"], *, loads_stay: bool) -> "Path":
-        """The same path with a step before the first, under loads that stay or under none."""
-
-        def first(loads: Array) -> Array:
-            return jnp.concatenate([loads[:1] if loads_stay else jnp.zeros_like(loads[:1]), loads])
-
+    def behind(self, tension: Float[Array, " tendons"]) -> "Path":
+        """The same path with a step before the first, under what rests on the body, or under no loads."""
+        resting = self.resting
+        if resting is None:
+            resting = jax.tree.map(lambda x: jnp.zeros_like(x[0]), self.loads)
         return Path(
             jnp.concatenate([tension[None].astype(self.tension.dtype), self.tension]),
             jnp.concatenate([jnp.zeros_like(self.displacement[:1]), self.displacement]),
-            jax.tree.map(first, self.loads),
+            jax.tree.map(lambda first, loads: jnp.concatenate([first[None], loads]), resting, self.loads),
+            self.resting,
         )
 
 
@@ -73,7 +74,7 @@ def _is_numbers(entry: object) -> bool:
     return isinstance(entry, float | int | np.ndarray | jax.Array | tuple | list | np.generic)
 
 
-def not_per_step(loads: Loads) -> bool:
+def _not_per_step(loads: Loads) -> bool:
     """Whether loads stay as they are."""
     return all(np.ndim(getattr(loads, name)) == count for name, count in NUM_AXES.items())
 
@@ -83,12 +84,16 @@ def given_path(
 ) -> tuple[Path, tuple[int, ...]]:
     """The path, and the numbers of the tendons, from 0, that are driven by their displacement.
 
+    Loads that stay rest on the body before the first step.
+
     Raises:
         ValueError: for wrong shapes.
         TypeError: for what is neither numbers nor `Displacement`.
     """
     tension, displacement, driven = _actuation(manipulator, base_tension)
-    return Path(tension, displacement, _loads(loads, tension.shape[0])), driven
+    along = _loads(loads, tension.shape[0])
+    stay = isinstance(loads, Loads) and _not_per_step(loads)
+    return Path(tension, displacement, along, jax.tree.map(lambda x: x[0], along) if stay else None), driven
 
 
 def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tuple[Array, Array, tuple[int, ...]]:

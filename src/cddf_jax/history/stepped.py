@@ -54,7 +54,6 @@ class Following(NamedTuple):
     """How a path is followed; static."""
 
     driven: tuple[int, ...]  # the tendons whose displacement is given
-    loads_stay: bool  # whether the loads rest on the body before the first step, and do not change
     num_cells: int
     num_steps: int  # in each step of the path
 
@@ -123,10 +122,11 @@ def _followed(
     """
     cells = cut_into_cells(manipulator, kind.num_cells, rough.cells)
     zero = zero_as(manipulator, path)  # under shard_map all of them vary over the devices, or none
+    path = path.behind(jnp.zeros_like(path.tension[0])) if start is None else path
     given = varying_as(_given(manipulator, cells, path, kind, rough.cells), zero)
     if start is None:
-        resting = path.loads if kind.loads_stay else None
-        start = at_rest(manipulator, cells, *jax.tree.map(lambda x: x[0], (given, resting)))
+        start = at_rest(manipulator, cells, jax.tree.map(lambda x: x[0], given), path.resting)
+        given = jax.tree.map(lambda x: x[1:], given)
     start = varying_as(start, zero)
     counts = jnp.arange(1, kind.num_steps + 1)
     driven = jnp.asarray(kind.driven, int)
@@ -273,7 +273,7 @@ def angles_along(
         nodes, short_steps: as of `trace`.
     """
     path, _ = given_path(manipulator, base_tension, loads)
-    return tips_along(manipulator, path, Following((), loads is not None, 4 * nodes, short_steps)).heading
+    return tips_along(manipulator, path, Following((), 4 * nodes, short_steps)).heading
 
 
 def result_of_tips(tips: Tips) -> RESULTS:
@@ -330,7 +330,7 @@ def after_first(history: History) -> History:
 
 def _usable(path: Path) -> Bool[Array, " steps"]:
     """Whether what is given for each step is physical."""
-    numbers = [x.reshape(x.shape[0], -1) for x in jax.tree.leaves(path)]
+    numbers = [x.reshape(x.shape[0], -1) for x in jax.tree.leaves(path._replace(resting=None))]
     finite = jnp.all(jnp.isfinite(jnp.concatenate(numbers, axis=1)), axis=1)
     return finite & jnp.all(path.tension >= 0, axis=1)
 

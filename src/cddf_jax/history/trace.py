@@ -20,7 +20,7 @@ from ..statics.response import tip_compliance
 from ..statics.targets import Displacement, TipAngle
 from .congruent import Before, CongruentStates, congruent_history
 from .history import History
-from .path import Driven, Path, as_numbers, given_path, not_per_step
+from .path import Driven, Path, as_numbers, given_path
 from .stepped import ACCURACY, Following, SteppedStates, after_first, squeezed, stepped_history
 
 
@@ -151,10 +151,9 @@ def _in_short_steps(
     short_steps: int,
 ) -> History:
     path, driven = given_path(manipulator, base_tension, loads)
-    loads_stay = isinstance(loads, Loads) and not_per_step(loads)
     earlier = _earlier(manipulator, before, start, driven)
     if earlier is not None:
-        path = path.behind(earlier, loads_stay=loads_stay)
+        path = path.behind(earlier)
     if loads is None and start is not None and isinstance(start._states, SteppedStates):
         path = path.under(start._states.loads)  # they stay as they are
     check_weight(manipulator, path.loads)
@@ -163,7 +162,7 @@ def _in_short_steps(
             "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
         )
     states = None if start is None else start._states
-    kind = Following(driven, loads_stay, 4 * nodes, short_steps)
+    kind = Following(driven, 4 * nodes, short_steps)
     if isinstance(states, SteppedStates):
         kind = kind._replace(num_cells=states.num_cells)
     elif states is not None:
@@ -275,7 +274,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     states = history._states
     if isinstance(states, CongruentStates):
         path = Path(states.path[:, None], jnp.zeros_like(states.path)[:, None], None)
-        kind = Following((), False, 4 * states.nodes, short_steps)
+        kind = Following((), 4 * states.nodes, short_steps)
         history = stepped_history(states.manipulator, path, None, kind)
         states = history._states
     assert isinstance(states, SteppedStates)
@@ -283,7 +282,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     pushed = Loads(tip_force=force, tip_moment=states.loads.tip_moment, gravity=states.loads.gravity)
     tension = history.base_tension[-1:].reshape(1, -1)
     path = Path(tension, jnp.zeros_like(tension), jax.tree.map(lambda x: x[None], pushed))
-    after = stepped_history(states.manipulator, path, states, Following((), False, states.num_cells, short_steps))
+    after = stepped_history(states.manipulator, path, states, Following((), states.num_cells, short_steps))
 
     codes = code_of(after.result)
     if not isinstance(codes, Tracer) and np.ndim(codes) == 1 and np.any(np.isnan(after.tip_angle)):

@@ -75,7 +75,7 @@ class AllRows(eqx.Module):
         return cls(setting.loads, numbers, tuple(markers), places, offset)
 
     def loads_with(self, tip_force: Array | None, parameters: Parameters, *, in_space: bool) -> Loads | None:
-        """The loads of a row, with gravity where it is turned to."""
+        """The loads of a row, or of steps that are an axis of their tip forces, with gravity where it is turned to."""
         if self.loads is None:
             return None if tip_force is None else Loads(tip_force=tip_force)
         loads, turn = loads_in_space(self.loads) if in_space else self.loads, turn_of(parameters, "gravity_turn")
@@ -110,12 +110,13 @@ class Bench(eqx.Module):
 
     @property
     def on_one_curve(self) -> bool:
-        """Whether the rows lie on the curve of a free body of one tendon that is pulled in."""
+        """Whether the rows lie on the curve of a body of one tendon, without loads, that is pulled in."""
+        free = self.tip_force is None and self.setting.loads is None
+        if not free or self.base_tension.shape[1] > 1:
+            return False
         if self.course is not None:
             return not self.course.turns
-        slides_out = any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
-        free = self.tip_force is None and self.setting.loads is None
-        return self.base_tension.shape[1] == 1 and free and not slides_out
+        return not any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
 
     def in_space(self, manipulator: Manipulator) -> bool:
         """Whether the rows are solved in space; static."""
@@ -137,7 +138,8 @@ class Bench(eqx.Module):
         if self.course is not None:
             tension = _true_tension(parameters, self.course.path(parameters))
             of_trial = None if deviation is None else deviation[self.course.first_row]
-            return self.course.trace(body, tension, of_trial, nodes)
+            loads_with = partial(self.setting.loads_with, parameters=parameters, in_space=False)
+            return self.course.trace(body, tension, loads_with, of_trial, nodes)
         tension, in_space = _true_tension(parameters, jnp.asarray(self.base_tension)), self.in_space(body)
 
         def one(tension, direction, force, deviation):
@@ -329,8 +331,8 @@ def experiment_of(
             AllRows.of(setting, found),
         )
         _check_body(bench, manipulator)
-        if course is not None and (found or setting.loads is not None or bench.in_space(manipulator)):
-            raise InputError(f"a history with {_not_followed(found, setting)} is not known yet; {WITHOUT}")
+        if course is not None and (found or bench.in_space(manipulator)):
+            raise InputError(f"a history with {'markers' if found else 'a body in space'} is not known yet; {WITHOUT}")
     return bench
 
 
@@ -346,10 +348,6 @@ def _check_body(bench: Bench, manipulator: Manipulator) -> None:
             raise InputError(
                 f"column {column!r}, but the body is in the plane; give its tendons an angle, or leave it out"
             )
-
-
-def _not_followed(markers: Mapping[str, Marker], setting: BenchSetting) -> str:
-    return "markers" if markers else "loads of all rows" if setting.loads is not None else "a body in space"
 
 
 def _observed(table: Measurements, num_tendons: int) -> list[str]:

@@ -3,7 +3,7 @@
 Each trial starts from rest, a straight body whose tendon never had a tension, unless its `Past` says otherwise.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
-from ..history.path import Path
+from ..history.path import given_path
 from ..history.stepped import Following, result_of_tips, tips_along
 from ..history.trace import trace
 from ..measurements.holds import NO_STEP
@@ -31,6 +31,9 @@ CELLS = 2  # over the nodes
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
+LoadsWith = Callable[[Float[Array, "*steps 2"] | None], Loads | None]
+
+
 class Shown(NamedTuple):
     """What instruments without errors show of bodies, rows first."""
 
@@ -45,7 +48,7 @@ class Shown(NamedTuple):
 class Course(eqx.Module):
     """Paths of base tensions, and which step of which path each row of a table is.
 
-    One tendon without tip forces has an exact answer. Others are followed in short steps.
+    One tendon without loads has an exact answer. Others are followed in short steps.
     """
 
     readings: Float[np.ndarray | Array, "trials steps *tendons"]  # N, as read, without jitter; the last one is repeated
@@ -98,12 +101,15 @@ class Course(eqx.Module):
         """Of each trial, as `Past.in_words`."""
         return [REST] * len(self.first_row) if self.past is None else self.past.in_words
 
-    def trace(self, body: Manipulator, tension: Array, deviation: Array | None, nodes: int) -> Shown:
+    def trace(
+        self, body: Manipulator, tension: Array, loads_with: LoadsWith, deviation: Array | None, nodes: int
+    ) -> Shown:
         """The rows, each after what came before it.
 
         Args:
             body: whose tendons are pulled.
             tension: (trials, path, tendons), true base tensions of `path`, N.
+            loads_with: the loads of all rows and a tip force, of one row or of all steps of a path.
             deviation: (trials,), ln(mu of a trial / mu), or None.
             nodes: as of `trace`; in short steps there are twice as many cells.
         """
@@ -114,26 +120,27 @@ class Course(eqx.Module):
                 mu = jnp.asarray(body.friction_coefficient) * jnp.exp(deviation)
                 there = eqx.tree_at(lambda m: m.friction_coefficient, body, mu)
             if self.short_steps is not None:
-                return self._in_short_steps(there, tension, force, nodes)
+                return self._in_short_steps(there, tension, force, loads_with, nodes)
             found = trace(there, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
             return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.result
 
-        num_before = tension.shape[1] - self.readings.shape[1]
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)
-        if force is not None and num_before:
-            force = jnp.concatenate([force[:, :1] if self.force_stays else jnp.zeros_like(force[:, :1]), force], axis=1)
         every = jax.vmap(one)(tension, force, deviation)
-        tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, self.step + num_before], every)
+        step = self.step + (self.past is not None)
+        tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, step], every)
         return Shown(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
 
-    def _in_short_steps(self, body: Manipulator, tension: Array, force: Array | None, nodes: int):
+    def _in_short_steps(
+        self, body: Manipulator, tension: Array, force: Array | None, loads_with: LoadsWith, nodes: int
+    ):
         """One path."""
         assert self.short_steps is not None
-        none = jnp.zeros(tension.shape[0])
-        loads = None if force is None else Loads(force, none, jnp.zeros_like(force))
-        kind = Following((), self.force_stays, CELLS * nodes, self.short_steps)
-        path = Path(tension, jnp.zeros_like(tension), loads)
-        tips = tips_along(body, path, kind)
+        num_before = 0 if self.past is None else 1
+        path, _ = given_path(body, tension[num_before:], loads_with(force))
+        resting = loads_with(force[0] if force is not None and self.force_stays else None)
+        path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
+        path = path.behind(tension[0]) if num_before else path
+        tips = tips_along(body, path, Following((), CELLS * nodes, self.short_steps))
         return tips.tension, tips.heading, tips.position, result_of_tips(tips)
 
 
@@ -142,6 +149,8 @@ def course_along(
     tip_force: Float[np.ndarray, "steps 2"],
     before: Before = REST,
     short_steps: int = SHORT_STEPS,
+    *,
+    loaded: bool = False,
 ) -> Course:
     """One path, every step of which is a row.
 
@@ -150,11 +159,12 @@ def course_along(
         tip_force: N.
         before: what the tendon had before, as of `fit`.
         short_steps: into how many each step is divided where the answer is not exact.
+        loaded: whether there are loads beside the tip forces, as of all rows.
 
     Raises:
         InputError: where that is below the first step of a single tendon, or none of this body.
     """
-    exact = path.shape[1] == 1 and not np.any(tip_force)
+    exact = path.shape[1] == 1 and not np.any(tip_force) and not loaded
     past = past_of(starts_of([1], before, (), path.shape[1])[0], path[:1], ["step 1"])
     step = np.arange(len(path))
     rows = np.zeros_like(step), step, np.zeros(1, int)
@@ -231,6 +241,8 @@ def course_of(
     noise: float | None = None,
     starts: Sequence[Start] | None = None,
     short_steps: int = SHORT_STEPS,
+    *,
+    loaded: bool = False,
 ) -> tuple[Course, Steady]:
     """The rows of a table as steps of paths, and what was done against the jitter of the base cells.
 
@@ -239,6 +251,7 @@ def course_of(
         noise: standard deviation of a reading of the base tension, N, as of `without_jitter`.
         starts: how each trial begins; None: from rest.
         short_steps: into how many each step is divided where the answer is not exact.
+        loaded: whether there are loads beside the tip forces, as of all rows.
 
     Raises:
         InputError: for a direction of a single tendon that the order of the rows contradicts, its largest tension
@@ -247,7 +260,7 @@ def course_of(
     rows, labels = len(table), table.columns.get("trial", np.zeros(len(table))).astype(int)
     pulled = [column for column in table.columns if column.startswith("base_tension")]
     force = np.stack([table.columns.get(f"tip_force_{axis}", np.zeros(rows)) for axis in "xy"], axis=1)
-    exact = len(pulled) == 1 and not np.any(force)
+    exact = len(pulled) == 1 and not np.any(force) and not loaded
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
     paths, forces, found, first = [], [], [], []
     starts = [Start()] * np.unique(labels).size if starts is None else starts

@@ -249,7 +249,7 @@ def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) 
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
     table = Measurements.from_columns(name, notes=(), **columns)
-    course = course_of(table, 0.0)[0] if has_history(table, None) else None
+    course = course_of(table, 0.0, loaded=setting.loads is not None)[0] if has_history(table, None) else None
     return experiment_of(table, body, course=course, setting=setting)
 
 
@@ -277,7 +277,7 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
             {"tip_tension": cell},
         ),
     ]
-    # a fit in space, or with loads of all rows, knows no history
+    # a history in space is not known, and one without an exact answer takes minutes
     if manipulator.num_tendons == 1 and not manipulator.in_space and setting.loads is None:
         back = {"base_tension": [*levels, *levels[-2::-1]], "step": np.arange(11)}
         read = {"tip_tension": cell, "tip_angle": angle}

@@ -1,7 +1,7 @@
 """`fit`: friction, modulus and the errors of the bench from measurements, and what these do not determine."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -127,11 +127,9 @@ class Fit(LeastSquaresFit):
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
-        tendons = self.manipulator.num_tendons
-        wanted = predicted_rows(
-            base_tension, tip_force, direction, tendons, history=history, before=before, short_steps=self._short_steps
-        )
-        wanted = replace(wanted, setting=self._setting(column))
+        tendons, setting = self.manipulator.num_tendons, self._setting(column)
+        followed = {"history": history, "before": before, "short_steps": self._short_steps}
+        wanted = predicted_rows(base_tension, tip_force, direction, tendons, setting, **followed)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is no reading; there are {', '.join(shown.readings)}")
@@ -257,7 +255,7 @@ def fit(
             for each, in the order of the tables and of their trials. Of a parameter `before` it is the start. Of
             several tendons an entry holds the tensions of all, [(60, 20)]; they went straight to these from rest, and
             then to the first row. One of which nothing is told had what it has in the first row.
-        short_steps: into how many each step of a history is divided with several tendons or tip forces, 2 or more; the
+        short_steps: into how many each step of a history is divided with several tendons or loads, 2 or more; the
             report tells what more of them would change.
         per_trial: let friction differ from trial to trial, ln(mu) by a Gaussian whose spread is estimated.
         loss, starts, seed: as in `least_squares_fit`.
@@ -290,7 +288,9 @@ def fit(
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):
-        noise, courses, guesses = _courses(manipulator, tables, history, before, free, noise or {}, short_steps)
+        noise, courses, guesses = _courses(
+            manipulator, tables, history, before, free, noise or {}, short_steps, loaded=setting.loads is not None
+        )
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0], setting)
         for table, first, course in zip(tables, earlier, courses, strict=False)
@@ -326,6 +326,8 @@ def _courses(
     free: Sequence[str],
     noise: Mapping[str, ArrayLike | Noise],
     short_steps: int,
+    *,
+    loaded: bool,
 ) -> tuple[Mapping[str, ArrayLike | Noise], list[tuple[Course, Steady] | None], dict[str, tuple[float, float]]]:
     """The noise of what is predicted; by table the course of its rows, None without a history; guesses of pasts."""
     predicted = {column: given for column, given in noise.items() if column != "base_tension"}
@@ -339,7 +341,10 @@ def _courses(
         raise InputError("noise of base_tension must be one standard deviation in N, 0 or more")
     deviation = float(np.asarray(own)) if "base_tension" in noise else None
     of_tables = zip(tables, with_history, starts, strict=True)
-    courses = [course_of(table, deviation, starts, short_steps) if on else None for table, on, starts in of_tables]
+    courses = [
+        course_of(table, deviation, starts, short_steps, loaded=loaded) if on else None
+        for table, on, starts in of_tables
+    ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0].reshape(len(own), -1)) for own, course in known]
     return predicted, courses, first_guesses(manipulator, first)

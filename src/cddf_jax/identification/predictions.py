@@ -17,7 +17,7 @@ from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..mechanics.capstan import pulling_tension
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
-from .bench import Bench, BenchModel, Group
+from .bench import AllRows, Bench, BenchModel, Group
 from .course import SHORT_STEPS, between, course_along
 from .parameters import TRIALS, Parameters
 from .past import REST, Before
@@ -45,12 +45,13 @@ def predicted_rows(
     tip_force: Numbers,
     direction: Numbers | None,
     tendons: int,
+    setting: AllRows,
     *,
     history: bool = False,
     before: Before = REST,
     short_steps: int = SHORT_STEPS,
 ) -> Bench:
-    """The rows to predict at; arguments as of `Fit.predict`.
+    """The rows to predict at; arguments as of `Fit.predict`, and what all rows share.
 
     Raises:
         InputError: for numbers that are not finite, tensions below 0, shapes that do not fit, a history with stated
@@ -78,13 +79,13 @@ def predicted_rows(
         ) from None
     if before != REST and not history:
         raise InputError("predict: before is used with a history only; give history=True")
-    if not history:
-        return Bench(pulled, tuple(way), force if np.any(force) else None)
-    if stated:
+    if history and stated:
         raise InputError("predict: with a history directions follow from it; leave direction out")
-    with within("predict"):
-        course = course_along(pulled, force, before, short_steps)
-    return Bench(pulled, tuple(way), force if np.any(force) else None, course=course)
+    course = None
+    if history:
+        with within("predict"):
+            course = course_along(pulled, force, before, short_steps, loaded=setting.loads is not None)
+    return Bench(pulled, tuple(way), force if np.any(force) else None, course=course, setting=setting)
 
 
 def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:

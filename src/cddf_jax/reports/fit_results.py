@@ -112,9 +112,9 @@ def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measur
 
 
 def _loops(fit: Fit) -> dict[str, LoopTold]:
-    """Of every table with a history and tip tensions, of a tendon parallel to the axis without drag."""
+    """Of every table with a history and tip tensions, of a tendon parallel to the axis without drag or loads."""
     body = fit.manipulator
-    if not fit.success or body.tendon_drag is not None or body.slanted:
+    if not fit.success or body.tendon_drag is not None or body.slanted or fit.setting.loads is not None:
         return {}
     from ..identification.model_free_loop import model_free_loop
 
