@@ -553,6 +553,46 @@ def test_a_loop_with_all_its_files(run, tmp_path):
     assert files == {"sweep.zarr", "sweep.json", "sweep.pdf", "sweep.png"}
 
 
+PAIR_LOOP = ("--over", "base_tension_1=0N:75N:4,40N", "--over", "base_tension_2=5N,20N")
+
+
+@pytest.fixture
+def pair_file(tmp_path):
+    """The paper's body with a tendon on its other side, in the exact kinematics."""
+    text = PAPER.read_text(encoding="utf-8").replace('"published"', '"exact"')
+    path = tmp_path / "pair.toml"
+    path.write_text(text + '\n[[tendons]]\noffset = "10 mm"\nside = -1\n', encoding="utf-8")
+    return path
+
+
+def test_the_axis_that_is_the_path(run, pair_file, monkeypatch, tmp_path):
+    """By an option, or in a task file; without it the remedy names the option."""
+    works = []
+    monkeypatch.setattr(sweep_report, "run_sweep", lambda work, places, options: works.append(work))
+    task = tmp_path / "sweep.toml"
+    task.write_text('history_axis = "base_tension_1"\nshort_steps = 4\n', encoding="utf-8")
+    for options in (("--history-axis", "base_tension_1", "--short-steps", "4"), ("--task", task)):
+        assert run(pair_file, *PAIR_LOOP, *options, "--out", "loops")[0] == 0
+        assert (works[-1].path.name, works[-1].short_steps) == ("base_tension_1", 4)
+    code, _, error = run(pair_file, *PAIR_LOOP, "--history", "--dry-run")
+    assert code == 2
+    assert error.startswith("error: sweep: base tensions vary along 'base_tension_1', 'base_tension_2'; history must ")
+    assert error.endswith("the path (--history-axis)\n")
+
+
+@pytest.mark.slow
+def test_loops_of_a_pair_are_those_of_its_traces(run, pair_file):
+    """With the short steps that were asked for."""
+    options = ("--history-axis", "base_tension_1", "--short-steps", "4", "--nodes", "8", "--output", "tip_angle")
+    code, _, error = run(pair_file, *PAIR_LOOP, *options, "--out", "loops", "--csv", "loops.csv")
+    assert (code, error) == (0, "")
+    found = [float(row["tip_angle [rad]"]) for row in rows_of("loops.csv")]
+    for i, against in enumerate((5.0, 20.0)):
+        path = [[tension, against] for tension in (0.0, 25.0, 50.0, 75.0, 40.0)]
+        history = cddf.trace(paper_body("exact", num_tendons=2), path, nodes=8, short_steps=4)
+        np.testing.assert_allclose(found[i::2], history.tip_angle, rtol=1e-7)
+
+
 # --- processes -----------------------------------------------------------------------------------
 
 

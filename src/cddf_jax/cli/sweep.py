@@ -77,6 +77,18 @@ History = Annotated[
         'combination of the others. Smooth loops: "base_tension=0N:75N:31,75N:20N:23".',
     ),
 ]
+HistoryAxis = Annotated[
+    str | None,
+    typer.Option(
+        help="As --history, where the base tensions of several tendons vary along axes of their own: the name of the "
+        'axis that is the path, "base_tension_1". Of axes that are one by --together it is their names in a row, '
+        '"base_tension_1_and_base_tension_2".'
+    ),
+]
+ShortSteps = Annotated[
+    int,
+    typer.Option(help="Into how many each step of a history is divided with several tendons or loads.", min=2),
+]
 BaseTension = Annotated[
     list[str] | None,
     typer.Option("--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given."),
@@ -114,6 +126,8 @@ def sweep(
     ] = "latin_hypercube",
     seed: Annotated[int, typer.Option(help="Seed of the samples.", min=0)] = 0,
     history: History = False,
+    history_axis: HistoryAxis = None,
+    short_steps: ShortSteps = 16,
     base_tension: BaseTension = None,
     direction: options.Direction = None,
     tip_force: options.TipForce = None,
@@ -168,7 +182,8 @@ def sweep(
         seed,
         base_tension or [],
         loads=read_loads(tip_force, tip_moment, gravity),
-        history=history,
+        history=history_axis or history,
+        short_steps=short_steps,
         direction=read_directions(direction, read.manipulator),
         outputs=tuple(dict.fromkeys(name.strip() for name in output.split(","))),
         sensitivities=tuple(sensitivity or ()),

@@ -47,7 +47,8 @@ def _check_history(work: "Sweep") -> None:
     if work.path is None:
         which = ", ".join(map(repr, among))
         raise InputError(
-            f"sweep: base tensions vary along {which}; history must be the name of the one that is the path"
+            f"sweep: base tensions vary along {which}; history must be the name of the one that is the path "
+            "(--history-axis)"
         )
     beside = [name for name in (*work.path.numbers, *work.path.options) if not name.startswith(ALONG_A_PATH)]
     if beside:
