@@ -40,6 +40,13 @@ def test_help(cddf_command, arguments):
     assert not arguments or "Example: cddf" in out
 
 
+def test_help_shows_units_in_brackets(cddf_command):
+    """What an option's text says of columns and tables, [mm] and [over], is not taken for markup."""
+    assert all(text in cddf_command("trace", "--help")[1] for text in ("[N]", "[mm]", "[deg]"))
+    assert "[over]" in cddf_command("sweep", "--help")[1]
+    assert "[[candidate]]" in cddf_command("plan", "--help")[1]
+
+
 def test_help_imports_nothing_heavy():
     script = (
         "import sys; sys.argv = ['cddf', 'solve', '--help']\n"

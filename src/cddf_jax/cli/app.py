@@ -15,6 +15,7 @@ from .options import BAD_INPUT, FAILED, INTERRUPTED, stop
 app = typer.Typer(
     help="Friction in tendon-driven continuum manipulators: predict it, find it from measurements, design for it.",
     add_completion=False,
+    rich_markup_mode="markdown",  # else brackets such as [mm] would vanish from the help
     pretty_exceptions_enable=False,
 )
 
