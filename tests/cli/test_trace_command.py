@@ -104,9 +104,9 @@ def test_jitter_of_a_file_makes_no_turns(cddf_command, robot, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("path", "noise", "message"),
     [
-        ("0 N, 75 N", "0.1 N", "--noise 0.1 N: is that of a file; leave it out, or give a file with --path"),
+        ("0 N, 75 N", "0.1 N", "--noise 0.1 N: is for a file only; leave it out, or give a file with --path"),
         ("bench.csv", "0 N", "--noise 0 N: give a standard deviation above 0 N, or leave it out"),
-        ("angle.csv", "0.1 N", "is that of base tensions, which angle.csv does not hold; leave it out"),
+        ("angle.csv", "0.1 N", "is for base tensions, and angle.csv has none; leave it out"),
     ],
 )
 def test_a_noise_that_has_no_meaning(fails, robot, path, noise, message):
@@ -171,7 +171,7 @@ def test_wrong_paths(fails, path, message):
 
 def test_what_cannot_be_traced(fails, two_tendons):
     lengths = fails("trace", two_tendons, "--path", "75, 60 N", "--path", "20, 10, 5 N")
-    assert lengths == "--path: the tendons have 2, 3 steps; give each as many, or one value that stays"
+    assert lengths == "--path: the tendons have 2, 3 steps; give each the same number, or one value that stays"
     assert fails("trace", two_tendons, "--path", "60, 30 deg", "--path", "5 N").startswith("--path: a tip angle drives")
     assert fails("trace", two_tendons, "--path", "60 N", "--before", "75 N").startswith("--before 75 N: give a tension")
 

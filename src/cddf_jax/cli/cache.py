@@ -11,13 +11,13 @@ MB = 1e6  # bytes
 
 
 def cache(
-    empty: Annotated[bool, typer.Option("--empty", help="Remove all of them.")] = False,
+    empty: Annotated[bool, typer.Option("--empty", help="Remove all kept programs.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """The compiled programs that are kept on this machine, so that the next run starts sooner.
 
-    Those that were used least recently go first where they become too many. CDDF_PROGRAMS=off in the environment keeps
-    none; CDDF_PROGRAMS=FOLDER keeps them elsewhere.
+    The folder is limited in size; the programs that were used least recently are removed first. CDDF_PROGRAMS=off in
+    the environment keeps none; CDDF_PROGRAMS=FOLDER keeps them elsewhere.
     """
     from ..programs import folder
 

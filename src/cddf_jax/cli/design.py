@@ -26,7 +26,8 @@ def design(
         typer.Option("--template", help="Print a task file with every key and the names of all quantities, and end."),
     ] = False,
     pareto: Annotated[
-        int | None, typer.Option(help="Trade-off between the two objectives of the task: so many designs.", min=3)
+        int | None,
+        typer.Option(help="Number of designs on the trade-off between the two objectives of the task.", min=3),
     ] = None,
     as_json: options.AsJson = False,
     out: options.Out = None,
@@ -77,7 +78,7 @@ def run_design(task: "DesignTask", out: Path | None) -> Answer:
 
 
 def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
-    """As `run_design`, of the two objectives against each other."""
+    """As `run_design`, for the trade-off between the two objectives."""
     from ..designing import report
     from ..figures import draw_trade_off, render
     from ..figures.style import figure_of

@@ -15,13 +15,13 @@ EXAMPLE = "Example: cddf explore data/smooth_sil_940.toml data/tip_angle_simulat
 def explore(
     robot: Annotated[
         Path | None,
-        typer.Argument(help="TOML file of the manipulator; without it that of the paper."),
+        typer.Argument(help="TOML file of the manipulator; the paper's manipulator unless given."),
     ] = None,
     data: options.Data = None,
     column: options.Column = None,
     kinematics: options.KinematicsOption = None,
     port: Annotated[
-        int, typer.Option(help="Port on this machine, 5006.", min=0, max=65535, show_default="a free one")
+        int, typer.Option(help="Port on this machine, such as 5006.", min=0, max=65535, show_default="a free one")
     ] = 0,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address and open nothing.")] = False,
 ) -> None:

@@ -18,28 +18,31 @@ LEAST_TRIALS = 3  # to draw from with replacement
 LossName = Literal["linear", "soft_l1", "huber", "cauchy"]
 PriorOption = Annotated[
     list[str] | None,
-    typer.Option(help='Gaussian, "youngs_modulus=1.4 MPa +- 0.1 MPa", or uniform, "friction_coefficient=0.1..0.6".'),
+    typer.Option(
+        help='A Gaussian prior such as "youngs_modulus=1.4 MPa +- 0.1 MPa", or a uniform one such as '
+        '"friction_coefficient=0.1..0.6".'
+    ),
 ]
 Bound = Annotated[
     list[str] | None,
     typer.Option(
-        help='Lowest and highest value of a parameter with units, "pretension=0 N:2 N". Either may be left out.',
+        help='Lowest and highest value of a parameter, such as "pretension=0 N:2 N". Either may be left out.',
         show_default="above 0 or none",
     ),
 ]
 NoiseOption = Annotated[
     list[str] | None,
     typer.Option(
-        help='Standard deviation of a column with its unit, "tip_tension=0.5 N", or with a part that grows with the '
-        'reading, "tip_tension=0.2 N + 1 %".',
+        help='Standard deviation of a column, such as "tip_tension=0.5 N", or with a part that grows with the '
+        'reading, such as "tip_tension=0.2 N + 1 %".',
         show_default="estimated from the residuals",
     ),
 ]
 BeforeOption = Annotated[
     str | None,
     typer.Option(
-        help='With a history, the largest base tension before the first row, "75 N", or one for each trial, '
-        '"rest, 75 N"; of several tendons "60 N / 20 N". To find it: --free before.',
+        help='With a history, the largest base tension before the first row, such as "75 N", or one for each trial, '
+        'such as "rest, 75 N"; with several tendons "60 N / 20 N". To fit it: --free before.',
         show_default="rest",
     ),
 ]
@@ -62,7 +65,7 @@ def fit(
     before: BeforeOption = None,
     short_steps: Annotated[
         int,
-        typer.Option(help="Into how many each step of a history is divided with several tendons or loads.", min=2),
+        typer.Option(help="Short steps for each row of a history, with several tendons or loads.", min=2),
     ] = 4,
     loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[
@@ -72,13 +75,15 @@ def fit(
     seed: Annotated[int, typer.Option(help="Random seed of further starts and of the bootstrap.", min=0)] = 0,
     per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
     average_holds: options.AverageHolds = False,
-    bootstrap: Annotated[int, typer.Option(help="Number of refits to data drawn anew, 200; 0 for none.", min=0)] = 0,
+    bootstrap: Annotated[
+        int, typer.Option(help="Number of refits to data drawn anew, such as 200; 0 for none.", min=0)
+    ] = 0,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     as_json: options.AsJson = False,
     out: options.Out = None,
 ) -> None:
-    """Friction and modulus from measurements, and what the measurements cannot tell."""
+    """Friction and modulus from measurements, and what the measurements do not determine."""
     from .. import application
 
     # code that is compiled quickly makes refits slow

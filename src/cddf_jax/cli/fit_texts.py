@@ -1,4 +1,4 @@
-"""What `cddf fit` and `cddf plan` are told: priors, bounds, noise, the bench, and what could be measured next."""
+"""The texts that `cddf fit` and `cddf plan` read: priors, bounds, noise, the bench, and candidates of measurements."""
 
 import re
 from collections.abc import Sequence
@@ -77,7 +77,7 @@ def read_setting(
     marker: Sequence[str] | None,
     given: Sequence[str] | None,
 ) -> BenchSetting:
-    """What all rows share: loads, places of markers, known numbers."""
+    """What all rows have in common: loads, places of markers, known numbers."""
     numbers = read_all(given, "--given", GIVEN, lambda name, text: _of_parameter(name, text, "--given"))
     return BenchSetting(
         read_loads(tip_force, tip_moment, gravity), read_all(marker, "--marker", MARKER, _marker), numbers

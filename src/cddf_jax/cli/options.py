@@ -17,13 +17,15 @@ if TYPE_CHECKING:
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
 T = TypeVar("T")
 Kinematics = Literal["published", "exact"]
-Robot = Annotated[Path, typer.Argument(help="TOML file of the manipulator, data/smooth_sil_940.toml.")]
+Robot = Annotated[Path, typer.Argument(help="TOML file of the manipulator, such as data/smooth_sil_940.toml.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object in SI units and nothing else.")]
 Out = Annotated[
     Path | None,
-    typer.Option(help="Folder for report, figures and files, out/run_1. It is made if missing."),
+    typer.Option(help="Folder for report, figures and files, such as out/run_1. It is made if it is missing."),
 ]
-KinematicsOption = Annotated[Kinematics | None, typer.Option(help="Kinematics of the tendons, instead of the file's.")]
+KinematicsOption = Annotated[
+    Kinematics | None, typer.Option(help="Kinematics of the tendons, in place of those in the file.")
+]
 Nodes = Annotated[int, typer.Option(help="Gauss nodes in each smooth piece of the body, 4 or more.", min=4)]
 Direction = Annotated[
     list[int] | None,
@@ -33,49 +35,53 @@ Direction = Annotated[
         show_default="found from the travel; 1 for a single tendon",
     ),
 ]
-TipForce = Annotated[str | None, typer.Option(help='Dead load (X, Y), in space (X, Y, Z), on the tip, "0 N, -5 N".')]
+TipForce = Annotated[
+    str | None, typer.Option(help='Dead load on the tip: (X, Y), in space (X, Y, Z), such as "0 N, -5 N".')
+]
 TipMoment = Annotated[
     str | None,
     typer.Option(
-        help='Moment on the tip with its unit, "0.1 N m", positive from X to Y; in space (X, Y, Z), "0, 0, 0.1 N m".'
+        help='Moment on the tip, such as "0.1 N m", positive from X to Y; in space (X, Y, Z), such as "0, 0, 0.1 N m".'
     ),
 ]
 Gravity = Annotated[
     str | None,
-    typer.Option(help='Acceleration (X, Y), in space (X, Y, Z), "0, -9.81 m/s^2". The body needs a mass.'),
+    typer.Option(
+        help='Acceleration of gravity: (X, Y), in space (X, Y, Z), such as "0, -9.81 m/s^2". The body needs a mass.'
+    ),
 ]
 Given = Annotated[
     list[str] | None,
     typer.Option(
-        help='A known number of the bench, "tip_gain=1.03", "camera_turn_z=3 deg". Where it is fitted as well, the '
-        "search starts there.",
+        help='A known number of the bench, such as "tip_gain=1.03" or "camera_turn_z=3 deg". If it is fitted as well, '
+        "the search starts there.",
     ),
 ]
 Marker = Annotated[
     list[str] | None,
     typer.Option(
-        help="Where the marker of the columns x@NAME is: its offset from the axis, x along the body, y and z, and the "
-        'arc length, "head=0, 11, 0 mm at 80 mm".',
+        help="Place of the marker of the columns x@NAME: offset from the axis (x along the body, y, z) and arc length, "
+        'such as "head=0, 11, 0 mm at 80 mm".',
     ),
 ]
 Data = Annotated[
     list[Path] | None,
     typer.Argument(
-        help="CSV or .xlsx files with the units in the header, bench.csv. Files of the same columns are the trials of "
-        "one experiment. A table of markers comes behind its file."
+        help="CSV or .xlsx files with the units in the header, such as bench.csv. Files with the same columns are the "
+        "trials of one experiment. Name a table of markers after the file that it belongs to."
     ),
 ]
 Free = Annotated[
     list[str] | None,
     typer.Option(
-        help='A parameter to fit, "friction_coefficient". Repeat it for more of them.',
+        help='A parameter to fit, such as "friction_coefficient". Repeat the option for more parameters.',
         show_default="friction and modulus",
     ),
 ]
 Column = Annotated[
     list[str] | None,
     typer.Option(
-        help='What a column of the data is, with its unit, "Tbase_N=base_tension [N]". "NAME=" leaves it out.'
+        help='What a column of the data is, with its unit, such as "Tbase_N=base_tension [N]". "NAME=" leaves it out.'
     ),
 ]
 AverageHolds = Annotated[
@@ -86,7 +92,7 @@ HistoryOption = Annotated[
     bool | None,
     typer.Option(
         "--history/--no-history",
-        help="Rows know what came before them: tendons that are pulled and let out, in the order of the rows.",
+        help="Follow the rows of a trial as a path, on which tendons are pulled and released.",
         show_default="where a column step or time tells the order",
     ),
 ]
@@ -150,7 +156,7 @@ def read_data(
 
 
 def read_all(texts: Sequence[str] | None, option: str, example: str, read: Callable[[str, str], T]) -> dict[str, T]:
-    """What an option that may be repeated says, by name: what `read` makes of the name and the text behind its "="."""
+    """The values of an option that may be repeated, by name; `read` makes a value of name and text behind "="."""
     found: dict[str, T] = {}
     for text in texts or ():
         name, equals, value = (part.strip() for part in text.rpartition("="))

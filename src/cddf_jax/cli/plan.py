@@ -1,4 +1,4 @@
-"""`cddf plan`: which measurement next."""
+"""`cddf plan`: which measurement to take next."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,8 +20,8 @@ def plan(
     candidates: Annotated[
         Path | None,
         typer.Option(
-            help="TOML file of what could be measured, candidates.toml: [[candidate]] tables such as base_tension = "
-            '["20 N", "40 N"], noise = { tip_angle = "1 deg" }.',
+            help="TOML file of what could be measured, such as candidates.toml. It holds [[candidate]] tables with "
+            'base_tension = ["20 N", "40 N"], noise = { tip_angle = "1 deg" }.',
             show_default="the usual ones: pulley test, tip tensions, tip angles, ...",
         ),
     ] = None,
@@ -36,14 +36,15 @@ def plan(
     given: options.Given = None,
     history: options.HistoryOption = None,
     criterion: Annotated[
-        str, typer.Option(help="D for all parameters together, or the one to be known best, youngs_modulus.")
+        str,
+        typer.Option(help="D for all parameters together, or the parameter to determine best, such as youngs_modulus."),
     ] = "D",
     num: Annotated[int, typer.Option(help="How many measurements to choose, one after the other.", min=1)] = 3,
     kinematics: options.KinematicsOption = None,
     as_json: options.AsJson = False,
     out: options.Out = None,
 ) -> None:
-    """Which measurement next: what each candidate would add to what is known."""
+    """Which measurement to take next: what each candidate would add to what is known."""
     manipulator = options.read_robot(robot, kinematics).manipulator
     with stage("loading"):
         from ..identification.experiment_design import plan, standard_candidates

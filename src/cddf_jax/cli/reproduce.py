@@ -13,7 +13,9 @@ EXAMPLE = "Example: cddf reproduce data/smooth_sil_940.toml data/load_cells_simu
 
 def reproduce(
     robot: options.Robot,
-    load_cells: Annotated[Path, typer.Argument(help="CSV of the load-cell trials, data/load_cells_simulated.csv.")],
+    load_cells: Annotated[
+        Path, typer.Argument(help="CSV file of the trials with load cells, such as data/load_cells_simulated.csv.")
+    ],
     column: options.Column = None,
     as_json: options.AsJson = False,
     out: Annotated[Path, typer.Option(help="Folder for the figures and the table.")] = Path("out/reproduce"),

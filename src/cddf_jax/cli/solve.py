@@ -14,10 +14,10 @@ BaseTension = Annotated[
     typer.Option(
         "--base-tension",
         "-t",
-        help='Tension at the base, "75 N", once for all tendons or once for each. In its place may stand a target: '
+        help='Tension at the base, such as "75 N", once for all tendons or once for each. Or a target in its place: '
         '"tip_angle=45 deg", "displacement=12 mm", "tip_tension=40 N", "curvature=8 1/m at 70 mm", '
-        '"total_tension=100 N", "tip_stiffness=350 N/m"; for all tendons "tip_position=120, 50 mm from 1 N to 90 N", '
-        "where the tip shall be with the least total tension, and the limits of each tension.",
+        '"total_tension=100 N", "tip_stiffness=350 N/m". For all tendons together "tip_position=120, 50 mm from 1 N to '
+        '90 N": a place of the tip, reached with the least total tension, and the limits of each tension.',
     ),
 ]
 

@@ -49,8 +49,8 @@ Task = Annotated[
 Over = Annotated[
     list[str] | None,
     typer.Option(
-        help='What varies: first, last and how many, "base_tension=5N:85N:17", or a list of values or of such ranges, '
-        '"kinematics=published,exact" or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. '
+        help='What varies: first, last and number of values, as in "base_tension=5N:85N:17", or a list of values or '
+        'ranges, as in "kinematics=published,exact" or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. '
         "Any number has a name: outer_radius.tip, tendons.0.offset, loads.tip_force.1, base_tension_2, of a target "
         "base_tension.value. "
         "With the length everything along the body varies in proportion."
@@ -59,22 +59,22 @@ Over = Annotated[
 Together = Annotated[
     list[str] | None,
     typer.Option(
-        help='Names of --over that are one axis, "friction_coefficient,youngs_modulus": their first values together, '
-        "their second ones, and so on, in place of every combination."
+        help='Names of --over that form one axis, such as "friction_coefficient,youngs_modulus": their first values '
+        "together, their second values together, and so on, in place of every combination."
     ),
 ]
 Sample = Annotated[
     list[str] | None,
     typer.Option(
-        help='What varies at random between two values, "youngs_modulus=1.2MPa:1.6MPa". Repeated: all together.'
+        help='What varies at random between two values, such as "youngs_modulus=1.2MPa:1.6MPa". Repeated: all together.'
     ),
 ]
 History = Annotated[
     bool,
     typer.Option(
         "--history",
-        help="The base tensions of --over are a path in time, from rest: pulled and released in their order, for each "
-        'combination of the others. Smooth loops: "base_tension=0N:75N:31,75N:20N:23".',
+        help="Take the base tensions of --over as a path in time, from rest: tendons are pulled and released in their "
+        'order, for each combination of the others. Smooth loops: "base_tension=0N:75N:31,75N:20N:23".',
     ),
 ]
 HistoryAxis = Annotated[
@@ -98,11 +98,11 @@ Output = Annotated[
 ]
 Sensitivity = Annotated[
     list[str] | None,
-    typer.Option(help="Derivatives of the outputs by this number, into the store and the files."),
+    typer.Option(help="A number by which all outputs are differentiated, for the store and the files."),
 ]
 Memory = Annotated[
     str | None,
-    typer.Option(help='Memory that the sweep may use, "2 GB".', show_default="a quarter of what is free"),
+    typer.Option(help='Memory that the sweep may use, such as "2 GB".', show_default="a quarter of what is free"),
 ]
 Out = Annotated[
     Path | None,
@@ -140,16 +140,18 @@ def sweep(
     precision: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")] = "float64",
     memory: Memory = None,
     chunk: Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")] = None,
-    netcdf: Annotated[Path | None, typer.Option(help="Also a NetCDF file, sweep.nc.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Also a table, sweep.csv, a row for each solve.")] = None,
+    netcdf: Annotated[Path | None, typer.Option(help="Write a NetCDF file too, such as sweep.nc.")] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="Write a table too, such as sweep.csv, with a row for each solve.")
+    ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what the sweep would take; solve and write nothing.")
+        bool, typer.Option("--dry-run", help="Print the number of solves, disk and memory; solve and write nothing.")
     ] = False,
     coordinator: Annotated[
-        str | None, typer.Option(help="HOST:PORT of process 0, where several share the work.")
+        str | None, typer.Option(help="HOST:PORT of process 0, if several processes share the work.")
     ] = None,
     num_processes: Annotated[int | None, typer.Option(help="Number of these processes.", min=1)] = None,
-    process_id: Annotated[int | None, typer.Option(help="Which of them this is, from 0.", min=0)] = None,
+    process_id: Annotated[int | None, typer.Option(help="Number of this process, from 0.", min=0)] = None,
     distributed: Annotated[
         bool, typer.Option("--distributed", help="Several processes, as Slurm or MPI started them.")
     ] = False,
@@ -170,7 +172,7 @@ def sweep(
         from ..reports import sweep_report
         from . import sweep_texts
     if not sweep_report.is_first_process():
-        SHOWN.set(None)  # the first speaks for all
+        SHOWN.set(None)  # only the first process shows progress
 
     work = sweep_texts.read_sweep(
         read.manipulator,

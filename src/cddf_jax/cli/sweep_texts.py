@@ -74,7 +74,7 @@ def read_sweep(
 
 
 def _joined(values: Mapping[str, object], together: Sequence[str]) -> dict[str, object]:
-    """The axes, those that vary together in the place of the first of them."""
+    """The axes; numbers that vary together form one axis in the place of the first of them."""
     joined = dict(values)
     for text in together:
         names = [name.strip() for name in text.split(",")]

@@ -19,29 +19,29 @@ PathOption = Annotated[
     list[str],
     typer.Option(
         "--path",
-        help='Base tensions in their order in time, from rest, "0 N, 75 N, 40 N", or displacements of the tendon, '
-        '"0 mm, 12 mm, 10 mm", or tip angles, "60 deg, 30 deg". Or a CSV or .xlsx file with a column base_tension [N], '
-        "tendon_displacement [mm] or tip_angle [deg]. From one to the next it goes straight. Of several tendons, once "
-        'for each; "20 N" alone stays.',
+        help='Base tensions in their order in time, from rest, such as "0 N, 75 N, 40 N", or displacements of the '
+        'tendon, such as "0 mm, 12 mm, 10 mm", or tip angles, such as "60 deg, 30 deg". Or a CSV or .xlsx file with a '
+        "column base_tension [N], tendon_displacement [mm] or tip_angle [deg]. Between two values the path is "
+        'straight. With several tendons, give it once for each; a single value such as "20 N" is kept.',
     ),
 ]
 NoiseOption = Annotated[
     str | None,
     typer.Option(
         "--noise",
-        help="Standard deviation of the base tensions in a file, 0.1 N: turns within it are jitter of the cell, and no "
-        "turns.",
+        help='Standard deviation of the base tensions in a file, such as "0.1 N": smaller turns count as jitter of the '
+        "cell.",
     ),
 ]
 BeforeOption = Annotated[
     str | None,
     typer.Option(
-        help='The largest base tension before the path, "80 N", from which the tendon is released to its first step; '
-        'of several tendons one for each, "80 N, 20 N".',
+        help='The largest base tension before the path, such as "80 N", from which the tendon is released to the first '
+        'step; with several tendons one for each, such as "80 N, 20 N".',
         show_default="rest",
     ),
 ]
-MaxTurns = Annotated[int, typer.Option(help="How many turns may be felt at once.", min=1)]
+MaxTurns = Annotated[int, typer.Option(help="How many turns can be remembered at once.", min=1)]
 
 
 def trace(
@@ -58,10 +58,10 @@ def trace(
     as_json: options.AsJson = False,
     out: options.Out = None,
 ) -> None:
-    """Pull and release: what slides in each step of a path of base tensions, what it leaves, and what it loses.
+    """Pull and release: what slides in each step of a path, the state after the step, and the energy lost to friction.
 
-    Friction leaves a loop: the way back differs from the way up. The answer is exact for one tendon without loads.
-    Several tendons, and loads, which rest on the body first, are followed in short steps.
+    With friction the way back differs from the way up. The answer is exact for one tendon without loads. Several
+    tendons and loads are followed in short steps; the loads act before the first step.
     """
     manipulator = options.read_robot(robot, kinematics).manipulator
     with stage("loading"):
@@ -106,7 +106,9 @@ def read_paths(texts: "Sequence[str]", noise: str | None, count: int) -> "tuple[
     paths = [values * steps if len(values) == 1 else values for values in paths]
     if any(len(values) != steps for values in paths):
         lengths = ", ".join(str(len(values)) for values, _ in read)
-        raise InputError(f"--path: the tendons have {lengths} steps; give each as many, or one value that stays")
+        raise InputError(
+            f"--path: the tendons have {lengths} steps; give each the same number, or one value that stays"
+        )
     if count > 1 and "angle" in driven:
         raise InputError("--path: a tip angle drives one tendon alone; give tensions or displacements")
     if not any(map(any, paths)):
@@ -124,13 +126,11 @@ def read_path(text: str, noise: str | None = None) -> "tuple[list[float], Dimens
         options.note(f"{text.strip()}: {line}" for line in found.read_as)
         values, driven = found.values, found.dimension
         if noise is not None and driven != "force":
-            raise InputError(
-                f"--noise {noise}: is that of base tensions, which {text.strip()} does not hold; leave it out"
-            )
+            raise InputError(f"--noise {noise}: is for base tensions, and {text.strip()} has none; leave it out")
         if noise is not None:
             values = _steady(values, noise)
     elif noise is not None:
-        raise InputError(f"--noise {noise}: is that of a file; leave it out, or give a file with --path")
+        raise InputError(f"--noise {noise}: is for a file only; leave it out, or give a file with --path")
     else:
         values, driven = series(text, ("force", "length", "angle"), "--path")
     for step, value in enumerate(values, 1):
