@@ -53,20 +53,20 @@ def what():
 
 
 def test_axes_in_space_are_to_scale_and_in_millimetres(equilibrium):
-    room = figures.draw_shape(ROBOT, equilibrium, LOADS)
-    assert [room.get_xlabel(), room.get_ylabel(), room.get_zlabel()] == ["$X$ (mm)", "$Y$ (mm)", "$Z$ (mm)"]
-    sizes = np.ptp([room.get_xlim(), room.get_ylim(), room.get_zlim()], axis=1)
-    np.testing.assert_allclose(room._box_aspect / sizes, room._box_aspect[0] / sizes[0])
-    labels = [axes.get_ylabel() for axes in room.figure.axes[1:]]
+    scene = figures.draw_shape(ROBOT, equilibrium, LOADS)
+    assert [scene.get_xlabel(), scene.get_ylabel(), scene.get_zlabel()] == ["$X$ (mm)", "$Y$ (mm)", "$Z$ (mm)"]
+    sizes = np.ptp([scene.get_xlim(), scene.get_ylim(), scene.get_zlim()], axis=1)
+    np.testing.assert_allclose(scene._box_aspect / sizes, scene._box_aspect[0] / sizes[0])
+    labels = [axes.get_ylabel() for axes in scene.figure.axes[1:]]
     assert labels == ["$T$ (N)"]
-    told = [text.get_text() for text in room.figure.legends[0].get_texts()]
+    told = [text.get_text() for text in scene.figure.legends[0].get_texts()]
     assert told == ["$F$ = 0.5 N", "$m$ = 0.02 N m", "$g$ = (0, 0, \N{MINUS SIGN}9.81) m/s$^2$"]
 
 
 def test_shadows_lie_on_the_walls(equilibrium, what):
-    room = figures.draw_shape(ROBOT, equilibrium)
-    walls = room.get_xlim()[0], room.get_ylim()[1], room.get_zlim()[0]
-    polygons = space.shadows(room, what.body)
+    scene = figures.draw_shape(ROBOT, equilibrium)
+    walls = scene.get_xlim()[0], scene.get_ylim()[1], scene.get_zlim()[0]
+    polygons = space.shadows(scene, what.body)
     on = [[np.all(polygon[:, i] == walls[i]) for i in range(3)] for polygon in polygons]
     np.testing.assert_array_equal(np.sum(on, axis=0), len(what.body.rings) - 1)
     # no part of the body touches a wall
@@ -90,8 +90,8 @@ def test_silhouettes(what):
 
 
 def test_tendons_are_where_they_are_and_end_at_their_anchors(equilibrium, what):
-    room = figures.draw_shape(ROBOT, equilibrium)
-    lines = [x for x in room.collections if isinstance(x, Line3DCollection) and x.get_array() is not None]
+    scene = figures.draw_shape(ROBOT, equilibrium)
+    lines = [x for x in scene.collections if isinstance(x, Line3DCollection) and x.get_array() is not None]
     near, hidden = lines
     pieces, dashes = np.asarray(near._segments3d), np.asarray(hidden._segments3d)
     # seen from above and in front: the inner tendon, which runs above the midline, hides nothing and is not hidden
@@ -164,6 +164,6 @@ def test_tensions_that_hardly_differ_have_a_scale_from_zero():
 @pytest.mark.slow
 def test_a_solve_in_space_is_drawn():
     found = cddf.solve(ROBOT, (2.0, 0.0), nodes=6)
-    room = figures.draw_shape(ROBOT, found)
-    assert "pdf" in next(iter(figures.render(room.figure, "shape")))
+    scene = figures.draw_shape(ROBOT, found)
+    assert "pdf" in next(iter(figures.render(scene.figure, "shape")))
     figures.draw_view(ROBOT, found, "YZ", LOADS)

@@ -313,7 +313,5 @@ def test_loops_for_which_there_is_no_room():
 
 def test_a_path_is_no_map():
     answer = loops_over({"friction_coefficient": FRICTIONS})
-    with pytest.raises(
-        InputError, match=r"^draw_map: base_tension is a path, along which tensions come back; use draw"
-    ):
+    with pytest.raises(InputError, match=r"^draw_map: base_tension is a path, on which tensions repeat; use draw"):
         draw_map(answer.sel(tendon=0), "tip_tension", "base_tension", "friction_coefficient")

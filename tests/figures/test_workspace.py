@@ -38,13 +38,13 @@ def drawn(axes):
 
 
 def test_tips_in_millimetres_and_the_sum_of_tensions():
-    room = figures.draw_workspace(answer())
-    tips, values = drawn(room)
+    scene = figures.draw_workspace(answer())
+    tips, values = drawn(scene)
     assert len(tips) == 9
     np.testing.assert_allclose(values, tips[:, 1] + tips[:, 2])
     np.testing.assert_allclose(tips.sum(axis=1), 100.0)
-    assert [axes.get_ylabel() for axes in room.figure.axes[1:]] == ["Total tension (N)"]
-    assert not room.figure.legends
+    assert [axes.get_ylabel() for axes in scene.figure.axes[1:]] == ["Total tension (N)"]
+    assert not scene.figure.legends
 
 
 def test_the_nearest_lies_on_top():
@@ -55,8 +55,8 @@ def test_the_nearest_lies_on_top():
 
 def test_views_show_the_same_tips():
     figure = figures.workspace_figure(answer(), "tip_angle")
-    room, *others = figure.axes
-    tips, values = drawn(room)
+    scene, *others = figure.axes
+    tips, values = drawn(scene)
     np.testing.assert_allclose(values, tips[:, 1])  # deg
     views = {(axes.get_xlabel()[1], axes.get_ylabel()[1]): drawn(axes)[0] for axes in others if axes.collections[:1]
              and axes.get_xlabel()}  # fmt: skip

@@ -1,4 +1,4 @@
-"""Lines over arc length: what an equilibrium holds along the body, and a table of cross-sections as it was read."""
+"""Lines over arc length: the fields of an equilibrium, and a table of cross-sections as it was read."""
 
 from collections.abc import Sequence
 from itertools import cycle
@@ -31,8 +31,8 @@ def draw_along(
 ) -> Axes:
     """A quantity over arc length, mm, one line for each tendon where each has its own.
 
-    Lines of tendons end where these are anchored, differ by dashes and markers, and have their numbers at
-    their ends.
+    The line of a tendon ends where the tendon is anchored, and has the number of the tendon there. Lines differ by
+    dashes and markers.
 
     Args:
         manipulator: the body that was solved.
@@ -66,7 +66,7 @@ def draw_along(
 
 
 def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, names: Sequence[str], style: looks.Look) -> None:
-    """Lines with dashes of their own, then markers of their own; of several tendons with its number at the end."""
+    """Lines that differ by dashes, and where these are used up by markers; several lines have numbers at their ends."""
     count, dashes = len(values), cycle([look["linestyle"] for look in looks.CURVES])
     for i, (line, name, dash) in enumerate(zip(values, names, dashes, strict=False)):
         marker = MARKERS[i // len(looks.CURVES) % len(MARKERS)]

@@ -1,4 +1,4 @@
-"""The bent body to scale, mm: its tendons coloured by tension, loads as arrows, or the forces of its tendons."""
+"""The bent body to scale, mm: tendons coloured by tension with loads as arrows, or the forces of the tendons."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -51,9 +51,9 @@ def draw_shape(
 ) -> Axes:
     """The bent body to scale, mm: wall, bore, clamp, and tendons coloured by their tension, N.
 
-    The rest shape is dotted; tendons end in a dot where they are anchored, and have numbers where there are several.
-    Arrows of loads at the tip have one length: the legend tells their magnitudes, and magnitude and direction of
-    gravity. The scale of colours stands beside the axes.
+    The rest shape is dotted. Tendons end in a dot where they are anchored; several tendons are numbered. Arrows of
+    loads at the tip all have the same length: the legend gives their magnitudes, and magnitude and direction of
+    gravity. The colour scale is beside the axes.
 
     A body in space is drawn in three dimensions, with shadows on the walls. Tendons are dashed where the body hides
     them.
@@ -61,7 +61,7 @@ def draw_shape(
     Args:
         manipulator: the body that was solved.
         equilibrium: its equilibrium.
-        loads: those under which it was solved; None for none.
+        loads: as given to `solve`; None for none.
         axes: where to draw, in space with projection="3d"; None for a new figure, one column wide.
 
     Raises:
@@ -161,12 +161,12 @@ def _in_space(who: str, manipulator: Manipulator, equilibrium: Equilibrium, load
 
 def _draw_shape_in_space(what: Drawn, axes: Axes | None) -> Axes:
     norm = space.tension_scale(what.tension)
-    with space.room_or_new(axes, what.points, 2.2, 2.15) as room:
-        space.draw_in_space(room, what, norm)
-        space.scale_of_room(room, norm, "$T$ (N)", given=axes is not None)
+    with space.scene_or_new(axes, what.points, 2.2, 2.15) as scene:
+        space.draw_in_space(scene, what, norm)
+        space.scale_of_scene(scene, norm, "$T$ (N)", given=axes is not None)
         if axes is None:
-            _legend_of_loads(draw.figure_of(room), what.loads)
-    return room
+            _legend_of_loads(draw.figure_of(scene), what.loads)
+    return scene
 
 
 def _figure_in_space(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Figure:
@@ -177,8 +177,8 @@ def _figure_in_space(manipulator: Manipulator, equilibrium: Equilibrium, loads: 
         below = space.height_of_views(what.points, VIEWS_WIDTH) + 0.1
         rows = -(-manipulator.num_tendons // 3)  # of the legend
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.2 + 0.16 * rows)
-        room, _ = space.new_room(figure, what.points, 0.1, below + 0.45, 3.0, 2.4)
-        space.draw_in_space(room, what, norm)
+        scene, _ = space.new_scene(figure, what.points, 0.1, below + 0.45, 3.0, 2.4)
+        space.draw_in_space(scene, what, norm)
         for quantity, bottom in (("tension", 1.95), ("curvature", 0.45)):
             panel = draw.place_in(figure, 4.6, below + bottom, 2.45, 1.1)
             draw_along(manipulator, equilibrium, quantity, panel)
@@ -196,13 +196,13 @@ def _legend_of_loads(figure: Figure, loads: Loads) -> None:
 
 
 def _fitting_height(axes: Axes, width: float) -> float:
-    """Of a figure whose axes for the body are so wide, in."""
+    """The height of a figure, inches, in which the axes of the body have this width."""
     across, up = axes.dataLim.size
     return float(np.clip(width * up / across + 0.7, 2.4, 4.2))
 
 
 def _number_tendons(axes: Axes, heights: np.ndarray, length: float) -> None:
-    """The number of each tendon in front of the base; neighbours that are too close share a label."""
+    """The number of each tendon in front of the base; neighbours that are too close have one label."""
     order = np.argsort(-heights, kind="stable")
     groups = np.split(order, np.flatnonzero(-np.diff(heights[order]) > 0.04 * length) + 1)  # about a line of text
     for group in groups:
@@ -211,7 +211,7 @@ def _number_tendons(axes: Axes, heights: np.ndarray, length: float) -> None:
 
 
 def _draw_loads(axes: Axes, body: Body, loads: Loads, length: float) -> None:
-    """Arrows of tip force and tip moment; the legend tells magnitudes, and the direction of gravity."""
+    """Arrows of tip force and tip moment; the legend gives magnitudes, and the direction of gravity."""
     force, gravity = np.asarray(loads.tip_force), np.asarray(loads.gravity)
     size, moment = np.linalg.norm(force), float(loads.tip_moment)
     turn = r"$\curvearrowleft$" if moment > 0 else r"$\curvearrowright$"
@@ -244,8 +244,8 @@ def _arrow_along(vector: np.ndarray) -> MarkerStyle:
 def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: Axes | None = None) -> Axes:
     """The bent body to scale, mm, with the normal and friction force of its tendons per length as arrows.
 
-    Both have one scale, told beside the arrows in the corner. The force at which a tendon is anchored is not drawn.
-    In space the legend tells the largest of both.
+    Both have the same scale, given beside the arrows in the corner. The force at the anchor of a tendon is not drawn.
+    In space the legend gives the largest of each.
 
     Args:
         manipulator: the body that was solved.
@@ -288,18 +288,18 @@ def _draw_forces_in_space(what: Drawn, forces: np.ndarray, at: np.ndarray, axes:
     strongest = float(np.max(np.linalg.norm(forces, axis=-1), initial=0.0))
     arrows = forces * (LONGEST * what.length / (strongest or 1.0))
     points = np.concatenate([what.points, *(what.tendons[at] + arrows)])
-    with space.room_or_new(axes, points, 2.6, 2.4) as room:
-        space.draw_body_in_space(room, what)
+    with space.scene_or_new(axes, points, 2.6, 2.4) as scene:
+        space.draw_body_in_space(scene, what)
         for path in what.tendons:
-            room.plot(*path.T, color=looks.BLACK, linewidth=0.5, zorder=5)
+            scene.plot(*path.T, color=looks.BLACK, linewidth=0.5, zorder=5)
         kinds = zip(("normal", "friction"), (looks.BLUE, looks.VERMILION), forces, arrows, strict=True)
         for name, color, force, arrow in kinds:
             most = np.max(np.linalg.norm(force, axis=-1), initial=0.0)
             look = {"color": color, "linewidth": 0.9, "arrow_length_ratio": 0.25, "zorder": 6}
-            room.quiver(*what.tendons[at].T, *arrow.T, label=f"{name} force, at most {most:.3g} N/m", **look)
+            scene.quiver(*what.tendons[at].T, *arrow.T, label=f"{name} force, at most {most:.3g} N/m", **look)
         if axes is None:
-            entries = room.get_legend_handles_labels()
-            draw.figure_of(room).legend(*entries, loc="upper left", ncols=2, columnspacing=1.2)
+            entries = scene.get_legend_handles_labels()
+            draw.figure_of(scene).legend(*entries, loc="upper left", ncols=2, columnspacing=1.2)
         else:
-            room.legend(loc="upper left")
-    return room
+            scene.legend(loc="upper left")
+    return scene

@@ -25,13 +25,13 @@ LINE = 0.07  # of the length of the body: the height of a line of text
 
 
 def design_figure(design: Design) -> Figure:
-    """Left the straight bodies before and after and the designed one bent; right curvature and strain along them.
+    """On the left the straight bodies before and after, and the designed body bent; on the right curvature and strain.
 
     The first load case is drawn. Walls and tendons are to scale, one scale for all three bodies. There is no strain
     where the bodies have no radii.
 
-    In space left the designed body bent, as `draw_design` draws it; right the angle and the offset of its tendons,
-    bending and twist along both bodies.
+    In space: on the left the designed body bent, as `draw_design` draws it; on the right angle and offset of the
+    tendons, bending and twist, along both bodies.
     """
     if design.equilibria[0].in_space:
         return _figure_in_space(design)
@@ -56,12 +56,12 @@ def _draw_before_and_after(design: Design, quantity: str, axes: Axes) -> None:
 
 
 def draw_design(design: Design, axes: Axes | None = None) -> Axes:
-    """The straight bodies before and after, and the designed one bent in its first load case; to one scale, mm.
+    """The straight bodies before and after, and the designed body bent in its first load case; to one scale, mm.
 
-    Outer and inner diameters at both ends are written beside the straight bodies, where they have radii. The bent body
-    from which the search began is dashed.
+    Outer and inner diameters at both ends are written beside the straight bodies that have radii. The bent body at the
+    start of the search is dashed.
 
-    In space the designed body alone, in three dimensions, with the axis of the bent start dashed.
+    In space only the designed body is drawn, in three dimensions; the axis of the bent start is dashed.
 
     Args:
         design: of `design`.
@@ -99,11 +99,11 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
 
 def _draw_design_in_space(design: Design, axes: Axes | None) -> Axes:
     after, old = _drawn_in_space(design)
-    with space.room_or_new(axes, np.concatenate([after.points, old]), 2.2, 2.15) as room:
-        _draw_both(room, after, old)
+    with space.scene_or_new(axes, np.concatenate([after.points, old]), 2.2, 2.15) as scene:
+        _draw_both(scene, after, old)
         if axes is None:
-            space.scale_of_room(room, space.tension_scale(after.tension), "$T$ (N)", given=False)
-    return room
+            space.scale_of_scene(scene, space.tension_scale(after.tension), "$T$ (N)", given=False)
+    return scene
 
 
 def _figure_in_space(design: Design) -> Figure:
@@ -111,8 +111,8 @@ def _figure_in_space(design: Design) -> Figure:
     after, old = _drawn_in_space(design)
     with draw.house_style():
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, 3.5)
-        room, _ = space.new_room(figure, np.concatenate([after.points, old]), 0.1, 0.45, 2.5, 2.6)
-        _draw_both(room, after, old)
+        scene, _ = space.new_scene(figure, np.concatenate([after.points, old]), 0.1, 0.45, 2.5, 2.6)
+        _draw_both(scene, after, old)
         draw.colour_scale(figure, space.tension_scale(after.tension), "$T$ (N)", 3.15, 1.0, 1.6)
         for quantity, left, bottom in (("angle", 4.15, 1.95), ("offset", 5.95, 1.95)):
             _draw_routing(design, quantity, draw.place_in(figure, left, bottom, 1.0, 1.2))
@@ -133,9 +133,9 @@ def _drawn_in_space(design: Design) -> tuple[Drawn, np.ndarray]:
     return geometry.drawn(design.manipulator, along, design.cases[0].loads), 1e3 * np.asarray(before.position)
 
 
-def _draw_both(room: space.Axes3D, after: Drawn, old: np.ndarray) -> None:
-    space.draw_in_space(room, after, space.tension_scale(after.tension))
-    room.plot(*old.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
+def _draw_both(scene: space.Axes3D, after: Drawn, old: np.ndarray) -> None:
+    space.draw_in_space(scene, after, space.tension_scale(after.tension))
+    scene.plot(*old.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
 
 
 def _draw_routing(design: Design, quantity: str, axes: Axes) -> None:
@@ -157,7 +157,7 @@ def _draw_routing(design: Design, quantity: str, axes: Axes) -> None:
 
 
 def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: float, line: float) -> float:
-    """A body at rest above a height, with its diameters and what it is; the height above which all is free again.
+    """Draw a body at rest above the height `below`, with its diameters and a label; return the height of its upper end.
 
     `line` is the height of a line of text, mm.
     """
@@ -182,10 +182,9 @@ def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: floa
 
 
 def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
-    """The two objectives against each other: every design a point, the start apart.
+    """The two objectives against each other: a point for each design, and a square for the start.
 
-    Designs that are not stationary are hollow. A start so far off that the front could not be seen beside it is given
-    as text.
+    Designs that are not stationary are hollow. A start that is too far away to be drawn is given as text.
 
     Args:
         front: of `pareto_front`.
@@ -210,7 +209,7 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
 
 
 def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.ndarray]) -> None:
-    """The start as a square, or as text where it is so far off that the front could not be seen beside it."""
+    """The start as a square, or as text if it is too far away to be drawn."""
     spans = [(np.nanmin(values), np.nanmax(values)) for values in points]
     within = [2 * low - high <= value <= 2 * high - low for value, (low, high) in zip(start, spans, strict=True)]
     if all(within):
@@ -221,7 +220,7 @@ def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.nda
 
 
 def _widen(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Wider axis limits around designs that hardly differ: else differences of rounding would look like a trade-off."""
+    """Wider axis limits around designs that hardly differ: else rounding would look like a trade-off."""
     for values, set_limits in ((x, axes.set_xlim), (y, axes.set_ylim)):
         middle = float(np.nanmean(values))
         if np.nanmax(values) - np.nanmin(values) < 1e-3 * abs(middle):

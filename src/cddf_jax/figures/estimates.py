@@ -1,4 +1,4 @@
-"""How the estimates of a fit hang together: their correlation, and bootstraps; and how well a plan would tell them."""
+"""Figures of estimates: correlation, bootstraps, profiles, and the standard errors that a plan expects."""
 
 from collections.abc import Mapping
 from textwrap import fill
@@ -24,7 +24,7 @@ from .fit import PANEL_HEIGHT, shown_scale
 
 ROW_HEIGHT = 0.28  # inches, of a candidate
 MANY = 300  # of the largest over the smallest error: then only powers of ten are written
-MOST_SHOWN = 1.9**2  # of a profile, times the rise at the ends of the interval
+MOST_SHOWN = 1.9**2  # times the rise at the ends of the interval: up to there a profile is drawn
 CORRELATION_COLOURS = LinearSegmentedColormap.from_list("correlation", [looks.BLUE, "#FFFFFF", looks.VERMILION])
 
 
@@ -58,7 +58,7 @@ def draw_correlation(fit: Fit, axes: Axes | None = None) -> Axes:
 
 
 def _name_rows(axes: Axes, labels: list[str]) -> None:
-    """Names of rows and columns, and white lines between these."""
+    """Names of rows and columns, and white lines between them."""
     count = len(labels)
     turn = {} if count < 4 else {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
     axes.set_xticks(range(count), labels, **turn)
@@ -127,10 +127,10 @@ def _draw_pair(
 
 
 def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
-    """The root of the rise of the sum of squares over a parameter; for a linear model straight lines.
+    """The root of the rise of the sum of squares over a parameter; two straight lines for a linear model.
 
-    The 95 % interval lies where it stays below the dashed line; where that is never crossed the side is open, and
-    said to be. What is positive and open is drawn on a logarithmic axis, without an estimate.
+    The 95 % interval is where the profile is below the dashed line. A side on which it never crosses that line is
+    marked as open. A positive parameter with an open side is drawn on a logarithmic axis, without an estimate.
 
     Args:
         fit: of `fit`.
@@ -141,7 +141,6 @@ def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
     scale, label = shown_scale(name)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
         interval, limit = profile.confidence_interval, np.sqrt(profile.threshold)
-        # what is positive and open on a side is best seen on a logarithmic axis
         valley = status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
         low, high = _reach(profile, estimate, valley)
         axes.set(xscale="log" if valley else "linear", xlabel=label, ylabel="Root of the rise in squares")
@@ -173,7 +172,7 @@ def profiles_figure(fit: Fit, profiles: Mapping[str, Profile]) -> Figure:
 
 
 def _reach(profile: Profile, estimate: float, valley: bool) -> tuple[float, float]:
-    """Lowest and highest value to show: somewhat more than the interval; of a valley two decades each way at most."""
+    """Lowest and highest value to show: somewhat more than the interval; for a valley at most two decades each way."""
     ends = [end for end, closed in zip(profile.confidence_interval, profile.closed, strict=True) if closed]
     shown = np.array([*profile.value[profile.rise < MOST_SHOWN * profile.threshold], *ends, estimate])
     if valley:
@@ -188,8 +187,8 @@ def _reach(profile: Profile, estimate: float, valley: bool) -> tuple[float, floa
 def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
     """Expected standard errors, per cent, one row for each candidate, the best on top.
 
-    Of what may be zero they are per cent of a size that matters, told in the legend. What stays open is hollow at the
-    right edge. The first row is what is known now.
+    For a parameter that may be zero they are per cent of a size that matters, given in the legend. A parameter that
+    stays unidentified is hollow at the right edge. The first row is what is known now.
 
     Args:
         plan: of `plan`.

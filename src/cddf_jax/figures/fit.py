@@ -44,12 +44,11 @@ def shown_scale(name: str) -> tuple[float, str]:
 def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes: Axes | None = None) -> Axes:
     """The readings of a column over base tension, N, and the fitted model with its 95 % band.
 
-    Readings of one level are drawn as their mean with one standard deviation. A pulley test is drawn as pulling
-    tension per weight over wrap angle, deg, so that one curve holds every weight. Rows that come back are drawn with
-    the model along their path, trial by trial: solid when pulled, dashed when released; markers tell the branch of a
-    reading. No single curve holds the rows of a table with several tendons, forces on the tip or tendons that are said
-    to slide out: each reading is then drawn over what the model predicts for its row, with the 95 % interval of the
-    prediction.
+    Readings of one level are drawn as their mean with one standard deviation. A pulley test is drawn as pulling tension
+    per weight over wrap angle, deg, so that one curve holds for every weight. Rows with a history are drawn with the
+    model along their path, trial by trial: solid when pulled, dashed when released; markers show the branch of a
+    reading. With several tendons, forces on the tip or a stated direction -1, no single curve holds for all rows: each
+    reading is then drawn over the prediction for its row, with the 95 % interval of the prediction.
 
     Args:
         fit: of `fit`.
@@ -85,11 +84,11 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
 
 
 def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None, axes: Axes | None = None) -> Axes:
-    """What the fitted model leaves of a column, observed less predicted, over base tension, N (wrap angle, deg).
+    """The residuals of a column, observed less predicted, over base tension, N, or wrap angle, deg.
 
-    Every reading is a dot; over them mean and standard deviation of each level, and about zero the 95 % band of the
-    model. With a history markers tell the branch, and the 95 % interval of the model is that of each reading. Where no
-    single curve holds the rows, the residuals are drawn over the prediction, as `draw_fit` does.
+    Every reading is a dot. Mean and standard deviation of each level are drawn over the dots, and the 95 % band of the
+    model about zero. With a history markers show the branch, and each reading has its own 95 % interval of the model.
+    Where no single curve holds for all rows, the residuals are drawn over the prediction, as in `draw_fit`.
 
     Args:
         fit, table, column, axes: as of `draw_fit`.
@@ -123,7 +122,7 @@ def table_figures(fit: Fit) -> dict[str, Figure]:
 
 
 def _table_figure(fit: Fit, name: str) -> Figure:
-    """Data and model above, residuals below; one column fills that of a page, up to three stand side by side."""
+    """Data and model above, residuals below; up to three columns of the table stand side by side."""
     columns = list(_groups(fit, name))
     across, down = min(len(columns), MOST_ACROSS), -(-len(columns) // MOST_ACROSS)
     with draw.house_style():
@@ -218,7 +217,7 @@ def residuals_figure(fit: Fit) -> Figure:
 
 
 def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
-    """Sorted residuals, the line on which they would lie, and where 95 % of normal draws do, place by place."""
+    """Sorted residuals, the line of normal residuals, and the band that holds 95 % of normal draws at each place."""
     name, residual = group
     count, rank = residual.size, np.arange(1, residual.size + 1)
     quantile = ndtri((rank - 0.375) / (count + 0.25))
@@ -246,7 +245,7 @@ class Levels(NamedTuple):
 
 
 def by_level(x: ArrayLike, y: ArrayLike) -> Levels:
-    """Gather the readings y whose x agree within 2 % of the range of x, the scatter of a set point."""
+    """Gather the readings y whose x agree within 2 % of the range of x, by which a set level may scatter."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     order = np.argsort(x, kind="stable")
     new_level = np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1
@@ -277,7 +276,7 @@ def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue
 
 
 def _draw_branches(axes: Axes, course: Course, panel: _Panel) -> None:
-    """Readings over the base tension, those of one hold as mean and standard deviation; markers tell the branch."""
+    """Mean and standard deviation of each hold over the base tension; markers show the branch."""
     pulled, holds = course.pulled[panel.there], np.stack([course.trial, course.step], axis=1)[panel.there]
     look: looks.Look = {"color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
     for branch, marker, words in BRANCHES:
@@ -294,8 +293,8 @@ def draw_about_zero(
 ) -> None:
     """Every residual about a line at zero.
 
-    They are dots, over them mean and standard deviation at each level of x; or markers that tell the branch, where
-    `pulled` says of each reading whether the tendon was pulled.
+    They are dots, with mean and standard deviation at each level of x over them. If `pulled` says of each reading
+    whether the tendon was pulled, they are markers that show the branch.
     """
     if pulled is None:
         axes.axhline(0.0, color=looks.BLUE)

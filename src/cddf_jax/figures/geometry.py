@@ -1,4 +1,4 @@
-"""Arrays that figures and the explorer draw: the outline of a body, its tendons, and fields along it. No Matplotlib."""
+"""The arrays that figures and the explorer draw: outline of a body, tendons, fields along it. No Matplotlib here."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -65,7 +65,7 @@ class SpatialBody(NamedTuple):
         return (tendon - self.midline) @ sight < 0
 
     def is_hidden(self, tendon: np.ndarray, sight: np.ndarray) -> np.ndarray:
-        """Where the body hides a line along it, (points, 3), from who looks from the direction `sight`."""
+        """Where the body hides a line along it, (points, 3), seen from the direction `sight`."""
         arm = tendon - self.midline
         aside = np.linalg.norm(np.cross(arm, sight / np.linalg.norm(sight)), axis=-1)
         return self.is_behind(tendon, sight) & (aside < self.outer_radius)
@@ -146,7 +146,7 @@ def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> AnyFields:
 
 
 def planar_fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
-    """The same of a body in the plane."""
+    """The same for a body in the plane."""
     return in_the_plane(fields_along(equilibrium, arc_length), "figures")
 
 
@@ -219,7 +219,7 @@ def _radii(manipulator: Manipulator, arc_length: np.ndarray) -> tuple[np.ndarray
 
 
 def _circle(count: int) -> np.ndarray:
-    """Points around the axis x, (count, 3), the first and the last the same."""
+    """A closed circle of points around the axis x, (count, 3)."""
     angles = np.linspace(0.0, 2 * np.pi, count)
     return np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
 
@@ -252,9 +252,9 @@ BENDING = ("twist, $x$", "bending, $y$", "bending, $z$")
 
 
 def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np.ndarray:
-    """A quantity in the unit of its label, (lines, points).
+    """A quantity in the unit of its label, (lines, points): one line, or one for each tendon up to its anchor.
 
-    One line, one for each tendon up to its anchor, or for the curvature in space three.
+    The curvature in space has three lines.
     """
     if quantity == "strain" and manipulator.extensible:
         raise InputError("draw_along: the strain along an axis that stretches is not known; see peak_strain")
@@ -265,6 +265,6 @@ def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np
 
 
 def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:
-    """From m."""
+    """What is drawn, mm, from arc lengths and points of the midline, m."""
     outer, inner = _radii(manipulator, arc_length)
     return Body(1e3 * midline, heading, 1e3 * outer, 1e3 * inner)

@@ -1,4 +1,4 @@
-"""What a traced history looks like: loops over the base tension, lines along the body, and where the work goes."""
+"""Figures of a history: loops over the base tension, lines along the body, and where the work goes."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -20,10 +20,10 @@ from .geometry import stations
 
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 LOOPS = ("tip_tension", "tip_angle", "tendon_displacement", "front")
-LEAST_LEG = 0.02  # of the range of a path; a shorter way bears no arrow
+LEAST_LEG = 0.02  # of the range of a path; a shorter part has no arrow
 LINES = len(looks.CURVES)  # along the body, at most
-NUMBERED = 10  # steps, at most: of more of them not all bear their numbers
-SAME = 1e-8  # of the range of a quantity, by which points and lines may differ that are drawn as one
+NUMBERED = 10  # steps that are all numbered; of more steps only some are
+SAME = 1e-8  # of the range of a quantity: points and lines that differ by less are drawn as one
 PULLED: looks.Look = {"color": looks.BLUE, "linestyle": "-", "label": "pulled"}
 RELEASED: looks.Look = {"color": looks.VERMILION, "linestyle": (0, (5, 2)), "label": "released"}
 
@@ -35,7 +35,7 @@ def history_figure(
 
     Args:
         manipulator: the body that was traced.
-        history, steps, tendon: as of `draw_loop`. Along the body there is room for the last six lines.
+        history, steps, tendon: as of `draw_loop`. Along the body the last six lines are drawn.
 
     Raises:
         InputError: when a step failed.
@@ -62,13 +62,13 @@ def draw_loop(
 ) -> Axes:
     """A quantity over the base tension, N, in the order of the steps: solid when pulled, dashed when released.
 
-    Arrows show the order. Steps bear their numbers; steps at one point share a label.
+    Arrows show the order. Steps are numbered; steps at one point have one label.
 
     Args:
         history: of `trace`; the closer its steps, the smoother the loop.
         quantity: "tip_tension" (N), "tip_angle" (deg), "tendon_displacement" (mm) or "front" (mm).
         axes: where to draw; None for a new figure, one column wide.
-        steps: which of its steps, from 0, bear the numbers 1, 2, ...; those where it turns unless given.
+        steps: which of its steps, from 0, have the numbers 1, 2, ...; those where it turns unless given.
         tendon: whose tensions are drawn, from 0.
 
     Raises:
@@ -100,17 +100,17 @@ def draw_history_along(
     steps: Sequence[int] | None = None,
     tendon: int = 0,
 ) -> Axes:
-    """A quantity over arc length, mm, after some steps of a history, one line for each; a dot marks its front.
+    """A quantity over arc length, mm, after some steps of a history, one line for each step; a dot marks the front.
 
-    Up to its front a tendon slid last, and beyond it the tendon rests. No dot: all of it slid. Steps that left the same
-    line share one, and steps before the first tension have none.
+    Up to the front the tendon slid last, and beyond it the tendon rests. Without a dot all of it slid. Steps
+    with the same line have one line together, and steps before the first tension have none.
 
     Args:
         manipulator: the body that was traced.
         history, axes: as of `draw_loop`.
         quantity: as `draw_along` takes it.
-        steps: which of its steps, from 0, are drawn and bear the numbers 1, 2, ...; unless given the last six of those
-            where it turns.
+        steps: which of its steps, from 0, are drawn and have the numbers 1, 2, ...; unless given the last six steps at
+            which it turns.
         tendon: whose tensions and fronts are drawn, from 0.
 
     Raises:
@@ -129,9 +129,9 @@ def draw_history_along(
 def draw_energy(
     history: History, axes: Axes | None = None, *, steps: Sequence[int] | None = None, tendon: int = 0
 ) -> Axes:
-    """Where the work goes, mJ, over the steps: what is stored, what friction took, and the work put in.
+    """Where the work goes, mJ, over the steps: energy stored, energy lost to friction, and the work put in.
 
-    In the exact kinematics the work is the sum of the others.
+    In the exact kinematics the work is the sum of the other two.
 
     Args:
         history, axes, steps: as of `draw_loop`.
@@ -156,7 +156,7 @@ def draw_energy(
         axes.margins(0.0, 0.05)
         axes.set_ylim(bottom=min(0.0, *stored, *work))
         tensions = _of_tendon(history.base_tension, tendon)[steps]
-        named = np.arange(0, len(steps), -(-len(steps) // NUMBERED))  # as many as there is room for
+        named = np.arange(0, len(steps), -(-len(steps) // NUMBERED))
         axes.set_xticks(named + 1, [f"{i + 1}\n{tensions[i]:.4g}" for i in named])
         draw.legend_above(axes, 3)
     return axes
@@ -181,21 +181,21 @@ def draw_model_loops(axes: Axes, loops: Sequence[ModelCurve]) -> None:
 
 
 def _label(history: History, quantity: str, tendon: int) -> str:
-    """Of an axis; with several tendons it names the one."""
+    """The label of an axis; with several tendons it has the number of the tendon."""
     label = QUANTITIES[quantity].axis_label
     per_tendon = getattr(history, quantity).ndim == 2
     return label.replace(" (", f" {tendon + 1} (", 1) if per_tendon else label
 
 
 def _steps(history: History, steps: Sequence[int] | None, tendon: int) -> list[int]:
-    """Which steps bear numbers."""
+    """Which steps are numbered."""
     if not np.all(np.isfinite(np.asarray(history.tip_angle))):
         raise InputError("a step of the trace failed, there is no history to draw; see its result")
     return draw.turning_places(_of_tendon(history.base_tension, tendon)) if steps is None else [*map(int, steps)]
 
 
 def _of_tendon(values: jax.Array, tendon: int) -> np.ndarray:
-    """What a tendon has after each step, or all of them together."""
+    """The values of one tendon after each step; values that all tendons have in common stay as they are."""
     array = np.asarray(values)
     return array if array.ndim == 1 else array[:, tendon]
 
@@ -204,9 +204,9 @@ def _of_tendon(values: jax.Array, tendon: int) -> np.ndarray:
 
 
 def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int]) -> None:
-    """Dots with their numbers, those of one point together: to the right below where it was pulled, else left above.
+    """A dot with its numbers at each point: the label is below on the right after a pull, else above on the left.
 
-    Of many steps only those where it turns.
+    If there are many steps, only turns are numbered.
     """
     turns, many = draw.turning_places(x), len(steps) > NUMBERED
     near = SAME * np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
@@ -258,7 +258,7 @@ def _draw_along(
 
 
 def _alike(lines: dict[int, np.ndarray]) -> list[list[int]]:
-    """The numbers of lines, those of equal ones together; in the order of the last of each."""
+    """The numbers of the lines, grouped by equal lines; groups are in the order of their last line."""
     groups: list[list[int]] = []
     for number, line in lines.items():
         near = {"rtol": 0.0, "atol": SAME * np.nanmax(np.abs(line)), "equal_nan": True}

@@ -1,4 +1,4 @@
-"""The bent body in space, mm: in three dimensions with shadows on the walls, and in three plane views."""
+"""The bent body in space, mm: a scene in three dimensions with shadows on the walls, and three plane views."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -40,47 +40,47 @@ def tension_scale(tension: np.ndarray) -> Normalize:
 
 
 @contextmanager
-def room_or_new(axes: Axes | None, points: np.ndarray, width: float, height: float) -> Iterator[Axes3D]:
-    """Axes of three dimensions around points, mm, to draw into: those given, or those of a new figure.
+def scene_or_new(axes: Axes | None, points: np.ndarray, width: float, height: float) -> Iterator[Axes3D]:
+    """Axes in three dimensions around points, mm, to draw into: those given, or those of a new figure.
 
-    The plot in a new figure is so wide and at most so high, inches; the figure fits around it.
+    In a new figure the plot has this width and at most this height, inches; the figure fits around it.
     """
     if isinstance(axes, Axes3D):
-        _set_room(axes, points)
+        _set_scene(axes, points)
         yield axes
         return
     if axes is not None:
         raise InputError('figures: the body is in space; give axes with projection="3d", or none')
     with draw.house_style():
         figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
-        room, taken = new_room(figure, points, 0.12, 0.45, width, height)
+        scene, taken = new_scene(figure, points, 0.12, 0.45, width, height)
         figure.set_figheight(taken + 0.95)
         side, left = max(width, height), 0.12 + 0.5 * (width - max(width, height))
         up, across = figure.get_figheight(), figure.get_figwidth()
-        room.set_position((left / across, (0.6 + 0.5 * (taken - side)) / up, side / across, side / up))
-        yield room
+        scene.set_position((left / across, (0.6 + 0.5 * (taken - side)) / up, side / across, side / up))
+        yield scene
 
 
-def new_room(
+def new_scene(
     figure: Figure, points: np.ndarray, left: float, bottom: float, width: float, height: float
 ) -> tuple[Axes3D, float]:
     """Axes of three dimensions around points, mm, in a rectangle of a figure, inches, and the height that they take."""
     side, across, up = max(width, height), *figure.get_size_inches()
     place = (left + 0.5 * (width - side), bottom + 0.5 * (height - side), side, side)
     axes = figure.add_axes((place[0] / across, place[1] / up, side / across, side / up), projection="3d")
-    room = cast(Axes3D, axes)
-    room.set_in_layout(False)
-    room.patch.set_visible(False)
-    _set_room(room, points)
-    return room, _fill_room(room, width, height)
+    scene = cast(Axes3D, axes)
+    scene.set_in_layout(False)
+    scene.patch.set_visible(False)
+    _set_scene(scene, points)
+    return scene, _fill_scene(scene, width, height)
 
 
-def scale_of_room(room: Axes3D, norm: Normalize, label: str, *, given: bool) -> None:
-    """The colours of values beside a plot in given axes, or in a figure of `room_or_new`."""
+def scale_of_scene(scene: Axes3D, norm: Normalize, label: str, *, given: bool) -> None:
+    """The colours of values beside a plot in given axes, or in a figure of `scene_or_new`."""
     if given:
-        draw.scale_beside(room, norm, label, shrink=0.7, pad=0.12)
+        draw.scale_beside(scene, norm, label, shrink=0.7, pad=0.12)
     else:
-        figure = draw.figure_of(room)
+        figure = draw.figure_of(scene)
         draw.colour_scale(figure, norm, label, draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
 
 
@@ -90,12 +90,12 @@ def sight() -> np.ndarray:
     return np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
 
 
-def _set_room(axes: Axes3D, points: np.ndarray) -> None:
+def _set_scene(axes: Axes3D, points: np.ndarray) -> None:
     """Limits around points, mm, one scale for all three, white walls."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.08 * np.max(high - low)
     low, high = low - margin, high + margin
-    low[2] -= margin  # shadows do not touch what throws them
+    low[2] -= margin  # the shadow on the floor does not touch the body
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(tuple(high - low))
     axes.view_init(ELEVATION, AZIMUTH)
@@ -110,7 +110,7 @@ def _set_room(axes: Axes3D, points: np.ndarray) -> None:
         axis.set_label_text(f"${name}$ (mm)")
 
 
-def _fill_room(axes: Axes3D, width: float, height: float) -> float:
+def _fill_scene(axes: Axes3D, width: float, height: float) -> float:
     """Enlarge the box of a plot until it fills a rectangle, inches; the height that it takes then, inches."""
     corners = np.array(list(product(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())))
     side = axes.get_position(original=True).width * draw.figure_of(axes).get_figwidth()
@@ -145,7 +145,7 @@ def _axis_of(axes: Axes3D) -> Sequence[Axis]:
 
 
 def draw_in_space(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
-    """Body, tendons and loads in a room that was set, with their shadows on the walls."""
+    """Body, tendons and loads in a scene whose limits are set, with shadows on the walls."""
     draw_body_in_space(axes, what)
     for path, tension in zip(what.tendons, what.tension, strict=True):
         behind, hidden = what.body.is_behind(path, sight()), what.body.is_hidden(path, sight())
@@ -158,7 +158,7 @@ def draw_in_space(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
 
 
 def draw_body_in_space(axes: Axes3D, what: Drawn) -> None:
-    """The body without its tendons, their numbers, the rest shape dotted, and shadows."""
+    """The body without its tendons, the numbers of the tendons, the rest shape dotted, and shadows."""
     look = {"facecolor": looks.PALE, "edgecolor": looks.PALE, "linewidth": 0.3, "zorder": 1}
     axes.add_collection3d(Poly3DCollection(shadows(axes, what.body), **look))
     for line in (what.straight.midline, what.straight.rings[-1]):
@@ -199,7 +199,7 @@ def _draw_tube(axes: Axes3D, body: SpatialBody) -> None:
     lit = np.clip((outward / np.linalg.norm(outward, axis=-1, keepdims=True)) @ LIGHT, -0.2, 1.0)
     colours = (0.74 + 0.20 * lit)[..., None].repeat(3, axis=-1).reshape(-1, 3)
     tube = Poly3DCollection(list(faces.reshape(-1, 4, 3)), facecolors=colours, edgecolors=colours, linewidth=0.3)
-    tube.set(zorder=4, rasterized=True)  # as lines of a PDF its facets would be seen
+    tube.set(zorder=4, rasterized=True)  # drawn as lines of a PDF its facets would be visible
     axes.add_collection3d(tube)
     for ring in (rings[0], rings[-1]):
         axes.plot(*ring.T, color=looks.GREY, linewidth=0.6, zorder=4.5)
@@ -271,13 +271,13 @@ def _scale_of_views(extents: np.ndarray, width: float) -> float:
 
 
 def height_of_views(points: np.ndarray, width: float) -> float:
-    """Of three views of points, mm, beside each other, inches."""
+    """The height of three views of points, mm, beside each other, inches."""
     extents = _extents(points)
     return float(_scale_of_views(extents, width) * np.max(np.ptp(extents[1:], axis=1))) + LABELS
 
 
 def draw_views(figure: Figure, draw_into: Callable[[Axes, str], None], points: np.ndarray, width: float) -> None:
-    """Three plane views of points, mm, beside each other to one scale, in the middle of a width at a figure's foot."""
+    """Three plane views of points, mm, beside each other to one scale, centred in a width at the foot of a figure."""
     extents = _extents(points)
     scale, top = _scale_of_views(extents, width), height_of_views(points, width)
     taken = scale * sum(np.ptp(extents[right]) for right, _, _ in VIEWS.values()) + 3 * (LABELS + GAP)
@@ -293,7 +293,7 @@ def draw_views(figure: Figure, draw_into: Callable[[Axes, str], None], points: n
 
 
 def legend_of_loads(loads: Loads) -> list[Line2D]:
-    """What the legend says of loads in space: arrows by their size, gravity by its components."""
+    """Entries of the legend for loads in space: the size of each arrow, and the components of gravity."""
     force, moment, gravity = (np.asarray(x) for x in (loads.tip_force, loads.tip_moment, loads.gravity))
     components = ", ".join(f"{x:.3g}" for x in gravity).replace("-", "\N{MINUS SIGN}")
     entries = [

@@ -1,8 +1,4 @@
-"""The house style, and drawing from plain arrays.
-
-Figures are `matplotlib.figure.Figure` objects without pyplot: no display is needed and no global state
-is touched.
-"""
+"""The house style, and drawing from plain arrays."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -34,9 +30,9 @@ Item = TypeVar("Item")
 Settings: TypeAlias = dict[Any, LookValue]  # by the names of Matplotlib's rcParams
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.5, 7.16  # inches, the columns of IEEE's two-column page
-# perceptually uniform, for colour-blind readers and grey prints alike: the higher the tension the darker
+# perceptually uniform, for colour-blind readers and for grey prints: the higher the tension the darker
 TENSION_COLOURS = LinearSegmentedColormap.from_list("tension", mpl.colormaps["viridis_r"](np.linspace(0.05, 1.0, 256)))
-# of files: sharp in print, fonts that editors of journals accept, the same bytes for figures made alike
+# of files: sharp in print, fonts that journals accept, and the same bytes for the same figure
 FILES: Settings = {
     "savefig.dpi": 300,
     "savefig.bbox": None,
@@ -80,7 +76,7 @@ def place_in(figure: Figure, left: float, bottom: float, width: float, height: f
 
 
 def panel_axes(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels of one height, in; call it within `house_style`."""
+    """A figure with `count` panels of one height, inches; call it within `house_style`."""
     columns = min(count, columns)
     rows = -(-count // columns)
     figure = new_figure(SINGLE_COLUMN if columns == 1 else DOUBLE_COLUMN, height * rows + 0.3)
@@ -117,7 +113,7 @@ def colour_scale(figure: Figure, norm: Normalize, label: str, left: float, botto
 
 @contextmanager
 def axes_or_new(axes: Axes | None, height: float, width: float = SINGLE_COLUMN) -> Iterator[Axes]:
-    """The axes to draw into: those given, in their own style, or those of a new figure, inches, in the house's."""
+    """The axes to draw into: those given, in their own style, or new ones in the house style, in a figure in inches."""
     if axes is not None:
         yield axes
         return
@@ -131,7 +127,7 @@ def figure_of(axes: Axes) -> Figure:
 
 
 def legend_above(axes: Axes, columns: int = 2) -> None:
-    """The legend of what is labelled, if anything is, over the axes."""
+    """A legend above the axes, if anything in them has a label."""
     if found := _labelled([axes]):
         look = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "columnspacing": 1.2, "borderpad": 0.1}
         axes.legend(found.values(), found.keys(), ncols=min(columns, len(found)), **look)
@@ -165,23 +161,23 @@ def to_scale(axes: Axes) -> None:
 
 @stage("drawing")
 def render(figure: Figure, name: str) -> dict[str, bytes]:
-    """The figure as PDF and PNG (300 dpi) by file name, laid out once; the same bytes for figures made alike."""
+    """The figure as PDF and PNG (300 dpi) by file name, laid out once; the same bytes for the same figure."""
     engine = figure.get_layout_engine()
     with house_style():
         if engine is not None:
             engine.execute(figure)
-            figure.set_layout_engine(None)  # with one, each file takes a layout and a draw more
+            figure.set_layout_engine(None)  # else each file would lay out and draw once more
         files = {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}
         figure.set_layout_engine(engine)
     return files
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure to a file, at its size in inches; the file is whole or as it was before.
+    """Write a figure to a file, at its size in inches, completely or not at all.
 
     Args:
-        figure: which; that of an axis `axes` is `axes.figure`.
-        path: where; its suffix says what: .pdf or .svg, or .png with 300 dpi. Its folder is made if it is missing.
+        figure: such as `axes.figure`.
+        path: ends in .pdf or .svg, or .png for 300 dpi. Its folder is made if it is missing.
 
     Returns:
         The path.
@@ -192,7 +188,7 @@ def save(figure: Figure, path: str | Path) -> Path:
     path = Path(path)
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in METADATA:
-        raise InputError(f"save: {path.name!r} must end in .pdf, .png or .svg, which says what is written")
+        raise InputError(f"save: {path.name!r} must end in .pdf, .png or .svg, which sets the format")
     write_all(path.parent, {path.name: _bytes(figure, suffix)})
     return path
 
@@ -208,14 +204,14 @@ def _bytes(figure: Figure, suffix: str) -> bytes:
 
 
 def turning_places(values: np.ndarray) -> list[int]:
-    """The indices of the first and the last value, and of those between at which values begin to rise or to fall."""
+    """The indices of the first and the last value and of the turns between, where values begin to rise or to fall."""
     moved = np.flatnonzero(np.diff(values))
     ways = np.sign(np.diff(values))[moved]
     return [0, *(int(place) for place in moved[1:][ways[1:] != ways[:-1]]), len(values) - 1]
 
 
 def draw_arrow(axes: Axes, x: np.ndarray, y: np.ndarray, color: str) -> None:
-    """The head of an arrow in the middle of a line, along the order of its points; none where x does not change."""
+    """The head of an arrow in the middle of a line, in the order of its points; none if x does not change."""
     way = np.abs(x - x[0])
     if len(x) < 2 or not np.all(np.isfinite([*y, *way])) or way[-1] == 0:
         return
@@ -245,7 +241,7 @@ def draw_body(axes: Axes, body: Body) -> None:
 def draw_coloured_line(
     axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize, zorder: float = 4.5, *, rim: bool = True
 ) -> None:
-    """A line coloured by a value at each of its points, (points, 2 or 3), with a dark rim; none where it is NaN."""
+    """A line coloured by a value at each of its points, (points, 2 or 3), with a dark rim; no line where it is NaN."""
     pieces, between = np.stack([points[:-1], points[1:]], axis=1), 0.5 * (values[:-1] + values[1:])
     there = np.isfinite(between)
     if not np.any(there):

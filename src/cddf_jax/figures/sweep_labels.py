@@ -1,4 +1,4 @@
-"""Labels of sweeps: an answer in the units of its labels, and the words for what varies, for outputs and results."""
+"""Labels of sweeps: the dataset in the units of its labels, and words for axes, outputs and results."""
 
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,7 @@ def in_label_units(answer: "xarray.Dataset", words: Mapping[str, str]) -> "xarra
         scale, unit = preferred(DIMENSION_OF[unit]) if unit in DIMENSION_OF else (1.0, unit)
         if name in QUANTITIES and QUANTITIES[name].in_percent:
             scale, unit = QUANTITIES[name].shown
-        # whole numbers and true or false cannot be NaN: other outputs tell
+        # integers and booleans cannot be NaN: other outputs show where there is no number
         values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
         attrs = {"words": words.get(name) or name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
         attrs["is_path"] = name == answer.attrs.get(PATH)
@@ -61,7 +61,7 @@ def value_words(coordinate: "xarray.DataArray", place: int) -> str:
 
 
 def axis_label(array: "xarray.DataArray") -> str:
-    """What is drawn, which part of an output it is, and the unit: "Tip tension of tendon 2 (N)"."""
+    """Name, part of an output, and unit: "Tip tension of tendon 2 (N)"."""
     at = {} if array.name in array.coords else array.coords
     parts = [words(at[name].item()) for name, words in PARTS.items() if name in at and not at[name].ndim]
     unit = f"({array.attrs['unit']})" if array.attrs["unit"] else ""
@@ -79,5 +79,5 @@ def name_in_words(name: str) -> str:
 
 
 def results_in_words(codes: np.ndarray) -> str:
-    """What kept some solves from being successful."""
+    """The results of the solves that were not successful."""
     return ", ".join(RESULT_NAMES[code].replace("_", " ") for code in np.unique(codes) if code != SUCCESSFUL)

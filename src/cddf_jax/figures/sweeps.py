@@ -1,7 +1,7 @@
 """Figures of sweeps: outputs over one number as lines, over two or three as contours, over samples as dots.
 
-A sweep is first brought into the units of its labels. The code of each solve is then the coordinate "result" of every
-output: so every part of an output that is drawn knows which of its solves failed.
+A sweep is first brought into the units of its labels. The result of each solve is then a coordinate of every output, so
+that every part of an output knows which of its solves failed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 LINES, COLUMNS, DOT_COLUMNS, PANELS = len(looks.CURVES), 4, 6, 12  # drawn at most
 SAMPLES, VALUES = 3000, 500  # drawn at most: in all, and along each axis
 MARKED = 30  # values up to which a line has a marker at each
-LABELLED = 2  # maps beside each other up to which contours have their numbers
+LABELLED = 2  # maps beside each other up to which contours are labelled
 
 
 # --- one output ----------------------------------------------------------------------------------
@@ -39,14 +39,14 @@ LABELLED = 2  # maps beside each other up to which contours have their numbers
 def draw_lines(dataset: "xarray.Dataset", output: str, over: str, axes: Axes | None = None) -> Axes:
     """An output of a sweep over one number, in mm, deg, MPa and else SI units.
 
-    There is a line for each combination of what else varies, six at most: values of another axis, kinematics,
-    tendons, components. Successful solves make the line. Doubtful solves are hollow markers beside it. Failed solves
-    are crosses at the foot. The legend says why. A path of base tensions (`history=True`) is a loop with arrows.
+    There is a line for each combination of what else varies, at most six: values of another axis, kinematics,
+    tendons, components. The line consists of successful solves. Doubtful solves are hollow markers, and failed solves
+    are crosses at the lower edge; the legend says why. A path of base tensions (`history=True`) is a loop with arrows.
 
     Args:
-        dataset: of `sweep`, whole or a part of it, as `dataset.sel(tendon=0)`.
-        output: the name of an output, as "tip_tension".
-        over: the name of a number along an axis, as "base_tension".
+        dataset: of `sweep`, or a part of it, such as `dataset.sel(tendon=0)`.
+        output: the name of an output, such as "tip_tension".
+        over: the name of a number along an axis, such as "base_tension".
         axes: where to draw; None for a new figure, one column wide.
 
     Raises:
@@ -60,14 +60,14 @@ def draw_lines(dataset: "xarray.Dataset", output: str, over: str, axes: Axes | N
 
 
 def draw_map(dataset: "xarray.Dataset", output: str, x: str, y: str, axes: Axes | None = None) -> Axes:
-    """Contours of an output of a sweep over two numbers, in mm, deg, MPa and else SI units; the scale stands beside.
+    """Contours of an output of a sweep over two numbers, in mm, deg, MPa and else SI units, with a colour scale.
 
-    Where a solve failed or is doubtful the map is left blank and hatched. The legend says why.
+    Where a solve failed or is doubtful, the map is hatched, and the legend says why.
 
     Args:
-        dataset: of `sweep`; of what else varies one value is chosen, as `dataset.sel(tendon=0)`.
-        output: the name of an output, as "tip_tension".
-        x, y: names of numbers along two axes, as "base_tension".
+        dataset: of `sweep`; select one value of everything else that varies, such as `dataset.sel(tendon=0)`.
+        output: the name of an output, such as "tip_tension".
+        x, y: names of numbers along two axes, such as "base_tension".
         axes: where to draw; None for a new figure, one column wide.
 
     Raises:
@@ -75,7 +75,7 @@ def draw_map(dataset: "xarray.Dataset", output: str, x: str, y: str, axes: Axes 
     """
     for name in (x, y):
         if name in dataset.coords and dataset[name].dims == (dataset.attrs.get(PATH),):
-            raise InputError(f"draw_map: {name} is a path, along which tensions come back; use draw_lines")
+            raise InputError(f"draw_map: {name} is a path, on which tensions repeat; use draw_lines")
     array = _chosen("draw_map", dataset, output, (x, y), 1)
     with draw.axes_or_new(axes, 2.5) as axes:
         _draw_maps([axes], [array], x, y)
@@ -119,14 +119,14 @@ def sweep_figure(
 ) -> Figure | str:
     """Outputs over one axis as lines, over two or three as contours, over samples as dots, over a path as loops.
 
-    Successful solves are drawn as they are. Doubtful numbers are hollow, or left out of contours, and failed solves
-    are marked; the legend says why. Outputs along the body have no panel.
+    Doubtful solves are hollow, or left out of contours, and failed solves are marked; the legend says why. Outputs
+    along the body have no panel.
 
     Args:
         answer: of `sweep`.
-        outputs: names of those to be drawn; the first dozen of their components are.
-        varied: the names of all that varies, in the order of columns, and in words for labels; unless given all
-            coordinates.
+        outputs: names of those to draw; the first twelve of their components are drawn.
+        varied: by the name of each number that varies, in the order of columns, its words for labels; all coordinates
+            unless given.
 
     Returns:
         The figure; or in words why there is none.
@@ -143,7 +143,7 @@ def sweep_figure(
         count = f"{len(kinds.numbers)} axes{' and options' if kinds.options else ''}"
         return f"{count} are too many for one; choose with xarray"
     varied = varied or {name: labels.name_in_words(name) for name in _lists(answer)}
-    shown, swept = labels.in_label_units(_thinned(answer, kinds.room), varied), answer[RESULT].dims
+    shown, swept = labels.in_label_units(_thinned(answer, kinds.most), varied), answer[RESULT].dims
     each = (part for name in names for _, part in _parts_of(shown[name], swept, PANELS))
     arrays = list(islice(each, PANELS))
     if loops:
@@ -156,7 +156,7 @@ def sweep_figure(
 
 
 def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list[str]:
-    """What the figure of a sweep has no room for, in words."""
+    """What the figure of a sweep leaves out, in words."""
     names = [name for name in outputs if "point" not in answer[name].dims]
     short = _over_a_tension(answer.drop_dims("point", errors="ignore").squeeze(drop=True))
     kinds, sizes = _kinds(short), short.sizes
@@ -171,9 +171,9 @@ def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list
         counts += [(combinations, LINES if lines else COLUMNS, "combinations of options")]
         counts += [(sizes[name], COLUMNS, f"values of {name}") for name in kinds.numbers[:-2]]
         counts += [(len(varied), DOT_COLUMNS, "numbers that vary")] if kinds.sampled else []
-        counts += [(sizes[name], kinds.room[name], "samples") for name in kinds.sampled]
+        counts += [(sizes[name], kinds.most[name], "samples") for name in kinds.sampled]
     along = [f"{name}, which runs along the body" for name in outputs if name not in names]
-    return [*along, *(f"{count - room:,} of {count:,} {what}" for count, room, what in counts if count > room)]
+    return [*along, *(f"{count - most:,} of {count:,} {what}" for count, most, what in counts if count > most)]
 
 
 def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
@@ -192,7 +192,7 @@ class _Kinds(NamedTuple):
     sampled: list[str]  # several numbers together
     options: list[str]
     numbers: list[str]
-    room: dict[str, int]  # how many places along each number, and how many samples, can be seen
+    most: dict[str, int]  # values along each number, and samples, that are drawn at most
 
 
 def _kinds(answer: "xarray.Dataset") -> _Kinds:
@@ -201,18 +201,18 @@ def _kinds(answer: "xarray.Dataset") -> _Kinds:
     options = [dimension for dimension in dimensions if dimension in OPTIONS]
     numbers = [dimension for dimension in dimensions if dimension not in (*sampled, *options)]
     places = int(np.prod([min(answer.sizes[name], VALUES) for name in numbers]))
-    room = dict.fromkeys(numbers, VALUES) | dict.fromkeys(sampled, max(SAMPLES // places, 1))
-    return _Kinds(sampled, options, numbers, room)
+    most = dict.fromkeys(numbers, VALUES) | dict.fromkeys(sampled, max(SAMPLES // places, 1))
+    return _Kinds(sampled, options, numbers, most)
 
 
-def _thinned(answer: "xarray.Dataset", room: Mapping[str, int]) -> "xarray.Dataset":
-    """At most so many places along each dimension, numbers in ascending order but for a path."""
-    some = answer.isel({name: _spread(answer.sizes[name], most) for name, most in room.items()}).load()
-    return some.sortby([name for name in room if name in answer.coords and name != answer.attrs.get(PATH)])
+def _thinned(answer: "xarray.Dataset", most: Mapping[str, int]) -> "xarray.Dataset":
+    """At most so many values along each dimension, in ascending order, except along a path."""
+    some = answer.isel({name: _spread(answer.sizes[name], count) for name, count in most.items()}).load()
+    return some.sortby([name for name in most if name in answer.coords and name != answer.attrs.get(PATH)])
 
 
 def _spread(size: int, most: int) -> np.ndarray:
-    """Places all over an axis, its ends among them."""
+    """At most `most` places, evenly spread over an axis, with both ends."""
     return np.unique(np.linspace(0, size - 1, min(size, most)).round().astype(int))
 
 
@@ -230,7 +230,7 @@ def _curves_figure(
 
 
 def _maps_figure(arrays: Sequence["xarray.DataArray"], kinds: _Kinds) -> Figure:
-    """A panel for each array; for options or a third axis a row of panels for each, with one scale of colours."""
+    """A panel for each array; with options or a third axis a row of panels for each array, with one colour scale."""
     *_, x, y = kinds.numbers
     rows = [list(_parts_of(array, (x, y), COLUMNS)) for array in arrays]
     across = len(rows[0])
@@ -247,7 +247,7 @@ def _maps_figure(arrays: Sequence["xarray.DataArray"], kinds: _Kinds) -> Figure:
 
 
 def _parts_of(array: "xarray.DataArray", over: Sequence[object], most: int) -> Iterator[tuple[str, "xarray.DataArray"]]:
-    """One array over some dimensions for each combination of the others, which the words name; at most so many."""
+    """An array over some dimensions for each combination of the others, with this in words; at most `most` of them."""
     others = [str(d) for d in array.dims if d not in over]
     places = list(np.ndindex(*(array.sizes[d] for d in others)))
     for k in _spread(len(places), most):
@@ -261,7 +261,7 @@ def _parts_of(array: "xarray.DataArray", over: Sequence[object], most: int) -> I
 def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequence[object] = ()) -> None:
     """A line for each combination of what else varies, and the solves that are doubtful or failed.
 
-    Solves along the dimensions `dots` are dots of one colour in place of lines.
+    Solves along the dimensions `dots` are drawn as dots of one colour, not as lines.
     """
     curves = []
     for (label, part), look in zip(_parts_of(array, dots or (over,), LINES), looks.CURVES, strict=False):
@@ -284,7 +284,7 @@ def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequenc
 
 
 def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, look: looks.Look) -> None:
-    """Solves that are doubtful, as hollow markers, and solves that gave no number, as crosses at the foot."""
+    """Doubtful solves as hollow markers, and solves without a number as crosses at the lower edge."""
     others, there = codes != SUCCESSFUL, np.isfinite(y)
     if np.any(doubtful := others & there):
         label = f"hollow: doubtful, {results_in_words(codes[doubtful])}"
@@ -321,7 +321,7 @@ def _draw_maps(panels: Sequence[Axes], arrays: Sequence["xarray.DataArray"], x: 
 
 
 def _levels(there: np.ndarray) -> np.ndarray:
-    """Round numbers that hold all values between them."""
+    """Round numbers, between which all values lie."""
     low, high = (there.min(), there.max()) if there.size else (0.0, 1.0)
     if np.isclose(low, high, rtol=1e-9, atol=0.0):
         low, high = low - (0.01 * abs(low) or 1.0), high + (0.01 * abs(high) or 1.0)

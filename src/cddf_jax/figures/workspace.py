@@ -37,26 +37,26 @@ class Cloud(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Of a dot, points."""
+        """The size of a dot, points."""
         return float(np.clip(60.0 / np.sqrt(len(self.tips)), 0.8, 3.5))
 
 
 def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOTAL, axes: Axes | None = None) -> Axes:
     """Where the tip goes in a sweep, mm, a dot for each solve, coloured by a quantity; in space with shadows.
 
-    Doubtful solves are hollow, failed ones are left out. The legend says why. Of more than 20,000 solves as many are
-    drawn, spread over all.
+    Doubtful solves are hollow, and failed ones are left out; the legend says why. If there are more than 20,000 solves,
+    20,000 of them are drawn, spread evenly.
 
     Args:
         dataset: of `sweep`, with the output tip_position.
         by: what colours the dots: "total_tension", the sum of the base tensions; the name of another number that varies
-            or of an output with one number for each solve, such as "tip_angle"; or such an array, whose name and
-            attribute "units" the scale tells, as (dataset.tip_tension.sum("tendon") /
+            or of an output with one number for each solve, such as "tip_angle"; or an array with one number for each
+            solve, whose name and attribute "units" label the colour scale, such as (dataset.tip_tension.sum("tendon") /
             dataset.base_tension.sum("tendon")).rename("tension that arrives").assign_attrs(units="1").
         axes: where to draw, of a body in space with projection="3d"; None for a new figure, one column wide.
 
     Raises:
-        InputError: for a dataset without tips, nothing that was solved, or a name that is not there.
+        InputError: for a dataset without tips or without a successful solve, or a name that is not there.
     """
     cloud = _cloud("draw_workspace", dataset, by)
     if cloud.tips.shape[1] == 2:
@@ -66,15 +66,15 @@ def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOT
             draw.scale_beside(axes, cloud.norm, cloud.label, pad=0.02)
             _legend(axes, cloud)
         return axes
-    with space.room_or_new(axes, cloud.tips, 2.2, 2.2) as room:
-        _draw_cloud(room, cloud)
-        space.scale_of_room(room, cloud.norm, cloud.label, given=axes is not None)
-        _legend(draw.figure_of(room) if axes is None else room, cloud)
-    return room
+    with space.scene_or_new(axes, cloud.tips, 2.2, 2.2) as scene:
+        _draw_cloud(scene, cloud)
+        space.scale_of_scene(scene, cloud.norm, cloud.label, given=axes is not None)
+        _legend(draw.figure_of(scene) if axes is None else scene, cloud)
+    return scene
 
 
 def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOTAL) -> Figure:
-    """Where the tip goes in a sweep: in space the cloud in three dimensions and three plane views, to one scale.
+    """Where the tip goes in a sweep: in space as a cloud in three dimensions, with three plane views to one scale.
 
     Args:
         dataset, by: as of `draw_workspace`.
@@ -88,8 +88,8 @@ def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = T
     with draw.house_style():
         width, below = 5.9, space.height_of_views(cloud.tips, 6.9) + 0.15
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.3)
-        room, _ = space.new_room(figure, cloud.tips, 1.3, below + 0.55, width - 2.0, 2.6)
-        _draw_cloud(room, cloud)
+        scene, _ = space.new_scene(figure, cloud.tips, 1.3, below + 0.55, width - 2.0, 2.6)
+        _draw_cloud(scene, cloud)
         draw.colour_scale(figure, cloud.norm, cloud.label, width, below + 0.8, 2.0)
         space.draw_views(figure, lambda axes, plane: _draw_dots(axes, cloud, plane), cloud.tips, 6.9)
         _legend(figure, cloud)
