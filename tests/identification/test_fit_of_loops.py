@@ -616,7 +616,7 @@ def test_a_small_turn_counts_where_it_is_stated():
 def test_the_report_tells_what_the_way_back_told(fitted):
     report = make_report(fitted, with_profiles=False)
     text = fit_as_markdown(report)
-    assert "## What the way back told" in text
+    assert "## What the way back adds" in text
     assert "| friction_coefficient | 1.4 % | 0.27 % |" in text
     assert "bench: 1/T_tip - 1/T_base of a pull = 0.008828" in text
     answer = fit_as_dict(report)

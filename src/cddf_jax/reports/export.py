@@ -42,13 +42,12 @@ ALONG_IN_SPACE = ("frame", "curvature", "twist", "tension", "normal_force", "fri
 def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] | None = None) -> "xarray.Dataset":
     """An equilibrium with labels and units: fields over arc_length (m), tendon (0, 1, ...) and component (X, Y).
 
-    In space there is a third component, Z, and "axis" (x, y, z) of the cross-section.
-
-    `to_netcdf`, `to_dataframe` and `to_zarr` of the answer write it.
+    In space there is a third component, Z, and "axis" (x, y, z) of the cross-section. Write the dataset by its methods
+    `to_netcdf`, `to_dataframe` and `to_zarr`.
 
     Args:
-        equilibrium: one; its `result` goes into the attributes in words, also where the solve failed.
-        arc_length: s, m, where the fields are wanted, within 0 to L; 201 places from base to tip unless given.
+        equilibrium: a single one, also of a solve that failed. Its `result` is an attribute of the dataset, in words.
+        arc_length: s, m, of the fields, within 0 to L; 201 points from base to tip unless given.
 
     Raises:
         InputError: for a batch of equilibria, arc lengths outside the body, or where xarray is not installed.
@@ -74,17 +73,17 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
 
 
 def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) -> "pandas.DataFrame":
-    """A table, SI units: of an equilibrium its fields, of a history its steps, of a fit, of measurements, of a plan.
+    """A table in SI units of an equilibrium, a history, a fit, measurements or a plan.
 
-    - Equilibrium: a row for each of 201 arc lengths; columns carry their units, tendons count from 1. In space
-      "curvature_x" is the twist, and "frame_x_y" the first component of the axis y.
-    - History: a row for each step; where tendons are several, columns count them from 1.
+    - Equilibrium: its fields, a row for each of 201 arc lengths. Columns have their units, and tendons count from 1. In
+      space "curvature_x" is the twist, and "frame_x_y" the first component of the axis y.
+    - History: a row for each step. Several tendons count from 1.
     - Fit (or any `Determination`): a row for each parameter, and for each combination that is identified in place of
-      its parts, with value, standard_error, lower, upper (95 %), unit and status. What is not identified has no
-      number: NaN, and an infinite standard error.
+      its parts, with value, standard_error, lower, upper (95 %), unit and status. A parameter that is not identified
+      has the value NaN and an infinite standard error.
     - Measurements: the columns of the file with their units; `trial` in the words of the file.
-    - Plan: a row for each candidate, the best first, with gain, cost and the standard error that each parameter would
-      have, infinite where it would stay open.
+    - Plan: a row for each candidate, the best first, with gain, cost and the expected standard error of each parameter,
+      infinite for one that would stay unidentified.
 
     Raises:
         InputError: for a batch of equilibria, or where pandas is not installed.
@@ -116,7 +115,7 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
 
 
 def fields_csv(fields: AnyFields, notes: Sequence[str] = ()) -> str:
-    """What varies along the body as a table for a CSV file, notes above it."""
+    """The fields along the body as the text of a CSV file, with notes above it."""
     return "".join(f"# {note}\n" for note in notes) + table_csv(field_columns(fields))
 
 
@@ -126,7 +125,7 @@ def fields_on_grid(equilibrium: Equilibrium) -> AnyFields:
 
 
 def field_columns(fields: AnyFields) -> dict[str, np.ndarray]:
-    """One number for each arc length, by the head of its column.
+    """The columns of a table of fields, one number for each arc length.
 
     Tendons count from 1. In space curvature_x is the twist, and frame_x_y the first component of the axis y.
     """
@@ -144,13 +143,13 @@ def field_columns(fields: AnyFields) -> dict[str, np.ndarray]:
 
 
 def history_numbers(history: History) -> dict[str, np.ndarray]:
-    """What has a number for each step, step first, by name."""
+    """The numbers of a history by name, step first."""
     known = picked(history, OF_STEPS) | picked(history._energies, ENERGIES)  # all energies by one program
     return {name: np.asarray(values) for name, values in known.items() if values is not None}
 
 
 def history_columns(numbers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The numbers of a history by the head of their column."""
+    """The columns of a table of a history, from its numbers."""
     columns: dict[str, np.ndarray] = {}
     for name, values in numbers.items():
         unit, parts = QUANTITIES[name].unit, values.reshape(len(values), -1).T

@@ -90,12 +90,12 @@ def left_out(report: Report) -> dict[str, str]:
 def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str:
     """The report: first in words what was determined and what was not, then the numbers.
 
-    `figures` are the names of the figures beside it; None where no figures are made.
+    `figures` are the names of the figures beside it; None if no figures are made.
     """
     fit = report.fit
     several = len(fit.tables) > 1 or len(fit.noise) > 1
     alone = [f"{name}: {determination_in_words(told)}" for name, told in fit.alone.items()] if several else []
-    later = [warning for warning in fit.warnings if warning not in fit.remarks]  # the first lines say the others
+    later = [warning for warning in fit.warnings if warning not in fit.remarks]  # remarks are in the first lines
     sections = [
         _in_short(report),
         _goodness(fit),
@@ -107,7 +107,7 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
         _noise_section(report),
         _bullets("Without a model of the body", _model_free_in_words(report)),
         _bullets("Warnings", later),
-        _bullets("What was told of the bench", _told(fit)),
+        _bullets("What was stated about the bench", _stated(fit)),
         _figure_section(report, figures),
         _bullets("How the files were read", [line for table in fit.tables for line in table.read_as]),
         _repeat_section(report),
@@ -166,7 +166,7 @@ def _goodness(fit: Fit) -> list[str]:
 
 
 def short_steps_in_words(fit: Fit) -> str:
-    """What the short steps of a history leave."""
+    """The error that the short steps of a history leave."""
     most = max(fit.moved_by_steps.values())
     return f"The short steps of the history move the estimates by at most {most:.2g} of their standard errors."
 
@@ -196,8 +196,8 @@ def _bootstrap_section(report: Report) -> list[str]:
     lines = []
     head = ("parameter", "standard error", "95 % interval", "bias")
     for bootstrap in report.bootstraps:
-        drawn = "new noise about the model" if bootstrap.kind == "parametric" else "trials drawn anew, elsewhere rows"
-        lost = f", {bootstrap.num_failed} of them lost" if bootstrap.num_failed else ""
+        drawn = "new noise about the model" if bootstrap.kind == "parametric" else "trials, or else rows, drawn anew"
+        lost = f", {bootstrap.num_failed} of them failed" if bootstrap.num_failed else ""
         count = len(bootstrap.estimates) + bootstrap.num_failed
         lines += [f"{bootstrap.kind.capitalize()} ({drawn}): {count} refits{lost}, seed {bootstrap.seed}.", ""]
         rows = []
@@ -225,7 +225,7 @@ def determination_in_words(determination: Determination) -> str:
 
 
 def way_back_rows(fit: Fit) -> list[list[str]]:
-    """By parameter and combination, the standard error of the pull alone and that of all rows; [] without a turn."""
+    """For each parameter and combination the standard errors of the pull alone and of all rows; [] without a turn."""
     pull = fit.pull_alone
     if pull is None or not fit.success:
         return []
@@ -240,13 +240,15 @@ def way_back_rows(fit: Fit) -> list[list[str]]:
 def _way_back_section(fit: Fit) -> list[str]:
     text = "Standard errors of the rows before the first turn of each trial, and of all rows:"
     table = markdown_table(("parameter", "pull alone", "with the way back"), way_back_rows(fit))
-    return _section("What the way back told", [text, "", *table] if way_back_rows(fit) else [])
+    return _section("What the way back adds", [text, "", *table] if way_back_rows(fit) else [])
 
 
 def _trial_section(fit: Fit) -> list[str]:
     effects = fit.trial_effects.items()
     rows = [[name, f"{100 * e.value:+.2f} %", f"{100 * e.standard_error:.2g} %"] for name, e in effects]
-    text = f"Friction of a trial against that of all; standard deviation over trials {100 * fit.trial_spread:.2g} %."
+    text = (
+        f"Friction of each trial relative to the mean; standard deviation over trials {100 * fit.trial_spread:.2g} %."
+    )
     table = markdown_table(("trial", "friction", "standard error"), rows)
     return _section("Trials", [text, "", *table] if rows else [])
 
@@ -281,8 +283,8 @@ def _model_free_in_words(report: Report) -> list[str]:
         if compared is not None:
             agrees = f"the fit lies {abs(compared.z):.1f} standard errors from it"
             lines.append(f"{name}: {compared.sentence or agrees}")
-    for name, (told, loss) in report.loops.items():
-        lines += [f"{name}: {line}" for line in told.verdict]
+    for name, (loop, loss) in report.loops.items():
+        lines += [f"{name}: {line}" for line in loop.verdict]
         lines.append(f"{name}: the fit has {loss:.4g} 1/N")
     return lines
 
@@ -297,7 +299,7 @@ def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
     return ["## Figures", "", *pictures, *between, *missing]
 
 
-def _told(fit: Fit) -> list[str]:
+def _stated(fit: Fit) -> list[str]:
     places = [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
     return [*fit.setting.in_words, *places]
 

@@ -1,4 +1,4 @@
-"""All that is found around a fit, and the dictionary of it from which the fit can be repeated."""
+"""The results that a report of a fit contains, and the dictionary from which the fit can be repeated."""
 
 import platform
 from collections.abc import Collection, Iterator, Sequence
@@ -58,26 +58,26 @@ class ModelFree(NamedTuple):
     disagreement: "Disagreement | None"  # None where the fit has no friction coefficient to compare
 
 
-class LoopTold(NamedTuple):
-    """What a loop of tensions tells without a model of the body, and what the fit has."""
+class LoopCompared(NamedTuple):
+    """The result of a loop of tensions without a model of the body, and the loss of the fit."""
 
-    told: "ModelFreeLoop"
+    model_free: "ModelFreeLoop"
     loss_of_fit: float  # 1/T_tip - 1/T_base of a pull, 1/N
 
 
 class Report(NamedTuple):
-    """A fit and what was found around it."""
+    """A fit and the results that belong to it."""
 
     fit: Fit
     profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
     bootstraps: tuple[Bootstrap, ...]
     normality: dict[str, Normality]
     model_free: dict[str, ModelFree]  # by table
-    loops: dict[str, LoopTold]  # by table with a history
+    loops: dict[str, LoopCompared]  # by table with a history
 
 
 def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> Report:
-    """Gather all that a report says; profiles take some seconds."""
+    """Compute all that a report contains; profiles take some seconds."""
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
@@ -85,7 +85,7 @@ def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles
 
 
 def _model_free(fit: Fit) -> dict[str, ModelFree]:
-    """Of every table with tip tension and tip angle of one tendon that runs parallel to the axis."""
+    """Model-free friction of every table with tip tension and tip angle, for one tendon parallel to the axis."""
     body = fit.manipulator
     if body.kinematics != "exact" or body.num_tendons != 1 or body.slanted:
         return {}
@@ -103,7 +103,7 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
 
 
 def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measurements]]:
-    """The tables with some columns whose trials all begin at rest, as far as their rows have a history."""
+    """The tables that have these columns, and whose trials begin at rest if their rows have a history."""
     named = zip(fit.model.names, fit.model.experiments, strict=True)
     rest = {name for name, one in named if not isinstance(one, Bench) or one.course is None or one.course.past is None}
     for name, table in zip(fit.alone, fit.tables, strict=True):
@@ -111,8 +111,8 @@ def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measur
             yield name, table
 
 
-def _loops(fit: Fit) -> dict[str, LoopTold]:
-    """Of every table with a history and tip tensions, of a tendon parallel to the axis without drag or loads."""
+def _loops(fit: Fit) -> dict[str, LoopCompared]:
+    """The loops in tables with a history and tip tensions, of a tendon parallel to the axis without drag or loads."""
     body = fit.manipulator
     if not fit.success or body.tendon_drag is not None or body.slanted or fit.setting.loads is not None:
         return {}
@@ -121,9 +121,9 @@ def _loops(fit: Fit) -> dict[str, LoopTold]:
     found = {}
     for name, table in _from_rest(fit, ("tip_tension",)):
         if name in fit.steadied:
-            with suppress(InputError):  # not let out far enough
-                told, tension = model_free_loop(table), float(table["base_tension"].max())
-                found[name] = LoopTold(told, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
+            with suppress(InputError):  # not released far enough
+                loop, tension = model_free_loop(table), float(table["base_tension"].max())
+                found[name] = LoopCompared(loop, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
     return found
 
 
@@ -131,7 +131,7 @@ def _loops(fit: Fit) -> dict[str, LoopTold]:
 
 
 def fit_as_dict(report: Report) -> dict[str, object]:
-    """Everything that was found and that it was found from, SI units, for JSON: what is infinite becomes null there."""
+    """All results and all inputs of a fit, SI units, for JSON, where an infinite number becomes null."""
     fit = report.fit
     return {
         **_determination_as_dict(fit),
@@ -148,7 +148,7 @@ def fit_as_dict(report: Report) -> dict[str, object]:
             for name, found in report.model_free.items()
         },
         "model_free_loop": {
-            name: picked(found.told, OF_LOOP) | {"loss_of_fit": found.loss_of_fit, "unit_of_loss": "1/N"}
+            name: picked(found.model_free, OF_LOOP) | {"loss_of_fit": found.loss_of_fit, "unit_of_loss": "1/N"}
             for name, found in report.loops.items()
         },
         "data": [_table_as_dict(table) for table in fit.tables],
@@ -184,7 +184,7 @@ def _bootstrap_as_dict(bootstrap: Bootstrap) -> dict[str, object]:
 
 
 def _as_toml(manipulator: Manipulator) -> str | None:
-    """The file of the manipulator from which the search started; None for profiles that no file can hold."""
+    """The text of a file of the manipulator at the start of the search; None for profiles that no file can hold."""
     for outside in (False, True):
         with suppress(InputError):
             return manipulator_text(manipulator, offsets_outside_wall=outside)

@@ -12,7 +12,7 @@ def plan_as_markdown(plan: Plan) -> str:
     lines = ["# What to measure next", "", f"- now: {_known_in_words(plan.now)}"]
     for i, ranked in enumerate(plan.chosen, 1):
         lines.append(f"- {i}. {ranked.candidate.name}: then {_known_in_words(ranked.expected)}")
-    head = ("candidate", "cost", "gain", "expected standard error", "told")
+    head = ("candidate", "cost", "gain", "expected standard error", "identified")
     lines += ["", *markdown_table(head, [_row(ranked) for ranked in plan.ranking])]
     gain = "growth of the logarithm of the determinant of the Fisher information (D-optimality)"
     if plan.criterion != "D":
@@ -25,9 +25,9 @@ def _row(ranked: Ranked) -> list[str]:
     expected = ranked.expected
     errors = ", ".join(f"{name} {error_in_words(expected, name)}" for name in expected.names)
     lost = [name for name in expected.names if expected.status[name] == NOT_IDENTIFIED]
-    told = f"not: {', '.join(lost)}" if lost else "all identified"
+    identified = f"all but {', '.join(lost)}" if lost else "all"
     gain = f"{ranked.gain:.2f}".replace("-0.00", "0.00")
-    return [ranked.candidate.name, f"{ranked.candidate.cost:g}", gain, errors, told]
+    return [ranked.candidate.name, f"{ranked.candidate.cost:g}", gain, errors, identified]
 
 
 def _known_in_words(known: Determination) -> str:
@@ -38,7 +38,7 @@ def _known_in_words(known: Determination) -> str:
 
 
 def plan_as_dict(plan: Plan) -> dict[str, object]:
-    """For JSON, SI units; what is infinite becomes null there."""
+    """A plan for JSON, SI units; an infinite number becomes null there."""
     now = picked(plan.now, ("value", "standard_error", "status"))
     ranking, chosen = ([_ranked_as_dict(ranked) for ranked in some] for some in (plan.ranking, plan.chosen))
     return {"criterion": plan.criterion, "now": now, "ranking": ranking, "chosen": chosen}

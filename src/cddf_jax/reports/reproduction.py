@@ -1,4 +1,4 @@
-"""The figures and numbers of Liu et al. (2020), section IV, computed anew and set beside the paper's."""
+"""The figures and numbers of Liu et al. (2020), section IV, computed here, beside those that the paper prints."""
 
 import itertools
 from pathlib import Path
@@ -60,11 +60,11 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
 
     Args:
         manipulator: the paper's, with one tendon, in the plane.
-        load_cells: trials with the columns base_tension and tip_tension; what is simulated is called so.
+        load_cells: trials with the columns base_tension and tip_tension; simulated ones are labelled as simulated.
         out: folder for the figures, reproduction.md and reproduction.json; all are written or none.
 
     Returns:
-        What reproduction.json holds: `table`, a list of rows in SI units, and `files`, their names.
+        The content of reproduction.json: `table`, a list of rows in SI units, and `files`, the names of the files.
     """
     if manipulator.num_tendons != 1:
         raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; leave one")
@@ -94,7 +94,7 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
 
 @stage("solving")
 def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults:
-    """All of it, for a manipulator and trials as of `reproduce`."""
+    """All solves, for a manipulator and trials as in `reproduce`."""
     base, observed = load_cells["base_tension"][load_cells.has("tip_tension")], load_cells.read("tip_tension")
     pulls = np.concatenate([PULLS, base])
     equilibria = jax.tree.map(np.asarray, _pull(manipulator, pulls))
@@ -190,7 +190,7 @@ def shapes_figure(results: PaperResults) -> Figure:
 
 
 def tip_tension_figure(results: PaperResults) -> Figure:
-    """Fig. 8: tip over base tension, the model's line and the simulated trials, with what lies between them below."""
+    """Fig. 8: tip over base tension, the model's line and the trials, and below them the difference of the two."""
     base, tip = results.base_tension, results.observed
     trials, left = by_level(base, tip), by_level(base, tip - results.predicted)
     with draw.house_style():
@@ -212,7 +212,7 @@ def tip_tension_figure(results: PaperResults) -> Figure:
 # --- table ---------------------------------------------------------------------------------------
 
 
-# how a number is written: its SI unit, what to multiply it by, the digits with the unit that then holds
+# how a number is written: its SI unit, a factor, and a format that ends with the unit after this factor
 Form: TypeAlias = tuple[str, float, str]
 FRACTION, COUNT = ("", 100.0, "{:.2f} %"), ("", 1.0, "{:.0f}")
 FORCE, FORCE_PER_LENGTH = ("N", 1.0, "{:.2f} N"), ("N/m", 1.0, "{:.1f} N/m")
@@ -240,7 +240,7 @@ class ComparedNumber(NamedTuple):
         return {"unit": self.form[0]} | picked(self, names)
 
     def cells(self) -> list[str]:
-        """Of its row in the table."""
+        """The cells of its row in the table."""
         _, factor, form = self.form
         numbers = (self.paper, self.ours, self.difference)
         return [self.quantity, *("-" if n is None else form.format(factor * n) for n in numbers), self.note]

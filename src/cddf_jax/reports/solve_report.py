@@ -19,7 +19,7 @@ Entries = Sequence[float | Target] | TipPosition  # the tension (N) or target of
 
 
 def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | None) -> dict[str, object]:
-    """Everything about an equilibrium, SI units, for JSON; loads and targets where there are any."""
+    """Everything about an equilibrium, SI units, for JSON, with loads and targets if there are any."""
     answer: dict[str, object] = {"result": RESULTS[equilibrium.result] or "successful", "remarks": equilibrium.remarks}
     if isinstance(actuation, TipPosition):
         answer["targets"] = [picked(actuation, ("value", "minimum_tension", "maximum_tension"))]

@@ -1,4 +1,4 @@
-"""How `cddf sweep` runs, where its answer goes, and what it says: as JSON in SI units, and in words."""
+"""How `cddf sweep` runs, where its results go, and what it prints: JSON in SI units, and words."""
 
 import platform
 import re
@@ -32,7 +32,7 @@ PACKAGES = ("cddf-jax", "jax", "jaxlib", "numpy", "equinox", "xarray", "zarr")
 
 
 class Places(NamedTuple):
-    """Where the answer goes: figures and JSON lie beside the store, under its name."""
+    """Where the results go: figures and JSON lie beside the store, under its name."""
 
     store: Path
     netcdf: Path | None = None
@@ -58,7 +58,7 @@ def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Plac
 
 
 def _check_places(places: Places, work: Sweep) -> None:
-    """Find out before everything is computed what could not be written afterwards."""
+    """Refuse, before anything is computed, what could not be written afterwards."""
     layout, csv, netcdf = work.layout, places.csv, places.netcdf
     if netcdf is not None:
         largest = max(int(np.prod(v.shape)) * v.dtype.itemsize for v in layout.variables.values())
@@ -84,7 +84,7 @@ def is_first_process() -> bool:
 
 
 def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Json | None:
-    """Run the sweep, write what goes beside the store, and return what is to be said.
+    """Run the sweep, write the files beside the store, and return the summary that the command prints.
 
     The options of the command line go into the JSON. All processes but the first return None.
     """
@@ -119,7 +119,7 @@ def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
 
 @stage("writing")
 def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> Json:
-    """Write exports, figures and the JSON; where they are, and what has no place in them."""
+    """Write exports, figures and the JSON; return their paths, and what they leave out."""
     from ..figures.style import render
     from ..figures.sweep_labels import name_in_words
     from ..figures.sweeps import left_out_of_figure, sweep_figure
@@ -157,7 +157,7 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
 
 
 def _target(work: Sweep, name: str) -> str:
-    """What is to be reached, in words, where a number is that of a target."""
+    """The quantity of a target in words, if a number is the value of a target."""
     found = re.fullmatch(r"base_tension(?:_(\d+))?\.value", name)
     if not found:
         return ""
@@ -167,7 +167,7 @@ def _target(work: Sweep, name: str) -> str:
 
 
 def _axes(work: Sweep) -> list[Json]:
-    """What varies, by dimension: its ends and the number of values."""
+    """What varies, by dimension: first and last value, and the number of values."""
     found: list[Json] = []
     for dimension in work.dimensions:
         together = dimension.name not in (dimension.numbers | dimension.options)
@@ -180,7 +180,7 @@ def _axes(work: Sweep) -> list[Json]:
 
 
 def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
-    """How many solves ended how, and between which values each output lies where they were successful."""
+    """The number of solves by result, and the range of each output over the successful solves."""
     layout, rank = work.layout, len(work.layout.shape)
     counts = np.zeros(len(RESULT_NAMES), int)
     outputs: dict[str, Json] = {
@@ -201,7 +201,7 @@ def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
 
 
 def rehearse(work: Sweep, places: Places | None) -> Json:
-    """What a sweep would take, without solving or writing anything."""
+    """The number of solves, memory and disk of a sweep, without solving or writing anything."""
     layout, store = work.layout, None
     if places is not None:
         solves, chunks = _there_already(work, places.store)

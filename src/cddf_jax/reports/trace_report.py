@@ -20,11 +20,12 @@ from ..units import Dimension, shown
 from .export import POINTS, field_columns, history_columns, history_numbers
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
-FINE_IN_STEPS, SHORT_STEPS = 64, 4  # the same in space or where short steps are followed; the parts of each step
-STEPS = 20  # of which words are made, at most
-SAME = 1e-9  # of its size, by which the number of two states may differ that are one
-SEEN = 1e-5  # of the work, by which it may differ from its parts in silence
-# what a path may hold
+FINE_IN_STEPS = 64  # the same in space, and with several tendons or loads
+SHORT_STEPS = 4  # in each of these steps, with several tendons or loads
+STEPS = 20  # described in words, at most
+SAME = 1e-9  # relative difference up to which two states count as the same
+SEEN = 1e-5  # of the work: a larger difference from the sum of its parts is reported
+# by the dimension of a path, what `trace` takes
 TARGETS: dict[Dimension, Callable[[np.ndarray], np.ndarray | Displacement | TipAngle]] = {
     "force": lambda values: values,
     "length": Displacement,
@@ -37,7 +38,7 @@ class TracedPath(NamedTuple):
 
     manipulator: Manipulator
     history: History
-    steps: list[int]  # of the history, from 0, that are those of the path
+    steps: list[int]  # steps of the history, from 0, that belong to the path
     numbers: dict[str, np.ndarray]  # of the whole history by name, step first
 
     @property
@@ -47,7 +48,7 @@ class TracedPath(NamedTuple):
 
     @property
     def is_exact(self) -> bool:
-        """Whether it is that of one tendon without loads."""
+        """Whether the answer is exact: one tendon without loads."""
         return self.history.num_turns is not None
 
 
@@ -68,15 +69,15 @@ def traced(
     max_turns: int,
     before: Sequence[float] | None = None,
 ) -> TracedPath:
-    """Trace the paths of all tendons, with so many points between their steps that loops are smooth.
+    """Trace the paths of all tendons, with enough points between their steps for smooth loops.
 
-    Several tendons, and loads, are followed in short steps. A `SolveError` names the step that failed.
+    Several tendons and loads are followed in short steps. A `SolveError` names the step that failed.
 
     Args:
         paths: one for each tendon, all of one length: base tensions, N, displacements of the tendon, m, or of one
             tendon alone tip angles, rad, after each step; not all 0.
         driven: what each of them is, "force", "length" or "angle".
-        loads: on the body before the first step; they stay.
+        loads: that act before the first step, and stay constant.
         nodes, max_turns: as `trace` takes them.
         before: the largest base tension of each tendon before the paths, N; None for rest.
     """
@@ -99,7 +100,7 @@ def traced(
 
 
 def _with_points_between(path: np.ndarray, start: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The path from the start on with so many points, or more, and the places of its own steps."""
+    """The path from the start with `count` points or more, and the indices of its own steps."""
     ends = path if np.array_equal(path[0], start) else np.vstack([start, path])
     legs = np.array_split(np.arange(max(count, len(ends)) - 1), len(ends) - 1)
     between = [np.linspace(ends[i], ends[i + 1], len(leg) + 1)[1:] for i, leg in enumerate(legs)]
@@ -119,7 +120,7 @@ def _check(history: History, steps: np.ndarray, values: np.ndarray, driven: Sequ
 
 
 def cycles(states: dict[str, np.ndarray]) -> list[Cycle]:
-    """The cycles of a path, each from the nearest earlier step with the same state; none overlaps another in part."""
+    """The cycles of a path, each from the nearest earlier step with the same state. No two cycles overlap in part."""
     found: list[Cycle] = []
     state = np.column_stack([states[name] for name in ("base_tension", "tip_tension", "tip_angle", "stored_energy")])
     near, loss = SAME * np.max(np.abs(state), axis=0), states["friction_loss"]
@@ -145,7 +146,7 @@ def trace_as_dict(found: TracedPath) -> dict[str, object]:
 
 
 def trace_in_words(found: TracedPath) -> str:
-    """What slid in each step and what it left, the cycles that closed, and where the work went."""
+    """What slid in each step, the state after it, the cycles that closed, and where the work went."""
     states = found.states
     directions, length = np.asarray(found.history.direction)[found.steps], float(found.manipulator.length)
     in_words = _step_in_words if found.is_exact else _step_of_tendons
@@ -204,7 +205,7 @@ def loop_csv(found: TracedPath) -> str:
     """A table with a row for each step of the history; the steps of the path have whole numbers."""
     last = len(found.history.tip_angle)
     number = np.interp(np.arange(last), found.steps, np.arange(1, len(found.steps) + 1))
-    if found.steps[0] > 0:  # from rest, which the path does not name
+    if found.steps[0] > 0:  # the way from rest to the first step of the path
         number[: found.steps[0]] = np.arange(found.steps[0]) / found.steps[0]
     return table_csv({"step": number} | history_columns(found.numbers))
 
