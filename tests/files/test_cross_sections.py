@@ -221,7 +221,7 @@ def test_an_offset_that_zigzags_is_said(tmp_path):
     turned = np.degrees(19 * 2 * np.arctan(0.02 / 2))
     said = str(cddf.section_columns(path)[2])
     assert f"whose kinks turn the tendon by {turned:.3g} deg in all" in said
-    assert "they zigzag, which rubs: a greater tolerance takes out what is noise" in said
+    assert "they zigzag, and every turn adds friction: a larger tolerance removes noise" in said
     assert cddf.section_columns(path, tolerance=2e-5)[2].taken == "constant 10 mm"
 
 

@@ -200,8 +200,8 @@ CASES = [
     (PAIRS + "1 234, 5", "row 4, column base_tension: '1 234' is not a number; write it with a decimal point and"),
     (PAIRS + '"1,234.5", 5', "row 4, column base_tension: '1,234.5' is not a number; write it with a decimal"),
     (PAIRS + "1'234.5, 5", "is not a number; write it with a decimal point and without thousands separators"),
-    (PAIRS + '"15", "5', "row 4: quotation marks are astray"),
-    (PAIRS + '"15, 5\n', "row 4: quotation marks are astray"),
+    (PAIRS + '"15", "5', "row 4: quotation marks are misplaced"),
+    (PAIRS + '"15, 5\n', "row 4: quotation marks are misplaced"),
     (PAIRS.replace("\n", "\n#"), "has a header but no rows; add the measurements below it (lines that begin with #"),
     (PAIRS + "9, " + "x" * 1000, "row 4, column tip_tension: 'xxxxx"),
     (PAIRS.encode("utf-16-le"), "is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8"),  # without its mark
@@ -275,7 +275,7 @@ DOWN = (
 FROM_REST = DOWN.format("2 of 6", 4, "is pulled from rest")
 ANEW = (
     "rows with base_tension back at its lowest level, from which it rises again: 1 of 6 (row 4: 10 N after 75 N); they "
-    "count as let out to this level; where the tendon was let out wholly in between, give each pull a trial of its own"
+    "count as released to this level; if the tendon was fully released in between, give each pull a trial of its own"
     ", or add rows of 0 N"
 )
 DOWN_OF_TWO = (
@@ -317,7 +317,7 @@ TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
         ),
         ({"base_tension": [10, 75, 30, 10], "step": [0, 1, 2, 3]}, []),  # with a history
         ({"base_tension": [10, 40, 75, 10, 40, 75], "step": range(6)}, [ANEW]),
-        ({"base_tension": [10, 40, 75, 0, 10, 40, 75], "step": range(7)}, []),  # wholly let out in between
+        ({"base_tension": [10, 40, 75, 0, 10, 40, 75], "step": range(7)}, []),  # fully released in between
         ({"base_tension": [10, 75, 30, 40], "tip_tension": [9, 45, 40, 45], "time": [0, 1, 2, 3]}, []),  # and it sticks
         ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30]}, [DOWN_OF_TWO]),
         ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30], "direction_2": [1, 1, -1]}, []),

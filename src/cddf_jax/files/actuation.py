@@ -36,8 +36,8 @@ def read_actuation(
 ) -> list[float | Target] | TipPosition:
     """Tensions (N) and targets out of texts such as "75 N" and "tip_angle=45 deg": one for all tendons or one each.
 
-    A place of the tip, "tip_position=100, 80 mm from 1 N to 50 N", stands for all tendons. `called` says how messages
-    call a quantity, by its name.
+    A place of the tip, "tip_position=100, 80 mm from 1 N to 50 N", stands for all tendons. `called` turns the name of a
+    quantity into its name in messages.
     """
     name, count = called("base_tension"), manipulator.num_tendons
     if any(text.partition("=")[0].strip() == TipPosition.quantity for text in texts):
@@ -63,7 +63,7 @@ def one_for_each_tendon(name: str, values: list[Entry], count: int) -> list[Entr
 def read_directions(
     given: Sequence[object] | None, manipulator: Manipulator, *, called: Callable[[str], str] = as_option
 ) -> list[int] | None:
-    """The directions of all tendons, of which one or one for each is given; None where they are to be found."""
+    """The directions of all tendons, from one for all or one for each; None if none is given."""
     name, found = called("direction"), []
     for value in given or ():
         if isinstance(value, bool) or value not in (1, -1):
@@ -124,7 +124,7 @@ def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulat
         remedy = f"give an arc length from 0 mm to {shown(manipulator.length, 'length')}"
         raise InputError(f"{place} is not on the body", where=where, remedy=remedy)
     target = CurvatureAt(quantity(curvature, "curvature", f"{name} curvature"), arc_length)
-    return cast(Target, target)  # the converter of a field hides its type from a checker
+    return cast(Target, target)  # a field with a converter hides its type from the type checker
 
 
 def read_loads(

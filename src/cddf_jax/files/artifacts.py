@@ -12,15 +12,15 @@ import numpy as np
 from ..batch.store import in_one_step
 from ..errors import InputError
 
-# what JSON knows, nested; a type that names itself cannot be checked while a program runs
+# a value of JSON; a recursive type cannot be checked at run time
 JsonValue: TypeAlias = dict[str, Any] | list[Any] | str | bool | int | float | None
 
 
 def write_all(folder: str | Path, contents: Mapping[str, str | bytes]) -> None:
     """Write several files into a folder, which is made if it is missing.
 
-    Only when all are complete do they take their places, each in one step. A failure before that leaves what was there.
-    Text is written as UTF-8.
+    The files take their places only when all are complete, each in one step. If something fails before, the old files
+    stay. Text is written as UTF-8.
     """
     folder = Path(folder)
     try:
@@ -34,12 +34,12 @@ def write_all(folder: str | Path, contents: Mapping[str, str | bytes]) -> None:
 
 
 def as_json(value: object) -> str:
-    """JSON text of a result that may hold arrays; what is infinite or NaN becomes null."""
+    """JSON text of a result that may hold arrays; infinity and NaN become null."""
     return json.dumps(plain(value), indent=2, ensure_ascii=False) + "\n"
 
 
 def plain(value: object) -> JsonValue:
-    """The same result in what JSON knows; a named tuple becomes a dictionary of its fields."""
+    """The same result in the types of JSON; a named tuple becomes a dictionary of its fields."""
     match value:
         case str() | bool() | int() | None:
             return value
@@ -55,7 +55,7 @@ def plain(value: object) -> JsonValue:
 
 
 def picked(what: object, names: Iterable[str]) -> dict[str, object]:
-    """Some attributes by name."""
+    """Some attributes of an object, by name."""
     return {name: getattr(what, name) for name in names}
 
 

@@ -1,4 +1,4 @@
-"""The cross-sections along a body as a table: CSV from and for CAD, one row for each arc length.
+"""The cross-sections along a body as a table: CSV to and from CAD, one row for each arc length.
 
     arc_length [mm], outer_radius [mm], inner_radius [mm], offset_1 [mm], offset_2 [mm]
     0,   20,   7, 10, -10
@@ -6,9 +6,9 @@
     140, 13,   7, 10,
 
 `offset_1`, `offset_2`, ... (one alone may be called `offset`) are distances of the tendons from the neutral axis,
-negative for a tendon with side = -1; a tendon ends where its cells do. The first row is the base, the last the tip.
-A step is written as two rows of one arc length, the body before it and behind it. `table_source` says which
-separators, decimal marks and encodings are understood.
+negative for a tendon with side = -1. A tendon ends at the last row with a number in its column. The first row is the
+base, the last the tip. A step is two rows with the same arc length: the body before it and behind it. `table_source`
+says which separators, decimal marks and encodings are understood.
 
 Between its points a table is read as straight lines, unless a smooth curve passes all of them at the tolerance, stays
 within the values of neighbouring points and does not turn back between them. `section_columns` says which profile was
@@ -39,7 +39,7 @@ _OFFSET = re.compile("offset(_[1-9][0-9]*)?")
 
 
 class CrossSections(NamedTuple):
-    """The body in a table of cross-sections; `Manipulator(**sections._asdict(), youngs_modulus=..., ...)` takes it."""
+    """The body in a table of cross-sections, for `Manipulator(**sections._asdict(), youngs_modulus=..., ...)`."""
 
     length: float  # m
     outer_radius: Profile
@@ -55,11 +55,11 @@ class SectionColumn(NamedTuple):
     values: np.ndarray  # m, radii, or distances of a tendon from the neutral axis
     profile: Profile
     taken: str  # the profile in words
-    reason: str  # why it is no smooth curve, "" where there is nothing to say
+    reason: str  # why it is not a smooth curve; "" without a reason
 
     @property
     def words(self) -> str:
-        """What was taken, and why."""
+        """The profile that was taken, and why."""
         return f"{self.taken} ({self.reason})" if self.reason else self.taken
 
     def __str__(self) -> str:
@@ -75,7 +75,7 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
 
     Args:
         path: the file.
-        tolerance: m, by how much a profile may miss the points, about what they are measured or rounded to.
+        tolerance: m, by how much a profile may miss the points: about the accuracy to which they are measured.
 
     Raises:
         InputError: names the file, row (line), column, value and remedy.
@@ -84,7 +84,7 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
 
 
 def section_columns(path: str | os.PathLike[str], *, tolerance: float = TOLERANCE) -> tuple[SectionColumn, ...]:
-    """What `read_cross_sections` makes of each column: its points, the profile that was taken, and why.
+    """Each column as `read_cross_sections` reads it: its points, the profile that was taken, and why.
 
     Args:
         path: the file.
@@ -97,13 +97,13 @@ def section_columns(path: str | os.PathLike[str], *, tolerance: float = TOLERANC
 
 
 def in_one_line(columns: Sequence[SectionColumn]) -> str:
-    """How a table was read."""
+    """How a table was read, in one line."""
     return f"cross-sections: {'; '.join(map(str, columns))}"
 
 
 def cross_sections_csv(manipulator: Manipulator) -> str:
     """The text that `read_cross_sections` reads, in mm: rows on a grid and at joints of the body, two at a step."""
-    with jax.enable_x64(True):  # the two sides of a step are distinguished, whatever the caller computes in
+    with jax.enable_x64(True):  # to distinguish the two sides of a step, whatever precision the caller has
         return table_csv(_rows(manipulator))
 
 
@@ -150,7 +150,7 @@ _KIND = Kind(
 def sections_and_columns(
     path: str | os.PathLike[str], tolerance: float
 ) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
-    """What `read_cross_sections` and `section_columns` give."""
+    """The results of `read_cross_sections` and `section_columns`."""
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"tolerance must be a positive length in m, got {tolerance}")
     table = read_table(path, _KIND)
@@ -188,14 +188,14 @@ def _column(name: str, s: np.ndarray, values: np.ndarray, tolerance: float) -> S
 
 
 def _with_kinks(offset: SectionColumn) -> SectionColumn:
-    """The same with words on how much the kinks of straight lines turn the tendon, since each turn adds friction."""
+    """The column with a note on how much the kinks of straight lines turn the tendon: every turn adds friction."""
     if not isinstance(offset.profile, Polyline):
         return offset
     s, d = np.asarray(offset.profile.arc_length), np.asarray(offset.profile.values)
     angle = np.arctan(np.diff(d) / np.diff(s))
     turned = np.sum(np.abs(np.diff(angle)))
     taken = f"{offset.taken}, whose kinks turn the tendon by {np.degrees(turned):.3g} deg in all"
-    zigzag = "they zigzag, which rubs: a greater tolerance takes out what is noise"
+    zigzag = "they zigzag, and every turn adds friction: a larger tolerance removes noise"
     reason = f"{offset.reason}; {zigzag}" if turned > ZIGZAG * np.ptp(angle) else offset.reason
     return offset._replace(taken=taken, reason=reason)
 

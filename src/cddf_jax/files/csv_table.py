@@ -1,4 +1,4 @@
-"""Tables with the unit in the header, or in a row below it: a file to columns of SI numbers, and columns to CSV.
+"""Tables with units in the header or in a row below it: a file becomes columns of SI numbers, and columns become CSV.
 
 `table_source` tells which separators, decimal marks, encodings and spreadsheets are understood.
 """
@@ -30,15 +30,15 @@ class Table(NamedTuple):
     columns: dict[str, np.ndarray]  # float64 in SI by name, text for labels
     rows: list[int]  # the line of each row in the file, or its number in the sheet
     notes: tuple[str, ...]  # the text above the header
-    read_as: tuple[str, ...]  # what was done to read it, where the file is not plain
+    read_as: tuple[str, ...]  # how the file was understood, if it is not plain
     unused: tuple[str, ...]  # columns that the reader does not know
-    missing: tuple[str, ...]  # what was said of columns that are not there
+    missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
 
 
 def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str] | None = None) -> Table:
     """The columns of a CSV or .xlsx file.
 
-    `columns` says by the head of a column in the file what it is, such as "base_tension [N]"; "" leaves it out.
+    `columns` describes columns by their heads in the file, such as "base_tension [N]"; "" leaves a column out.
     """
     with within(path):
         source, given = _opened(path, kind, columns or {})
@@ -58,8 +58,8 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
         return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
 
 
-def says(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -> set[str]:
-    """Which columns of a kind of table the header of a file names; none of a file that cannot be read."""
+def columns_in(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -> set[str]:
+    """The known columns that the header of a file names; none if the file cannot be read."""
     try:
         source, given = _opened(path, kind, columns)
         return {column for cell in source.header if (column := table_header.heading_of(cell, kind, given).column)}
@@ -68,7 +68,7 @@ def says(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -
 
 
 def _opened(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -> tuple[Source, dict[str, str]]:
-    """The table in a file, and what is said of its columns, by their heads on one line."""
+    """The table in a file, and the descriptions of its columns by their heads, each on one line."""
     empty = f"is empty; write a header such as {kind.example!r} and rows below it"
     given = {" ".join(name.split()): text for name, text in columns.items()}
 
@@ -127,7 +127,7 @@ def _read(
 
 
 def _done(headings: Sequence[Heading], unused: Sequence[str], said: Mapping[str, str]) -> Iterator[str]:
-    """In words, what the header and the words of the rows were taken for."""
+    """How the header and words in the rows were understood, in words."""
     renamed = [h for h in headings if h.column is not None and h.name != h.column]
     if renamed:
         yield "read as: " + ", ".join(f"{h.text!r} {h.column}" + (f" [{h.unit}]" if h.unit else "") for h in renamed)
@@ -164,7 +164,7 @@ def _labels(column: str, rows: Sequence[int], texts: Sequence[str]) -> np.ndarra
 
 
 def _in_numbers(texts: list[str], words: Mapping[str, str], said: dict[str, str]) -> list[str]:
-    """The texts with numbers for words; `said` keeps which."""
+    """The texts with numbers in place of words; `said` collects these words."""
     if not words:
         return texts
     said |= {text.strip(): words[text.strip().lower()] for text in texts if text.strip().lower() in words}
@@ -172,7 +172,7 @@ def _in_numbers(texts: list[str], words: Mapping[str, str], said: dict[str, str]
 
 
 def _with_points(columns: Mapping[str, list[str]], rows: Sequence[int]) -> dict[str, list[str]]:
-    """The texts with points for decimal commas, of which a file has one kind."""
+    """The texts with points in place of decimal commas; a file with both marks is refused."""
     cells = [(row, column, text) for column, texts in columns.items() for row, text in zip(rows, texts, strict=True)]
     comma, point = (
         next((f"row {row}, column {column}: {short(text)}" for row, column, text in cells if mark in text), "")

@@ -1,6 +1,6 @@
 """Manipulators in TOML files with units.
 
-    name = "Smooth-Sil 940"              # optional free text, like description; for people, not kept
+    name = "Smooth-Sil 940"              # optional free text, as is description; it is not kept
     length = "140 mm"
     outer_radius = { base = "20 mm", tip = "13 mm" }
     inner_radius = "7 mm"
@@ -8,10 +8,10 @@
     friction_coefficient = 0.42
     density = "1070 kg/m^3"              # optional, 0 unless given
     drag = "0.5 N/m"                     # optional, none unless given: friction per length, tension or not
-    yield_strain = "0.8 %"               # optional, or 0.008: `cddf solve` warns where the wall is strained more
+    yield_strain = "0.8 %"               # optional, or 0.008: `cddf solve` warns if the strain of the wall is larger
     kinematics = "published"             # optional, "exact" unless given
     offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
-    mass_per_length = "0.12 kg/m"        # optional: of what density does not weigh, such as many discs or cables
+    mass_per_length = "0.12 kg/m"        # optional: mass besides density, such as many discs or cables
     stiffness_factor = 0.93              # optional, 1 unless given: multiplies all stiffnesses, as a fit finds it
 
     [[tendons]]                          # one such table per tendon
@@ -31,9 +31,9 @@ A body is in space where a tendon has an angle around the axis, which is a profi
 
     poissons_ratio = 0.5                 # optional, 0.5 unless given
     extensible = true                    # optional: the axis stretches and shears
-    axial_factor = 0.8                   # optional, 1 unless given: multiplies its axial stiffness
-    shear_factor = 0.8                   # optional, 1 unless given: multiplies its stiffness in shear
-    rest_curvature = ["0 1/m", "2 1/m", "0 1/m"]  # optional: of the body without moment: twist, about y, about z
+    axial_factor = 0.8                   # optional, 1 unless given: multiplies the axial stiffness
+    shear_factor = 0.8                   # optional, 1 unless given: multiplies the shear stiffness
+    rest_curvature = ["0 1/m", "2 1/m", "0 1/m"]  # optional, of the unloaded body: twist, about y, about z
 
     [[tendons]]
     offset = "10 mm"
@@ -43,7 +43,7 @@ The angle counts from Y towards Z. Gravity and other loads are vectors in this f
 
 Where E I is known, bending_stiffness = "0.02 N m^2" stands in place of youngs_modulus; both radii may then be left out.
 In space torsional_stiffness (N m^2) stands beside it, and where the axis is extensible axial_stiffness and
-shear_stiffness (N). They replace what radii, modulus and Poisson's ratio make of them; without radii they are required.
+shear_stiffness (N). They replace what follows from radii, modulus and Poisson's ratio; without radii they are required.
 
 A profile (radius, offset, angle, mass_per_length, youngs_modulus, a stiffness, each part of rest_curvature) is written
 in one of these forms, in its own unit; arc lengths count from the base:
@@ -59,7 +59,7 @@ radii and offsets are left out here, and a table [[tendons]] for each column of 
 
     cross_sections = "body.csv"          # beside this file; or { file = "body.csv", tolerance = "10 um" }
 
-A passive tip link is a body that goes on beyond the `end` of its tendons, of any radius:
+A passive link is the part of a body beyond the `end` of its tendons, of any radius:
 
     outer_radius = { lines = [["0 mm", "15 mm"], ["300 mm", "6 mm"], ["350 mm", "5 mm"]] }     and     end = "300 mm"
 
@@ -98,13 +98,13 @@ _TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_lengt
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
 _SWITCHES = ("extensible", "offsets_outside_wall")
 _OTHERS = ("kinematics", "rest_curvature", *_SWITCHES, "name", "description", "point_mass", "cross_sections")
-_UNLESS_GIVEN = {"free_length": 0.0, "poissons_ratio": 0.5}  # what is not written
+_UNLESS_GIVEN = {"free_length": 0.0, "poissons_ratio": 0.5}  # defaults, which are not written
 _STRAINS = ("twist", "about y", "about z")
 _SECTIONS = "cross_sections"
 
 
 class RobotFile(NamedTuple):
-    """What a file holds."""
+    """The content of a robot file."""
 
     manipulator: Manipulator
     columns: tuple[SectionColumn, ...]  # of its table of cross-sections, as they were read; none without a table
@@ -121,7 +121,7 @@ def read_manipulator(path: str | os.PathLike[str]) -> Manipulator:
 
 
 def read_robot_file(path: str | os.PathLike[str]) -> RobotFile:
-    """As `read_manipulator`, with what else the file says."""
+    """As `read_manipulator`, with everything else in the file."""
     with within(path, ValueError):
         table = read_toml(path, 'length = "140 mm"')
         outside, _ = (_switch(table, key) for key in ("offsets_outside_wall", "extensible"))
@@ -155,7 +155,7 @@ def write_manipulator(
     Raises:
         InputError: for a manipulator that `validate` refuses, a profile of another kind, or a file
             that cannot be written.
-        TypeError: for something else than a manipulator and a path, in this order.
+        TypeError: for anything but a manipulator and a path, in this order.
     """
     if not isinstance(manipulator, Manipulator) or not isinstance(path, str | os.PathLike):
         raise TypeError(
@@ -167,7 +167,7 @@ def write_manipulator(
 
 
 def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = False) -> str:
-    """What `write_manipulator` writes."""
+    """The text that `write_manipulator` writes."""
     import tomli_w
 
     manipulator.validate(offsets_outside_wall=offsets_outside_wall)
@@ -185,7 +185,7 @@ def _manipulator(table: _Table, sections: dict[str, Any]) -> Manipulator:
     found = sections | _values(table, length, _PROFILES)
     modulus = found.get("youngs_modulus")
     if isinstance(modulus, Constant):
-        found["youngs_modulus"] = modulus.value  # a plain modulus stays a number, which has the name of the whole
+        found["youngs_modulus"] = modulus.value  # a constant modulus stays a number, named "youngs_modulus"
     masses = []
     for i, mass in enumerate(_tables(table, "point_mass", "mass"), 1):
         where = f"point_mass {i}: "
@@ -227,7 +227,7 @@ def _values(table: _Table, length: float, profiles: Sequence[str], where: str = 
 
 
 def _check_top(table: _Table) -> None:
-    """Refuse keys that are unknown or contradict each other, and demand those that are required."""
+    """Refuse keys that are unknown or contradict each other, and require those that must be there."""
     given_elsewhere = {*CrossSections._fields} if _SECTIONS in table else set()
     given_elsewhere |= {"youngs_modulus", *_RADII} if "bending_stiffness" in table else set()
     for one, other in (("youngs_modulus", "bending_stiffness"), *((key, _SECTIONS) for key in ("length", *_RADII))):
@@ -240,14 +240,14 @@ def _check_top(table: _Table) -> None:
 
 
 def _sections(table: _Table) -> dict[str, Any]:
-    """Length and tendons as their keys say."""
+    """Length and tendons from their keys."""
     length = quantity(table["length"], "length", "length")
     tables = enumerate(_tables(table, "tendons", "tendon"), 1)
     return {"length": length, "tendons": [_tendon(tendon, length, f"tendon {number}: ") for number, tendon in tables]}
 
 
 def _tables(table: _Table, key: str, one: str) -> list[_Table]:
-    """The tables below the lines [[key]], one for each `one`; a key that is there for tendons needs a table."""
+    """The tables below the lines [[key]], one for each `one`; there must be a tendon."""
     found = table.get(key, [])
     empty = key == "tendons" and not found
     if empty or not isinstance(found, list) or not all(isinstance(own, dict) for own in found):
@@ -256,7 +256,7 @@ def _tables(table: _Table, key: str, one: str) -> list[_Table]:
 
 
 def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[SectionColumn, ...]]:
-    """The body in the CSV file that is named, with what the tables of the tendons add, and its columns."""
+    """The body in the CSV file that is named, with the numbers in the tables of the tendons, and its columns."""
     file, tolerance = _named(table[_SECTIONS], folder)
     sections, columns = sections_and_columns(file, tolerance)
     tendons = list(sections.tendons)
@@ -293,7 +293,7 @@ def _tendon(table: _Table, length: float, where: str) -> Tendon:
 
 
 def check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
-    """Refuse keys that are not known, and demand those that are required."""
+    """Refuse unknown keys, and require those that must be there."""
     known = (*required, *optional)
     for key in table:
         if key not in known:

@@ -1,4 +1,4 @@
-"""Profiles as robot files have them: a text with its unit, or a table; read and written."""
+"""Profiles in robot files: a text with its unit, or a table; read and written."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -30,8 +30,8 @@ def read_profile(value: object, length: float, where: str, kind: Dimension) -> P
         case {"spline": list(points), **rest} if not rest:
             make = partial(Spline, *_points(points, f"{where}: spline", kind))
         case _:
-            raise InputError(f"{where} is no profile, got {value!r}; write {FORMS}")
-    with within(where, ValueError):  # its own complaint, about the number of values say
+            raise InputError(f"{where} is not a profile, got {value!r}; write {FORMS}")
+    with within(where, ValueError):  # errors of the profile itself, such as a wrong number of values
         return make()
 
 
@@ -49,7 +49,7 @@ def _points(points: Sequence[object], where: str, kind: Dimension) -> tuple[list
 
 
 def profile_form(profile: Profile, length: ArrayLike, where: str, kind: Dimension) -> object:
-    """A profile in one of the forms that `read_profile` reads; a number is a constant one."""
+    """A profile in one of the forms that `read_profile` reads."""
     value = partial(number_text, kind=kind)
     match profile:
         case Constant():
@@ -73,6 +73,6 @@ def profile_form(profile: Profile, length: ArrayLike, where: str, kind: Dimensio
 
 
 def number_text(value: ArrayLike, kind: Dimension = "length") -> float | str:
-    """A number as a file has it: with its unit, where it has one."""
+    """A number for a file, with its unit if it has one."""
     number = float(np.asarray(value))
     return number if kind in ("dimensionless", "strain") else written(number, kind)

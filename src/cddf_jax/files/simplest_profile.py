@@ -1,6 +1,6 @@
-"""Points along the body to the simplest profile that passes them all at a tolerance, and its words.
+"""The simplest profile that passes all points along a body at a tolerance, with its description.
 
-Nothing is made up between two points: straight lines, unless a smooth curve that passes the points stays between them.
+Between two points it is a straight line, unless a smooth curve through the points stays between their values.
 """
 
 from itertools import pairwise
@@ -20,7 +20,7 @@ MOST_LINES = 1000
 
 
 class Taken(NamedTuple):
-    """The profile that was taken, what it is in words, and why it is no smooth curve."""
+    """The profile that was taken, its description, and why it is not a smooth curve."""
 
     profile: Profile
     words: str
@@ -28,18 +28,17 @@ class Taken(NamedTuple):
 
 
 def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Taken:
-    """A number, a straight line, a cubic spline or a chain of straight lines; where an arc length is repeated, a step.
+    """A number, a straight line, a cubic spline or a chain of straight lines; a step at an arc length given twice.
 
-    A spline is taken where it needs no more knots than the chain has points, stays within the values of neighbouring
-    points everywhere between them, and does not turn back there, all at the tolerance. The chain passes points of the
-    table, as few as will do. Values on both sides of a step that differ by no more than the tolerance are one value,
-    their mean.
+    A spline is taken if it needs no more knots than the chain has points, stays within the values of neighbouring
+    points between them, and does not turn back there, all at the tolerance. The chain passes as few points of the
+    table as possible. If the values on both sides of a step differ by no more than the tolerance, their mean is taken.
 
     Args:
-        arc_length: m, the first 0, increasing but for those that are given twice, which are neither first nor last.
-        values: m, at these arc lengths; of a step the left one first.
+        arc_length: m, the first 0, increasing, except that inner ones may be given twice.
+        values: m, at these arc lengths; at a step the one towards the base first.
         tolerance: m, the most by which the profile may miss a value.
-        name: of the quantity, with which an error begins: where more lines are needed than a solve should have.
+        name: of the quantity, for errors: the chain must not need too many lines.
     """
     parts = _between_steps(arc_length, values, tolerance)
     pieces = [_straight(*part, tolerance) or _curved(*part, tolerance, name) for part in parts]
@@ -63,7 +62,7 @@ def _between_steps(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[
 
 
 def _straight(s: np.ndarray, values: np.ndarray, tolerance: float) -> Taken | None:
-    """A number or one straight line, where that is near enough."""
+    """A number or one straight line, if that is near enough."""
     if np.ptp(values) <= 2 * tolerance:
         value = 0.5 * (np.min(values) + np.max(values))
         return Taken(Constant(value), f"constant {shown(value, 'length')}")
@@ -106,7 +105,7 @@ def _corners(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[int]:
 
 
 def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> tuple[Spline | None, str]:
-    """The least-squares spline of the fewest evenly spaced knots that will do; None and the reason if none does."""
+    """The least-squares spline with the fewest evenly spaced knots that suffice; None and the reason if none does."""
     from scipy.interpolate import make_lsq_spline
 
     if len(s) < 4:
@@ -132,8 +131,8 @@ def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> t
 def _strays(curve: "BSpline", s: np.ndarray, values: np.ndarray, tolerance: float) -> str:
     """How a cubic spline leaves the range of two neighbouring points, or turns back between them; "" if it does not.
 
-    Within an interval it is highest and lowest at the ends, where it is near enough, or where its slope is zero. The
-    slope of each piece is a quadratic, so all these places are found.
+    Within an interval its extremes are at the ends, where it is near the points, or where its slope is zero. The slope
+    of each piece is a quadratic, so all these places are found.
     """
     from scipy.interpolate import PPoly
 

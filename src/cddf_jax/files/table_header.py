@@ -26,8 +26,8 @@ class Kind(NamedTuple):
     labels: Collection[str] = ()  # columns of text
     optional: Collection[str] = ()  # columns that are left out where a cell is no number; they need no unit
     gaps: Callable[[str], bool] = lambda column: False  # whether cells of a column may be empty, which gives NaN
-    words: Callable[[str], Mapping[str, str]] = lambda column: {}  # numbers that the cells of a column give in words
-    objection: Callable[[str], str] = lambda name: ""  # to an unknown column; "" where it is just not used
+    words: Callable[[str], Mapping[str, str]] = lambda column: {}  # by word, the number that it stands for in a column
+    objection: Callable[[str], str] = lambda name: ""  # the error for an unknown column; "" if it is ignored
 
 
 class Heading(NamedTuple):
@@ -44,7 +44,7 @@ class Heading(NamedTuple):
 
 
 def heading_of(cell: str, kind: Kind, given: Mapping[str, str]) -> Heading:
-    """What a cell of the header says of its column."""
+    """The heading in a cell of the header."""
     text = " ".join(cell.split()) if len(cell) < 10_000 else short(cell)
     own = _as_written(text, kind)
     name = _MARKED.fullmatch(text)
@@ -55,7 +55,7 @@ def heading_of(cell: str, kind: Kind, given: Mapping[str, str]) -> Heading:
         return Heading(text, None, None)
     column, unit = _as_written(said, kind)[1:]
     if column is None:
-        kind.dimension_of(said)  # raises and says what there is
+        kind.dimension_of(said)  # raises, and names the known columns
     if unit is None:
         marked = name and (name[2] if name[2] is not None else name[3])
         unit = marked.strip() if marked else _unit_behind(text, kind.dimension_of(str(column)))
@@ -63,7 +63,7 @@ def heading_of(cell: str, kind: Kind, given: Mapping[str, str]) -> Heading:
 
 
 def _as_written(text: str, kind: Kind) -> Heading:
-    """By a name and its unit in brackets, in parentheses or behind it."""
+    """The heading of a text with its unit in brackets, in parentheses or behind the name."""
     if name := _MARKED.fullmatch(text):
         column = _known(name[1], kind)
         unit = name[2] if name[2] is not None else name[3]
@@ -96,7 +96,7 @@ def _unit_behind(text: str, dimension: Dimension | None) -> str | None:
 
 
 def headings_of(cells: list[str], row: int, kind: Kind, given: Mapping[str, str]) -> list[Heading]:
-    """Of every column."""
+    """The headings of all columns."""
     while len(cells) > 1 and not cells[-1].strip():  # spreadsheets leave separators at the end
         cells = cells[:-1]
     headings = [heading_of(cell, kind, given) for cell in cells]
@@ -133,7 +133,7 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
 
 
 def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
-    """Every column once, and with a unit where it has one."""
+    """Refuse a column that appears twice, and a unit that is missing or wrong."""
     seen: dict[str, str] = {}
     for text, column, unit in headings:
         if column is None:
@@ -151,7 +151,7 @@ def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
 
 
 def number(text: str) -> float:
-    """The number that a text is; unlike Python, no reader takes 1_000 for one."""
+    """The number in a text; unlike in Python, 1_000 is not a number."""
     return float(text if "_" not in text else "")
 
 
@@ -164,6 +164,6 @@ def is_number(text: str) -> bool:
 
 
 def short(text: str) -> str:
-    """A piece of a file for a message: quoted, on one line, not long."""
+    """A piece of a file for a message: quoted and shortened."""
     text = text.strip()
     return repr(text if len(text) <= 60 else text[:57] + "...")

@@ -1,8 +1,8 @@
 """The cells of a table in a file, from its header on: CSV in the dialects of instruments and spreadsheets, and .xlsx.
 
-Separators are commas, or semicolons or tabs, and then decimal commas are understood too, or what a first line such as
-`sep=;` says. Blank lines, lines with # between the rows and separators at the end of a line are passed over. UTF-8,
-UTF-16 with its mark, and Windows-1252 (Latin-1) where it is neither.
+Separators are commas, semicolons or tabs, or the one in a first line such as `sep=;`. With semicolons or tabs, decimal
+commas are understood too. Blank lines, lines with # between the rows, and separators at the end of a line are ignored.
+The encoding is UTF-8, UTF-16 with a byte order mark, or else Windows-1252 (Latin-1).
 """
 
 import codecs
@@ -21,7 +21,7 @@ Row = tuple[int, list[str]]  # its line in the file, or its number in the sheet,
 
 _BLANK = ' \t\r\n,;"'
 _LOOKED_AT = 200  # rows, for the header
-_ENOUGH = 2  # columns, by which a header is recognised at once
+_ENOUGH = 2  # known columns that are enough to recognise a header
 _COMMENT = re.compile(r'[ \t"]*#(?!N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!)', re.I)  # not an error of a spreadsheet
 _CONTROL = re.compile("[\x00-\x08\x0e-\x1f]")  # characters that no text holds
 _ZIP, _OLD_SPREADSHEET = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
@@ -36,14 +36,14 @@ class Source(NamedTuple):
     rows: Iterator[Row]  # below it
     notes: tuple[str, ...]  # the text above the header
     decimal_commas: bool  # whether a number may have one
-    read_as: list[str]  # what was done to read it, complete when the rows are read
+    read_as: list[str]  # how the file was understood, complete when the rows are read
 
 
 def open_table(path: str | os.PathLike[str], recognised: Recognised, empty: str) -> Source:
     """The table in a file; errors do not name it.
 
-    `recognised` tells how many of some cells are heads of columns, by which the header is found. `empty` is what is
-    said of a file without any text.
+    `recognised` counts the cells that are heads of columns; the header is found by it. `empty` is the message for a
+    file without any text.
     """
     try:
         with open(path, "rb") as file:
@@ -100,7 +100,7 @@ def _decoded(content: bytes) -> tuple[str, list[str]]:
 def _find_header(
     lines: Sequence[str], plain: Sequence[int], separators: str, recognised: Recognised
 ) -> tuple[int, str]:
-    """Line and separator: where two columns are recognised or one; else a comment above numbers; else the widest."""
+    """Line and separator: a line with two known columns, or with one; else a comment above numbers; else the widest."""
     known: tuple[int, int, str] = (0, 0, "")
     widest = (0, plain[0], separators[0])
     for i in plain:
@@ -122,7 +122,7 @@ def _find_header(
 def _header_cells(lines: Sequence[str], at: int, separator: str) -> list[str]:
     try:
         return [cell.strip() for cell in _cells(lines, at, separator)[0]]
-    except InputError:  # astray quotation marks: no header
+    except InputError:  # misplaced quotation marks: no header
         return []
 
 
@@ -151,7 +151,7 @@ def _cells(lines: Sequence[str], at: int, separator: str) -> tuple[list[str], in
     try:
         return next(reader), at + reader.line_num
     except csv.Error as error:
-        raise InputError(f"row {at + 1}: quotation marks are astray ({error}); take them out") from None
+        raise InputError(f"row {at + 1}: quotation marks are misplaced ({error}); remove them") from None
 
 
 # --- spreadsheets --------------------------------------------------------------------------------
@@ -194,7 +194,7 @@ def _sheets(content: bytes) -> dict[str, list[Row]]:
     try:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
-    except Exception as error:  # of many kinds: a zip archive may hold anything
+    except Exception as error:  # many kinds: a zip archive may hold anything
         raise InputError(f"is no spreadsheet in the format .xlsx ({error}); save it as .xlsx or as CSV UTF-8") from None
     found = {}
     for name, rows in sheets.items():

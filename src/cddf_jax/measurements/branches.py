@@ -1,4 +1,4 @@
-"""The two outer branches of loops: the pull from rest to the largest base tension, and the way back from it."""
+"""The two outer branches of a loop: the pull from rest to the largest base tension, and the release from it."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from .table import Measurements
 def branches(table: Measurements) -> np.ndarray:
     """(rows,), 1 where the base tension is the largest of its trial so far, -1 where it is the smallest since the turn.
 
-    0 where it is neither: within a smaller loop, or pulled again. Jitter of the cell counts for nothing.
+    0 where it is neither: within a smaller loop, or pulled again. Jitter of the cell is ignored.
     """
     found = np.zeros(len(table))
     labels = table.columns.get("trial", np.zeros(len(table)))

@@ -1,4 +1,4 @@
-"""The columns of a table of measurements: what they are called, how laboratories write them, what they measure."""
+"""The columns of a table of measurements: their names, other spellings of them, and what they measure."""
 
 import re
 from difflib import get_close_matches
@@ -39,7 +39,7 @@ _SPELLINGS = {
     "stepnr": "step",
     "stepnumber": "step",
 } | {name.replace("_", ""): name for name in COLUMNS}
-_LIKENESS = 0.85  # of a name to a known one, from which it is rather misspelt than another column
+_LIKENESS = 0.85  # of a name to a known one, above which it counts as misspelt
 
 _IN = ("loading", "load", "pulling", "pull", "in", "up", "+")
 _OUT = ("unloading", "unload", "releasing", "release", "out", "down", "-", "−", "−1")
@@ -47,7 +47,7 @@ DIRECTIONS = {word: way for words, way in ((_IN, "1"), (_OUT, "-1")) for word in
 
 
 def column_meant(name: str) -> str | None:
-    """The column that a name in a file means, `base_tension` for "T base" or "Tbase_1"; None where it is none."""
+    """The column that a name in a file means, `base_tension` for "T base" or "Tbase_1"; None if it means none."""
     if marker := marker_column(name):
         return "@".join(marker)
     stem, number = _parts(name)
@@ -58,7 +58,7 @@ def column_meant(name: str) -> str | None:
 
 
 def column_resembled(name: str) -> str | None:
-    """The column whose name a name was perhaps to be; None for one that is clearly something else."""
+    """The known column whose name is probably misspelt; None if no known name is similar enough."""
     stem, number = _parts(name)
     if number == "0" and _SPELLINGS.get(stem) in PER_TENDON:
         return _SPELLINGS[stem]
@@ -71,7 +71,7 @@ def column_resembled(name: str) -> str | None:
 
 
 def _parts(name: str) -> tuple[str, str]:
-    """Letters and number of a name, without what separates words."""
+    """Letters and number of a name, without separators between words."""
     key = re.sub(r"[\s_.#-]+", "", name.lower())
     stem = key.rstrip("0123456789")
     number = key[len(stem) :]
@@ -98,17 +98,17 @@ def column_dimension(column: str) -> Dimension | None:
 
 
 def is_reading(column: str) -> bool:
-    """Whether an instrument reads it, so that a cell of it may be missing; else it was set, and is needed."""
+    """Whether an instrument reads the column, so that cells may be empty; other columns were set, and are needed."""
     return bool(kind_of(column)) or column == "pulling_tension"
 
 
 def is_direction(column: str) -> bool:
-    """Of tendon 1, `direction`, or of another, `direction_2`."""
+    """Whether a column holds directions, `direction` of tendon 1 or `direction_2`, ... of another."""
     return column.startswith("direction")
 
 
 def misspelt(name: str) -> str:
-    """What is said against a column whose name is nearly one of ours."""
+    """The error for a column whose name is similar to a known one; "" for any other name."""
     meant = column_resembled(name)
     if meant is None:
         return ""
@@ -117,7 +117,7 @@ def misspelt(name: str) -> str:
 
 
 def as_column_option(name: str, column: str) -> str:
-    """How to say at the command line which column a name means."""
+    """The option of the command line that says which column a name means."""
     dimension = column_dimension(column)
     unit = f" [{preferred(dimension)[1]}]" if dimension else ""
     return f'--column "{name}={column}{unit}"'

@@ -1,7 +1,7 @@
-"""Holds and repeats: rows that were read one after the other while nothing was changed are no independent readings.
+"""Holds and repeats: consecutive rows that were read while nothing was changed are not independent readings.
 
 A hold is a run of consecutive rows of one trial at the same commanded level. The same level later, or in another
-trial, is a repeat. Samples of one hold share what drifts slowly; repeats do not.
+trial, is a repeat. Samples of one hold have slow drifts in common; repeats do not.
 """
 
 from dataclasses import replace
@@ -14,15 +14,15 @@ from scipy.special import ndtri
 from .columns import ORDER, is_reading
 from .table import Measurements
 
-SAME_LEVEL = 0.01  # of the largest of a column: levels that differ by less are one, where the data show no other noise
+SAME_LEVEL = 0.01  # of the largest of a column: levels that differ by less are one, if the data show no other noise
 NO_STEP = 5e-4  # of the largest: a smaller change is no step
 CLEAR_GAP = 3.0  # between the largest change within holds and the smallest step from hold to hold
-LARGEST_NOISE = 0.05  # of the largest: changes beyond are steps, whatever the gaps
+LARGEST_NOISE = 0.05  # of the largest: larger changes are steps, whatever the gaps
 STEP = 5.0  # standard deviations from the mean of a hold
 MEDIAN_CHANGE = 0.954  # of the size of a change, for noise of standard deviation 1
-MOST_STEPS = 0.2  # of the changes; with more of them their median is no noise
+MOST_STEPS = 0.2  # of the changes; with more steps the median of the changes is not noise
 ONE_WAY = 0.8  # net change over the sum of all changes within holds: where it is larger, the rows are a ramp
-LEAST_CHANGES = 4  # of a hold that can show a ramp
+LEAST_CHANGES = 4  # in a hold that can show a ramp
 ALARM = float(ndtri(1 - 1e-3))  # standard deviations of a correlation of independent readings
 LEAST_PAIRS = 10
 
@@ -33,12 +33,12 @@ class SerialCorrelation(NamedTuple):
     num_readings: int
     num_holds: int
     lag_one: float  # correlation of a residual with the one before it in its hold; NaN where no hold has two
-    num_effective: float  # so many independent readings would give means that are as certain
-    alarming: bool  # whether independent readings would hardly ever be so alike
+    num_effective: float  # number of independent readings that would give equally certain means
+    alarming: bool  # whether independent readings would almost never be so strongly correlated
 
     @property
     def remark(self) -> str:
-        """What is wrong and what helps; "" where nothing is."""
+        """What is wrong and what helps; "" if nothing is wrong."""
         if not self.alarming:
             return ""
         return (
@@ -51,14 +51,14 @@ class SerialCorrelation(NamedTuple):
 def hold_labels(levels: ArrayLike, trial: ArrayLike, noise: float | None = None) -> np.ndarray:
     """The hold of each row, counted from 0 in the order of the rows.
 
-    Two rows in a row are of one hold where no level changes by more than the noise of the levels: up to the widest
-    gap among the changes where at least half of them lie below it, else 5 standard deviations, by the median of the
-    changes, where a few lie beyond, else 1 % of the largest level. Rows that then change in one direction within
-    holds, as in a slow ramp, are each a hold of their own.
+    Consecutive rows belong to one hold if no level changes by more than the noise of the levels. This noise is the
+    first that applies: the largest change below the widest gap among the changes, if at least half of the changes lie
+    below it; 5 standard deviations, estimated from the median of the changes, if a few changes are larger; 1 % of the
+    largest level. If the levels then change in one direction within holds, as in a slow ramp, each row is its own hold.
 
     Args:
         levels: (rows, columns), what was set.
-        trial: (rows,), labels; a hold does not go on into another trial.
+        trial: (rows,), labels; a hold ends with its trial.
         noise: standard deviation of the levels where it is known, in their unit: 5 of them make a step.
     """
     largest = np.maximum(np.max(np.abs(levels), axis=0), 1e-300)
@@ -110,14 +110,14 @@ def _is_ramp(change: np.ndarray, hold: np.ndarray) -> bool:
 def serial_correlation(residual: ArrayLike, labels: ArrayLike, num_parameters: float = 0.0) -> SerialCorrelation:
     """How alike residuals of a fit are within holds, and how many independent readings they are worth.
 
-    The effective number is n over the ratio of the scatter of hold means to that of as many independent residuals,
-    which sums the correlations of all lags: sum n_h mean_h^2 / (holds - parameters) over the mean square. It lies
-    between the number of holds and that of readings.
+    The effective number is n divided by a ratio: the scatter of the hold means, sum n_h mean_h^2 / (holds -
+    parameters), over the mean square of all residuals. The ratio sums the correlations of all lags. The effective
+    number lies between the number of holds and the number of readings.
 
     Args:
         residual: (rows,), over their noise.
-        labels: (rows,), the hold of each; of one hold side by side.
-        num_parameters: how many degrees of freedom the fit took from these readings.
+        labels: (rows,), the hold of each; rows of one hold are consecutive.
+        num_parameters: degrees of freedom of these readings that the fit used.
     """
     residual, labels = np.asarray(residual, float), np.asarray(labels)
     hold, size = np.unique(labels, return_inverse=True, return_counts=True)[1:]
@@ -145,19 +145,19 @@ def holds_of(table: Measurements) -> np.ndarray:
 
 
 def average_holds(table: Measurements) -> Measurements:
-    """One reading for each hold: the means of its rows, which a fit may take for independent.
+    """One reading for each hold: the mean of its rows. A fit may take these means as independent.
 
-    What a hold reads scatters about the model by all that its rows share, and a fit estimates that noise from the
-    holds themselves, as it does with readings elsewhere. `spread` of the new table has the standard deviation of the
-    rows of each hold, by column. Give it to a fit, `noise=table.spread`, where there are too few holds to estimate
-    the noise from. It is too large where rows are independent, and never too small for what varies within a hold.
+    The scatter of the means about the model includes what the rows of a hold have in common. A fit estimates it from
+    the means. `spread` of the new table is the standard deviation of the rows of each hold, by column. If there are too
+    few holds to estimate the noise, give it to the fit, `noise=table.spread`. It is too large if rows are independent,
+    and it does not contain what the rows of a hold have in common.
 
     Args:
-        table: as it was read, its rows in the order in which they were taken.
+        table: as it was read.
 
     Returns:
-        The table of means. Each has the row of the file in which its hold begins. A table without holds comes back
-        as it is.
+        The table of means, each with the row of the file in which its hold begins. A table without holds is returned
+        unchanged.
     """
     table = table.in_order()
     labels = holds_of(table)
@@ -173,7 +173,7 @@ def average_holds(table: Measurements) -> Measurements:
 
 
 def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Over the rows of each hold that were read; NaN where none was."""
+    """The mean over the rows of each hold that were read; NaN if none was read."""
     there = np.isfinite(values)
     count = np.bincount(labels, there)
     total = np.bincount(labels, np.where(there, values, 0.0))
@@ -181,7 +181,7 @@ def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 def _spread(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Standard deviation of the rows of each hold; that of all holds together where a hold has none."""
+    """Standard deviation of the rows of each hold; that of all holds together for a hold without scatter."""
     there = np.isfinite(values)
     error = np.where(there, values - _mean(values, labels)[labels], 0.0)
     count, squares = np.bincount(labels, there), np.bincount(labels, error**2)

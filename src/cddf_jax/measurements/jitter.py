@@ -1,7 +1,7 @@
-"""The base tension as it was set: its cell jitters, and a tendon with a history would take every jitter for a turn.
+"""The base tension without the jitter of its cell: in a history every jitter would count as a turn.
 
-Readings of one hold become their mean. A turn counts where the tension comes back by more than the noise of the cell.
-Between two turns the tension rises or falls only: the readings are brought to the nearest such course.
+Readings of one hold become their mean. A turn counts if the tension then comes back by more than the noise of the cell.
+Between two turns the tension only rises or only falls: the readings are replaced by the nearest such values.
 """
 
 from itertools import pairwise
@@ -11,29 +11,29 @@ import numpy as np
 
 from .holds import CLEAR_GAP, NO_STEP, hold_labels
 
-SURE = 3.0  # standard deviations of each of two levels, by which they must differ where the tension turned
-LARGEST_JITTER = 0.02  # of the largest tension; a larger way back is a turn, whatever the others are
-LEAST_FREEDOM = 5  # of a noise that holds tell
-LEAST_IN_HOLD, LEAST_HOLDS = 4, 8  # rows and holds that tell a ramp
-ONE_WAY = 0.6  # of holds in which the readings go on as the levels do, less those in which they come back
+SURE = 3.0  # standard deviations of each of two levels by which these differ, if the tension turned
+LARGEST_JITTER = 0.02  # of the largest tension; a larger way back is always a turn
+LEAST_FREEDOM = 5  # degrees of freedom from which the noise within holds is estimated
+LEAST_IN_HOLD, LEAST_HOLDS = 4, 8  # rows in a hold, and such holds, that can show a ramp
+ONE_WAY = 0.6  # share of holds whose readings change as the levels do, less the share of opposite ones, of a ramp
 
 
 class Steady(NamedTuple):
     """Readings of a base tension without their jitter."""
 
     tension: np.ndarray  # (rows,), N
-    noise: float  # standard deviation of a reading, N; 0 where none was found or stated
-    least_turn: float  # N, by how much the tension has to come back for a turn, at most
+    noise: float  # standard deviation of a reading, N; 0 if none was found or stated
+    least_turn: float  # N: a larger way back is a turn
     num_ignored: int  # how many turns of the readings are noise
 
 
 def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
-    """What the cell would have read without noise, of one trial from rest.
+    """The readings of one trial from rest, without the noise of the cell.
 
     Args:
         readings: (rows,), N, in the order in which they were measured.
-        noise: standard deviation of a reading, N; 0: every turn counts. None: that within holds, and where there are
-            none the gap between small ways back and large ones.
+        noise: standard deviation of a reading, N; with 0 every turn counts. None: it is estimated from the scatter
+            within holds, or without holds from the gap between small ways back and large ones.
     """
     if noise == 0 or readings.size < 2:
         return Steady(readings, 0.0, 0.0, 0)
@@ -53,11 +53,11 @@ def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
 
 
 def turns_of(level: np.ndarray, error: np.ndarray | None = None) -> np.ndarray:
-    """Where a tension turned, 0, 1, ...: the rows that hold a largest or a smallest one.
+    """The rows, from 0, at which a tension turned.
 
     Args:
         level: (rows,), from rest.
-        error: (rows,), half of the way back that is no turn.
+        error: (rows,): a way back counts as a turn if it is larger than the sum of the errors at its ends.
     """
     error = np.zeros(level.size) if error is None else error
     turns, extreme, direction = [], 0, 1.0
@@ -72,7 +72,7 @@ def turns_of(level: np.ndarray, error: np.ndarray | None = None) -> np.ndarray:
 
 
 def _is_ramp(readings: np.ndarray, holds: np.ndarray) -> bool:
-    """Whether readings change within holds as they do from hold to hold: what was taken for holds is a ramp."""
+    """Whether readings change within holds as they do from hold to hold: then they are a ramp, and not holds."""
     size = np.bincount(holds)
     row = np.arange(readings.size)
     about = row - (np.bincount(holds, row) / size)[holds]
@@ -83,13 +83,16 @@ def _is_ramp(readings: np.ndarray, holds: np.ndarray) -> bool:
 
 
 def _within_holds(error: np.ndarray, size: np.ndarray) -> float:
-    """The standard deviation of a reading from the mean of its hold; 0 where too few tell."""
+    """The standard deviation of a reading from the mean of its hold; 0 if there are too few readings."""
     freedom = int(np.sum(size - 1))
     return float(np.sqrt(np.sum(error**2) / freedom)) if freedom >= LEAST_FREEDOM else 0.0
 
 
 def _small_ways_back(level: np.ndarray) -> float:
-    """The least way back, N, from which on a threefold one leaves as many turns; 0 where none is smaller, or noise."""
+    """A way back, N, that separates noise from turns; 0 if no turn is noise, or if there is no clear gap.
+
+    A threefold one leaves as many turns.
+    """
     largest = float(np.max(level))
 
     def turns_beyond(way: float) -> int:
@@ -106,7 +109,7 @@ def _small_ways_back(level: np.ndarray) -> float:
 
 
 def _between_turns(level: np.ndarray, turns: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The nearest levels, by least squares, that rise and fall in turn between the turns."""
+    """The nearest levels, by least squares, that rise or fall monotonically between the turns."""
     from scipy.optimize import isotonic_regression
 
     found = level.copy()

@@ -1,4 +1,4 @@
-"""Markers in a table of their own, which is read with the table of measurements before it.
+"""Markers in a separate table, which is read with the table of measurements before it.
 
     row, marker, arc_length [mm], offset_y [mm], x [mm], y [mm]
     1, head, 80, 11, 79.1, 12.3
@@ -13,7 +13,7 @@
 | arc_length | length | optional: the cross-section that the marker moves with |
 | offset_x, offset_y, offset_z | length | optional, 0 unless given: from the axis, x along the body |
 
-A marker without an arc_length is called by its place on the axis, `120mm`, or `fit` is given its place.
+A marker without an arc_length is named by its place on the axis, such as `120mm`, or its place is given to `fit`.
 """
 
 import os
@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import InputError, within
-from ..files.csv_table import Table, read_table, says
+from ..files.csv_table import Table, columns_in, read_table
 from ..files.table_header import Kind
 from ..units import Dimension, shown
 from .markers import Marker
@@ -36,19 +36,19 @@ _COLUMNS = ("row", "marker", "arc_length", *_OFFSETS, *_AXES)
 
 
 class MarkerTable(NamedTuple):
-    """What such a file holds."""
+    """The content of a table of markers."""
 
     columns: dict[str, np.ndarray]  # "x@head", ..., one number for each row of the measurements, m; NaN: not there
     places: dict[str, Marker]  # of the markers whose place it tells
-    read_as: tuple[str, ...]  # what was done to read it
-    missing: tuple[str, ...]  # what was said of columns that are not there
+    read_as: tuple[str, ...]  # how the file was understood
+    missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
 
 
 NO_MARKERS = MarkerTable({}, {}, (), ())
 
 
 def of_markers(columns: Mapping[str, str]) -> dict[str, str]:
-    """Of what is said of columns, such as "arc_length [mm]", that which is for such a table."""
+    """The descriptions of columns, such as "arc_length [mm]", that are for a table of markers."""
     return {
         name: meant for name, meant in columns.items() if _meant(re.sub(r"[\[(].*", "", meant)) or not meant.strip()
     }
@@ -56,7 +56,7 @@ def of_markers(columns: Mapping[str, str]) -> dict[str, str]:
 
 def is_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str]) -> bool:
     """Whether the header of a file has a column `marker` and a position."""
-    named = says(path, _KIND, columns)
+    named = columns_in(path, _KIND, columns)
     return "marker" in named and any(axis in named for axis in _AXES)
 
 

@@ -37,7 +37,7 @@ class Marker(NamedTuple):
 
 
 def marker_column(name: str) -> tuple[str, str] | None:
-    """Coordinate and marker of a column, ("x", "120mm") of "x@120 mm"; None for one of no marker."""
+    """Coordinate and marker of a column, ("x", "120mm") of "x@120 mm"; None for any other column."""
     found = _COLUMN.fullmatch(name)
     return None if found is None else (found[1].lower(), re.sub(r"\s+", "", found[2]))
 
@@ -78,7 +78,7 @@ def _arc_length(column: str, place: str) -> float:
 
 
 def marker_positions(fields: AnyFields, offset: Float[Array, "markers 3"]) -> Float[Array, "markers components"]:
-    """Where markers are, m, in the fixed frame at the base.
+    """The positions of markers, m, in the fixed frame at the base.
 
     Args:
         fields: at the arc lengths of the markers.

@@ -1,4 +1,4 @@
-"""A path in a file: what a bench was told to do, row by row, in the order in time."""
+"""A path in a file: the tensions, displacements or angles that a bench went through, in their order in time."""
 
 import os
 from typing import NamedTuple
@@ -12,11 +12,11 @@ from ..quantities import dimension_of
 from ..units import Dimension, written
 from .columns import ORDER, column_dimension, column_meant, is_reading
 
-DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that is there drives
+DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that the file has is the path
 
 
 class PathFile(NamedTuple):
-    """What a file drives a body through."""
+    """A path that was read from a file."""
 
     values: list[float]  # SI
     dimension: Dimension
@@ -26,7 +26,7 @@ class PathFile(NamedTuple):
 def read_path_file(path: str | os.PathLike[str]) -> PathFile:
     """The column `base_tension` of a file with the unit in its header, or else `tendon_displacement` or `tip_angle`.
 
-    The order is that of the columns `step` and `time` where they are there, else that of the rows.
+    The order is that of the columns `step` and `time`, or without them that of the rows.
 
     Args:
         path: CSV or .xlsx; other columns are not used.

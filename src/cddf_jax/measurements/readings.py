@@ -1,8 +1,7 @@
-"""What instruments on a bench read of a manipulator: one entry for each kind of column that a fit explains.
+"""What the instruments of a bench read: an entry for each kind of column that a fit explains.
 
-A kind of data is added here and in `quantities`: what is read of an equilibrium, its unit and its words. A column of a
-table is called by the name of its kind; where every tendon has one, `tip_tension` is that of the first, `tip_tension_2`
-of the second.
+A kind of data is added here and in `quantities`: what is read of an equilibrium, its unit and its words. A column has
+the name of its kind. If every tendon has one, `tip_tension` is that of tendon 1, and `tip_tension_2` that of tendon 2.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +16,7 @@ class Reading(NamedTuple):
     of: Callable[[Any], Any]  # of equilibria, rows first, SI; tendons last where every tendon has one
     per_tendon: bool = False
     by_cell: bool = False  # a tension as a load cell reads it, gain * (tension - pretension) + zero
-    zero: str = ""  # the parameter of a bench that is added to what is true
+    zero: str = ""  # the parameter of a bench that is added to the true value
     in_space: bool = False  # whether only a body in space has it
     of_marker: bool = False  # markers last; its columns are those of `markers.marker_column`
 
@@ -46,7 +45,7 @@ def kind_of(column: str) -> str:
 
 
 def of_shape(column: str) -> bool:
-    """Whether a column tells of the shape of the body, in which the kinematics differ."""
+    """Whether a column depends on the shape of the body, in which the two kinematics differ."""
     kind = kind_of(column)
     return bool(kind) and not READINGS[kind].per_tendon
 

@@ -16,21 +16,21 @@
 | wrap_angle | angle | pulley test: angle of contact |
 | weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |
 | trial | none | any label |
-| step, time | none, time | the order in which rows were measured; a pull after them knows what came before |
+| step, time | none, time | the order in which rows were measured: the rows of a trial are then a path with a history |
 
-A pulley test holds its three columns and no other but trial, step and time;
+A pulley test has its three columns, and may have trial, step and time;
 pulling_tension = weight exp(mu wrap_angle), Liu et al. (2020), eq. (5).
 
-Files as laboratories have them are read too, and what was done is said in `Measurements.read_as`:
+Files of instruments and spreadsheets are read too; `Measurements.read_as` says how they were understood:
 
-- A name in capitals or with spaces, `T_base` and `T_tip`, a unit in parentheses, behind the name or in a row below
-  the header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
+- Names in capitals or with spaces, `T_base` and `T_tip`; units in parentheses, behind the name or in a row below the
+  header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
 - Other columns are not used. A name that resembles a known one is refused.
-- Text above the header, such as that of LabVIEW, is taken for notes.
-- Cells without a number where an instrument was to be read (empty, nan, n/a, -): that reading is left out, the others
-  of its row stay. What was set (tensions at the base, forces, directions) must be there.
+- Text above the header, such as that of LabVIEW, is taken as notes.
+- A cell of an instrument without a number (empty, nan, n/a, -): that reading is left out, and the others of its row
+  stay. What was set (tensions at the base, forces, directions) must be there.
 - `loading`, `in`, `up`, `pull` are direction 1; `unloading`, `out`, `down`, `release` are -1.
-- A tension below 0 by no more than 2 % of the largest: the zero of the cell has drifted.
+- A tension may be below 0 by up to 2 % of the largest, as the zero of a cell drifts.
 
 Rows are counted as the lines of the file, or as the rows of a sheet. `table_source` tells which separators, decimal
 marks and encodings are understood; .xlsx needs the extra `excel`.
@@ -79,16 +79,16 @@ class Measurements:
     Attributes:
         name: of the file.
         columns: float64 in SI by name. "trial" holds the position of the row's label in `trial_labels`.
-        rows: of each measurement, its line in the file, or 1, 2, ... where there is none.
+        rows: the line of each measurement in the file; 1, 2, ... without a file.
         trial_labels: as written, in the order of their first appearance.
         notes: the text above the header.
         simulated: whether name or notes say so.
-        spread: of means by `average_holds`, by column, the standard deviation of the rows behind each; else None.
-        read_as: what was done to read the file, one line each with its name; empty for a plain one.
-        files: where the trials are files, their names, in the order of `trial_labels`.
+        spread: by column, the standard deviation of the rows behind each mean of `average_holds`; else None.
+        read_as: how the file was understood, in lines that begin with its name; empty for a plain one.
+        files: if the trials are files, their names, in the order of `trial_labels`.
         unread: columns that held no reading in any row and are left out.
         left_out: how many rows held no reading and are left out; with `step` or `time` they stay, as steps of a path.
-        markers: by name, the places that a table of markers tells.
+        markers: by name, the places in a table of markers.
     """
 
     name: str
@@ -147,7 +147,7 @@ class Measurements:
 
     @property
     def ordered(self) -> bool:
-        """Whether columns tell the order in which the rows were measured."""
+        """Whether columns give the order in which the rows were measured."""
         return any(column in self for column in ORDER)
 
     @cached_property
@@ -167,9 +167,9 @@ class Measurements:
         return replace(self, columns=columns, rows=self.rows[self.order])
 
     def place(self, row: int) -> str:
-        """Where a row is found, in words: "row 7", counted as in the file, of several files "row 7 of run_2.csv".
+        """The place of a row in words: "row 7", counted as in the file; with several files "row 7 of run_2.csv".
 
-        Files of one name have numbers as the trials do: "row 7 of run.csv (2)".
+        Files with the same name are numbered: "row 7 of run.csv (2)".
 
         Args:
             row: 0, 1, ... as in the columns.
@@ -182,7 +182,7 @@ class Measurements:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What deserves a look though it can be used, for the report."""
+        """Warnings for the report about data that can be used."""
         return warnings_of(self, in_order=self.ordered)
 
     @cached_property
@@ -214,7 +214,7 @@ def read_measurements(path: str | os.PathLike[str], columns: Mapping[str, str] |
 def read_file(
     path: str | os.PathLike[str], columns: Mapping[str, str], markers: str | os.PathLike[str] | None = None
 ) -> tuple[Measurements, tuple[str, ...]]:
-    """The measurements in a file, with its table of markers in another; and which of `columns` they do not have."""
+    """The measurements in a file and its table of markers in another, and which of `columns` neither of them has."""
     theirs = {} if markers is None else of_markers(columns)
     own = {name: meant for name, meant in columns.items() if name not in theirs or not meant.strip()}
     found = read_table(path, _KIND, own)
@@ -258,7 +258,7 @@ def _table(
     rows: Sequence[int] | None = None,
     read_as: tuple[str, ...] = (),
 ) -> Measurements:
-    """Check the columns and put them together."""
+    """Check the columns and make a table of them."""
     _check_columns(columns)
     every = {column: _array(column, values) for column, values in columns.items()}
     lengths = {column: len(values) for column, values in every.items()}
@@ -288,7 +288,7 @@ def _table(
 
 
 def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, list[str]]:
-    """Columns without a single reading, the rows with one or more, and in words what is missing."""
+    """Columns without any reading, the rows that have a reading, and in words what is missing."""
     missing = {column: np.isnan(values) for column, values in columns.items() if is_reading(column)}
     unread = tuple(column for column, where in missing.items() if np.all(where))
     if missing and len(missing) == len(unread):
@@ -325,7 +325,7 @@ def _array(column: str, values: ArrayLike) -> np.ndarray:
 
 
 def _check_columns(columns: Iterable[str], unused: Sequence[str] = ()) -> None:
-    """Every column known, and no column without its companion; `unused` are the unknown columns of a file."""
+    """Refuse unknown columns, and columns whose base tension is missing; `unused` are unknown columns of a file."""
     names = set(columns)
     for column in columns:
         column_dimension(column)

@@ -1,4 +1,4 @@
-"""What deserves a look in a table of measurements, though it can be used."""
+"""Warnings about a table of measurements that can be used."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -8,23 +8,23 @@ import numpy as np
 if TYPE_CHECKING:
     from .table import Measurements
 
-_TIP_ABOVE_BASE = 1.05  # a tip cell may read this much of the base cell before the report mentions it,
-_ZERO_ERROR = 0.005  # and this much of the largest base tension more
+_TIP_ABOVE_BASE = 1.05  # times the base tension, plus
+_ZERO_ERROR = 0.005  # times the largest base tension: a tip tension above this sum is reported
 ONE_LEVEL = 0.01  # base tensions that vary by less, relative to the largest, are one level
 _TURNED = (
     "each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write {} -1 for rows in "
     "which all of the tendon slides out, and leave out those right after the turn, where part of it still sticks"
 )
-_LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are rather degrees than radians
+_LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are probably degrees
 
 
 def warnings_of(table: "Measurements", *, in_order: bool, from_rest: bool = True) -> tuple[str, ...]:
-    """One line each, for the report; what is said of columns names the first of them.
+    """Warnings, one line each, for the report; a warning about columns names the first of them.
 
     Args:
-        table: any.
-        in_order: whether its rows are taken with their history, in the order in which they were measured.
-        from_rest: whether these begin at rest.
+        table: of measurements.
+        in_order: whether its rows have a history.
+        from_rest: whether the trials begin at rest.
     """
     of_rows = [look(table) for look in (_too_few_rows, _repeated_rows, _one_level)]
     of_order = (_tip_above_base_on_the_way_up, _starts_anew) if in_order else (_tip_above_base, _coming_down)
@@ -39,7 +39,7 @@ def _too_few_rows(table: "Measurements") -> str:
     trials = table.columns.get("trial", np.zeros(0)).astype(int)
     counts = np.bincount(trials)
     alone = np.flatnonzero(counts == 1)
-    if alone.size == 0 or counts.max() == 1:  # one row in each trial: the trial is but a label of the row
+    if alone.size == 0 or counts.max() == 1:  # one row in each trial: the trial is only a label of the row
         return ""
     first = table.place(int(np.flatnonzero(trials == alone[0])[0]))
     return (
@@ -93,7 +93,7 @@ def _tip_above_base(table: "Measurements", column: str) -> str:
 
 
 def _tip_above_base_on_the_way_up(table: "Measurements", column: str) -> str:
-    """Only of rows at the largest base tension so far: all of the tendon slides in there."""
+    """As `_tip_above_base`, for rows at the largest base tension so far, where all of the tendon slides in."""
     if not column.startswith("tip_tension") or "base_tension_2" in table.columns:
         return ""  # of several tendons any may slide out while another is pulled
     base, trial = table["base_tension"], table.columns.get("trial", np.zeros(len(table)))
@@ -105,7 +105,7 @@ def _tip_above_base_on_the_way_up(table: "Measurements", column: str) -> str:
 
 
 def _starts_anew(table: "Measurements", column: str) -> str:
-    """Rows at the lowest level of their trial, after one at twice it or more, that go up again: perhaps from rest."""
+    """Rows at the lowest level of their trial, after twice that level or more, before a new pull: perhaps from rest."""
     if column != "base_tension":
         return ""
     base, trial = table[column][table.order], table.columns.get("trial", np.zeros(len(table))).astype(int)[table.order]
@@ -118,8 +118,8 @@ def _starts_anew(table: "Measurements", column: str) -> str:
     which[table.order], above[table.order] = low, before
     what = f"{column} back at its lowest level, from which it rises again"
     remedy = (
-        "they count as let out to this level; where the tendon was let out wholly in between, give each pull a trial "
-        "of its own, or add rows of 0 N"
+        "they count as released to this level; if the tendon was fully released in between, give each pull a trial of "
+        "its own, or add rows of 0 N"
     )
     return _rows_with(table, which, what, lambda i: f"{table[column][i]:.6g} N after {above[i]:.6g} N", remedy)
 
@@ -134,7 +134,7 @@ def _above(table: "Measurements", column: str, sliding_in: np.ndarray) -> str:
 
 
 def _coming_down(table: "Measurements", column: str) -> str:
-    """Rows below the row before them that do not start anew at the lowest level of their trial."""
+    """Rows below the row before them that are not a new start at the lowest level of their trial."""
     stated = column.replace("base_tension", "direction")
     with_history = "base_tension_2" not in table and not any(name.startswith("tip_force") for name in table.columns)
     if not column.startswith("base_tension") or (stated in table.columns and not with_history):
@@ -167,7 +167,7 @@ def _large_angle(table: "Measurements", column: str) -> str:
 
 
 def _rows_with(table: "Measurements", which: np.ndarray, what: str, value: Callable[[int], str], remedy: str) -> str:
-    """How many rows are concerned, and the first of them; "" for none."""
+    """A warning with the number of rows concerned and the first of them; "" for none."""
     if not np.any(which):
         return ""
     first = int(np.argmax(which))

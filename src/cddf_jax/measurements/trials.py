@@ -37,7 +37,7 @@ def read_tables(
 def _with_markers(
     paths: Iterable[str | os.PathLike[str]], columns: Mapping[str, str]
 ) -> list[tuple[str | os.PathLike[str], str | os.PathLike[str] | None]]:
-    """Each file of measurements, with its table of markers where one comes behind it."""
+    """Each file of measurements, with the table of markers that follows it, if any."""
     found: list[tuple[str | os.PathLike[str], str | os.PathLike[str] | None]] = []
     for path in paths:
         if not is_marker_table(path, columns):
@@ -50,9 +50,9 @@ def _with_markers(
 
 
 def trials_together(tables: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Tables with the same columns, none of them `trial`, as the trials of one table; the others as they are.
+    """Tables with the same columns, none of them `trial`, as the trials of one table; other tables stay as they are.
 
-    A column without a reading in one of them is one of its columns all the same.
+    A column without a reading still counts as a column of its table.
     """
     alike: dict[tuple[frozenset[str], frozenset[object]], list[Measurements]] = {}
     for table in tables:
