@@ -162,7 +162,7 @@ def test_how_often_few_cases_hold_the_truth(count):
     told = Bootstrap("cases", ("a",), np.zeros((9, 1)), np.zeros(1), 0, 0, num_cases=count)
     assert told.coverage == pytest.approx(held, abs=4 * np.sqrt(0.15 / 20_000))
     assert (
-        f"drawn from {count} case(s) only: even for a plain mean such 95 % intervals contain the truth in "
+        f"drawn from {count} case(s) only: even for a plain mean such 95 % intervals contain the true value in "
         in told.remark
     )
 

@@ -22,7 +22,7 @@ from .levenberg_marquardt import Data, Minimum, minimise_all
 
 CHUNK = 250  # refits at once: bounds the memory, and shows progress
 KINDS = ("parametric", "cases")
-LEAST_COVERAGE = 0.93  # of 95 % intervals, below which a remark is made
+LEAST_COVERAGE = 0.93  # of 95 % intervals; a smaller coverage is remarked on
 
 Labels = Sequence[Hashable] | np.ndarray
 Clusters = Mapping[str, tuple[str, Labels]]  # by group, the name of what is drawn from and one label for each datum
@@ -44,10 +44,10 @@ class Bootstrap(NamedTuple):
 
     @property
     def coverage(self) -> float:
-        """In how many experiments a 95 % interval by percentiles holds the truth, of a mean of normal cases.
+        """The share of experiments whose 95 % percentile interval contains the true value, for a mean of normal data.
 
-        Its half-width is z s sqrt((n - 1) / n) / sqrt(n) from n cases, and z s / sqrt(n) from drawn noise of standard
-        deviation s, where t-statistics would have it.
+        The interval of n cases has the half-width z s sqrt((n - 1) / n) / sqrt(n), and that of drawn noise z s /
+        sqrt(n). The exact one has the quantile of t in place of z.
         """
         z = ndtri(0.975)
         if self.kind == "parametric":
@@ -57,7 +57,7 @@ class Bootstrap(NamedTuple):
 
     @property
     def remark(self) -> str:
-        """What to know of the intervals: that they are too narrow where little was drawn from; "" elsewhere."""
+        """That the intervals are too narrow, if there were few cases or degrees of freedom; "" otherwise."""
         if self.coverage >= LEAST_COVERAGE:
             return ""
         if self.kind == "parametric":
@@ -65,8 +65,8 @@ class Bootstrap(NamedTuple):
         else:
             drawn = f"drawn from {self.num_cases} case(s) only"
         return (
-            f"{drawn}: even for a plain mean such 95 % intervals contain the truth in {100 * self.coverage:.0f} % of "
-            "experiments; take the wider of these and those of the fit, or measure more"
+            f"{drawn}: even for a plain mean such 95 % intervals contain the true value in {100 * self.coverage:.0f} % "
+            "of experiments; take the wider of these and those of the fit, or measure more"
         )
 
     @property
@@ -107,7 +107,7 @@ def bootstrap(
     seed: int,
     out: Path | None,
 ) -> Bootstrap:
-    """See `LeastSquaresFit.bootstrap`; `noise_freedom`: with how many degrees of freedom the noise was estimated."""
+    """See `LeastSquaresFit.bootstrap`; `noise_freedom` are the degrees of freedom of the estimated noise."""
     problem = minimum.problem
     if kind not in KINDS:
         raise InputError(f"bootstrap: kind {kind!r} is not known; there are {', '.join(KINDS)}")
@@ -138,7 +138,7 @@ class Refits(NamedTuple):
 
 
 def refits(minimum: Minimum, observed: Mapping[str, ArrayLike], out: Path | None) -> Refits:
-    """Fit the data of many benches from the estimate on; see `LeastSquaresFit.refits`."""
+    """Fit the data of many benches, starting at the estimate; see `LeastSquaresFit.refits`."""
     own, groups = minimum.problem.data, minimum.problem.groups
     data = {name: np.asarray(values, float) for name, values in observed.items()}
     shapes = {name: np.shape(value) for name, value in zip(groups, own.values, strict=True)}
@@ -173,7 +173,7 @@ def _refit_all(
     drawn_from: object,
     out: Path | None,
 ) -> Refits:
-    """All the refits, chunk by chunk; what is drawn, and from what, tells a store of other work apart."""
+    """All the refits, chunk by chunk. `of_draws` and `drawn_from` are part of the identity of a store."""
     problem, best = minimum
     names = problem.space.names
     variables = {
@@ -187,7 +187,7 @@ def _refit_all(
     def refit(layout: Layout, index: Index) -> dict[str, np.ndarray]:
         z = np.broadcast_to(best.z, (layout.count(index), best.z.size))
         found = minimise_all(problem, z, draw(layout, index))
-        pressed = np.any(problem.space.at_bound(found.parameters), axis=1)  # there a search has always a step left
+        pressed = np.any(problem.space.at_bound(found.parameters), axis=1)  # at a bound a search never settles
         good = (found.solved | pressed) & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
         return {"estimate": np.where(good[:, None], found.parameters, np.nan), "ended": good}
 
@@ -200,9 +200,10 @@ def _refit_all(
 
 
 def _draw(rng: np.random.Generator, size: int, minimum: Minimum, kind: str, sources: Sources) -> Data:
-    """New noise about the fitted model, or cases with replacement; means of priors about the estimate or themselves.
+    """Draw new noise about the fitted model, or cases with replacement, and new means of the priors.
 
-    Under a robust loss, which softens no prior, priors stay as they are.
+    For "parametric" the means of priors are drawn about the estimate, for "cases" about the means themselves. Under a
+    robust loss, which does not soften priors, they stay as they are.
     """
     (problem, best), drawn = minimum, minimum.problem.data
     values, noise, _, priors = drawn
@@ -233,7 +234,7 @@ def _count_cases(rng: np.random.Generator, size: int, sources: Sources) -> list[
 
 
 def _cases(sources: Sources) -> dict[str, list[Hashable]]:
-    """By source, the cases that are drawn from: those of every group that draws from it, which may lack some."""
+    """By source, all its cases: those of every group that draws from it, as a group may lack some."""
     found: dict[str, dict[Hashable, None]] = {}
     for source, labels in sources:
         found.setdefault(source, {}).update(dict.fromkeys(np.asarray(labels).tolist()))

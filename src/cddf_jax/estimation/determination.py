@@ -1,4 +1,4 @@
-"""What data determine about parameters, read off the thin SVD of the Jacobian at an estimate.
+"""What data determine about parameters, from the thin SVD of the Jacobian at an estimate.
 
 The Jacobian is scaled by the noise of the data and the size of the parameters, so that a singular value of s
 stands for a standard error of 1 / s, relative, along its direction.
@@ -24,7 +24,7 @@ RELATIVE_RANK = 1e-9  # singular values below this times the largest are zero
 LARGEST_RELATIVE_ERROR = 0.5  # of a parameter that is called identified
 ALL_OF_PRIOR = 0.98  # standard error over that of its prior, from which on the prior alone determines a parameter
 NEGLIGIBLE_POWER = 0.02  # of a parameter in a direction, where the largest is 1; closer ones count as equal
-INSIDE = 1e-12  # difference from 1 below which the determined directions hold all of a parameter
+INSIDE = 1e-12  # difference from 1 below which a parameter lies within the determined directions
 
 T = TypeVar("T")
 
@@ -53,7 +53,7 @@ class Determination:
     rank: int  # how many directions the data determine
     condition_number: float  # largest over smallest singular value; inf where some are zero
     sloppy_direction: dict[str, float]  # powers of the parameters in the least determined combination
-    quantile: float  # half-width of a 95 % interval over its standard error, where the noise of the data makes it
+    quantile: float  # half-width of a 95 % interval over its standard error, for noise of the data alone
 
     def __str__(self) -> str:
         lines = []
@@ -69,7 +69,7 @@ class Determination:
 
     @property
     def told_together(self) -> dict[str, Estimate]:
-        """What is identified of parameters that are not: `combinations` and `sums`."""
+        """What is identified of parameters that are not identified themselves: `combinations` and `sums`."""
         return self.combinations | self.sums
 
 
@@ -84,15 +84,15 @@ class Evidence:
     rows: dict[str, np.ndarray]  # by group, (rows, parameters)
     prior_rows: dict[int, np.ndarray]  # by parameter
     noise_estimated: dict[str, bool]
-    products: bool = True  # whether combinations of what is not identified may be written as products of powers
+    products: bool = True  # whether combinations of unidentified parameters may be written as products of powers
     open_profile: tuple[int, ...] = ()  # parameters that can move far while the sum of squares hardly rises
     bounded_above: tuple[int, ...] = ()  # parameters at the lower bound, with an upper 95 % limit
     random: tuple[int, ...] = ()  # random effects: draws about 0, with a standard deviation that was estimated
-    kink: int | None = None  # the parameter at a kink of the model
+    kink: int | None = None  # the parameter that lies at a kink of the model
     failed: bool = False  # whether the fit failed, so that nothing is identified
 
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
-        """Some groups of the data alone, without priors but those of the named parameters."""
+        """Only some groups of the data, and only the priors of the named parameters."""
         return replace(
             self,
             rows={name: self.rows[name] for name in groups},
@@ -103,7 +103,7 @@ class Evidence:
         )
 
     def within(self, kept: Mapping[str, np.ndarray]) -> "Evidence":
-        """Without some of the data; the priors stay, and groups that are not named by `kept` as well."""
+        """Only some of the data: `kept` selects rows of its groups. Other groups and the priors stay complete."""
         rows = {name: own[kept[name]] if name in kept else own for name, own in self.rows.items()}
         return replace(self, rows=rows, open_profile=(), bounded_above=())
 
@@ -120,12 +120,12 @@ class Evidence:
 
     @cached_property
     def spectrum(self) -> "Spectrum":
-        """Of all rows."""
+        """The spectrum of all rows."""
         return spectrum_of(self.jacobian)
 
     @property
     def noise_freedom(self) -> float:
-        """With how many degrees of freedom the noise was estimated; infinite where it was given."""
+        """The degrees of freedom of the estimated noise; infinite if the noise was given."""
         freedom = max(len(self.jacobian) - int(self.spectrum.determined.sum()), 1)
         return float(freedom) if any(self.noise_estimated.values()) else np.inf
 
@@ -142,7 +142,7 @@ class Spectrum(NamedTuple):
     directions: np.ndarray  # rows
     determined: np.ndarray  # which are not zero
     covariance: np.ndarray  # relative, of the determined directions
-    relative_error: np.ndarray  # of each parameter, inf where a direction that is not determined holds it
+    relative_error: np.ndarray  # of each parameter, inf if a part of it lies in a direction that is not determined
 
     def leverage(self, rows: np.ndarray) -> np.ndarray:
         """The variance of what is predicted for some rows of a Jacobian."""
@@ -208,8 +208,8 @@ def determine(evidence: Evidence) -> Determination:
 def quantiles(evidence: Evidence, directions: np.ndarray) -> np.ndarray:
     """Half-widths of 95 % intervals over their standard errors, of linear combinations (rows) of scaled parameters.
 
-    Of the t distribution where noise was estimated. Where a variance holds a part from random effects, whose spread was
-    estimated too, its degrees of freedom are those of Satterthwaite (1946), Biometrics Bulletin 2, 110.
+    They are quantiles of the t distribution if noise was estimated. If a variance contains random effects, whose spread
+    was estimated too, its degrees of freedom are those of Satterthwaite (1946), Biometrics Bulletin 2, 110.
     """
     freedom = np.full(len(directions), evidence.noise_freedom)
     if evidence.random:
@@ -222,7 +222,11 @@ def quantiles(evidence: Evidence, directions: np.ndarray) -> np.ndarray:
 
 
 def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> list[str]:
-    """Identified: a 95 % interval that closes inside the bounds, a relative standard error below 0.5, no failed fit."""
+    """The status of each parameter.
+
+    Identified means: the 95 % interval closes inside the bounds, the relative standard error is below 0.5, and the fit
+    did not fail.
+    """
     space, value = evidence.space, evidence.value
     # a parameter without a lower bound may be 0: its scale counts as its size where that is larger
     scale = np.where(np.isfinite(space.lower), 0.0, space.scale)
@@ -245,7 +249,7 @@ def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> li
 def _combinations(
     names: tuple[str, ...], value: np.ndarray, lost: np.ndarray, jacobian: np.ndarray
 ) -> dict[str, Estimate]:
-    """Products of powers of the unidentified parameters that the data do determine, whatever the others are."""
+    """Products of powers of the unidentified parameters that the data determine."""
     found: dict[str, Estimate] = {}
     if np.count_nonzero(lost) < 2 or np.any(value[lost] <= 0):
         return found

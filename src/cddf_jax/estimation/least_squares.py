@@ -32,15 +32,15 @@ class LeastSquaresFit(Determination):
     noise: dict[str, float]  # standard deviation by group of data, root mean square
     noise_model: dict[str, Noise]  # floor and fraction, of the groups that have them
     noise_parts: dict[str, int]  # how many numbers of each group's noise were estimated
-    noise_estimated: bool  # whether that of any group was
+    noise_estimated: bool  # whether that of any group was estimated
     residuals: PyTree  # observed - predicted, in the structure of the data
     reduced_chi_square: float  # sum of squared weighted residuals over the degrees of freedom
     degrees_of_freedom: int  # data less what they determine
-    log_likelihood: float  # Gaussian, at the noise; priors left out
+    log_likelihood: float  # Gaussian, with this noise, without priors
     loss: str  # as it was given
     num_steps: int  # of the optimiser
     starts: np.ndarray  # the lowest cost of the search from each start, the best first
-    restarted: str  # why there were several starts although none were asked for, in words; "" where there were not
+    restarted: str  # why there were several starts although none were asked for, in words; else ""
     seed: int  # of the further starts
     success: bool
     result: str  # "successful", or what went wrong
@@ -75,7 +75,7 @@ class LeastSquaresFit(Determination):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Parameters on a bound, without effect or hanging on one datum; outliers; residuals that tell too little."""
+        """On parameters at a bound, without effect or determined by one datum; on outliers and unexplained data."""
         return (
             *([self.restarted] if self.restarted else []),
             *remarks_on_parameters(self),
@@ -83,7 +83,7 @@ class LeastSquaresFit(Determination):
         )
 
     def place(self, group: str, k: int) -> str:
-        """In words, where the k-th datum of a group is, k from 0."""
+        """The place of the k-th datum of a group in words, k from 0."""
         return f"entry {k + 1} of {group}"
 
     def profile(self, name: str) -> Profile:
@@ -95,7 +95,7 @@ class LeastSquaresFit(Determination):
         if name not in self.names:
             raise InputError(f"profile: {name!r} was not fitted; fitted are {', '.join(self.names)}")
         if self.noise_estimated and self.degrees_of_freedom < 1:
-            raise InputError("profile: no data are left to tell the noise; give it, or measure more")
+            raise InputError("profile: no data are left to estimate the noise; give it, or measure more")
         i = self.names.index(name)
         quantile = quantiles(self.evidence, np.eye(len(self.names))[i : i + 1])
         return profile_likelihood(self.minimum, name, self.standard_error[name], float(quantile[0]))
@@ -114,21 +114,22 @@ class LeastSquaresFit(Determination):
         seed: int = 0,
         out: Path | None = None,
     ) -> Bootstrap:
-        """Draw data anew and fit them from the estimate on, the weights of the data held.
+        """Draw data anew and fit them, starting at the estimate, with the same weights of the data.
 
-        A prior counts as one more reading and is drawn anew too; under a robust loss it is held.
+        A prior counts as one more reading and is drawn anew too; under a robust loss it is kept.
 
         Args:
             kind: "parametric" or "cases".
             replicates: how many.
-            clusters: for "cases", by group, the name of what is drawn from and one label per datum: data of one label
-                are drawn together, also across groups that draw from the same. None for those of the fit.
+            clusters: for "cases", by group, the name of its source and one label per datum. Data with the same label
+                are drawn together, also across groups with the same source. None for the clusters of the fit.
             seed: of NumPy's generator.
             out: path of a Zarr store for the estimates; a bootstrap that was stopped goes on where it was, and several
                 processes share the work.
 
         Raises:
-            InputError: for an unknown kind, too few replicates, clusters that fit no group, a store of other work.
+            InputError: for an unknown kind, too few replicates, clusters that do not fit a group, a store of other
+                work.
         """
         if clusters is None:
             clusters = self.clusters if kind == "cases" else {}
@@ -136,7 +137,7 @@ class LeastSquaresFit(Determination):
         return bootstrap(self.minimum, kind, replicates, clusters, freedom, seed, out)
 
     def refits(self, observed: Mapping[str, ArrayLike], *, out: Path | None = None) -> Refits:
-        """The same fit to the data of many benches, from this estimate on, with its weights.
+        """The same fit to the data of many benches, starting at this estimate, with its weights.
 
         Args:
             observed: by group of data, (benches, *its shape); a group that is left out keeps its data.
@@ -148,12 +149,12 @@ class LeastSquaresFit(Determination):
         return refits(self.minimum, observed, out)
 
     def doubted(self, reason: str) -> "LeastSquaresFit":
-        """The same as a failed fit, for a reason that is not in its sum of squares."""
+        """The fit as a failed one, for a reason that is not in its sum of squares."""
         evidence = replace(self.evidence, failed=True, bounded_above=())
         return replace(self, **vars(determine(evidence)), evidence=evidence, success=False, result=reason)
 
     def told_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
-        """What some groups of the data alone would determine if this estimate were the truth.
+        """What some groups of the data alone would determine if this estimate were the true values.
 
         Args:
             groups: of the data.
@@ -195,26 +196,25 @@ def least_squares_fit(
 
     Args:
         predict: differentiable; from parameters in the structure of `start` to the structure of `observed`.
-            A function or a pytree that is callable; given the same one again, nothing is compiled anew.
+            A function or a pytree that is callable; if it is given again, nothing is compiled.
         start: first guess, a mapping from names to numbers, or any pytree of numbers or arrays.
         observed: data, one array or a pytree of arrays; each array is a group with its own noise.
         sigma: standard deviation of the noise: one number, or the structure of `observed` with a number, an
-            array, a `Noise(floor, fraction)` or None per group; None for a group, or altogether, has it
-            estimated from the residuals.
+            array, a `Noise(floor, fraction)` or None per group. None: it is estimated from the residuals.
         bounds: by parameter name, (lower, upper), None for none; the estimate stays inside.
         priors: by parameter name, mean and standard deviation of a Gaussian, or `Uniform(low, high)`.
-        scales: by parameter name, a size that matters, for parameters that may be 0. Where the estimate is smaller,
-            the standard error of an identified parameter is judged by this size.
-        loss: "linear", "soft_l1", "huber" or "cauchy", in standard deviations of the noise, which is then
-            estimated by the median.
+        scales: by parameter name, a size that matters, for parameters that may be 0. If the estimate is smaller, the
+            standard error is compared with this size.
+        loss: "linear", "soft_l1", "huber" or "cauchy", in standard deviations of the noise. With a loss other than
+            "linear" the noise is estimated by the median.
         starts: number of points to search from, the first being `start`. None: from `start` alone, and from up to 32
-            more where that search failed, hardly explained the data or ended where the data do not determine the
-            parameters; then the remarks say so. Further starts spread ever wider about the first by powers of ten:
-            of the distance from a bound, or of the size of a parameter without bounds, which takes the other sign in
+            more if that search failed, hardly explained the data or ended where the data do not determine the
+            parameters; then the remarks say so. Further starts lie up to three powers of ten from the first, by the
+            distance from a bound, or by the size of a parameter without bounds. Such a parameter has the other sign in
             one start of four.
         seed: of the further starts.
-        prefer_start: where the data leave a valley open, end at the place in it that holds the start of the first
-            parameter along it, and not at the shallow minimum that noise made somewhere in it.
+        prefer_start: if the data leave a valley open, end where its first parameter has its start value, and not at the
+            shallow minimum that noise makes somewhere in the valley.
         max_steps: of the optimiser.
 
     Raises:
@@ -252,7 +252,7 @@ def least_squares_fit(
 def _scales(
     names: tuple[str, ...], start: np.ndarray, scales: Mapping[str, float], prior: Mapping[int, Prior]
 ) -> np.ndarray:
-    """Sizes that matter, NaN where none is known: as given, or for what starts at 0 the width of its prior."""
+    """Sizes that matter, NaN if unknown: as given, or for a parameter that starts at 0 the width of its prior."""
     for name, scale in scales.items():
         if name not in names or not scale > 0:
             raise InputError(

@@ -1,4 +1,4 @@
-"""The sum of squares of a fit, and its minimum by optimistix's Levenberg-Marquardt over dimensionless unknowns."""
+"""The residuals of a fit, and the minimum of their squares by Levenberg-Marquardt over dimensionless unknowns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ from ..programs.kept import kept_program
 from .parameter_space import Numbers, ParameterSpace, Prior, Structure
 from .robust_loss import LOSSES
 
-TOLERANCE = 1e-9  # relative, of unknowns and cost; tighter, and rounding errors of the cost would decide on steps
+TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
 BATCH_TOLERANCE = 1e-6  # of a lane of many: far below any standard error
 MAX_STEPS = 500
 
@@ -62,11 +62,11 @@ class LeastSquaresProblem:
 
     @property
     def num_data(self) -> int:
-        """Without the rows of the priors, which no loss softens."""
+        """The number of data, without the rows of the priors."""
         return sum(np.size(v) for v in self.data.values)
 
     def softened(self, residual: Float[Numbers, " m"]) -> Float[Numbers, " m"]:
-        """What to square and sum."""
+        """The residuals whose squares are summed: as the loss transforms them, data that count twice taken twice."""
         xp = residual.__array_namespace__()
         data, prior = residual[: self.num_data], residual[self.num_data :]
         times = xp.concat([t.reshape(-1) for t in self.data.times])
@@ -78,16 +78,16 @@ class LeastSquaresProblem:
         return np.append(LOSSES[self.loss].influence(data), prior)
 
     def by_group(self, rows: np.ndarray) -> list[np.ndarray]:
-        """The rows of each group of data, of residuals say; those of the priors are left out."""
+        """An array with a row for each residual, split by group of data, without the rows of the priors."""
         return np.split(rows, np.cumsum([np.size(v) for v in self.data.values]))[:-1]
 
 
 class Outcome(NamedTuple):
-    """Where the optimiser stopped; of many searches at once all with one leading axis."""
+    """Where the optimiser stopped; for many searches at once all arrays have a leading axis."""
 
     z: np.ndarray
     parameters: np.ndarray
-    size: np.ndarray  # of each parameter, its unit below
+    size: np.ndarray  # of each parameter: its unit in the Jacobian
     residual: np.ndarray
     jacobian: np.ndarray  # of the residual by the parameters over their size
     cost: np.ndarray  # the sum of squares, or of the loss
@@ -96,7 +96,7 @@ class Outcome(NamedTuple):
 
 
 def hold_one(count: int, i: int, value: ArrayLike) -> np.ndarray:
-    """What to hold of so many parameters so that parameter i has this value and all others are free."""
+    """The argument `held` for which parameter i has this value and the other parameters are free."""
     return np.where(np.arange(count) == i, value, np.nan)
 
 
@@ -109,17 +109,17 @@ class Minimum(NamedTuple):
     def refit(self, held: np.ndarray, z: np.ndarray | None = None) -> tuple[Outcome, float]:
         """Hold some parameters (`held` is NaN for the others), and fit the others, from z or from here.
 
-        Told are where the search ended, and the rise of the cost: NaN where the model gives no number.
+        Returns where the search ended, and the rise of the cost: NaN if the model gives no number.
         """
         moved = minimise(self.problem, self.outcome.z if z is None else z, held)
         return moved, float(moved.cost - self.outcome.cost)
 
 
 class _Acceptance(optx.ClassicalTrustRegion):
-    """Takes a step, too, that neither promises nor makes more than rounding errors of the cost, so that searches end.
+    """Also accepts a step whose predicted and actual reductions are rounding errors of the cost, so that searches end.
 
-    The remedy of Conn, Gould and Toint (2000), Trust Region Methods, section 17.4.2. The next step is shorter: along a
-    flat valley rounding errors would lead it ever farther.
+    The remedy of Conn, Gould and Toint (2000), Trust Region Methods, section 17.4.2. The next step is made shorter:
+    else rounding errors would lead the search along a flat valley without end.
     """
 
     def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
@@ -159,7 +159,7 @@ def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
 
 
 def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
-    """In this process."""
+    """An outcome from the arrays of a program."""
     return Outcome(*map(np.asarray, found))
 
 
@@ -168,7 +168,7 @@ def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
 def _at(
     problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"]
 ) -> tuple[Float[Numbers, "..."], ...]:
-    """What an outcome says of a place, from z to the cost."""
+    """The first entries of an outcome at a place, from z to the cost."""
     residual, by_z = _residual_and_slope(problem, held, z)
     parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))
     size = problem.space.size(parameters)
@@ -193,8 +193,8 @@ def _residual_and_slope(
 def _descend(
     problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"], tolerance: float
 ) -> tuple[ArrayLike, ...]:
-    # Handed an explicit Jacobian, the optimiser need not differentiate the model for every product with it;
-    # asked for in one place, it is traced once.
+    # With an explicit Jacobian, the optimiser need not differentiate the model for every product with it. It is
+    # computed in one place, so that it is traced once.
     @jax.custom_jvp
     def residual(z):
         return problem.softened(_residual_and_slope(problem, held, z)[0])
@@ -205,7 +205,7 @@ def _descend(
         return jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
 
     optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), _Acceptance())
-    # The optimiser asks within and without `vmap`, which JAX takes for different contexts and would trace anew.
+    # The optimiser calls it within and without `vmap`. For JAX these are different contexts, and it would trace twice.
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
         solution = optx.least_squares(
             lambda z, _: residual(z),

@@ -16,7 +16,7 @@ from .parameter_space import TINY
 MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
 MEDIAN_TO_DEVIATION = 1.4826  # of a Gaussian, from the median of |residual|
 LARGEST_LEVERAGE = 0.9
-NEGLIGIBLE = 1e-3  # of the noise: a part of it that is called 0
+NEGLIGIBLE = 1e-3  # of the noise: a smaller part of it is set to 0
 EXACTLY = {"ftol": 1e-15, "gtol": 1e-12, "maxiter": 500, "maxls": 60}  # of the likelihood of floor and fraction
 WINSOR = 1.0  # squares of residuals count up to this under a robust loss: Huber (1981), proposal 2
 WINSORED_SQUARE = 0.5160585  # their mean for a Gaussian: E min(Z^2, 1)
@@ -25,7 +25,7 @@ WINSORED_SQUARE = 0.5160585  # their mean for a Gaussian: E min(Z^2, 1)
 class Noise(NamedTuple):
     """Noise that grows with the reading: standard deviation sqrt(floor^2 + (fraction * value)^2).
 
-    The value is the predicted one. None has a part estimated from the residuals.
+    The value is the predicted one. A part that is None is estimated from the residuals.
     """
 
     floor: float | None = None  # in the unit of the data
@@ -38,7 +38,7 @@ class Observed:
 
     name: str
     values: np.ndarray
-    sigma: np.ndarray | Noise | None  # standard deviations where they are known; None where they are estimated
+    sigma: np.ndarray | Noise | None  # standard deviations, or None if they are estimated
 
     @property
     def scale(self) -> float:
@@ -60,7 +60,7 @@ class Observed:
         return np.broadcast_to(self.sigma, self.values.shape)
 
     def estimate(self, old: np.ndarray, residual: np.ndarray, leverage: np.ndarray, loss: str) -> np.ndarray:
-        """Standard deviations from the residuals over the old ones, less the degrees of freedom that the fit took."""
+        """Standard deviations from residuals in units of the old ones, less the degrees of freedom of the fit."""
         noise, least = old.ravel(), MODEL_PRECISION * self.scale
         error, squares = residual * noise, residual**2
         if self.sigma is None:
@@ -71,14 +71,14 @@ class Observed:
             return np.full(self.values.shape, max(spread, least))
         if not isinstance(self.sigma, Noise):
             return old
-        if loss != "linear":  # an outlier counts no more than a residual of ordinary size
+        if loss != "linear":  # an outlier counts only as much as a residual of ordinary size
             squares = np.minimum(squares, WINSOR**2) / WINSORED_SQUARE
         predicted = self.values.ravel() + error
         floor, fraction = _parts(self.sigma, predicted, squares * noise**2, leverage, noise)
         return np.hypot(max(floor, least), fraction * predicted).reshape(self.values.shape)
 
     def model(self, noise: np.ndarray, residual: np.ndarray) -> Noise | None:
-        """Floor and fraction of standard deviations that are modelled by them."""
+        """Floor and fraction of the noise; None if it has none."""
         if not isinstance(self.sigma, Noise):
             return None
         noise = noise.ravel()
@@ -103,10 +103,10 @@ def estimate_noise(groups: Sequence[Observed], minimum: Minimum) -> tuple[np.nda
 def _parts(
     sigma: Noise, predicted: np.ndarray, squares: np.ndarray, leverage: np.ndarray, old: np.ndarray
 ) -> tuple[float, float]:
-    """Floor and fraction that the squares of the residuals make most likely; the variance is linear in their squares.
+    """The most likely floor and fraction, given the squares of the residuals; the variance is linear in their squares.
 
-    Restricted likelihood (Patterson and Thompson 1971): sum of (square - (1 - leverage) variance) / variance^2 times
-    1 and predicted^2 is zero, or the part is.
+    Restricted likelihood (Patterson and Thompson 1971): the sum of (square - (1 - leverage) variance) / variance^2,
+    times 1 or times predicted^2, is zero, or the part itself is zero.
     """
     from scipy.optimize import nnls
 
@@ -127,7 +127,7 @@ def _parts(
 def _most_likely(
     design: np.ndarray, rest: np.ndarray, squares: np.ndarray, weight: np.ndarray, first: np.ndarray
 ) -> np.ndarray:
-    """The least of the sum of weight * (log v + square / v), v = design @ u + rest, over u of 0 or more."""
+    """The u >= 0 at which the sum of weight * (log v + square / v) is least, with v = design @ u + rest."""
     from scipy.optimize import minimize
 
     unit = float(np.mean(squares + rest))
@@ -142,7 +142,7 @@ def _most_likely(
 
 
 def group_observations(observed: PyTree, sigma: PyTree) -> tuple[Observed, ...]:
-    """Check the data and put noise beside each group."""
+    """Check the data, and give each group its noise."""
     leaves = jax.tree_util.tree_flatten_with_path(observed)[0]
     names = tuple(jax.tree_util.keystr(path, simple=True, separator=".") or "data" for path, _ in leaves)
     values = tuple(np.asarray(leaf, dtype=np.float64) for _, leaf in leaves)
@@ -171,7 +171,7 @@ def _checked(name: str, values: np.ndarray, sigma: PyTree) -> Observed:
 
 
 def _per_group(sigma: PyTree, names: tuple[str, ...], observed: PyTree) -> list[PyTree]:
-    """The given sigma of each group, None where it is not known."""
+    """The given sigma of each group, None if it is not known."""
     if isinstance(sigma, Noise):
         return [sigma] * len(names)
     if isinstance(observed, Mapping) and isinstance(sigma, Mapping):

@@ -39,9 +39,9 @@ Priors = Mapping[str, Prior | tuple[float, float] | Uniform]  # by parameter
 
 @dataclass(frozen=True)
 class Structure:
-    """The structure of parameters, of which many are equal, so that jit knows it again."""
+    """The structure of the parameters. Equal structures compare equal, so that jit uses its program again."""
 
-    tree: Any  # as `jax.tree.structure` has it
+    tree: Any  # of `jax.tree.structure`
     shapes: tuple[tuple[int, ...], ...]
 
     def __call__(self, numbers: Numbers) -> PyTree:
@@ -70,7 +70,7 @@ def _known(kind: str, names: tuple[str, ...], given: Collection[str]) -> None:
 def bounds_of(
     names: tuple[str, ...], start: np.ndarray, bounds: Bounds, priors: Priors
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds by the order of the names, infinite where there are none, narrowed by uniform priors."""
+    """Lower and upper bounds in the order of the names, narrowed by uniform priors; infinite without a bound."""
     _known("bounds", names, bounds)
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for i, name in enumerate(names):
@@ -111,7 +111,8 @@ def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
 class ParameterSpace:
     """The change of variable from dimensionless, unbounded z to the parameters.
 
-    A bounded parameter is seen as the logarithm of its distance from the bound, one between two as a logit.
+    The optimiser sees the logarithm of the distance from a bound, the logit between two bounds, and else a scaled
+    value.
     """
 
     names: tuple[str, ...] = field(metadata={"static": True})
@@ -123,7 +124,7 @@ class ParameterSpace:
     bounded: tuple[tuple[bool, bool], ...] = field(metadata={"static": True})  # below, above
 
     def size(self, value: Float[Numbers, " n"]) -> Float[Numbers, " n"]:
-        """What to measure each parameter by: its value, or where that is smaller the scale that was given."""
+        """The size of each parameter: its value, or if that is smaller the scale that was given."""
         xp = value.__array_namespace__()
         return xp.maximum(xp.where(value == 0, self.scale, xp.abs(value)), self.least_size)
 
@@ -132,7 +133,7 @@ class ParameterSpace:
         return np.array([self.inverse(i, self.start[i]) for i in range(len(self.names))])
 
     def _bound(self, i: int) -> float | Numbers:
-        """Of a parameter with one bound."""
+        """The bound of a parameter with one bound."""
         return self.lower[i] if self.bounded[i] == BELOW else self.upper[i]
 
     def inverse(self, i: int, value: ArrayLike) -> np.ndarray:
@@ -164,8 +165,9 @@ class ParameterSpace:
     def elsewhere(self, draw: np.ndarray, decades: float) -> "tuple[ParameterSpace, np.ndarray]":
         """Another start: a space around it, in which a search runs as from the given start, and its z.
 
-        What has a bound moves by up to so many powers of ten of its distance from it. Of what has none the size does,
-        and in one draw of four the sign changes. `draw`, (n,), is of the uniform distribution over (0, 1).
+        A parameter with a bound changes its distance from the bound by up to `decades` powers of ten. A parameter
+        without bounds changes its size by as much, and in one draw of four its sign. `draw`, (n,), is uniform on (0,
+        1).
         """
         same = draw >= FLIPPED
         size = np.where(same, (draw - FLIPPED) / (1 - FLIPPED), draw / FLIPPED)
@@ -177,11 +179,11 @@ class ParameterSpace:
         return parameter_space(self.names, start, np.asarray(self.lower), np.asarray(self.upper), given), z
 
     def seen_from(self, other: "ParameterSpace", z: np.ndarray) -> np.ndarray:
-        """The z here of what is z in a space that differs by the start of what has no bounds."""
+        """The z in this space of a point z of another one, which differs by the start of parameters without bounds."""
         return np.where(self.free, (other.start + other.scale * z - self.start) / self.scale, z)
 
     def times_the_start(self, value: np.ndarray) -> np.ndarray:
-        """How many times its start a parameter has grown to, from its bound on; without bounds, shrunk to as well."""
+        """A parameter over its start, both counted from a bound; without bounds the larger of ratio and inverse."""
         size = self.size(self.start)
 
         def one(i, bounded):
@@ -202,9 +204,9 @@ class ParameterSpace:
 def parameter_space(
     names: tuple[str, ...], start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray | None = None
 ) -> ParameterSpace:
-    """The space of some parameters; a bound that is not there is infinite.
+    """The space of some parameters; infinite bounds are none.
 
-    `scale`, (n,), holds sizes that matter for parameters that may be 0; NaN for that of the start (1 where it is 0).
+    `scale`, (n,), are sizes that matter for parameters that may be 0; NaN: the size of the start (1 if it is 0).
     """
     given = np.full(np.shape(start), np.nan) if scale is None else scale
     known = np.isfinite(given)

@@ -1,6 +1,6 @@
-"""The likelihood along one parameter: held at value after value, with all others fitted again.
+"""The profile of a parameter: it is held at one value after another, and the others are fitted again.
 
-Where the curvature at the minimum suggests an interval that the data do not close, the profile shows it.
+The curvature at the minimum may suggest an interval that the data do not close. The profile shows that.
 """
 
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from .levenberg_marquardt import Minimum, hold_one
 from .parameter_space import TINY
 from .robust_loss import LOSSES
 
-NEAR = np.array([0.15, 0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.35, 1.7, 2.5])  # half-widths of the 95 % interval off
-FAR = np.array([1.5, 3.0, 10.0, 30.0, 100.0, 1000.0])  # times the parameter's size beyond these
-NARROW = 1e-6  # of its distance from the estimate: how well an end is found
-STEEP = 10.0  # times the root of the threshold: what counts for the end of the model in the search of an end
+NEAR = np.array([0.15, 0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.35, 1.7, 2.5])  # distances in half-widths of the interval
+FAR = np.array([1.5, 3.0, 10.0, 30.0, 100.0, 1000.0])  # further distances, in sizes of the parameter
+NARROW = 1e-6  # of its distance from the estimate: accuracy of an end
+STEEP = 10.0  # times the root of the threshold: the value of an infinite rise in the search for an end
 
 
 class Profile(NamedTuple):
@@ -24,18 +24,18 @@ class Profile(NamedTuple):
 
     name: str
     value: np.ndarray
-    rise: np.ndarray  # of the sum of squares over its minimum; inf where the model ends
+    rise: np.ndarray  # of the sum of squares over its minimum; inf where the model has no solution
     others: np.ndarray  # (values, parameters): all parameters, refitted
     names: tuple[str, ...]  # of the columns
     threshold: float  # the rise that ends the 95 % interval
-    confidence_interval: tuple[float, float]  # a side that does not close ends at the bound, infinity or model's end
-    closed: tuple[bool, bool]  # below, above: by the data
-    model_ends: tuple[bool, bool]  # below, above: the model has no solution beyond, and the data did not close before
+    confidence_interval: tuple[float, float]  # an open side ends at the bound, at infinity or where the model ends
+    closed: tuple[bool, bool]  # below, above: whether the data close the interval
+    model_ends: tuple[bool, bool]  # below, above: whether an open side ends where the model has no solution beyond
 
 
 @stage("searching")
 def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quantile: float) -> Profile:
-    """Profile one parameter, out to where its 95 % interval closes, or to its bounds.
+    """The profile of one parameter, up to where its 95 % interval closes, or to its bounds.
 
     The noise is held at its estimate: for a linear model the interval is the t interval. The standard error is a first
     guess, and may be infinite. The quantile is the half-width of a 95 % interval over its standard error.
@@ -67,7 +67,7 @@ def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quant
 
 
 class _Point(NamedTuple):
-    """A place of the profile."""
+    """A point of the profile."""
 
     value: float
     rise: float
@@ -83,17 +83,17 @@ class _Side:
     i: int
     threshold: float
     bound: float
-    points: list[_Point]  # that are known, by their distance from the estimate, which is the first
+    points: list[_Point]  # by their distance from the estimate, which is the first
 
     def distance(self, place: float) -> float:
-        """From the estimate."""
+        """The distance from the estimate."""
         return abs(place - self.points[0].value)
 
     def ladder(self, distances: np.ndarray) -> np.ndarray:
-        """Places ever farther off, inside the bound."""
+        """Places further and further away, inside the bound."""
         estimate, bound = self.points[0].value, self.bound
         places = estimate + distances
-        if np.isfinite(bound):  # ever nearer to the bound instead
+        if np.isfinite(bound):  # nearer and nearer to the bound instead
             beyond = np.abs(distances) > 0.8 * self.distance(bound)
             rungs = bound - (bound - estimate) * np.geomspace(0.2, 1e-4, max(int(beyond.sum()), 1))
             places[beyond] = rungs[: beyond.sum()]
@@ -102,14 +102,14 @@ class _Side:
     def look(self, place: float) -> float:
         """The rise with the parameter held at a place and all others fitted again; infinite where the model ends.
 
-        A search begins ahead on the straight line, in z, from the estimate through the nearest place, and where it
-        jumps out of the valley that it should follow, at the nearest place too. One that ran out of steps bounds the
-        rise from above only: over the threshold it counts for nothing.
+        A search begins on the straight line, in z, from the estimate through the nearest known place. If it leaves the
+        valley, another one begins at the nearest place. A search that ran out of steps is an upper limit of the rise:
+        above the threshold it is ignored.
         """
         space, (first, *_) = self.minimum.problem.space, self.points
         inward = [p for p in self.points if np.isfinite(p.rise) and self.distance(p.value) < self.distance(place)]
         near = inward[-1] if inward else first
-        with np.errstate(divide="ignore", invalid="ignore"):  # an estimate on its bound is infinitely far off in z
+        with np.errstate(divide="ignore", invalid="ignore"):  # an estimate on its bound is infinitely far away in z
             at = space.inverse(self.i, np.array([place, near.value, first.value]))
             ahead = near.z + (near.z - first.z) * (at[0] - at[1]) / (at[1] - at[2])
         found, solved = _Point(place, np.inf, near.z, near.parameters), True
@@ -126,13 +126,13 @@ class _Side:
 
     @property
     def crossed(self) -> int | None:
-        """The number of the first point over the threshold; None where the profile stays below it."""
+        """The number of the first point above the threshold; None if the profile stays below it."""
         return next((k for k, point in enumerate(self.points) if point.rise > self.threshold), None)
 
     def end(self) -> tuple[float, bool, bool]:
-        """Where the interval ends on this side, whether the data make this end, and whether the end of the model does.
+        """The end of the interval on this side, whether the data close it there, and whether the model ends there.
 
-        It is the bound where the likelihood does not close the interval.
+        Without either it is the bound.
         """
         from scipy.optimize import root_scalar
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 OUTLIER_CHANCE = 0.01
 NOISE_ROUNDS = 20
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals
-WITHIN = 3.0  # standard deviations: data farther off do not decide whether a model explains the others
+WITHIN = 3.0  # standard deviations: data farther away do not decide whether a model explains the others
 AS_GIVEN = 4.0  # mean square of residuals over the given noise, below which the noise explains them
 EXACT = 1e-7  # noise over data, below which it counts as 0
 LEAST_FOR_RANKS = 12  # data
@@ -25,7 +25,7 @@ ONE_DATUM = 0.5  # of a parameter's variance; one datum should not determine mor
 
 
 def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
-    """Parameters on a bound, without effect, or determined mostly by one datum."""
+    """On parameters at a bound, without effect, or determined mostly by one datum."""
     evidence, jacobian, found = fit.evidence, fit.evidence.jacobian, []
     covariance = evidence.spectrum.covariance
     share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
@@ -48,7 +48,7 @@ def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
 
 
 def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
-    """Groups that are met exactly or not at all, data far from all others, noise with few degrees of freedom."""
+    """On groups that are met exactly or hardly explained, outliers, and noise with few degrees of freedom."""
     evidence, (problem, outcome) = fit.evidence, fit.minimum
     found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
     if any(evidence.noise_estimated.values()) and fit.degrees_of_freedom in (1, 2):
@@ -64,7 +64,7 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
             continue
         if problem.loss == "linear":
             far = _far_off(residual, spectrum.leverage(rows), estimated)
-        of_one = far is not None and np.max(error**2) > 0.5 * np.sum(error**2)  # which alone makes it look so
+        of_one = far is not None and np.max(error**2) > 0.5 * np.sum(error**2)  # one outlier, and not the model
         if values.size > 2 and np.std(error) > UNEXPLAINED * np.std(values) > 0 and not of_one:
             found.append(
                 f"{name} is hardly explained at all, no better than by a constant; check its unit and sign, the model "
@@ -84,13 +84,13 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
 
 
 def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
-    """The groups that a model hardly explains, where they hold half of the data or more; none elsewhere.
+    """The groups that a model hardly explains, if they hold half of the data or more; else none.
 
-    Of such a group more is left than a constant would leave (`UNEXPLAINED` of its scatter: less than a fifth of the
-    variance is explained). Repeats of one level, whose scatter is nothing but noise, are not meant: more than half of
-    the sum of squares of the readings must be left too, or the predictions must change more than the readings do.
-    Data beyond 3 standard deviations are left aside, as one gross outlier would hide how well all others are met.
-    Where noise was given, it explains what it is.
+    The residuals of such a group keep more than `UNEXPLAINED` of its scatter: less than a fifth of the variance is
+    explained. Repeats of one level, whose scatter is only noise, do not count as such a group: more than half of the
+    sum of squares of the readings must be left too, or the predictions must vary more than the readings do. Data beyond
+    3 standard deviations are left out, as one outlier would hide how well all others are met. Residuals of the size of
+    given noise count as explained.
     """
     problem, outcome = minimum
     found, residuals = {}, problem.by_group(outcome.residual)
@@ -109,7 +109,7 @@ def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
 
 
 def _uneven(name: str, residual: np.ndarray, values: np.ndarray) -> list[str]:
-    """Whether the residuals grow with the reading, by ranks."""
+    """A remark if the residuals grow with the reading, by ranks."""
     if values.size < LEAST_FOR_RANKS or np.ptp(np.abs(values)) == 0 or np.ptp(np.abs(residual)) == 0:
         return []
     from scipy.stats import spearmanr
@@ -120,8 +120,7 @@ def _uneven(name: str, residual: np.ndarray, values: np.ndarray) -> list[str]:
 
 
 def _far_off(residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> tuple[int, int] | None:
-    """The farthest datum, and how many are so far off that of as many honest ones the farthest is nearer in 99 of 100
-    experiments (Bonferroni). None where there is none."""
+    """The farthest outlier and the number of outliers, at 1 % with Bonferroni's correction; None for none."""
     distance = np.abs(residual) / np.sqrt(np.maximum(1.0 - leverage, 1e-6))
     freedom = residual.size - np.sum(leverage)
     chance = 2 * ndtr(-distance)
@@ -135,17 +134,17 @@ def _far_off(residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> tup
 
 
 def _distance(minimum: Minimum, group: int, k: int, estimated: bool) -> float:
-    """Of one datum from the model as all others have it, in standard deviations of their scatter.
+    """The distance of one datum from the model fitted to all others, in standard deviations of their scatter.
 
-    The externally studentised residual (Cook and Weisberg 1982), by a refit: the outlier may have bent the model far
-    from where its linearisation holds.
+    It is the externally studentised residual (Cook and Weisberg 1982), by a refit: the outlier may have moved the model
+    so far that its linearisation does not hold.
     """
     problem, outcome = minimum
     rows = problem.by_group(np.arange(problem.num_data))[group]
     own, others = rows[k], np.delete(rows, k)
     noise, times = list(problem.data.noise), list(problem.data.times)
     times[group] = np.where(rows == own, 0.0, 1.0).reshape(np.shape(times[group]))
-    starts, distance = [outcome.z, problem.space.first()], np.inf  # the outlier may have led far off
+    starts, distance = [outcome.z, problem.space.first()], np.inf  # the outlier may have led the search far away
     for _ in range(NOISE_ROUNDS):
         data = problem.data._replace(noise=tuple(noise), times=tuple(times))
         without = replace(problem, data=data, max_steps=MAX_STEPS)

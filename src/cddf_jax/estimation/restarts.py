@@ -11,12 +11,12 @@ from .levenberg_marquardt import LeastSquaresProblem, Outcome, minimise
 from .remarks import UNEXPLAINED
 from .whole_search import BETTER_ELSEWHERE, NO_NUMBER, NOT_SETTLED, STOPPED_SHORT, Ending, FitTask, search_from
 
-ROUNDS = (8, 8, 16)  # further searches; after each round the best is looked at
-DECADES = (1.0, 2.0, 3.0)  # powers of ten, up and down, over which the starts of each round spread; later as the last
+ROUNDS = (8, 8, 16)  # further searches; after each round the best one is judged
+DECADES = (1.0, 2.0, 3.0)  # powers of ten, up and down, over which the starts of each round spread
 FAR = 1e3  # an unidentified parameter beyond this times its start went far away
-SAME = 1e-6  # relative difference of costs below which two searches came to the same
-LOWER = 1e-3  # relative difference of costs that makes one the better
-ONE_DATUM = 0.99  # share of one datum in the squared derivatives, from which on it counts as the only one
+SAME = 1e-6  # relative difference of costs below which two searches have the same result
+LOWER = 1e-3  # relative difference of costs from which one search is better
+ONE_DATUM = 0.99  # share of one datum in the squared derivatives, above which it counts as the only one
 EXACT = 1e-9  # a cost that is as good as 0: a residual of nothing but rounding
 FAILURES = {
     NO_NUMBER: "ended where the model gives no number",
@@ -27,18 +27,18 @@ FAILURES = {
 
 
 class Searched(NamedTuple):
-    """The search that is taken, and what the others came to."""
+    """The search that is taken, and the costs of the others."""
 
     ending: Ending
-    cost: np.ndarray  # that the search from each start came down to, the best first; empty where one was enough
-    remark: str = ""  # why there were several starts though none were asked for, and what came of them
+    cost: np.ndarray  # the lowest cost from each start, the best first; empty if one search was enough
+    remark: str = ""  # why there were several starts although none were asked for, and their result
 
 
 @stage("searching")
 def search(task: FitTask, starts: int | None, seed: int) -> Searched:
-    """The best of so many searches, the first from the given start.
+    """The best of some searches, the first from the given start.
 
-    None: from the given start alone; where that is in trouble, rounds of others until the best is in none.
+    With `starts` None there is one search; if it is in trouble, rounds of others follow until the best is in none.
     """
     problem = task.problem
     if starts is not None and starts > 1:
@@ -57,7 +57,7 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
         ending, known = _better(task, ending, found), []
         costs = np.append(costs, _costs(found))
         if _is_enough(task, ending, found):
-            if ending is first and ending.success:  # all came to the same: the data hold no more anywhere
+            if ending is first and ending.success:  # all have the same result: the data determine no more anywhere
                 return Searched(first, np.empty(0))
             break
     costs.sort()
@@ -70,7 +70,7 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
 
 
 def _better(task: FitTask, ending: Ending, found: list[Outcome]) -> Ending:
-    """The best of what was found if it is lower, or as low and without trouble; else the given ending."""
+    """The best of the searches if its cost is lower, or as low and without trouble; else the given ending."""
     best, cost = min(found, key=_height), _cost(task, ending)
     if not _height(best) < cost * (1 + SAME) + EXACT:
         return ending
@@ -79,23 +79,23 @@ def _better(task: FitTask, ending: Ending, found: list[Outcome]) -> Ending:
 
 
 def _is_enough(task: FitTask, ending: Ending, found: list[Outcome]) -> bool:
-    """Whether all parameters are identified, or all searches of a round ended alike and not on a plateau."""
+    """Whether all parameters are identified, or all searches of a round have the same cost, and not on a plateau."""
     if NOT_IDENTIFIED not in ending.determination.status.values() and not trouble(task, ending):
         return True
     cost = _cost(task, ending)
     alike = np.isfinite(cost) and np.allclose(_costs(found), cost, rtol=SAME, atol=EXACT)
     problem, outcome = ending.minimum
     groups = zip(problem.data.values, problem.data.noise, problem.by_group(outcome.residual), strict=True)
-    # on a plateau what is left of some group scatters like the group itself
+    # on a plateau the residuals of some group scatter as much as the group itself
     flat = any(np.std(r * np.ravel(s)) > UNEXPLAINED * np.std(v) > 0 for v, s, r in groups)
     return bool(alike and not (flat and ending.determination.rank < len(problem.space.names)))
 
 
 def trouble(task: FitTask, ending: Ending) -> str:
-    """Why searches from other starts are worth while; "" where they are not.
+    """Why searches from other starts are useful; "" if they are not.
 
     The search failed: it reached no minimum, or one that hardly explains the data (`unexplained_groups`). Or the data
-    do not determine some parameters there, and one of these went far away from its start, or a single datum depends on
+    do not determine some parameters there, and one of these went far away from its start, or only one datum depends on
     them, or the derivatives are singular and the data determine no combination of them.
     """
     if ending.result in FAILURES:
@@ -106,15 +106,16 @@ def trouble(task: FitTask, ending: Ending) -> str:
     lost = np.array([word == NOT_IDENTIFIED for word in determination.status.values()])
     lost[list(evidence.bounded_above)] = False
     gone = lost & (task.problem.space.times_the_start(ending.minimum.outcome.parameters) > FAR)
-    felt = np.sum(evidence.jacobian[:, lost] ** 2, axis=1)
-    if determination.rank < len(lost) and not (determination.combinations and np.max(felt) < ONE_DATUM * np.sum(felt)):
+    slope = np.sum(evidence.jacobian[:, lost] ** 2, axis=1)
+    many = np.max(slope) < ONE_DATUM * np.sum(slope)
+    if determination.rank < len(lost) and not (determination.combinations and many):
         gone = lost
     names = [name for name, far in zip(determination.names, gone, strict=True) if far]
     return f"ended where the data do not determine {', '.join(names)}" if names else ""
 
 
 def _ran_away(task: FitTask, ending: Ending) -> bool:
-    """Whether a search is far from its start where the data determine nothing: the cost falls on without a minimum."""
+    """Whether a search went far away to where the data determine nothing: the cost falls without a minimum."""
     determination = ending.determination
     if determination.combinations or set(determination.status.values()) != {NOT_IDENTIFIED}:
         return False
@@ -125,7 +126,7 @@ def _ran_away(task: FitTask, ending: Ending) -> bool:
 
 
 def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int) -> list[Outcome]:
-    """Searches from some of the further starts, which a scrambled Sobol sequence spreads; nothing is compiled anew."""
+    """Searches from some of the further starts, which a scrambled Sobol sequence spreads; they share one program."""
     space = problem.space
     count = max(which.stop, sum(ROUNDS))
     from scipy.stats import qmc
@@ -141,7 +142,7 @@ def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int) -> list[Ou
 
 
 def _height(end: Outcome) -> float:
-    """The cost, with the noise that was first guessed; infinite where the model gives no number."""
+    """The cost, with the first guess of the noise; infinite if the model gives no number."""
     return float(end.cost) if np.isfinite(end.cost) else np.inf
 
 
@@ -150,7 +151,7 @@ def _costs(found: list[Outcome]) -> np.ndarray:
 
 
 def _cost(task: FitTask, ending: Ending) -> float:
-    """The same of an ending."""
+    """The cost of an ending, with the first guess of the noise."""
     problem, outcome = ending.minimum
     pairs = zip(problem.data.noise, task.problem.data.noise, strict=True)
     residual = outcome.residual.copy()

@@ -1,7 +1,7 @@
-"""Losses that grow more slowly than the square, so that outliers pull less.
+"""Losses that grow more slowly than the square, so that outliers have less weight.
 
-A residual r, in standard deviations of the noise, counts as rho(r); rho(r) = r^2 for small ones.
-The constants give 95 % of the efficiency of least squares where the noise is Gaussian after all.
+A residual r, in standard deviations of the noise, counts as rho(r), where rho(r) = r^2 for small r. With the constants
+used here the efficiency is 95 % of that of least squares, if the noise is Gaussian.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from .parameter_space import Numbers
 
 
 class Loss(NamedTuple):
-    """One loss, by what least squares can take: the residual whose square is rho."""
+    """One loss, in the form for least squares: a residual whose square is rho."""
 
     transformed: Callable[[Numbers], Numbers]  # sign(r) sqrt(rho(r))
     influence: Callable[[np.ndarray], np.ndarray]  # psi = rho' / 2

@@ -1,6 +1,6 @@
-"""One whole search of a fit: noise from residuals, a look along the valleys, and what the data tell where it ended.
+"""One whole search of a fit: noise from residuals, a look along the valleys, and what the data determine at its end.
 
-It looks far along the valleys of the sum of squares, where the curvature at its minimum tells too little.
+The curvature at a minimum may suggest too much. So the search looks far along the valleys of the sum of squares.
 """
 
 import itertools
@@ -27,14 +27,14 @@ from .remarks import unexplained_groups
 from .robust_loss import LOSSES
 
 SUCCESSFUL = "successful"
-NO_NUMBER = "the model gave no number at the estimate; start closer, or leave out data beyond its reach"
+NO_NUMBER = "the model gave no number at the estimate; start closer, or leave out data that it cannot reach"
 NOT_SETTLED = "the noise estimates did not settle; give the noise of some data"
 STOPPED_SHORT = "the optimiser stopped short of a minimum; start closer, search from more starts, or allow more steps"
 BETTER_ELSEWHERE = "a better minimum lies elsewhere; start closer, or search from more starts"
 NOISE_ROUNDS = 50
 NOTEWORTHY_FALL = 0.01  # of the sum of squares beside the minimum
 CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
-EXPECTED_PART = 0.5  # of the rise that the curvature foretells: with less the valley is flatter than it seems
+EXPECTED_PART = 0.5  # of the rise that the curvature predicts: with less the valley is flatter than it seems
 MOSTLY_LOST = 0.7  # length of a direction within the parameters that are not identified, of 1
 STEEPEST = 1e-4  # slope of the cost at a minimum, over what residuals and derivatives could make it
 STEEPEST_UNSOLVED = 1e-6  # the same where the optimiser ran out of steps
@@ -43,21 +43,21 @@ BESIDE = 0.1  # standard errors, how far on both sides of a kink the sum of squa
 
 
 class FitTask(NamedTuple):
-    """What stays the same however often a fit is searched."""
+    """The task of a fit, the same for every search."""
 
-    problem: LeastSquaresProblem  # with the noise that is first guessed
+    problem: LeastSquaresProblem  # with the first guess of the noise
     groups: tuple[Observed, ...]  # of the data
     prefer_start: bool  # to end near the start in a valley that the data leave open
 
 
 class Ending(NamedTuple):
-    """Where a search ended with its noise estimated, and what the data tell there."""
+    """Where a search ended with its noise estimated, and what the data determine there."""
 
     minimum: Minimum
     evidence: Evidence
     determination: Determination
     result: str
-    lower: np.ndarray | None  # z of a place beside it where the cost is lower
+    lower: np.ndarray | None  # z of a place nearby where the cost is lower
 
     @property
     def success(self) -> bool:
@@ -66,7 +66,7 @@ class Ending(NamedTuple):
 
 
 def search_from(task: FitTask, z: np.ndarray) -> Ending:
-    """Weights from residuals, residuals from weights, until they agree; then a look around."""
+    """Weights from residuals and residuals from weights, until they agree; then a look along the valleys."""
     minimum, settled = _settle_noise(task, z)
     evidence = _evidence(task, minimum)
     stopped = is_steep(minimum, evidence)
@@ -90,7 +90,7 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
 
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
-    """The minimum with the noise that its residuals tell, and whether the two agreed in the end."""
+    """The minimum with the noise of its residuals, and whether the two agreed in the end."""
     problem, settled = task.problem, False
     outcome = minimise(problem, z)
     for _ in range(NOISE_ROUNDS):
@@ -106,11 +106,11 @@ def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
 
 
 def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
-    """The scaled Jacobian by groups; all 0 where the model gave no number."""
+    """The scaled Jacobian by groups; all 0 if the model gave no number."""
     problem, outcome = minimum
     space = problem.space
     finite = np.all(np.isfinite(outcome.residual))
-    at_bound = space.at_bound(outcome.parameters)  # where the value is no measure of its own precision
+    at_bound = space.at_bound(outcome.parameters)  # there the value is not a scale for its error
     size = np.where(at_bound, np.maximum(outcome.size, space.scale), outcome.size)
     jacobian = without_nan(outcome.jacobian * (size / outcome.size)) if finite else np.zeros_like(outcome.jacobian)
     rows, prior_rows = problem.by_group(jacobian), jacobian[problem.num_data :]
@@ -163,7 +163,7 @@ def slopes(minimum: Minimum, outcome: Outcome) -> np.ndarray:
 
 
 def is_steep(minimum: Minimum, evidence: Evidence) -> bool:
-    """Whether the cost slopes where the search ended; at a bound it may well do so."""
+    """Whether the cost has a slope where the search ended, not counting parameters at a bound."""
     outcome = minimum.outcome
     exact = np.linalg.norm(outcome.residual) <= EXACT * np.sqrt(outcome.residual.size)
     steepest = STEEPEST if outcome.solved else STEEPEST_UNSOLVED
@@ -171,10 +171,10 @@ def is_steep(minimum: Minimum, evidence: Evidence) -> bool:
 
 
 def kink_of(minimum: Minimum, evidence: Evidence) -> tuple[int, Minimum] | None:
-    """The parameter with the kink, and the minimum there; None where the end of a search is none.
+    """The parameter with the kink, and the minimum there; None if the search did not end at a kink.
 
-    The steepest parameter is held, and the others are fitted again. With that parameter a little to either side, the
-    sum of squares has to be larger, however the others are fitted.
+    The parameter with the steepest slope is held, and the others are fitted again. A little to either side of its
+    value, the sum of squares must be larger, also after the others are fitted again.
     """
     value, free = minimum.outcome.parameters, ~evidence.at_bound
     i = int(np.argmax(np.where(free, slopes(minimum, minimum.outcome), -1.0)))
@@ -200,12 +200,12 @@ def kink_of(minimum: Minimum, evidence: Evidence) -> tuple[int, Minimum] | None:
 def look_along_valleys(
     minimum: Minimum, evidence: Evidence, determination: Determination
 ) -> tuple[Evidence, float, np.ndarray | None]:
-    """Hold each parameter that looks identified at values ever farther off and fit the others again.
+    """Hold each parameter that looks identified at values further and further away, and fit the others again.
 
-    The curvature at a minimum can suggest an interval although the valley is flat farther off. A side is closed where
-    the sum of squares has risen by twice what ends a 95 % interval. Returned are the evidence with what was seen of
-    each parameter, the least rise of the sum of squares over all that was tried, and the z of its place: None where it
-    fell nowhere.
+    The curvature at a minimum can suggest an interval although the valley is flat further away. A side is closed if the
+    sum of squares rises there by twice the rise at the end of a 95 % interval. Returns the evidence with the open and
+    the limited parameters, the least rise of the sum of squares at all places, and the z of this place: None if it fell
+    nowhere.
     """
     space, value, quantile = minimum.problem.space, evidence.value, determination.quantile
     error = evidence.spectrum.relative_error * evidence.size
@@ -238,9 +238,9 @@ def look_along_valleys(
 
 
 def are_products(minimum: Minimum, determination: Determination) -> bool:
-    """Whether products of powers of the unidentified parameters are what the data determine.
+    """Whether the data determine products of powers of the unidentified parameters.
 
-    They are not where the sum of squares rises as these parameters are doubled or halved along their valley.
+    They do not if the sum of squares rises when these parameters are doubled or halved along their valley.
     """
     space, best = minimum.problem.space, minimum.outcome
     lost = np.array([determination.status[name] == NOT_IDENTIFIED for name in determination.names])
@@ -262,7 +262,7 @@ def are_products(minimum: Minimum, determination: Determination) -> bool:
 
 
 def nearest_to_start(minimum: Minimum, i: int, quantile: float) -> Outcome:
-    """Any place along the open valley of a parameter fits alike: take that of its start, if it fits."""
+    """The place along the open valley of a parameter where it has its start value, if it fits equally well."""
     problem, best = minimum
     first = problem.space.first()
     held = hold_one(len(first), i, problem.space.start[i])
@@ -272,7 +272,7 @@ def nearest_to_start(minimum: Minimum, i: int, quantile: float) -> Outcome:
 
 
 def _sides(space: ParameterSpace, i: int, value: float, half_width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places below and above an estimate: 2 and 10 half-widths of its interval off, and a fifth and five times it."""
+    """Places below and above an estimate: 2 and 10 half-widths of its interval away, and a fifth and five times it."""
     lower, upper, reach = float(space.lower[i]), float(space.upper[i]), np.array([2.0, 10.0]) * half_width
     below = np.maximum(value - reach, value - 0.9 * (value - lower))
     above = np.minimum(value + reach, value + 0.9 * (upper - value))
