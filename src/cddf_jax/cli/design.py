@@ -32,7 +32,7 @@ def design(
     as_json: options.AsJson = False,
     out: options.Out = None,
 ) -> None:
-    """The body that meets an objective best, within what can be made.
+    """The body that meets an objective best within its limits.
 
     The task file names the robot at the start, the free numbers, the load cases, the objectives and the limits.
     """

@@ -27,8 +27,8 @@ from ..statics.solve import solve
 from ..units import Dimension
 from .load_cases import LoadCase
 
-BODY_NODES = 48  # of integrals over a body alone, in each of its smooth pieces
-LOOP_STEPS = 8  # short ones, in each of the four steps of a loop without an exact answer
+BODY_NODES = 48  # in each smooth piece, for integrals over a body without an equilibrium
+LOOP_STEPS = 8  # short steps in each of the four steps of a loop without an exact answer
 FLAT = "is zero of a body in the plane; give a tendon an angle, or a load three components"
 SEVERAL_ACROSS = "has two directions across the tip in space; take 'tip_stiffness_x', 'tip_stiffness_y' or one of z"
 OF_RADII = ("volume", "outer_radius", "inner_radius", "wall_thickness", "clearance", "taper", "slope", "strain")
@@ -36,7 +36,7 @@ OF_RADII = ("volume", "outer_radius", "inner_radius", "wall_thickness", "clearan
 
 @dataclass
 class BodyView:
-    """A body, what acts on it, and the places along it that are looked at."""
+    """A body, what acts on it, and the arc lengths at which it is evaluated."""
 
     body: Manipulator
     arc_length: Float[Array | np.ndarray, " points"]  # m
@@ -56,19 +56,19 @@ class BodyView:
 
     @property
     def along_plane(self) -> Fields:
-        """The same of a body in the plane."""
+        """The same for a body in the plane."""
         assert isinstance(self.along, Fields)
         return self.along
 
     @property
     def along_space(self) -> SpatialFields:
-        """The same of a body in space."""
+        """The same for a body in space."""
         assert isinstance(self.along, SpatialFields)
         return self.along
 
     @cached_property
     def anchored(self) -> Bool[Array, "tendons points"]:
-        """Whether each tendon still runs there: up to its anchor."""
+        """Whether each tendon reaches the arc length: up to its anchor."""
         ends = [self.body.length if tendon.end is None else tendon.end for tendon in self.body.tendons]
         return jnp.asarray(self.arc_length) <= jnp.stack([jnp.asarray(end) for end in ends])[:, None] * (1 + 1e-12)
 
@@ -80,20 +80,20 @@ class BodyView:
         return panels(jnp.asarray(self.body.length), self.body.breakpoints, BODY_NODES)
 
     def moved(self, arc_length: Float[Array | np.ndarray, " points"]) -> "BodyView":
-        """The same at other places."""
+        """The same body at other arc lengths."""
         return replace(self, arc_length=arc_length)
 
 
 class BodyQuantity(NamedTuple):
-    """Something that can be wanted large, small, even, near a value, or within limits."""
+    """Something that a design can make large, small, even, near a value, or keep within limits."""
 
-    name: str  # in the registry of quantities; "" of a function that a user wrote
+    name: str  # in the registry of quantities; "" for a user's function
     of: Callable[[BodyView], Array]  # an array of any shape, SI
     bent: bool = True  # whether it needs an equilibrium
     along: bool = False  # whether its last axis runs along the body
     per_tendon: bool = False  # whether it is one number for each tendon
-    to_anchor: bool = False  # whether its last axis but one is that of the tendons, each of which ends at its anchor
-    not_in_space: str = ""  # why it is not known of a body in space, and the remedy
+    to_anchor: bool = False  # whether its last axis but one is the tendons, each of which ends at its anchor
+    not_in_space: str = ""  # why it is not known for a body in space, and the remedy
     not_in_plane: str = ""
 
     @property
@@ -105,7 +105,7 @@ QuantityName = str | Callable[[Manipulator, Equilibrium], ArrayLike]  # a name o
 
 
 def quantity_named(name: QuantityName) -> BodyQuantity:
-    """A quantity by its name, or made of a function of manipulator and equilibrium."""
+    """A quantity by its name, or from a function of manipulator and equilibrium."""
     if callable(name):
         return BodyQuantity("", lambda view: jnp.asarray(name(view.body, view.equilibrium)))
     if name not in BODY_QUANTITIES:
@@ -129,13 +129,13 @@ class OfQuantity(eqx.Module):
 
     @property
     def name(self) -> str:
-        """That of its quantity in tables."""
+        """The name of its quantity in tables."""
         own = self.quantity
         return own if isinstance(own, str) else getattr(own, "__name__", type(own).__name__)
 
 
 def check_fits(name: str, wanted: ArrayLike, value: Array) -> None:
-    """Refuse a wanted value whose shape is not that of the quantity."""
+    """Refuse a wanted value whose shape does not fit the quantity."""
     if jnp.shape(wanted) not in ((), jnp.shape(value)):
         raise InputError(f"design: {name} has shape {jnp.shape(value)}, and {jnp.shape(wanted)} was asked of it")
 
@@ -202,7 +202,7 @@ def _crossing(view: BodyView) -> Array:
 
 
 def _tension(view: BodyView) -> Array:
-    """Beyond the anchor it is the tension at the anchor, so that minimum and maximum along the tendon stay."""
+    """The tension; beyond the anchor the tension at the anchor, which changes neither minimum nor maximum."""
     return jnp.where(view.anchored, view.along.tension, view.equilibrium.tip_tension[:, None])
 
 
@@ -232,7 +232,7 @@ def _towards(axis: int) -> Callable[[Equilibrium], Array]:
 
 
 def _hysteresis(view: BodyView) -> Array:
-    """How much further the tip is bent at a tension on the way down than on the way up, in a loop that repeats."""
+    """The tip angle at a tension during release minus that during pull, in a loop that repeats."""
     case = view.case
     assert case is not None
     assert case.loop is not None
@@ -247,7 +247,7 @@ def _hysteresis(view: BodyView) -> Array:
 
 
 def loop_in_short_steps(view: BodyView) -> History | None:
-    """The loop of a load case with its error estimate; None where its answer is exact."""
+    """The loop of a load case with its error estimate; None if its answer is exact."""
     case = view.case
     if case is None or case.loop is None or (view.body.num_tendons == 1 and case.loads is None):
         return None

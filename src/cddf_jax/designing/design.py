@@ -1,4 +1,4 @@
-"""`design`: the body that meets an objective best, within what can be made."""
+"""`design`: the body that meets an objective best within its limits."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -23,10 +23,10 @@ from .problem import USABLE, DesignEvaluation, DesignProblem, Term
 from .results import Design, design_of, displayed
 from .search import WANDERING, DesignSearch
 
-STATIONS = 33  # even places at which limits along the body are evaluated
-CROSSING = 0.99  # kappa d at most, short of 1 where fibres cross
-FAR = 1e3  # times the size of an objective, a level that holds nothing back
-THINNEST = 1e-3  # of the outer radius at the start, the wall that is always kept
+STATIONS = 33  # evenly spaced places at which limits along the body are evaluated
+CROSSING = 0.99  # largest kappa d; at 1 fibres cross
+FAR = 1e3  # times the size of an objective: a level that limits nothing
+THINNEST = 1e-3  # of the outer radius at the start: the least wall thickness
 Aim = Objective | Callable[[Manipulator, Equilibrium], ArrayLike]
 
 
@@ -35,11 +35,11 @@ class DesignOptions:
     """How a design is searched for.
 
     Args:
-        starts: how many points within the bounds are tried; searches begin at the best four and at the start.
+        starts: number of points within the bounds that are tried; searches begin at the best four and at the start.
         seed: of these points.
         max_iterations: of each search.
         nodes: of the solver.
-        worst: optimise the worst load case, and not the weighted mean over all.
+        worst: optimise the worst load case, not the weighted mean of all.
         offsets_outside_wall: allow tendons in the bore or outside the body.
 
     Raises:
@@ -75,15 +75,15 @@ def design(
     choices: Mapping[str, Sequence[float]] | None = None,
     options: DesignOptions | None = None,
 ) -> Design:
-    """The body that meets an objective best, within what can be made, with proof.
+    """The body that meets an objective best within its limits, with first-order optimality as proof.
 
-    SciPy's SLSQP with exact derivatives of the solver; where it stops short, it begins again from there. The answer is
-    the best body nearby; `DesignOptions(starts=...)` searches further away.
+    The method is SciPy's SLSQP with exact derivatives of the solver; if it stops short, it starts again from there. The
+    answer is the best body nearby; `DesignOptions(starts=...)` searches further away.
 
     Args:
-        manipulator: the start, with all numbers that stay as they are.
-        objective: one of `Least`, `Most`, `Even`, `Near`, a function of manipulator and equilibrium that is to be made
-            small, or a list of pairs (weight, objective): each counts relative to its size at the start.
+        manipulator: the start, with all numbers that do not change.
+        objective: one of `Least`, `Most`, `Even`, `Near`, a function of manipulator and equilibrium to be made small,
+            or a list of pairs (weight, objective), each of which counts relative to its size at the start.
         free: what may change: names of numbers, or of profiles for all their values: "outer_radius", "length" (with it
             everything along the body is stretched), "tendons.*.offset" (one value for all tendons), "tendons.0.angle"
             (rad, of a tendon that has one), "tendons.*.angle.winding" (how far all angles grow from base to tip).
@@ -92,11 +92,11 @@ def design(
         constraints: `Limit`s. These are always kept, unless you limit the same quantity: kappa d <= 0.99 on the inside
             of a bend, a wall of a thousandth of the radius, tendons in the wall.
         cases: how the body is used: one `LoadCase`, or several; see also `uncertain_cases`.
-        choices: numbers that can have a few values only, by name; every combination is designed.
+        choices: numbers that can only have certain values, by name; every combination is designed.
         options: of the search.
 
     Returns:
-        A `Design`; look at `success`. Where no body keeps to all limits it says so, with those that are `blocking`.
+        A `Design`; look at `success`. If no body keeps all limits, `blocking` names those that contradict each other.
 
     Raises:
         InputError: for unknown names and contradictions, and where the start itself has no equilibrium.
@@ -167,7 +167,7 @@ def problem_of(
 ) -> DesignProblem:
     """The problem of `design`, checked, with sizes taken from the start.
 
-    `capped`: whether every objective also gets a level that it may not exceed, far away at first.
+    `capped`: whether every objective also gets a level that it may not exceed, far away at the start.
     """
     constraints = [constraints] if isinstance(constraints, Limit) else constraints
     if not isinstance(constraints, list | tuple) or not all(isinstance(limit, Limit) for limit in constraints):
@@ -196,7 +196,7 @@ def problem_of(
 
 
 def _sized(problem: DesignProblem, limits: Sequence[Limit]) -> DesignProblem:
-    """The problem with objectives and limits over their sizes at the start, which must have an equilibrium."""
+    """The problem with objectives and limits relative to their sizes at the start, which must have an equilibrium."""
     start = np.append(problem.free.scaled_start, np.zeros(len(problem.peaks)))
     found = problem.evaluation(start)
     _demand_start(problem, found, limits)
@@ -223,7 +223,7 @@ def _implied(body: Manipulator, limits: Sequence[Limit], *, offsets_outside_wall
 
 
 def _stations(body: Manipulator) -> np.ndarray:
-    """Over the length: even ones, both sides of each joint, and those that a search will move."""
+    """Places over the length: evenly spaced ones, both sides of each joint, and those that a search moves."""
     joints = np.asarray(body.breakpoints, float) / float(body.length)
     joints = joints[(joints > 0) & (joints < 1)]
     wandering = (np.arange(WANDERING) + 0.5) / WANDERING

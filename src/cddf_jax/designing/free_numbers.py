@@ -15,8 +15,8 @@ from ..robot.named_numbers import Case, stem_and_tendon, tip_of_winding, unit_of
 from .load_cases import LoadCase
 
 VALUE = re.compile(r"(pieces\.\d+\.?)*(base|tip|values\.\d+|\d+)?")  # a part of a profile
-PLACE = re.compile(r"\.(ends\.\d+|arc_length\.\d+|length|end)$")  # where such a part holds, or where a tendon ends
-WIDE = 10.0  # bounds unless given: a tenth of the start value, and ten times it; of an angle half a turn either way
+PLACE = re.compile(r"\.(ends\.\d+|arc_length\.\d+|length|end)$")  # an arc length: of such a part, or of an anchor
+WIDE = 10.0  # default bounds: a tenth of the start value, and ten times it; for an angle half a turn either way
 Vector = Float[Array | np.ndarray, " n"]
 Bounds = Mapping[str, tuple[float, float]]  # (lower, upper) by name, SI
 
@@ -24,7 +24,7 @@ Bounds = Mapping[str, tuple[float, float]]  # (lower, upper) by name, SI
 class FreeNumbers(eqx.Module):
     """Free numbers x, scaled to z = (x - lower) / size.
 
-    Several names on one place share one number, as the offsets of all tendons by "tendons.*.offset".
+    Several names in one entry share one number, such as the offsets of all tendons by "tendons.*.offset".
     """
 
     names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
@@ -85,7 +85,7 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
 
 
 def _shared(case: Case, group: str, tied: tuple[str, ...]) -> float:
-    """The value at the start of numbers that share one."""
+    """The start value of numbers that share one value."""
     values = [float(np.asarray(case.number(name))) for name in tied]
     if np.ptp(values) > 1e-9 * np.max(np.abs(values)):
         listed = ", ".join(f"{value:g}" for value in values)
@@ -94,7 +94,7 @@ def _shared(case: Case, group: str, tied: tuple[str, ...]) -> float:
 
 
 def is_angle(name: str) -> bool:
-    """Whether a number is the angle of a tendon, whose origin means nothing."""
+    """Whether a number is the angle of a tendon, whose zero is arbitrary."""
     return unit_of_name(name) == "rad"
 
 
@@ -120,7 +120,7 @@ def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
 
 
 def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:
-    """The numbers that a free name means, each with those that share its value."""
+    """The numbers that a free name stands for, each with those that share its value."""
     if "*" not in group:
         return [(name,) for name in _within(case, group)]
     if not group.startswith("tendons.*."):
@@ -132,7 +132,7 @@ def numbers_under(case: Case, group: str) -> list[tuple[str, ...]]:
 
 
 def _within(case: Case, name: str) -> list[str]:
-    """The numbers that a name stands for: of a profile its values, not the places where they hold."""
+    """The numbers that a name stands for: of a profile its values, not their arc lengths."""
     inside = [other for other in case.numbers if other.startswith(f"{name}.") and not PLACE.search(other)]
     if inside and all(VALUE.fullmatch(other.removeprefix(f"{name}.")) for other in inside):
         return inside

@@ -24,8 +24,8 @@ class Limit(OfQuantity):
         quantity: a name of `BODY_QUANTITIES`, or a function of manipulator and equilibrium.
         least, most: the range, SI; None for no limit on that side.
         equal: instead of them, the value that the quantity must have; of `tip_position` two numbers.
-        scale: violations count relative to it, SI; unless given the size of the limit, or, of a limit of zero, the
-            size of the quantity at the start.
+        scale: violations count relative to it, SI; unless given the size of the limit, or for a limit of zero the size
+            of the quantity at the start.
     """
 
     least: Scalar | None = eqx.field(default=None, converter=_optional)
@@ -51,14 +51,14 @@ class Limit(OfQuantity):
             raise InputError(f"{name} cannot be at least {self.least:g} and at most {self.most:g}; exchange them")
 
     def inequalities(self, view: BodyView) -> Array:
-        """Scaled margins, (sides, ...), that may not be negative."""
+        """Scaled margins, (sides, ...), which must not be negative."""
         value = self.known.of(view)
         sides = [] if self.least is None else [value - self.least]
         sides += [] if self.most is None else [self.most - value]
         return jnp.stack(sides) / jnp.asarray(self.scale) if sides else jnp.zeros((0, *jnp.shape(value)))
 
     def equalities(self, view: BodyView) -> Array:
-        """Scaled differences that must be zero."""
+        """Scaled differences, which must be zero."""
         if self.equal is None:
             return jnp.zeros(0)
         value = self.known.of(view)
@@ -66,7 +66,7 @@ class Limit(OfQuantity):
         return jnp.ravel((value - self.equal) / jnp.asarray(self.scale))
 
     def size(self, at_start: float) -> float:
-        """The scale: as given, else the size of the limit, and of a limit of zero that of the quantity at the start."""
+        """The scale: as given, else the size of the limit, or for a limit of zero the size at the start."""
         if self.scale is not None:
             return float(self.scale)
         stated = [np.max(np.abs(np.asarray(x))) for x in (self.least, self.most, self.equal) if x is not None]

@@ -1,4 +1,4 @@
-"""Load cases of a design: how its body is pulled and loaded, also with numbers that are uncertain."""
+"""Load cases of a design: how its body is pulled and loaded, and cases with uncertain numbers."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
@@ -38,13 +38,14 @@ class LoadCase(eqx.Module):
     Args:
         base_tension: as in `solve`: T_base, N, or a target such as `TipAngle(1.57)`; one for all tendons, or one each.
         loads: dead loads, or None.
-        direction: as in `solve`: +1 slides in, -1 slides out; None where it is to be found.
+        direction: as in `solve`: +1 slides in, -1 slides out; None if it is to be found.
         numbers: numbers of the body that have other values in this case, by name, e.g. {"youngs_modulus": 1.5e6}.
         weight: of this case in means over the cases, above 0.
         name: in tables and messages.
-        loop: (low, high), N, between which the base tension goes up and down, for the quantity "hysteresis". It is told
-            at `base_tension`, which lies between them. Of several tendons it is that of tendon 1, while the others
-            stay; or low and high hold the tensions of all, (2, tendons), which go straight from one to the other.
+        loop: (low, high), N, between which the base tension goes up and down, for the quantity "hysteresis". This is
+            evaluated at `base_tension`, which lies between them. With several tendons it is the tension of tendon 1,
+            and the others stay constant; or low and high hold the tensions of all, (2, tendons), which change linearly
+            from one to the other.
     """
 
     base_tension: PyTree = eqx.field(converter=lambda given: jax.tree.map(as_number, given))
@@ -77,7 +78,7 @@ class LoadCase(eqx.Module):
         return case_numbers(manipulator).with_numbers(self.numbers).manipulator
 
     def of(self, manipulator: Manipulator) -> Case:
-        """Body and load case together, whose numbers have names."""
+        """Body and load case together, as a case whose numbers have names."""
         return Case(manipulator, self.base_tension, self.loads, self.direction)
 
     def with_numbers(self, manipulator: Manipulator, numbers: Mapping[str, Scalar]) -> "tuple[Manipulator, LoadCase]":
@@ -91,7 +92,7 @@ class LoadCase(eqx.Module):
         return solve(body, self.base_tension, self.loads, direction=self.direction, nodes=nodes, throw=False)
 
     def check_loop(self, manipulator: Manipulator) -> None:
-        """Refuse what has no hysteresis that is known."""
+        """Refuse a case without a loop, or one whose hysteresis cannot be computed."""
         own = self.name or "the load case"
         if self.loop is None:
             raise InputError(f"design: 'hysteresis' needs a loop of {own}, as in LoadCase(40.0, loop=(5.0, 75.0))")
@@ -112,9 +113,9 @@ class LoadCase(eqx.Module):
             raise InputError(f"design: the base tension of {own}, {_tensions(at)} N, {inside}")
 
     def loop_path(self, at: Float[Array | np.ndarray, " tendons"]) -> Float[Array, "4 tendons"]:
-        """Base tensions, N: up from rest, down to where the loop is told, to its low end, and up to there again.
+        """Base tensions, N: from rest to the high end, down to `at`, to the low end, and up to `at` again.
 
-        A loop closes after one turn: whatever was before, two more ends are the same.
+        A loop closes after one turn: whatever was before, the next ends are the same.
         """
         low, high = jnp.asarray(self.loop)
         at = jnp.asarray(at)
@@ -124,7 +125,7 @@ class LoadCase(eqx.Module):
 
 
 def _is_loop(loop: np.ndarray) -> bool:
-    """Of one tendon low and high; of several two rows that differ."""
+    """Whether a loop is low and high of one tendon, or two different rows of the tensions of several."""
     if not np.all((loop >= 0) & np.isfinite(loop)) or len(loop) != 2:
         return False
     return bool(loop[0] < loop[1]) if loop.ndim == 1 else loop.ndim == 2 and bool(np.any(loop[0] != loop[1]))
@@ -140,7 +141,7 @@ def _check_digits(own: str) -> None:
 
 
 def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) -> tuple[LoadCase, ...]:
-    """The case with bodies drawn from what a fit leaves uncertain: log-normal about its estimate.
+    """The case with bodies drawn from the uncertainty of a fit: log-normal about its estimate.
 
     Sobol points through the normal quantile of the logarithms, so that a modulus stays positive. Mean and covariance of
     the draws are those of the fit to a few percent.
@@ -182,7 +183,7 @@ def case_numbers(manipulator: Manipulator) -> Case:
 
 
 def alike(cases: Sequence[LoadCase]) -> list[list[int]]:
-    """The places of cases that one program can solve together, group by group."""
+    """The indices of the cases, in groups that one program can solve together."""
     groups: dict[Hashable, list[int]] = {}
     for i, case in enumerate(cases):
         leaves, structure = jax.tree.flatten(replace(case, name=""))
@@ -191,6 +192,6 @@ def alike(cases: Sequence[LoadCase]) -> list[list[int]]:
 
 
 def stacked(cases: Sequence[LoadCase]) -> LoadCase:
-    """Cases that are alike as one with a leading axis on every number."""
+    """Cases of one group as one case with a leading axis on every number."""
     nameless = [replace(case, name="") for case in cases]
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *nameless)

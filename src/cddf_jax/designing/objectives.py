@@ -19,22 +19,22 @@ class Objective(OfQuantity):
 
     @property
     def peak(self) -> bool:
-        """Whether the largest of the values counts: they vary along the body."""
+        """Whether the largest of several values along the body counts."""
         return False
 
     @abstractmethod
     def values(self, view: BodyView) -> Array:
-        """The number to be made small, or the values along the body whose largest is, SI."""
+        """The number to be made small, or values along the body, the largest of which is to be made small, SI."""
 
     squared: ClassVar[bool] = False  # whether the root of the number is displayed
 
     def displayed(self, value: float) -> float:
-        """A value that is made small, as the user reads it, in `dimension`."""
+        """A value that is made small in the form in which the user reads it, in `dimension`."""
         return float(np.sqrt(max(value, 0.0))) if self.squared else value
 
     @property
     def dimension(self) -> Dimension:
-        """Of displayed values."""
+        """The dimension of displayed values."""
         return self.known.dimension
 
     def __str__(self) -> str:
@@ -83,7 +83,7 @@ class Most(_Extreme):
 class Even(Objective):
     """A quantity as even as possible along the body, or between tendons where each has one number.
 
-    Made small is its variance over its squared mean, zero where it is constant. Displayed is the root of that, the
+    The variance over the squared mean is made small; it is zero for a constant quantity. Its root is displayed, the
     relative standard deviation. Quantities along a tendon count up to its anchor.
     """
 
@@ -113,9 +113,9 @@ class Near(Objective):
 
     Args:
         quantity: a name of `BODY_QUANTITIES`, or a function of manipulator and equilibrium.
-        value: the wanted one, SI: a number, or an array that fits, (points, 2) for a shape given by "position".
-        at: (points,) arc lengths, m, at which a quantity along the body is compared; None for everywhere, where
-            quantities of a tendon count up to its anchor.
+        value: the wanted value, SI: a number, or an array that fits, such as (points, 2) for "position".
+        at: (points,) arc lengths, m, at which a quantity along the body is compared. None for everywhere; quantities
+            along a tendon then count up to its anchor.
     """
 
     squared = True
@@ -145,7 +145,7 @@ class Near(Objective):
 
 
 def _on_panels(known: BodyQuantity, view: BodyView) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:
-    """A quantity at Gauss nodes between the places where it is not smooth, and their shares in a mean."""
+    """A quantity at the Gauss nodes of panels in which it is smooth, and the shares of the nodes in a mean."""
     nodes, shares = view.panels.nodes.ravel(), view.panels.shares.ravel()
     there = view.moved(nodes)
     if known.to_anchor:

@@ -1,4 +1,4 @@
-"""Trade-offs between two objectives: the bodies of which none is better in both."""
+"""Trade-offs between two objectives: bodies that cannot be improved in both."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from .problem import DesignProblem
 from .results import Design, design_of
 from .search import DesignSearch, SearchResult
 
-SECOND = 1e-4  # weight of the other objective beside the one that is made small, so that it is not given away
+SECOND = 1e-4  # weight of the other objective, so that it is not larger than it needs to be
 SAME = 1e-3  # relative: ends that differ by less in both objectives are one body
 
 
@@ -32,7 +32,7 @@ class ParetoFront:
     start: tuple[float, float]  # of the body at the start
     exchange_rate: np.ndarray  # (points,) how much of the first objective a unit of the second costs; NaN at the ends
     designs: tuple[Design, ...]  # one for each point
-    remarks: tuple[str, ...]  # in words, what else should be known
+    remarks: tuple[str, ...]  # further notes in words
 
     @property
     def success(self) -> bool:
@@ -58,9 +58,9 @@ def pareto_front(
 ) -> ParetoFront:
     """The trade-off between two objectives.
 
-    Between the bodies that are best in one of them, the widest gap is halved again and again: one objective is made
-    small under a level of the other (the epsilon-constraint method, which also finds fronts that are not convex),
-    from the bodies on both sides of the gap.
+    The ends of the front are the bodies that are best in one objective. Between them the widest gap is halved again and
+    again: one objective is made small below a level of the other, starting from the bodies on both sides of the gap.
+    This is the epsilon-constraint method, which also finds fronts that are not convex.
 
     Args:
         manipulator, free, bounds, constraints, cases, options: as in `design`; there is one start.
@@ -84,7 +84,7 @@ def pareto_front(
 
 
 def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[SearchResult]:
-    """Search results from one end of the front to the other; where none is feasible, a gap is given up."""
+    """Search results from one end of the front to the other; a gap beside an infeasible result is not divided."""
 
     def search(small: int, level: float, starts: Sequence[np.ndarray]) -> SearchResult:
         """Make one objective small under a level of the other; the best from some starts."""
@@ -109,7 +109,7 @@ def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[Sea
 
 
 def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
-    """The problem with one objective made small and the other below a level, which may be infinite."""
+    """The problem in which one objective is made small, and the other is below a level, which may be infinite."""
     terms = [replace(term, weight=jnp.asarray(SECOND)) for term in problem.terms]
     terms[small] = replace(terms[small], weight=jnp.asarray(1.0))
     other = terms[1 - small]
@@ -118,11 +118,11 @@ def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
 
 
 def _rate(result: SearchResult) -> float:
-    """The multiplier of the level, as units of the first objective per unit of the second."""
+    """The multiplier of the level, in units of the first objective per unit of the second."""
     problem, found = result.problem, result.evaluation
     begin = sum(np.size(margin) for margin in found.margins)
     for i, aim in enumerate(found.aims):
-        size = problem.room(i, aim).size
+        size = problem.below_level(i, aim).size
         price = float(np.sum(result.local.optimality.inequality[begin : begin + size]))
         begin += size
         if price > 0:
@@ -139,7 +139,7 @@ def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator
     missing = sum(not design.feasible for design in designs)
     remarks = [f"{missing} of {len(found)} points were not found"] if missing else []
     if len(found) < num and not missing:
-        remarks = ["one body is best in both objectives: they are not in each other's way"]
+        remarks = ["one body is best in both objectives: they do not conflict"]
     return ParetoFront(
         names=(str(first), str(second)),
         dimensions=(first.dimension, second.dimension),

@@ -1,4 +1,4 @@
-"""A design as a nonlinear program: an objective to be made small, margins that may not be negative, zeros."""
+"""A design as a nonlinear program: an objective to be made small, margins that must not be negative, equations."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
@@ -22,7 +22,7 @@ from .objectives import Objective
 
 Answer = TypeVar("Answer", bound=PyTree)
 Part = Float[Array | np.ndarray, " _"]  # of a vector
-USABLE = tuple(  # results whose numbers lead somewhere
+USABLE = tuple(  # results with which a search can go on
     int(code_of(result))
     for result in (
         *(RESULTS.successful, RESULTS.direction_contradicted, RESULTS.crossing),
@@ -36,12 +36,12 @@ class Term(eqx.Module):
 
     objective: Objective
     weight: Scalar
-    reference: Scalar  # its size at the start; it counts relative to this
-    most: Scalar | None  # a level that it may not exceed, SI
+    reference: Scalar  # its size at the start, relative to which it counts
+    most: Scalar | None  # a level that it must not exceed, SI
 
 
 class DesignEvaluation(NamedTuple):
-    """All values at one point, by term and by limit; the leading axis is that of the load cases, or 1."""
+    """All values at one point, by term and by limit; the leading axis is the load cases, or 1."""
 
     aims: tuple[Array, ...]  # (cases, ...) SI, of the terms
     margins: tuple[Array, ...]  # (cases, sides, ...), scaled; negative where a limit is broken
@@ -53,15 +53,15 @@ class ProgramValues(NamedTuple):
     """The values of the nonlinear program."""
 
     objective: Float[Array, ""]
-    inequality: Vector  # may not be negative
+    inequality: Vector  # must not be negative
     equality: Vector
 
 
 class DesignProblem(eqx.Module):
     """Start body, free numbers, load cases, objectives and limits.
 
-    The unknowns are the scaled free numbers, and behind them a height for every objective that is a peak. The peak may
-    not exceed its height, and the height is made small instead (the epigraph form: smooth, where a maximum is not).
+    The unknowns are the scaled free numbers, followed by a height for every objective that is a peak. The peak must not
+    exceed its height, and the height is made small (the epigraph form: it is smooth, while a maximum is not).
     """
 
     manipulator: Manipulator
@@ -104,7 +104,7 @@ class DesignProblem(eqx.Module):
         return jnp.asarray(self.stations) * jnp.asarray(body.length)
 
     def __call__(self, x: np.ndarray) -> Point:
-        """The nonlinear program at some unknowns; problems of one structure share one compiled program."""
+        """The nonlinear program at some unknowns; problems with the same structure share one compiled program."""
         values, slopes, found = jax.tree.map(np.asarray, _values_and_slopes(self, jnp.asarray(x)))
         finite = all(np.all(np.isfinite(part)) for part in (*values, *slopes))
         usable = finite and bool(np.all(np.isin(found.codes, USABLE)))
@@ -112,7 +112,7 @@ class DesignProblem(eqx.Module):
         return Point(np.array(x), float(values.objective), slopes.objective, *inequality, *equality, usable)
 
     def evaluation(self, x: np.ndarray) -> DesignEvaluation:
-        """What its values are made of."""
+        """The objectives, margins and equations of the nonlinear program, before they are put together."""
         return jax.tree.map(np.asarray, _values_and_slopes(self, jnp.asarray(x))[2])
 
     def _evaluate(self, z: Vector) -> DesignEvaluation:
@@ -141,7 +141,7 @@ class DesignProblem(eqx.Module):
         return DesignEvaluation(aims, margins, zeros, codes)
 
     def _of_every_case(self, function: Callable[[LoadCase], Answer]) -> Answer:
-        """The function of every case, with a leading axis on its values; cases that are alike at once."""
+        """The function of every case, with a leading axis on its values; similar cases are computed together."""
         answers: dict[int, Answer] = {}
         for group in alike(self.cases):
             if len(group) == 1:
@@ -152,7 +152,7 @@ class DesignProblem(eqx.Module):
         return jax.tree.map(lambda *values: jnp.stack(values), *(answers[i] for i in range(len(self.cases))))
 
     def values(self, unknowns: Vector) -> tuple[ProgramValues, DesignEvaluation]:
-        """The values of the nonlinear program, and what they are made of."""
+        """The values of the nonlinear program, and its evaluation."""
         z, heights = self.split(unknowns)
         found = self._evaluate(z)
         total, below = jnp.zeros_like(unknowns[0]), []
@@ -164,28 +164,28 @@ class DesignProblem(eqx.Module):
             else:
                 total += term.weight / term.reference * self.mean(aim)
         none = jnp.zeros((0,), total.dtype)
-        capped = [self.room(i, aim) for i, aim in enumerate(found.aims) if self.terms[i].most is not None]
+        capped = [self.below_level(i, aim) for i, aim in enumerate(found.aims) if self.terms[i].most is not None]
         inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *capped, *below])
         return ProgramValues(total, inequality, jnp.concatenate([none, *map(jnp.ravel, found.zeros)])), found
 
-    def room(self, i: int, aim: Array | np.ndarray) -> Part:
+    def below_level(self, i: int, aim: Array | np.ndarray) -> Part:
         """How far an objective is below its level, scaled."""
         term = self.terms[i]
         assert term.most is not None
         return (term.most - jnp.ravel(aim if i in self.peaks else self.mean(aim))) / term.reference
 
     def over_the_cases(self, i: int, aim: Array | np.ndarray) -> Float[Array, ""]:
-        """One value of an objective: of a peak the largest, else the weighted mean."""
+        """One value of an objective over the cases: for a peak the largest, else the weighted mean."""
         return jnp.max(aim) if i in self.peaks else self.mean(aim)
 
     def mean(self, aim: Float[Array | np.ndarray, " cases"]) -> Float[Array, ""]:
-        """Over the cases by their weights."""
+        """The mean over the cases by their weights."""
         aim = jnp.asarray(aim)
         return aim[0] if aim.shape[0] == 1 else self.shares @ aim
 
 
 def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.ndarray]:
-    """The pieces at the beginning of a vector that belong to each of some arrays, in their shapes."""
+    """The first entries of a vector, in pieces with the shapes of some arrays."""
     pieces = np.split(flat, np.cumsum([np.size(array) for array in like]))
     return [piece.reshape(np.shape(array)) for piece, array in zip(pieces, like, strict=False)]
 

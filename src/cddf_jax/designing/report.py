@@ -1,4 +1,4 @@
-"""A design and a trade-off in words, as Markdown, and as plain numbers for JSON."""
+"""A design and a trade-off in words, as Markdown, and as numbers for JSON."""
 
 from collections.abc import Iterator
 from dataclasses import fields
@@ -46,7 +46,7 @@ def _head(found: Design) -> Iterator[str]:
 
 
 def _at_bounds(found: Design) -> Iterator[str]:
-    """What the multipliers tell of the bounds that are reached."""
+    """What the multipliers say about the bounds that are reached."""
     reached = {name: free for name, free in found.free.items() if free.status != "inside"}
     if not found.success or not reached:
         return
@@ -57,11 +57,11 @@ def _at_bounds(found: Design) -> Iterator[str]:
     if held := {name: free for name, free in reached.items() if free.multiplier > 0}:
         yield f"- {listed(held)}: a wider bound would make the objective better"
     if others := {name: free for name, free in reached.items() if name not in held}:
-        yield f"- {listed(others)}: a multiplier of 0, which does not tell whether another value is better"
+        yield f"- {listed(others)}: a multiplier of 0, which does not show whether another value is better"
 
 
 def _objective(found: Design, value: float) -> str:
-    """The objective in words: of one its value, of several their weighted sum."""
+    """The objective in words: the value of one, or the weighted sum of several."""
     if not np.isfinite(value):
         return "not feasible"
     return shown(value, found.objectives[0].dimension) if len(found.objectives) == 1 else f"{value:.5g}"
@@ -87,7 +87,7 @@ def _limits(found: Design) -> Iterator[str]:
         place = "all along" if limit.all_along else f"s = {shown(limit.arc_length, 'length')}"
         where = ", ".join(part for part in (limit.case, "" if np.isnan(limit.arc_length) else place) if part)
         rows.append((text, reached, where, _worth(found, limit)))
-    yield from markdown_table(("limit", "reached", "where", "what giving way is worth"), rows, right=("reached",))
+    yield from markdown_table(("limit", "reached", "where", "gain by relaxing it"), rows, right=("reached",))
     yield ""
 
 
@@ -103,14 +103,14 @@ def _worth(found: Design, limit: LimitReport) -> str:
 
 
 def _per(found: Design, slope: float, dimension: Dimension) -> str:
-    """A derivative of the objective, per unit that an engineer writes."""
+    """A derivative of the objective in preferred units."""
     size, unit = preferred(found.objectives[0].dimension) if len(found.objectives) == 1 else (1.0, "")
     step, per = preferred(dimension)
     return f"{slope * size / step:.4g}{' ' + unit if unit else ''}{f' per {per}' if per else ''}"
 
 
 def _sensitivity(found: Design) -> Iterator[str]:
-    """The largest logarithmic derivatives of the objective, where both it and the number have a size."""
+    """The largest logarithmic derivatives of the objective, if neither it nor the number is zero."""
     if not _follows(found):
         return
     problem = found.outcome.problem
@@ -134,7 +134,7 @@ def _sensitivity(found: Design) -> Iterator[str]:
 
 
 def _follows(found: Design) -> bool:
-    """Whether relative changes of the best objective mean something: the least distance to a wanted value is zero."""
+    """Whether relative changes of the best objective are meaningful; for `Near` and `Even` the best value is zero."""
     kinds = {each.name.split()[0] for each in found.objectives}
     return found.feasible and not (len(found.objectives) == 1 and kinds & {"near", "even"})
 
@@ -152,11 +152,11 @@ def _foot(found: Design) -> Iterator[str]:
     )
     if len(found.starts) > 1:
         ends = ", ".join(_objective(found, value) for value in found.starts)
-        yield f"Searches from {len(found.starts)} starts came to {ends}."
+        yield f"Searches from {len(found.starts)} starts ended at {ends}."
 
 
 def design_as_dict(found: Design) -> dict[str, object]:
-    """For JSON, SI units."""
+    """A design for JSON, SI units."""
     own = {each.name: getattr(found, each.name) for each in fields(found) if each.name not in NOT_IN_JSON}
     return own | {
         "sensitivity": found.sensitivity if _follows(found) else {},
@@ -179,7 +179,7 @@ def front_in_words(front: "ParetoFront") -> str:
 
 
 def front_as_dict(front: "ParetoFront") -> dict[str, object]:
-    """For JSON, SI units."""
+    """A front for JSON, SI units."""
     return {
         "objectives": list(front.names),
         "start": list(front.start),

@@ -1,4 +1,4 @@
-"""The result of a design: the body, what it reaches, what holds it back, and the proof that it is the best nearby."""
+"""The result of a design: the body, its objectives, the limits that bind, and the proof that it is the best nearby."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,7 +23,7 @@ Choices = tuple[tuple[dict[str, float], float], ...]  # numbers by name, and the
 
 
 class Achieved(NamedTuple):
-    """One objective; its value over the load cases is their weighted mean, of a peak the largest."""
+    """One objective; its value is the weighted mean over the load cases, or for a peak the largest."""
 
     name: str
     start: float
@@ -53,11 +53,11 @@ class LimitReport(NamedTuple):
     margin: float  # scaled; negative where the limit is broken
     active: bool
     multiplier: float  # how much better the objective becomes per unit of a wider limit; NaN if infeasible
-    tightening: float  # how much worse per unit of a tighter one; differs where several limits are active at one place
-    arc_length: float  # m, where it is tightest; NaN for what does not vary along the body
+    tightening: float  # how much worse per unit of a tighter limit; differs if several limits are active at one place
+    arc_length: float  # m, where it is tightest; NaN for a quantity that does not vary along the body
     all_along: bool  # whether it is active along more than half of the body
     case: str  # the load case; "" for the body itself
-    implied: bool  # whether it is one that every body must keep, and not the user's
+    implied: bool  # whether it is a limit that every body must keep, and not the user's
     dimension: Dimension
 
 
@@ -70,20 +70,20 @@ class Design:
     success: bool  # feasible and stationary
     feasible: bool
     result: str  # "successful", or what went wrong
-    objective: float  # of one objective its value, of several their weighted sum over their sizes at the start
+    objective: float  # the value of one objective, or the weighted sum of several over their sizes at the start
     objectives: tuple[Achieved, ...]  # each with its value at the start and at the end
     free: dict[str, FreeNumber]  # by name, every number that could change
     limits: tuple[LimitReport, ...]  # each side of every limit, and what it costs
-    blocking: tuple[str, ...]  # limits that contradict each other, where no body keeps to all of them
+    blocking: tuple[str, ...]  # limits that contradict each other, if no body keeps all of them
     optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
     violation: float  # largest, scaled
     history: tuple[tuple[float, float], ...]  # objective and violation of every iterate
     evaluations: int  # of objective and limits
-    starts: tuple[float, ...]  # the objective that the search from each start reached, inf where not feasible
-    choices: Choices  # by combination of choices, inf where not feasible
+    starts: tuple[float, ...]  # the objective reached from each start, inf if not feasible
+    choices: Choices  # the objective reached with each combination of choices, inf if not feasible
     chosen: dict[str, float]  # of the choices, the best
     cases: tuple[LoadCase, ...]  # how the body is used
-    remarks: tuple[str, ...]  # in words, what else should be known
+    remarks: tuple[str, ...]  # further notes in words
     outcome: SearchResult = field(repr=False)
 
     def __str__(self) -> str:
@@ -95,9 +95,9 @@ class Design:
     def sensitivity(self) -> dict[str, float]:
         """Derivatives of the best objective by numbers that are not free, per SI unit, limits and load cases included.
 
-        By the envelope theorem: those of the Lagrangian at the multipliers. Of several objectives that of their
-        weighted sum. NaN where limits are active at one place, so that more and less have different slopes. Empty where
-        the design is not feasible. Computed when it is first read.
+        They are the derivatives of the Lagrangian (envelope theorem), for several objectives those of the weighted sum.
+        NaN if several limits are active at one place, so that the slopes to both sides differ. Empty if the design is
+        not feasible. Computed when it is first read.
         """
         return {number.label: slope for number, slope in self.sensitivity_by_number.items()}
 
@@ -112,12 +112,12 @@ class Design:
 
     @cached_property
     def equilibria(self) -> tuple[Equilibrium, ...]:
-        """Of the body in each load case."""
+        """The equilibrium of the body in each load case."""
         return self._solved(self.outcome.z)
 
     @cached_property
     def equilibria_at_start(self) -> tuple[Equilibrium, ...]:
-        """Of the start in each load case."""
+        """The equilibrium of the start in each load case."""
         return self._solved(self.outcome.problem.free.scaled_start)
 
     def _solved(self, z: np.ndarray | Array) -> tuple[Equilibrium, ...]:
@@ -133,7 +133,7 @@ class Design:
 def design_of(
     outcome: SearchResult, start: Manipulator, choices: Choices = (), chosen: dict[str, float] | None = None
 ) -> Design:
-    """The result of a search, with all that is reported of it."""
+    """The result of a search, with everything that is reported."""
     problem, local = outcome.problem, outcome.local
     no_heights = np.zeros(len(problem.peaks))
     at_start = problem.evaluation(np.append(problem.free.scaled_start, no_heights))
@@ -170,7 +170,7 @@ def design_of(
 
 
 def loops_in_words(problem: DesignProblem, z: np.ndarray | Array) -> list[str]:
-    """How right the widths of loops are that are followed in short steps."""
+    """The error estimates of loops that are followed in short steps, in words."""
     if not any(
         part.known.name == "hysteresis" for part in (*(term.objective for term in problem.terms), *problem.limits)
     ):
@@ -189,7 +189,7 @@ def loops_in_words(problem: DesignProblem, z: np.ndarray | Array) -> list[str]:
 
 
 def unit_of_objective(problem: DesignProblem) -> float:
-    """The factor from slopes of the optimiser's objective to the user's: a single one has its own unit and sense."""
+    """The factor from slopes of the optimiser's objective to those of the user's: a single one has unit and sign."""
     if len(problem.terms) != 1:
         return 1.0
     (term,) = problem.terms
@@ -198,7 +198,7 @@ def unit_of_objective(problem: DesignProblem) -> float:
 
 
 def displayed(problem: DesignProblem, value: float) -> float:
-    """The optimiser's objective as the user reads it: of one objective its value, of several their weighted sum."""
+    """The optimiser's objective as the user reads it: the value of one objective, or the weighted sum of several."""
     if len(problem.terms) != 1 or not np.isfinite(value):
         return value
     (term,) = problem.terms
@@ -206,7 +206,7 @@ def displayed(problem: DesignProblem, value: float) -> float:
 
 
 def free_numbers(problem: DesignProblem, local: LocalMinimum, unit: float) -> dict[str, FreeNumber]:
-    """Free numbers with what their bounds cost."""
+    """The free numbers, with the multipliers of their bounds."""
     free, found = problem.free, {}
     numbers = np.asarray(free.numbers(problem.split(local.point.x)[0]))
     columns = (free.start, numbers, free.lower, free.upper, free.size)
@@ -278,7 +278,7 @@ def _report(
     margin: float,
     prices: tuple[float, float],
 ) -> LimitReport:
-    """Of a limit without a place: its value and the one that is reached, the scaled margin, and what it costs."""
+    """The report of a limit without a place: its value and the one that is reached, the scaled margin, the prices."""
     limit, several = problem.limits[i], len(problem.cases) > 1
     return LimitReport(
         name=limit.name,
@@ -300,7 +300,7 @@ def _report(
 def _prices(
     local: LocalMinimum, kind: Literal["inequality", "equality"], places: np.ndarray, price: float
 ) -> tuple[float, float]:
-    """How much relaxing some limits together is worth, and how much tightening them costs."""
+    """How much the objective gains if some limits are relaxed together, and loses if they are tightened."""
     if not local.feasible:
         return np.nan, np.nan
     values = getattr(local.point, kind)
@@ -335,5 +335,5 @@ def restart_in_words(problem: DesignProblem, restart: Restart) -> str:
 
 
 def number_in_words(name: str, value: float) -> str:
-    """A number of a body or a case with the unit that its name tells."""
+    """A number of a body or a case with the unit that follows from its name."""
     return shown(value, DIMENSION_OF[unit_of_name(name)])

@@ -18,15 +18,15 @@ from ..numerics.constrained import (
 from ..progress import each, stage
 from .problem import DesignEvaluation, DesignProblem, pieces_of
 
-WANDERING = 16  # stations at the end, moved to where limits are broken between the others
+WANDERING = 16  # last stations, which are moved to where limits are broken between the others
 LOOKS = 6  # how often a search begins again
 FINE = 768  # places at which limits are checked between the stations
 SEARCHES = 4  # from the best of many starts
 NEAR = 1e-2  # a margin that may be negative between the points of the grid
 NOT_ZERO = 1e-6  # a multiplier
 BROKEN = 10.0  # weight of a violation beside the objective when starts are compared
-FLAT = 1e-4  # scaled: a number is flat if its slopes over its whole range change objective and limits by less
-AWAY = tuple(0.25**k for k in range(1, 7))  # of its range, how far such a number is moved: the first that works
+FLAT = 1e-4  # scaled: a number is flat if its slopes, over its whole range, change objective and limits by less
+AWAY = tuple(0.25**k for k in range(1, 7))  # of its range: how far a flat number is moved; the first that works
 GAIN = 10 * TOLERANCE  # of the objective: a body is better only by more than this
 ROUNDING = 1e-12  # of the objective at the start
 
@@ -34,11 +34,11 @@ History = list[tuple[float, float]]
 
 
 class Restart(NamedTuple):
-    """Another search, because at the end of one no first derivative told whether some numbers should change."""
+    """A further search, because some numbers had no slope at the end of the one before."""
 
-    numbers: np.ndarray  # their places among the free numbers
-    old: np.ndarray  # their values then
-    new: np.ndarray  # their values where the other search began
+    numbers: np.ndarray  # their indices among the free numbers
+    old: np.ndarray  # their values at that end
+    new: np.ndarray  # their values at the new start
     better: bool  # whether it led to a better body
 
 
@@ -48,7 +48,7 @@ class SearchResult(NamedTuple):
     local: LocalMinimum
     problem: DesignProblem  # with the stations of the last search
     violation: float  # also between the stations
-    blocking: tuple[str, ...]  # limits that contradict each other, where it is not feasible
+    blocking: tuple[str, ...]  # limits that contradict each other, if it is not feasible
     history: History
     evaluations: int
     starts: tuple[float, ...] = ()
@@ -87,7 +87,7 @@ class DesignSearch:
         self.bounds = np.append(0 * self.ranges, -heights), np.append(self.ranges, heights)
 
     def from_starts(self, starts: int, seed: int) -> SearchResult:
-        """The best from the start, and from the best of some points within the bounds."""
+        """The best of the searches from the start and from the best of some points within the bounds."""
         points = [self.problem.free.scaled_start, *self._screened(starts, seed)]
         found = [self.from_start(z) for z in each("search from start", points)]
         best = min(found, key=lambda each: each.rank)
@@ -95,7 +95,7 @@ class DesignSearch:
         return best._replace(starts=tuple(each.value for each in found), evaluations=evaluations)
 
     def _screened(self, starts: int, seed: int) -> list[np.ndarray]:
-        """The most promising of `starts` - 1 points: the objective, and a price for the largest violation."""
+        """The most promising of `starts` - 1 points, by the objective and a penalty for the largest violation."""
         from scipy.stats import qmc
 
         if starts <= 1:
@@ -107,13 +107,13 @@ class DesignSearch:
         return [points[i] for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i])]
 
     def with_heights(self, z: np.ndarray) -> np.ndarray:
-        """Scaled free numbers, and behind them the heights of the peaks there."""
+        """Scaled free numbers, followed by the heights of the peaks there."""
         problem = self.problem
         aims = problem.evaluation(np.append(z, np.zeros(len(problem.peaks)))).aims
         return np.append(z, [np.max(aims[i]) / float(problem.terms[i].reference) for i in problem.peaks])
 
     def from_start(self, z: np.ndarray) -> SearchResult:
-        """The best from one start, and from elsewhere where first derivatives tell nothing of some numbers.
+        """The best from one start; it searches again from elsewhere if some numbers have no slope.
 
         An example is a bore of radius 0: area and second moment grow with its square and its fourth power.
         """
@@ -138,7 +138,7 @@ class DesignSearch:
         return found
 
     def _flat(self, point: Point, start: np.ndarray) -> np.ndarray:
-        """Numbers at a bound or at their start, by which neither the objective nor an active limit has a slope."""
+        """Numbers at a bound or at their start, for which neither the objective nor an active limit has a slope."""
         x, count = point.x[: start.size], start.size
         active = point.inequality_slopes[point.inequality <= ACTIVE]
         slopes = np.concatenate([point.gradient[None], active, point.equality_slopes])[:, :count]
@@ -147,7 +147,7 @@ class DesignSearch:
         return np.flatnonzero(flat & still)
 
     def _moved_away(self, found: SearchResult, flat: np.ndarray) -> np.ndarray | None:
-        """The free numbers with flat ones moved, within the limits if possible; None if it is not possible at all."""
+        """The free numbers with the flat ones moved, within the limits if possible; None if they cannot be moved."""
         if flat.size == 0:
             return None
         moved, x = None, found.z
@@ -163,7 +163,7 @@ class DesignSearch:
         return moved
 
     def _from(self, z: np.ndarray) -> SearchResult:
-        """The search from one start, again where limits turn out to be broken between the stations."""
+        """The search from one start, repeated while limits are broken between the stations."""
         problem, x, history, evaluations, looks = self.problem, self.with_heights(z), [], 0, 0
         while True:
             local, blocking = self._search(problem, x, history)
@@ -174,7 +174,7 @@ class DesignSearch:
             problem, x, looks = _moved(problem, places), local.point.x, looks + 1
 
     def _search(self, problem: DesignProblem, x: np.ndarray, history: History) -> tuple[LocalMinimum, tuple[str, ...]]:
-        """One search; if it ends where limits are broken, another one from the point that breaks them least."""
+        """One search; if limits are broken at its end, another one from the point that breaks them least."""
 
         def minimum(x: np.ndarray) -> LocalMinimum:
             def after(count: int, point: Point) -> None:
@@ -198,7 +198,7 @@ class DesignSearch:
         return minimum(inner), ()
 
     def _blocking(self, problem: DesignProblem, least: LocalMinimum) -> tuple[str, ...]:
-        """Limits and bounds whose multipliers are not zero where they are broken least."""
+        """Limits and bounds with multipliers that are not zero, at the point that breaks them least."""
         found, multipliers = problem.evaluation(least.point.x[:-1]), least.optimality
         of_ranges = pieces_of(multipliers.inequality, found.margins)
         count = multipliers.inequality.size - 2 * sum(zero.size for zero in found.zeros)
@@ -216,7 +216,7 @@ class DesignSearch:
 
 
 def _is_better(one: SearchResult, other: SearchResult) -> bool:
-    """By more than tolerances: keeping to the limits where the other does not, or the smaller objective."""
+    """Whether one result keeps limits that the other breaks, or has a smaller objective, by more than tolerances."""
     if not (one.feasible and other.feasible):
         return one.feasible or (not other.feasible and one.violation < other.violation - TOLERANCE)
     return one.value < other.value - max(GAIN * abs(other.value), ROUNDING)
@@ -228,7 +228,7 @@ def _is_better(one: SearchResult, other: SearchResult) -> bool:
 def broken_between(problem: DesignProblem, local: LocalMinimum) -> tuple[float, np.ndarray]:
     """The largest violation anywhere along the body, and the places (over the length) where limits are broken.
 
-    On a fine grid, and where the parabola through three neighbours on it says that a limit is lower still.
+    Limits are checked on a fine grid, and at minima of parabolas through three neighbours of the grid.
     """
     fine = np.linspace(0.0, 1.0, FINE)
     on_grid = _margins(problem, local, fine)
@@ -268,7 +268,7 @@ def _lowest(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _moved(problem: DesignProblem, places: np.ndarray) -> DesignProblem:
-    """The problem with stations where limits were broken, in the place of the oldest of those that wander."""
+    """The problem with stations where limits were broken, in place of the oldest of those that move."""
     stations = np.asarray(problem.stations)
     kept, wandering = stations[:-WANDERING], stations[-WANDERING:]
     return replace(problem, stations=jnp.asarray(np.concatenate([kept, wandering[len(places) :], places])))

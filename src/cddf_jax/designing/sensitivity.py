@@ -1,4 +1,4 @@
-"""How the best objective follows numbers that are not free: of the body, of the load cases, of the limits."""
+"""Derivatives of the best objective by numbers that are not free: of the body, of the load cases, of the limits."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -33,7 +33,7 @@ class FixedNumber(NamedTuple):
         return self.name if self.owner == "body" else f"{self.owner} {self.place + 1}: {self.name}"
 
     def in_words(self, problem: DesignProblem) -> str:
-        """A limit by what it limits, a load case by its name, and no name for the only one."""
+        """The number in words: a limit by its quantity, a load case by its name, if there are several."""
         if self.owner == "body":
             return self.name
         if self.owner == "limit":
@@ -44,7 +44,7 @@ class FixedNumber(NamedTuple):
 
 
 def fixed_numbers(problem: DesignProblem) -> dict[FixedNumber, float]:
-    """All single numbers that are not free."""
+    """All numbers that are not free, by what they belong to."""
     free = {name for names in problem.free.names for name in names}
     free |= {tip_of_winding(name) for name in free}
     body = problem.manipulator
@@ -67,7 +67,7 @@ def fixed_numbers(problem: DesignProblem) -> dict[FixedNumber, float]:
 
 
 def _numbers(case: Case) -> dict[str, float]:
-    """The single numbers of a case by name, without places along profiles."""
+    """The numbers of a case by name, without arc lengths."""
     return {name: float(np.asarray(number)) for name, number in case.numbers.items() if not PLACE.search(name)}
 
 
@@ -93,7 +93,7 @@ def _slopes(problem: DesignProblem, x: Array, fixed: tuple[FixedNumber, ...], nu
 def sensitivities(problem: DesignProblem, local: LocalMinimum) -> dict[FixedNumber, float]:
     """Derivatives of the optimiser's objective at the optimum, by the envelope theorem: those of the Lagrangian.
 
-    NaN where several sets of multipliers meet the conditions: the objective has a kink there.
+    NaN if several sets of multipliers meet the conditions: the objective has a kink there.
     """
     numbers, answer = fixed_numbers(problem), {}
     values = jnp.asarray(list(numbers.values()))

@@ -36,7 +36,7 @@ _KEY = re.compile(r"(?:# )?(?:outer_radius = { )?(\w+) = .+? +# (required: )?")
 
 
 def _keys() -> dict[str, dict[str, bool]]:
-    """The keys of every table, "" for those above the first, and whether each is required."""
+    """The keys of every table, and whether each is required; "" stands for the keys above the first table."""
     tables: dict[str, dict[str, bool]] = {"": {}}
     for line in TEMPLATE.splitlines():
         if header := _HEADER.match(line):
@@ -53,7 +53,7 @@ _OPTIONS = [field.name for field in fields(DesignOptions)]
 
 
 def template() -> str:
-    """A task with every key, and behind it the quantities that an objective or a limit can name."""
+    """A task with every key, followed by the quantities that an objective or a limit can name."""
     names = "Quantities of an objective or a limit: " + ", ".join(BODY_QUANTITIES) + "."
     return f"{TEMPLATE}\n{textwrap.fill(names, 110, initial_indent='# ', subsequent_indent='# ')}\n"
 
@@ -128,7 +128,7 @@ def _task(table: Table, path: Path) -> DesignTask:
 def _free(
     body: Manipulator, used: LoadCase, table: Table
 ) -> tuple[Manipulator, dict[str, tuple[float, float]], dict[str, list[float]]]:
-    """The body with its free profiles in the form that is wanted, bounds and choices."""
+    """The body with its free profiles as splines or tapers where the task says so, bounds and choices."""
     bounds, choices = {}, {}
     for name, entry in table.items():
         with within(f"free {name}"):
@@ -192,7 +192,7 @@ def _case(table: Table, body: Manipulator) -> LoadCase:
 def _uncertain(
     cases: Sequence[LoadCase], body: Manipulator, table: Table, folder: Path
 ) -> tuple[tuple[LoadCase, ...], tuple[str, ...]]:
-    """The cases with bodies drawn from what a fit leaves uncertain, and how its data was read."""
+    """The cases with bodies drawn from the uncertainty of a fit, and how its data were read."""
     from ..identification.fit import fit
     from ..measurements.trials import read_tables
 
@@ -276,7 +276,7 @@ def _entries(table: Table, key: str) -> Table:
 
 
 def _each(table: Table, key: str, read: Callable[[Table], Item]) -> list[Item]:
-    """What is read from each table of a kind; errors name its place: "case 1"."""
+    """The items read from all tables of a kind; errors name the table, such as "case 1"."""
     value = table[key]
     if not isinstance(value, list) or not value or not all(isinstance(each, dict) for each in value):
         raise InputError(f"{key} must be one table or more; write each below a line [[{key}]]")
@@ -289,6 +289,6 @@ def _each(table: Table, key: str, read: Callable[[Table], Item]) -> list[Item]:
 
 
 def _check(name: str, table: Table) -> None:
-    """Refuse unknown keys of a table, and demand those that are required."""
+    """Refuse unknown keys of a table, and require those that must be there."""
     keys = KEYS[name]
     check_keys("", table, [key for key in keys if keys[key]], [key for key in keys if not keys[key]])
