@@ -5,7 +5,7 @@ import pytest
 from bodies import paper_body
 
 from cddf_jax.explorer.model import Exploration
-from cddf_jax.explorer.past import NUM_LEGS, densely, gone_on, loop, still_felt, why_no_loop
+from cddf_jax.explorer.past import NUM_LEGS, densely, gone_on, loop, remembered, why_no_loop
 from cddf_jax.explorer.plots import BodyPlot, TensionPlots
 from cddf_jax.explorer.words import loop_html
 from cddf_jax.measurements.table import Measurements
@@ -51,14 +51,14 @@ def test_only_the_turns_are_kept():
 
 def test_closed_loops_may_be_left_out():
     """The plays are where the whole path has left them, also on long paths."""
-    assert still_felt((75.0, 40.0, 60.0, 50.0, 80.0)) == (80.0,)
-    assert still_felt((75.0, 40.0, 60.0, 30.0)) == (75.0, 30.0)
+    assert remembered((75.0, 40.0, 60.0, 50.0, 80.0)) == (80.0,)
+    assert remembered((75.0, 40.0, 60.0, 30.0)) == (75.0, 30.0)
     rng = np.random.default_rng(8)
     for _ in range(50):
         path = rng.uniform(1.0, 90.0, 40)
         turns = moved(*path)
         np.testing.assert_allclose(after(turns), after(path), rtol=1e-14)
-        np.testing.assert_allclose(after(still_felt(turns)), after(path), rtol=1e-14)
+        np.testing.assert_allclose(after(remembered(turns)), after(path), rtol=1e-14)
 
 
 def test_the_path_has_one_length_and_meets_all_turns():
@@ -114,4 +114,4 @@ def test_where_there_is_no_loop_the_reason_is_said(case, explored):
     assert why_no_loop(case, (75.0, 40.0)) == ""
     for other in (pair.case(pair.start), loaded):
         assert "for one tendon without loads" in why_no_loop(other, (75.0, 40.0))
-    assert why_no_loop(case, zigzag) == f"More than {NUM_LEGS} turns are felt at once; forget them to go on."
+    assert why_no_loop(case, zigzag) == f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."

@@ -14,7 +14,7 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import of_tendon
 from ..units import round_number
 
-FITTED = ("friction_coefficient", "youngs_modulus", "stiffness_factor")  # the last two in each other's place
+FITTED = ("friction_coefficient", "youngs_modulus", "stiffness_factor")  # a body has one of the last two
 RADII = ("outer_radius.base", "outer_radius.tip")
 LOADS = ("tip_force", "tip_moment", "gravity")
 
@@ -26,8 +26,8 @@ class Control(NamedTuple):
     value: float
     low: float
     high: float
-    least: float | None = None  # that may be typed
-    which: str = ""  # of several of one kind
+    least: float | None = None  # the least number that may be typed
+    which: str = ""  # which of several numbers of one kind it is, in words
 
     @property
     def quantity(self) -> Quantity:
@@ -48,7 +48,7 @@ def controls_of(body: Manipulator, tables: Sequence[Measurements], arc_length: n
 
     Args:
         body: whose numbers they are.
-        tables: measured on it, whose tensions are within the range.
+        tables: of measurements on it; the range contains their tensions.
         arc_length: m, a grid along it.
     """
     name = stiffness_parameter(body)
@@ -106,17 +106,17 @@ def load_components(body: Manipulator) -> dict[str, dict[str, str]]:
 
 
 def in_si(value: float, quantity: Quantity) -> float:
-    """The SI number of a shown one, with its digits: 12.7 mm is 0.0127."""
+    """A number in its shown unit, converted to SI without rounding errors: 12.7 mm is 0.0127."""
     return float(f"{value / quantity.shown[0]:.15g}")
 
 
 def from_si(value: SupportsFloat, quantity: Quantity) -> float:
-    """The other way round."""
+    """An SI number in its shown unit."""
     return float(f"{float(value) * quantity.shown[0]:.15g}")
 
 
 def rounded(value: float, low: float, high: float) -> float:
-    """To what the 95 % interval from low to high tells: two digits of its half-width."""
+    """A value rounded to two digits of the half-width of its 95 % interval from low to high."""
     half_width = 0.5 * (high - low)
     if not 0 < half_width < np.inf:
         return value

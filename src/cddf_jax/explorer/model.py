@@ -1,4 +1,4 @@
-"""What the explorer shows: one body under the numbers of its sliders, solved by a program that is compiled once."""
+"""What the explorer shows: a body with the numbers of the sliders, solved by a program that is compiled once."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ NODES = 16  # of the solves in the rows of tables, as `fit` has them
 
 
 class Settings(NamedTuple):
-    """Where the controls stand: numbers in shown units by name of the control, and what is chosen beside them."""
+    """The positions of the controls: numbers in shown units by name of the control, directions and kinematics."""
 
     numbers: Mapping[str, float]
     direction: tuple[int | None, ...]  # None where it is found from the travel of the tendon
@@ -55,12 +55,12 @@ class Picture(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether there is something to show; other results keep no number, or one to be doubted."""
+        """Whether there is something to show; other results have no numbers, or doubtful ones."""
         return ended_as(self.equilibrium, *GOOD)
 
     @property
     def message(self) -> str:
-        """What has to be known of the result, as `solve` says it; empty where it is successful."""
+        """The message of the result, as `solve` gives it, and remarks; empty if it is successful."""
         return " ".join([text for text in (result_in_words(self.equilibrium), *wall_remarks(self.equilibrium)) if text])
 
     @property
@@ -75,7 +75,7 @@ class Picture(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """The answer over the base tension of tendon 1, all else as it is set; NaN where no solve is good. SI."""
+    """The answer over the base tension of tendon 1, with everything else as set; NaN where no solve is good. SI."""
 
     base_tension: np.ndarray
     tip_tension: np.ndarray
@@ -83,7 +83,7 @@ class Curve(NamedTuple):
 
 
 class Taper(NamedTuple):
-    """What one taper of the body does, SI; NaN where a solve is not good."""
+    """The results for one taper of the body, SI; NaN where a solve is not good."""
 
     tension_loss: float  # of tendon 1 at the tensions that are set
     tip_angle: float
@@ -132,7 +132,7 @@ class Exploration:
         return False
 
     def case(self, settings: Settings) -> Case:
-        """What is solved, from where the controls stand; of one structure for all numbers, unless loads come or go.
+        """The case to solve for the settings. Its structure is the same for all numbers, unless loads begin or end.
 
         Raises:
             InputError: for a body that cannot be, such as one with a tendon outside its wall.
@@ -154,7 +154,7 @@ class Exploration:
 
     @cached_property
     def arc_length(self) -> np.ndarray:
-        """The grid of pictures, m."""
+        """The arc lengths of pictures, m."""
         return stations(self.manipulator)
 
     def picture(self, case: Case) -> Picture:
@@ -167,9 +167,10 @@ class Exploration:
         return Curve(pulls, *map(np.asarray, _over_tension(case, pulls)))
 
     def in_rows(self, body: Manipulator) -> list[tuple[Measurements, dict[str, np.ndarray]]]:
-        """Tables that no single curve holds, and by column what a body shows in their rows; NaN without a good solve.
+        """Tables for which no single curve holds, and by column the readings of a body in their rows.
 
-        They are those of several tendons, under forces, of tendons that slide out, or of loops in a known order.
+        They have several tendons, forces, tendons that slide out, or loops in a known order. A reading is NaN without a
+        good solve.
         """
         followed = [table for table in self.tables if table not in self.not_followed]
         experiments = ((table, _experiment(table, body)) for table in followed)
@@ -178,22 +179,22 @@ class Exploration:
 
     @property
     def not_followed(self) -> list[Measurements]:
-        """Tables whose rows have an order, along which bodies in space are not led."""
+        """Tables with a history, which is not followed for bodies in space."""
         return [table for table in self.tables if self.manipulator.in_space and has_history(table, None)]
 
     @property
     def notes(self) -> list[str]:
-        """What is to be known of the tables."""
-        told = [line for table in self.tables for line in table.read_as]
+        """Notes on the tables."""
+        read_as = [line for table in self.tables for line in table.read_as]
         why = "the order of its rows is not followed in space: its readings stand without the model, and are not fitted"
-        return told + [f"{table.name}: {why}" for table in self.not_followed]
+        return read_as + [f"{table.name}: {why}" for table in self.not_followed]
 
     def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:
-        """The taper of the manipulator itself and that of the settings, all else as it is set.
+        """The results for the manipulator's own taper and for that of the settings, with everything else as set.
 
         Args:
-            settings: where the controls stand.
-            angle: of the tip, rad, for which the tension is asked.
+            settings: of the controls.
+            angle: of the tip, rad, for which the tension is found.
         """
         own = {c.name: c.value for c in self.controls if c.name in RADII}
         both = (settings._replace(numbers={**settings.numbers, **own}), settings)
@@ -201,7 +202,7 @@ class Exploration:
         return first, second
 
     def fit(self, kinematics: Kinematics) -> Fit:
-        """Friction and modulus from the tables, on the manipulator itself, on which they were measured.
+        """Friction and modulus from the tables, with the manipulator of the file, on which they were measured.
 
         Raises:
             InputError: without a table, and as `identification.fit`.
@@ -258,7 +259,7 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
 
 
 def _experiment(table: Measurements, body: Manipulator) -> Pulley | Bench:
-    """A table as the model takes it, with the past of its rows where their order is told and can be followed."""
+    """A table as an experiment, with a history if the order of its rows is known and can be followed."""
     loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
     ordered = has_history(table, None) and body.num_tendons == 1 and not loaded
     return experiment_of(table, body, course=course_of(table)[0] if ordered else None)

@@ -1,4 +1,4 @@
-"""What the page is put together of: rows and columns, sliders, words, titles, all in its style."""
+"""The parts of the page: rows and columns, sliders, texts, headings, all in its style."""
 
 from pathlib import Path
 from typing import TypeAlias
@@ -15,7 +15,7 @@ Part: TypeAlias = pn.viewable.Viewable
 
 
 def grid(*parts: Part, least: int) -> pn.Column:
-    """Side by side while each has so many pixels, below each other where not."""
+    """Parts side by side, if each then has `least` pixels or more; else below each other."""
     return column(*parts, css_classes=["side-by-side"], styles={"--least": f"{least}px"})
 
 
@@ -25,18 +25,18 @@ def column(*parts: Part, **look: list[str] | dict[str, str]) -> pn.Column:
 
 
 def words(name: str) -> pn.pane.HTML:
-    """Empty, for text with a name in page.css."""
+    """An empty part for text, with its class in page.css."""
     classes = ["words", name]
     return pn.pane.HTML("", stylesheets=STYLES, sizing_mode="stretch_width", margin=(4, 8), css_classes=classes)
 
 
 def plot(figure: BokehFigure | Slider) -> pn.pane.Bokeh:
-    """A figure, or a slider that needs no answer, as wide as its place."""
+    """A figure, or a slider that the browser handles alone, as wide as its place."""
     return pn.pane.Bokeh(figure, sizing_mode="stretch_width", margin=0)
 
 
 def slider(control: Control) -> pn.widgets.EditableFloatSlider:
-    """With a field beside it, into which any number may be typed."""
+    """A slider with a field beside it, into which any number may be typed."""
     made = pn.widgets.EditableFloatSlider(
         name=f"{control.label} ({control.quantity.shown[1]})".removesuffix(" ()"),
         value=control.value,
@@ -55,5 +55,5 @@ def slider(control: Control) -> pn.widgets.EditableFloatSlider:
 
 
 def title(text: str) -> pn.pane.HTML:
-    """Of a part of the page."""
+    """The heading of a part of the page."""
     return pn.pane.HTML(f"<h2>{text}</h2>", stylesheets=STYLES, margin=(0, 8))

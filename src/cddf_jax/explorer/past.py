@@ -1,4 +1,4 @@
-"""The past of the base tension: where it turned, and what a single tendon without loads keeps of it."""
+"""The past of the base tension: where it turned, and the state in which it leaves a single tendon without loads."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -14,60 +14,60 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case
 from ..statics.equilibrium import RESULTS, code_of, result_of
 
-NUM_LEGS = 12  # from turn to turn, the first one from rest
-NUM_POINTS = 12  # of each in the figures
+NUM_LEGS = 12  # parts of the path from turn to turn, the first one from rest
+NUM_POINTS = 12  # of each part in the figures
 
-Turns = tuple[float, ...]  # tensions, N, at which the motion turned since rest, the present one last
+Turns = tuple[float, ...]  # tensions, N, at which the tension turned since rest, the present one last
 
 
 class Loop(NamedTuple):
-    """What the base tension has gone through since its first turn, step first, and where it is now; NumPy, SI."""
+    """The path since the first turn of the base tension, step first, and the present state; NumPy, SI."""
 
     base_tension: np.ndarray
     tip_tension: np.ndarray
     tip_angle: np.ndarray
     front: float  # m, up to which the tendon slid last
     position: np.ndarray  # (points, 2) of the body now
-    message: str  # why there is no answer; empty where there is one
+    message: str  # why there is no answer; else empty
 
 
 def gone_on(turns: Turns, tension: float) -> Turns:
-    """The turns after the tension has moved straight to another one; what is felt no more may be left out."""
+    """The turns after the tension has moved to another one; forgotten turns may be left out."""
     if turns and tension == turns[-1]:
         return turns
     before = turns[-2] if len(turns) > 1 else 0.0
-    if turns and (turns[-1] - before) * (tension - turns[-1]) >= 0:  # it went on in its direction
+    if turns and (turns[-1] - before) * (tension - turns[-1]) >= 0:  # in the same direction as before
         turns = turns[:-1]
     turns = (*turns, tension)
-    return turns if len(turns) <= NUM_LEGS else still_felt(turns)
+    return turns if len(turns) <= NUM_LEGS else remembered(turns)
 
 
-def still_felt(turns: Turns) -> Turns:
-    """Without the loops that are closed: a tension that passes an earlier turn deletes it and the one after it."""
-    felt: list[float] = []
+def remembered(turns: Turns) -> Turns:
+    """The turns without closed loops: a tension that passes an earlier turn deletes it and the one after it."""
+    found: list[float] = []
     for tension in turns:
-        while len(felt) > 1 and (tension - felt[-2]) * (felt[-2] - felt[-1]) >= 0:
-            del felt[-2:]
-        felt.append(tension)
-    return tuple(felt)
+        while len(found) > 1 and (tension - found[-2]) * (found[-2] - found[-1]) >= 0:
+            del found[-2:]
+        found.append(tension)
+    return tuple(found)
 
 
 def why_no_loop(case: Case, turns: Turns) -> str:
-    """In one line; empty where there is a loop to be shown."""
+    """The reason in one line; empty if there is a loop."""
     if case.in_space:
         return "The past is not remembered here: that is for one tendon in the plane; cddf trace follows one in space."
     if case.manipulator.num_tendons > 1 or case.loads is not None:
         return "The past is not remembered here: that is for one tendon without loads."
     if len(turns) > NUM_LEGS:
-        return f"More than {NUM_LEGS} turns are felt at once; forget them to go on."
+        return f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."
     return "" if len(turns) > 1 else "Drag the base tension back, and the loop appears here."
 
 
 def loop(case: Case, turns: Turns, arc_length: Float[ArrayLike, " points"]) -> Loop:
-    """The body of a case on the way from turn to turn.
+    """The loop of a case along its turns.
 
     Args:
-        case: one tendon, without loads; its tension does not count.
+        case: one tendon, without loads; its tension is not used.
         turns: N, two or more, and at most `NUM_LEGS`.
         arc_length: m, places of the body that is drawn.
     """
@@ -79,7 +79,7 @@ def loop(case: Case, turns: Turns, arc_length: Float[ArrayLike, " points"]) -> L
 
 
 def densely(turns: Sequence[float]) -> np.ndarray:
-    """The path from rest with points between turns; always of one length, so that one program serves all."""
+    """The path from rest with points between turns; it always has the same length, so that one program serves all."""
     ends = [0.0] * (NUM_LEGS + 1 - len(turns)) + list(turns)
     legs = [np.linspace(a, b, NUM_POINTS + 1)[1:] for a, b in pairwise(ends)]
     return np.concatenate(legs)

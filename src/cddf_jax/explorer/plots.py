@@ -1,4 +1,4 @@
-"""The figures of the explorer: Bokeh, each redrawn by new data alone."""
+"""The figures of the explorer, in Bokeh; new data redraw them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
@@ -41,7 +41,7 @@ ALONG = ("tension", "curvature", "normal_force", "friction_force")
 ALONG_IN_SPACE = ("tension", "bending", "twist", "normal_force", "friction_force")
 OF_BODY = ("curvature", "bending", "twist")  # one line, not one for each tendon
 ARROW = ("x_start", "y_start", "x_end", "y_end")  # columns of arrows, as Bokeh calls them
-MARKS: dict[str, Look] = {  # of readings, and of what the body as set would show in their rows
+MARKS: dict[str, Look] = {  # of readings, and of the model in their rows
     "data": {"size": 6, "fill_color": "white", "legend_label": "data"},
     "rows": {"size": 7, "marker": "x", "legend_label": "model at the data"},
 }
@@ -93,7 +93,7 @@ class BodyPlot:
         show_named(self.figure, "past", False)
 
     def _draw_surroundings(self, manipulator: Manipulator, straight: Body) -> None:
-        """The rest shape, the clamp, and room for the bend."""
+        """The rest shape, the clamp, and space for the bend."""
         fig, length, sides = self.figure, straight.midline[-1, 0], {tendon.side for tendon in manipulator.tendons}
         low, high = (-0.6 if -1 in sides else -0.2), (0.75 if 1 in sides else 0.2)
         fig.scatter([-0.06 * length, 1.1 * length], [low * length, high * length], size=0, alpha=0)
@@ -182,14 +182,14 @@ def _tendons(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> lis
 
 
 def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and ends."""
+    """Starts and ends of arrows along the tendons."""
     at = [np.linspace(0.02 * len(line), 0.98 * len(line) - 1, NUM_ARROWS).astype(int) for line in tendons]
     starts = np.concatenate([line[i] for line, i in zip(tendons, at, strict=True)])
     return starts, starts + scale * np.concatenate([force[i] for force, i in zip(np.asarray(forces), at, strict=True)])
 
 
 def show_named(fig: Plot, name: str, there: bool) -> None:
-    """What has a name, and its line of the legend."""
+    """Show or hide a named glyph and its entry in the legend."""
     drawn = fig.select_one({"name": name})
     drawn.visible = there
     for item in fig.legend[0].items:
@@ -226,7 +226,7 @@ class AlongPlots:
 
 
 class TensionPlots:
-    """Tip tension and tip angle over base tension: model, where it stands, data, and the model in their rows.
+    """Tip tension and tip angle over base tension: model, present state, data, and the model in their rows.
 
     Tip tensions are drawn over the base tension of the same tendon, the rest over that of tendon 1.
     """
@@ -267,7 +267,7 @@ class TensionPlots:
             show_named(fig, kind, False)
 
     def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
-        """Columns of tables over the tensions that were set: of "data" the readings, of "rows" what the body shows."""
+        """Columns of tables over the base tension: readings for the kind "data", the model in their rows for "rows"."""
         found: dict[str, list[Points]] = {name: [] for name in self.points}
         for table, columns in tables:
             for column, values in columns.items():
@@ -281,7 +281,7 @@ class TensionPlots:
             show_named(self.figures[name], kind, bool(parts))
 
     def show_loop(self, loop: Loop | None) -> None:
-        """Where the base tension has been, and where it is now with its past; None for nothing."""
+        """The loop of the base tension and the present state with its past; None for nothing."""
         for name, fig in self.figures.items():
             if loop is not None:
                 values = loop.tip_tension if name == "tension" else np.degrees(loop.tip_angle)
@@ -291,7 +291,7 @@ class TensionPlots:
                 show_named(fig, kind, loop is not None)
 
     def show_now(self, picture: Picture) -> None:
-        """Where the sliders stand."""
+        """The present state, as the sliders are set."""
         found = picture.equilibrium
         now = {
             "tension": (found.base_tension, found.tip_tension, BLACK),

@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 ADDRESS = "127.0.0.1"  # this machine alone
 TITLE = "cddf explorer"
-PAPER = "the manipulator of Liu et al. (2020), as no file was given"
+PAPER = "the manipulator of Liu et al. (2020), as no file was given"  # the source that the page names
 
 
 def papers_manipulator() -> Manipulator:
@@ -86,7 +86,7 @@ class Page:
         if self.content.columns:
             parts["rest"].append(sections_as_read(self.content.columns))
         for name, part in parts.items():
-            part.css_classes = [*part.css_classes, name]  # a mark may be there already
+            part.css_classes = [*part.css_classes, name]  # it may have a class already
         self.place[:] = list(parts.values())
         tables = self.content.exploration.tables
         data = ", ".join(table.name for table in tables) or "no data loaded"
@@ -104,7 +104,7 @@ class Page:
         self._renew()
 
     def _read_robot(self) -> PageContent:
-        """A file that a browser sends cannot name a table of cross-sections beside it."""
+        """A manipulator without a table of cross-sections: a file from a browser has no files beside it."""
         name = str(self.robot_file.filename)
         manipulator = _read(lambda paths: read_manipulator(paths[0]), {name: self.robot_file.value})
         exploration = replace(self.content.exploration, manipulator=manipulator)
@@ -117,7 +117,7 @@ class Page:
 
 
 def sections_as_read(columns: Sequence[SectionColumn]) -> pn.Column:
-    """The table of cross-sections beside what was read of it, as a picture and in words."""
+    """The table of cross-sections and the profiles that were read, as a picture and in words."""
     from ..figures.along import sections_figure
     from ..figures.style import render
 
@@ -137,7 +137,7 @@ def _escaped(text: str) -> str:
 
 
 def _read(reader: Callable[[list[Path]], T], files: Mapping[str, bytes]) -> T:
-    """What `reader` makes of files that were sent by the browser; its messages name the file alone."""
+    """What `reader` reads from files that the browser sent; messages name files without their folder."""
     with TemporaryDirectory() as folder:
         paths = [Path(folder) / Path(name).name for name in files]
         for path, content in zip(paths, files.values(), strict=True):
@@ -165,14 +165,14 @@ def serve(
     Args:
         manipulator: the body.
         tables: measurements on it.
-        source: what the page says of where the manipulator comes from.
+        source: the origin of the manipulator, in words for the page.
         columns: of its table of cross-sections, of `section_columns`; none where it has none.
         port: 0 for a free one.
         browser: whether to open it.
-        say: takes a line with the address once the page is there.
+        say: called with a line that has the address, once the page is ready.
 
     Raises:
-        InputError: for a table that does not fit the manipulator, or a port that cannot be had.
+        InputError: for a table that does not fit the manipulator, or a port that is not available.
     """
     exploration = Exploration(manipulator, tuple(tables))
     pn.extension(respect_explicit_sizing=True)

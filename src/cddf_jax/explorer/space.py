@@ -21,20 +21,20 @@ DRAW, TURN = (Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8")
 # by plane: azimuth and elevation, deg, from where it is seen, and the coordinates to the right and up
 PLANES = {"XY": (-90.0, 90.0, [0, 1]), "XZ": (-90.0, 0.0, [0, 2]), "YZ": (0.0, 0.0, [1, 2])}
 LINES, POINTS = ("xs", "ys", "color", "dash", "width"), ("x", "y", "text", "color")
-# what space.js draws into, and its columns: of every view, and of the one that is turned
+# the sources that space.js fills, with their columns: for every view, and for the view that can be turned
 BODY = {
     **dict.fromkeys(("tube", "cap"), ("xs", "ys")),
     **dict.fromkeys(("under", "hidden", "over"), LINES),
     **{"ends": ("x", "y"), "heads": ("x", "y", "angle")},
 }
-ROOM = {
+SCENE = {
     **{"shadow": ("xs", "ys"), "floor": LINES, "ticks": POINTS, "names": POINTS},
     **{"data": ("x", "y"), "rows": ("x", "y")},
 }
 AHEAD, ASIDE, BELOW = 1.0, 0.5, 0.35  # of the length: how far the floor reaches from the base, and how low it is
-REACH, WIDE = 0.62, 0.8  # of the length: what is always in sight around the middle of the straight body, up and aside
+REACH, WIDE = 0.62, 0.8  # of the length: what is always visible around the middle of the body, vertically and sideways
 TIP = ("tip_x", "tip_y", "tip_z")
-LEAST_ROOM = np.array([[0.0, -0.35, -0.35], [1.0, 0.35, 0.35]])  # of the length, in plane views
+LEAST_EXTENT = np.array([[0.0, -0.35, -0.35], [1.0, 0.35, 0.35]])  # of the length, in plane views
 SLANT = 0.5**0.5
 HIDDEN = 0.35  # of the strength of a line
 WALL = "#DDDDDD"
@@ -62,7 +62,7 @@ def columns_of_rows(rows: Iterable[Row]) -> Columns:
 
 
 class SpacePlot:
-    """The body to scale with its tendons and tip loads. The browser draws it, and turns it without asking."""
+    """The body to scale with its tendons and tip loads. The browser draws it, and turns it by itself."""
 
     def __init__(self, manipulator: Manipulator):
         self.length = 1e3 * float(manipulator.length)
@@ -80,10 +80,10 @@ class SpacePlot:
         self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
         self.now: list[Row] = []  # of the picture
         self.tips: dict[str, list[Row]] = {"data": [], "rows": []}
-        self.rooms: list[ColumnDataSource] = []  # whose points set the scale, of each figure
+        self.extents: list[ColumnDataSource] = []  # of each figure, two corners that set its scale
         self.middle = (0.5 * self.length, 0.0, -0.1 * self.length)
-        seen = self._sees(self.figure, BODY | ROOM, azimuth, elevation, self.middle)
-        self._draw_room(seen)
+        seen = self._sees(self.figure, BODY | SCENE, azimuth, elevation, self.middle)
+        self._draw_floor(seen)
         _draw_body(self.figure, seen, 12)
         self.figure.text("x", "y", source=seen["names"], **_words(12))
         self._draw_tips(seen)
@@ -101,7 +101,7 @@ class SpacePlot:
     def _sees(
         self, fig: Plot, what: Mapping[str, Sequence[str]], azimuth: Any, elevation: Any, center: tuple[float, ...]
     ) -> dict[str, ColumnDataSource]:
-        """Sources of what a figure sees from a direction, which the browser keeps up to date."""
+        """The sources of a figure with its direction of view; the browser updates them."""
         seen = {name: ColumnDataSource({column: [] for column in columns}) for name, columns in what.items()}
         given = {"space": self.space, "azimuth": azimuth, "elevation": elevation, "center": list(center)}
         redraw = CustomJS(args={**given, **seen}, code=DRAW)
@@ -109,12 +109,12 @@ class SpacePlot:
         for angle in (azimuth, elevation):
             if isinstance(angle, Slider):
                 angle.js_on_change("value", redraw)
-        room = ColumnDataSource({"x": [0.0], "y": [0.0]})
-        fig.x_range.renderers = fig.y_range.renderers = [fig.scatter("x", "y", source=room, size=0, alpha=0)]
-        self.rooms.append(room)
+        extent = ColumnDataSource({"x": [0.0], "y": [0.0]})
+        fig.x_range.renderers = fig.y_range.renderers = [fig.scatter("x", "y", source=extent, size=0, alpha=0)]
+        self.extents.append(extent)
         return seen
 
-    def _draw_room(self, seen: dict[str, ColumnDataSource]) -> None:
+    def _draw_floor(self, seen: dict[str, ColumnDataSource]) -> None:
         """The floor with the shadow of the body."""
         fig = self.figure
         fig.patches("xs", "ys", source=seen["shadow"], fill_color=PALE, line_color=PALE)
@@ -122,7 +122,7 @@ class SpacePlot:
         fig.text("x", "y", source=seen["ticks"], **_words(11))
 
     def _draw_legend(self) -> None:
-        """For what has no entry of its own."""
+        """The legend, with entries for what is drawn without one."""
         tendon = tendon_look(0) | {"line_width": 2}
         rest: Look = {"line_color": GREY, "line_dash": "dotted"}
         for words, look in {"straight": rest, "tendon": tendon, "hidden": tendon | {"line_alpha": HIDDEN}}.items():
@@ -133,7 +133,7 @@ class SpacePlot:
         self.figure.add_layout(legend, "above")
 
     def _draw_tips(self, seen: dict[str, ColumnDataSource]) -> None:
-        """Measured tips, and where the model has them."""
+        """Measured positions of the tip, and those of the model."""
         for kind in self.tips:
             self.figure.scatter("x", "y", source=seen[kind], name=kind, line_color=BLACK, **MARKS[kind])
         for kind in self.tips:
@@ -143,26 +143,27 @@ class SpacePlot:
         """Draw an equilibrium."""
         assert isinstance(picture.along, SpatialFields)
         what = drawn(picture.case.manipulator, picture.along, picture.case.loads)
-        points = np.concatenate([what.points, self.length * LEAST_ROOM])
+        points = np.concatenate([what.points, self.length * LEAST_EXTENT])
         reach = max(REACH * self.length, float(np.max(np.linalg.norm(what.points - self.middle, axis=1))))
         wide = max(WIDE * self.length, reach)
         places = [np.array([[-wide, -reach], [wide, reach]]), *(points[:, plane] for _, _, plane in PLANES.values())]
-        for room, place in zip(self.rooms, places, strict=True):
+        for extent, place in zip(self.extents, places, strict=True):
             low, high = place.min(axis=0), place.max(axis=0)
-            room.data = {"x": [low[0], high[0]], "y": [low[1], high[1]]}
+            extent.data = {"x": [low[0], high[0]], "y": [low[1], high[1]]}
         self.now = [*body_rows(what), *tendon_rows(what), *load_rows(what)]
         self._send()
 
     def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
-        """Places of the tip in tables that tell all three: of "data" the readings, of "rows" those of the model."""
-        told = [columns for _, columns in tables if all(name in columns for name in TIP)]
-        if told or self.tips[kind]:
-            self.tips[kind] = [Row(kind, 1e3 * np.stack([columns[name] for name in TIP], axis=1)) for columns in told]
-            show_named(self.figure, kind, bool(told))
+        """Positions of the tip in tables with all three coordinates: the readings for "data", the model for "rows"."""
+        complete = [columns for _, columns in tables if all(name in columns for name in TIP)]
+        if complete or self.tips[kind]:
+            places = [1e3 * np.stack([columns[name] for name in TIP], axis=1) for columns in complete]
+            self.tips[kind] = [Row(kind, points) for points in places]
+            show_named(self.figure, kind, bool(complete))
             self._send()
 
     def _send(self) -> None:
-        """Everything at once to the browser, as soon as there is a picture."""
+        """Send everything at once to the browser, as soon as there is a picture."""
         if self.now:
             self.space.data = columns_of_rows([*self.floor, *self.now, *self.tips["data"], *self.tips["rows"]])
 
@@ -173,7 +174,7 @@ def _words(size: int) -> Look:
 
 
 def _draw_body(fig: Plot, seen: dict[str, ColumnDataSource], size: int) -> None:
-    """The tube with its tendons, and the tip loads, from back to front; size of heads in pixels."""
+    """The tube with its tendons, and the tip loads, from back to front; `size` of arrow heads in pixels."""
     line: Look = {"line_color": "color", "line_dash": "dash", "line_width": "width"}
     fig.multi_line("xs", "ys", source=seen["under"], **line)
     fig.patches("xs", "ys", source=seen["tube"], fill_color=GREY, line_color=GREY, line_width=2)
@@ -189,7 +190,7 @@ def _draw_body(fig: Plot, seen: dict[str, ColumnDataSource], size: int) -> None:
 
 
 def body_rows(what: Drawn) -> list[Row]:
-    """The body, its plate, and how it is straight."""
+    """The body, its plate, and the straight body."""
     body, straight, angles = what.body, what.straight, np.linspace(0.0, 2 * np.pi, 61)
     plate = what.plate * np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
     return [
@@ -211,7 +212,7 @@ def _some(arc_length: np.ndarray) -> np.ndarray:
 
 
 def tendon_rows(what: Drawn) -> list[Row]:
-    """Each tendon, its anchor, and around the plate its number, if there are several."""
+    """Each tendon, its anchor, and its number beside the plate if there are several."""
     rows = []
     for i, (path, tension) in enumerate(zip(what.tendons, what.tension, strict=True)):
         look, beside = tendon_look(i), path[0] / np.linalg.norm(path[0])
@@ -223,12 +224,12 @@ def tendon_rows(what: Drawn) -> list[Row]:
 
 
 def load_rows(what: Drawn) -> list[Row]:
-    """The arrows of force and moment, the last piece their direction."""
+    """The lines of the arrows of force and moment; the heads point along the last piece."""
     return [Row("load", line, PURPLE, width=3.0) for line in (what.force_arrow, what.moment_arrow) if len(line)]
 
 
 def floor_rows(length: float, square: float) -> list[Row]:
-    """Squares below a straight body along X, scales at their edges and at uprights on the corners, all mm."""
+    """Squares below a straight body along X, with scales at their edges and on posts at the corners, all mm."""
     ahead, aside, below = (square * np.ceil(part * length / square) for part in (AHEAD, ASIDE, BELOW))
     x, y, z = (np.arange(low, high, square) for low, high in ((0.0, ahead), (-aside, aside), (-below, below)))
     rows = [Row("floor", np.array([0.0, 0.0, -below]))]

@@ -1,4 +1,4 @@
-"""One manipulator on the page: its sliders, its figures and numbers, its fit, and the files it can be saved to."""
+"""One manipulator on the page: its sliders, its figures and numbers, its fit, and the files that can be saved."""
 
 import io
 import logging
@@ -39,7 +39,7 @@ Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "err
 
 
 class Threads(ExitStack):
-    """Three, so that what is quick never waits for what may take long, least of all for a compiler."""
+    """Three threads, so that quick work never waits for long work such as compiling."""
 
     def __init__(self):
         super().__init__()
@@ -51,8 +51,7 @@ class Threads(ExitStack):
 class ExplorerView:
     """The sliders and what follows from them.
 
-    Every change is solved on a thread of its own and then drawn; while sliders move faster than that, what has been
-    overtaken is left out.
+    Every change is solved on another thread and then drawn. If sliders move faster than that, old changes are left out.
     """
 
     def __init__(self, exploration: Exploration, say: Say, threads: Threads):
@@ -148,7 +147,7 @@ class ExplorerView:
 
     @property
     def parts(self) -> dict[str, pn.Column]:
-        """What stands where on the page, by the names in page.css."""
+        """The parts of the page, by their names in page.css."""
         compared = column(title("What if the taper were another"), self.angle, self.drawn["what_if"])
         buttons = pn.FlexBox(self.fit_button, self.take_over)
         fit = column(title("What the data tell"), buttons, self.verdict)
@@ -176,17 +175,17 @@ class ExplorerView:
         self.kinematics.value = settings.kinematics
 
     def _start_again(self) -> None:
-        """With the numbers of the file, and without a past."""
+        """Go back to the numbers of the file, without a past."""
         self.move_to(self.exploration.start)
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew, with a pull from rest to the tension that is set."""
+        """Start again with a pull from rest to the tension that is set."""
         self.turns = ()
         self.change()
 
     def change(self) -> None:
-        """Solve for where the sliders stand now."""
+        """Solve for the present positions of the sliders."""
         numbers = {name: float(each.value) for name, each in self.sliders.items()}
         directions = tuple(widget.value or None for widget in self.directions)
         self.settings = Settings(numbers, directions, self.kinematics.value)
@@ -197,7 +196,7 @@ class ExplorerView:
         self.threads.pictures.submit(self._guarded, self._draw, *wanted)
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
-        """On a thread: unless something newer is wanted; what goes wrong is said on the page."""
+        """Call a function on a thread, unless there are newer settings; show errors on the page."""
         if settings is not self.settings or self.closed:
             return
         try:
@@ -209,7 +208,7 @@ class ExplorerView:
             self._on_page(self._refuse, f"{type(error).__name__}: {error}")
 
     def _draw(self, settings: Settings, angle: float, turns: Turns) -> None:
-        """The picture, and then on another thread what takes longer."""
+        """Make the picture, and then start on another thread what takes longer."""
         case = self.exploration.case(settings)
         kind = jax.tree.structure(case), self.exploration.arc_length.size
         if kind not in COMPILED:
@@ -226,11 +225,11 @@ class ExplorerView:
         rows = self.exploration.in_rows(picture.case.manipulator)
         self._on_page(self._show_points, "rows", rows)
         self._remember(settings, picture.case, turns)
-        told = "The bending stiffness of this body is given: another taper would not change how it bends."
+        text = "The bending stiffness of this body is given: another taper would not change how it bends."
         if self.exploration.manipulator.stiffened_by_radii:
             tapers = self.exploration.tapers(settings, np.radians(angle))
-            told = tapers_html(tapers, angle, self.several)
-        self._on_page(setattr, self.what_if, "object", told)
+            text = tapers_html(tapers, angle, self.several)
+        self._on_page(setattr, self.what_if, "object", text)
         self._on_page(self._done, settings, ["what_if"])
 
     def _show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
@@ -240,22 +239,22 @@ class ExplorerView:
             self.body.show_points(kind, tables)
 
     def _remember(self, settings: Settings, case: Case, turns: Turns) -> None:
-        """The loop through which the base tension went, or why there is none."""
-        found, told = None, why_no_loop(case, turns)
-        if not told:
+        """Show the loop of the base tension, or why there is none."""
+        found, text = None, why_no_loop(case, turns)
+        if not text:
             found = loop(case, turns, self.exploration.arc_length)
-            told = loop_html(found)
-        self._on_page(self._show_loop, settings, None if found is None or found.message else found, told)
+            text = loop_html(found)
+        self._on_page(self._show_loop, settings, None if found is None or found.message else found, text)
 
-    def _show_loop(self, settings: Settings, found: Loop | None, told: str) -> None:
+    def _show_loop(self, settings: Settings, found: Loop | None, text: str) -> None:
         if isinstance(self.body, BodyPlot):
             self.tension.show_loop(found)
             self.body.show_loop(found)
-        self.past.object = told
+        self.past.object = text
         self._done(settings, ["tension"])
 
     def _on_page(self, function: Callable[..., None], *arguments: object) -> None:
-        """Call on the thread of the page, everything that changes sent together."""
+        """Call a function on the thread of the page; all its changes are sent together."""
         if not self.closed:
             self.document.add_next_tick_callback(partial(_held, function, *arguments))
 
@@ -273,7 +272,7 @@ class ExplorerView:
         self.say(picture.message, "error")
 
     def _done(self, settings: Settings, parts: Iterable[str]) -> None:
-        """Parts are computed, unless something newer is wanted."""
+        """Mark parts as computed, unless there are newer settings."""
         if settings is self.settings:
             self._mark("computing", False, parts)
 
@@ -315,7 +314,7 @@ class ExplorerView:
         self.take_over.visible = bool(self._identified())
 
     def _identified(self) -> list[str]:
-        """What the data determine; nothing else is ever taken over."""
+        """The parameters that the data determine; only these are taken over."""
         if self.fitted is None or not self.fitted.success:
             return []
         return [name for name in self.fitted.names if self.fitted.status[name] == IDENTIFIED]
@@ -333,13 +332,13 @@ class ExplorerView:
 
     @property
     def notes(self) -> list[str]:
-        """Where the sliders stand, for the head of a file."""
+        """The positions of the sliders, for the head of a file."""
         controls = self.exploration.controls
         numbers = [f"{c.label} = {self.settings.numbers[c.name]:.10g} {c.quantity.shown[1]}".strip() for c in controls]
         return ["cddf explore", *numbers, f"kinematics {self.settings.kinematics}"]
 
 
 def _held(function: Callable[..., None], *arguments: object) -> None:
-    """Call, and send everything that changes together."""
+    """Call a function, and send all its changes together."""
     with pn.io.hold():
         function(*arguments)

@@ -1,4 +1,4 @@
-"""What the explorer writes beside its figures, as HTML; every number has its name in `data-name`."""
+"""The texts beside the figures of the explorer, as HTML; every number has its name in `data-name`."""
 
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -53,7 +53,7 @@ def numbers_html(picture: Picture) -> str:
 
 
 def loop_html(loop: Loop) -> str:
-    """Where the body is, with its past."""
+    """The present state with its past."""
     if loop.message:
         return f"<p>{escape(loop.message)}</p>"
     tension = _number("past_tip_tension", f"{loop.tip_tension[-1]:.4f}", "N")
@@ -74,7 +74,7 @@ def _line(tendon: int) -> str:
 
 
 def tapers_html(tapers: tuple[Taper, Taper], angle: float, several: bool) -> str:
-    """The taper that is set against the manipulator's own."""
+    """The taper that is set, compared with the manipulator's own."""
     which = " of tendon 1" if several else ""
     kinds = [
         ("tension_loss", f"tension loss{which}, at the tensions set", 100.0, "%"),
@@ -94,7 +94,7 @@ def tapers_html(tapers: tuple[Taper, Taper], angle: float, several: bool) -> str
 
 
 def lines_html(text: str) -> str:
-    """Lines of text, the first ones of `cddf fit`, one paragraph each; what is identified is marked."""
+    """Lines of text, such as the output of `cddf fit`, one paragraph each; what is identified is marked."""
     marked = []
     for line in text.splitlines():
         kind = "lost" if "not identified" in line else "known" if line.endswith("identified") else ""
