@@ -256,7 +256,7 @@ def test_a_winding_moves_the_tip_with_the_base():
     moved = case.with_numbers({"tendons.1.angle.winding": -3.0, "tendons.1.angle.base": 0.5, "length": 2 * L})
     angle = moved.manipulator.tendons[1].angle
     assert (float(angle.base), float(angle.tip), float(angle.length)) == pytest.approx((0.5, -2.5, 2 * L))
-    with pytest.raises(cddf.InputError, match="tip follows from base and winding; leave it or the winding out"):
+    with pytest.raises(cddf.InputError, match="tip follows from base and winding; leave out one of tip and winding"):
         case.with_numbers({"tendons.1.angle.winding": 0.0, "tendons.1.angle.tip": 0.0})
 
 

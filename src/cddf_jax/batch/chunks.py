@@ -1,4 +1,4 @@
-"""An answer too large for one piece: arrays over common dimensions, cut into chunks."""
+"""A large result in chunks: arrays over common dimensions."""
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ class Layout:
     shape: dict[str, int]  # of the common dimensions, by name
     chunks: Index  # along the same dimensions
     coords: dict[str, Coordinate]
-    variables: dict[str, Variable]  # written in this order: a chunk is whole where the last one is written
+    variables: dict[str, Variable]  # written in this order
     attrs: Mapping[str, object]
 
     @property
@@ -67,12 +67,12 @@ class Layout:
 
 
 def even_chunks(sizes: Sequence[int], most: int, single: Sequence[bool]) -> Index:
-    """Chunks of nearly equal size with no more than `most` items; the last dimensions stay whole where they can.
+    """Chunks of nearly equal size with no more than `most` items; the last dimensions are not divided if possible.
 
-    `single` says of each dimension whether a chunk holds one place of it only.
+    `single` says of each dimension whether a chunk has the length 1 along it.
     """
     chunks: list[int] = []
     for size, alone in zip(reversed(sizes), reversed(single), strict=True):
-        room = 1 if alone else max(most // int(np.prod([1, *chunks])), 1)
-        chunks.append(-(-size // -(-size // room)))
+        longest = 1 if alone else max(most // int(np.prod([1, *chunks])), 1)
+        chunks.append(-(-size // -(-size // longest)))
     return tuple(reversed(chunks))

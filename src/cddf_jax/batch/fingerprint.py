@@ -1,4 +1,4 @@
-"""The identity of a piece of work: by name, every number and every function that its result depends on."""
+"""The identity of a piece of work: all numbers and functions that its result depends on, by name."""
 
 import hashlib
 import re

@@ -1,4 +1,4 @@
-"""One function for many inputs at once, on every device of this process; the devices do not wait for each other."""
+"""A function for many inputs at once, on all devices of this process; the devices do not wait for each other."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -27,8 +27,8 @@ def in_lanes(function: Callable[[Inputs], Outputs], inputs: Inputs, count: int, 
             the compiled program; another function with the same structure then uses the same program.
         inputs: a pytree of NumPy arrays with the inputs along the leading axis; so are the outputs.
         count: the number of inputs.
-        most: the largest number of inputs of all calls, which share one program; small jobs get a small program.
-        each: how many solves the function makes of one input; as many fewer inputs are taken at once.
+        most: the largest `count` of all calls, so that they share one program.
+        each: number of solves for one input; the more there are, the fewer inputs are taken at once.
     """
     devices = jax.local_devices()
     at_once = CPU_BATCH if devices[0].platform == "cpu" else ACCELERATOR_BATCH
@@ -38,7 +38,7 @@ def in_lanes(function: Callable[[Inputs], Outputs], inputs: Inputs, count: int, 
     size = width * -(-batches // -(-batches // CALL))  # of every call, so that one program serves all
     mesh, pieces = Mesh(np.array(devices), ("lanes",)), []
     for start in range(0, count, size):
-        lanes = np.minimum(np.arange(start, start + size), count - 1)  # the last one fills up
+        lanes = np.minimum(np.arange(start, start + size), count - 1)  # the last input is repeated to fill a call
         chosen = jax.tree.map(lambda x, at=lanes: np.asarray(x)[at], inputs)
         placed = jax.device_put((chosen, lanes), NamedSharding(mesh, LANES))
         pieces.append(_run(function, mesh, batch, *placed))

@@ -1,7 +1,7 @@
-"""Where an answer in chunks goes: into memory, or into a Zarr store that survives whatever stops the work.
+"""Where a result in chunks goes: into memory, or into a Zarr store that survives a kill or a power cut.
 
-A chunk belongs to one process. Its variables are written one after the other, each file in one step. A chunk is whole
-where all its files are there. The same work, started again, computes the other chunks only.
+A chunk belongs to one process. Its variables are written one after the other, each file in one step. A chunk is
+complete if all its files are there. The same work, started again, computes only the other chunks.
 """
 
 import errno
@@ -52,9 +52,8 @@ class Memory:
 class ZarrStore:
     """A Zarr store on disk.
 
-    Where it exists already, the work goes on with it, and its chunks hold. A store of something else, or of the answer
-    of other work, is refused. The identity is all that the answer depends on, JSON. `create` says whether this process
-    makes the store where there is none.
+    If it exists already, the work goes on with its chunks. A store of other work, or of another program, is refused.
+    The identity is all that the result depends on, JSON. `create` says whether this process makes a missing store.
     """
 
     def __init__(
@@ -69,14 +68,14 @@ class ZarrStore:
         self.layout = replace(layout, chunks=tuple(chunks))
 
     def has(self, index: Index) -> bool:
-        """Whether a chunk is whole: every file is there, and none is empty or damaged, as a power cut may leave it."""
+        """Whether a chunk is complete: every file is there, and none is empty or damaged, as after a power cut."""
         try:
             for name, variable in self.layout.variables.items():
                 place = (*index, *(0,) * (len(variable.shape) - len(index)))
                 if not (self.path / name / "c" / Path(*map(str, place))).stat().st_size:
                     return False
                 self._group[name][self.layout.region(index)]
-        except (RuntimeError, ValueError, OSError):  # no file, of the decompressor, or a block of another size
+        except (RuntimeError, ValueError, OSError):  # no file, a decompressor that fails, or a block of another size
             return False
         return True
 
@@ -100,7 +99,7 @@ class ZarrStore:
 
 @contextmanager
 def in_one_step(path: Path) -> Iterator[Path]:
-    """A name beside the path, of a file or a folder, which takes its place when all is written."""
+    """A draft of a file or folder, which takes the place of the path when it is complete."""
     draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         yield draft
@@ -135,7 +134,7 @@ def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
 
 
 def _same_work(zarr: ModuleType, path: Path, identity: Mapping[str, object], names: Collection[str]) -> Any:
-    """The group at the path."""
+    """The group at the path, if it holds the same work."""
     remedy = "give another path, or delete it"
     try:
         group = zarr.open_group(path, mode="r+")

@@ -1,4 +1,4 @@
-"""Work in chunks, shared by all processes, its answer in a store: a sweep, a bootstrap."""
+"""Work in chunks, shared by all processes, with its result in a store: a sweep, a bootstrap."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -27,9 +27,9 @@ def carry_out(
     Chunks do not depend on each other. A chunk that is computed again gives the same numbers.
 
     Args:
-        what: is done, in words, "solving".
-        identity: all that the answer depends on, JSON; computed for a store only.
-        chunk: the answer in the region of one chunk.
+        what: the work in a word for the progress line, "solving".
+        identity: all that the result depends on, JSON; only computed for a store.
+        chunk: computes the result in the region of one chunk.
         out: path of a Zarr store; None for memory.
         allowed: memory, bytes.
     """
@@ -48,9 +48,7 @@ def carry_out(
     finally:
         all_done = _all_say("done", done)
     if not all_done:
-        raise InputError(
-            "another process failed, and says why; the chunks that are whole stay: start the same work again"
-        )
+        raise InputError("another process failed, and says why; complete chunks are kept: start the same work again")
     return store
 
 

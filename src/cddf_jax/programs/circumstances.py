@@ -1,4 +1,4 @@
-"""All that a compiled program depends on beside its function and arguments: versions, source, machine and settings."""
+"""All that a compiled program depends on besides its function and arguments: versions, source, machine, settings."""
 
 import hashlib
 import logging
@@ -17,7 +17,7 @@ SOURCE = Path(__file__).parents[1]
 # settings of JAX that change neither what is traced nor what is compiled
 WITHOUT_EFFECT = ("jax_compilation_cache", "jax_persistent_cache", "jax_log", "jax_debug_log", "jax_pprint", "jax_pgle")
 WITHOUT_EFFECT += ("jax_traceback", "jax_include_full_tracebacks", "jax_raise_persistent", "jax_explain")
-# under these a program is traced, run or checked operation by operation; JAX does it
+# with these settings a program is run or checked operation by operation, which only JAX can do
 SPECIAL = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_no_execution", "jax_no_tracing")
 SPECIAL += ("jax_check_tracer_leaks", "jax_default_device")
 LOG = logging.getLogger("cddf_jax.programs")
@@ -25,7 +25,7 @@ LOG = logging.getLogger("cddf_jax.programs")
 
 @cache
 def machine_and_versions() -> tuple[str, ...]:
-    """What stays the same while this process runs."""
+    """The part that stays the same while this process runs."""
     devices = jax.local_devices()
     kinds = [f"{device.platform} {device.device_kind} {device.client.platform_version}" for device in devices]
     flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
@@ -38,7 +38,7 @@ def settings() -> tuple[object, ...]:
 
 
 def are_special() -> bool:
-    """Whether a program is to run in a way that only JAX itself knows."""
+    """Whether JAX itself must run the program: with several processes, in a mesh, or with `SPECIAL` settings."""
     if jax.process_count() > 1 or not jax.sharding.get_abstract_mesh().empty:
         return True
     return any(getattr(jax.config, name, None) for name in SPECIAL)
@@ -62,7 +62,7 @@ def _version(package: str) -> str:
 
 
 def _processor() -> str:
-    """The processor with its instructions: code compiled for another one would crash."""
+    """The processor with its instruction set: code compiled for another one would crash."""
     told = [platform.machine(), platform.processor(), platform.system()]
     try:
         told.append(str(xla_client.get_topology_for_devices(jax.local_devices()).fingerprint()))
@@ -85,7 +85,7 @@ STAMP = stamp()
 
 
 def is_source_unchanged() -> bool:
-    """Whether the source is there, and as it was when this process began to use it."""
+    """Whether the source is there, and unchanged since this process began."""
     return bool(STAMP) and stamp() == STAMP
 
 

@@ -1,7 +1,7 @@
-"""Arguments and results in JSON: what a program depends on, and what its outputs are put into.
+"""Arguments and results in JSON: what a program depends on, and the structure of its outputs.
 
-Described are only values and classes of cddf_jax and of the packages below it, each by its name. Whatever involves a
-function or a class of a user cannot be described.
+Only values and classes of cddf_jax and of the packages that it uses can be described, each by its name. Functions and
+classes of a user cannot.
 """
 
 import sys
@@ -17,20 +17,20 @@ PACKAGES = ("cddf_jax", "equinox", "jax", "optimistix", "lineax", "numpy", "buil
 
 
 class NotDescribedError(Exception):
-    """Something that has no name which another process would know."""
+    """Something without a name by which another process finds it."""
 
 
 class Place(NamedTuple):
     """Stands for an array."""
 
-    of: Any  # JSON: what matters of an argument, or the number of an output
+    of: Any  # JSON: the signature of an argument, or the number of an output
 
 
 def describe(value: Any) -> Any:
     """A value in JSON; arrays in it must be replaced by a `Place`.
 
     Raises:
-        NotDescribedError: for what only this process knows, and for an array.
+        NotDescribedError: for something that only this process knows, and for an array.
     """
     if value is None or type(value) in (bool, int, str):
         return value
@@ -56,10 +56,10 @@ def describe(value: Any) -> Any:
 
 
 def rebuild(described: Any) -> Any:
-    """What was described.
+    """The value that was described.
 
     Raises:
-        NotDescribedError: for what is no description, or names something that is not there.
+        NotDescribedError: for an unknown kind of description, or a name of another package.
     """
     if not isinstance(described, dict):
         return described
@@ -117,7 +117,7 @@ def _named(name: str) -> Any:
 
 
 def _rebuilt_object(kind: type, fields: dict[str, Any]) -> Any:
-    """As JAX makes an object of its leaves: without a call of the class, whose checks have passed already."""
+    """An object made without calling its class, as JAX makes it from leaves: its checks have passed already."""
     made = object.__new__(kind)
     for name, item in fields.items():
         object.__setattr__(made, name, rebuild(item))

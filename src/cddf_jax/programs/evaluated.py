@@ -1,4 +1,4 @@
-"""A function evaluated once, by one kept program: without it JAX compiles a program for every operation."""
+"""A function evaluated by one kept program; else JAX would compile a program for every operation."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +11,7 @@ from .kept import kept_program
 
 
 def evaluated(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function of the library or a callable pytree, such as a profile, gives; NumPy arrays in place of JAX's.
+    """The result of a function of the library or of a callable pytree, such as a profile, with NumPy arrays.
 
     Numbers among the arguments must be arrays, as every Python number makes another program.
     """

@@ -1,7 +1,7 @@
 """Compiled programs as bytes, and back again.
 
-Everything that is used of jaxlib's client is in this file. JAX has no public function for it that does without pickle.
-Where the client is another one, `UnavailableError` is raised and nothing is kept.
+All uses of jaxlib's client are in this file. The public functions of JAX for this need pickle. If the client of another
+version differs, `UnavailableError` is raised, and nothing is kept.
 """
 
 import re
@@ -16,7 +16,7 @@ from jax.core import ShapedArray
 from jax.sharding import Mesh, NamedSharding, PartitionSpec, Sharding, SingleDeviceSharding
 from jaxlib import xla_client
 
-CALLED = ("lapack_", "Sharding", "SPMD", "xla.sdy")  # by name, found by every process; others may be its own
+CALLED = ("lapack_", "Sharding", "SPMD", "xla.sdy")  # calls that every process finds; others may be this process's own
 
 
 class UnavailableError(Exception):
@@ -28,26 +28,26 @@ class Signature(NamedTuple):
 
     shape: tuple[int, ...]
     dtype: str
-    weak: bool = False  # whether JAX takes its type for a Python number's
+    weak: bool = False  # whether its type is weak, as that of a Python number
     spec: tuple[str | None, ...] | None = None  # how its axes are shared by the devices; None on one device
 
     @staticmethod
     def read(shape: Sequence[int], dtype: str, weak: bool, spec: Sequence[str | None] | None) -> "Signature":
-        """From lists, as JSON has them."""
+        """A signature from lists, as in JSON."""
         return Signature(tuple(shape), dtype, weak, None if spec is None else tuple(spec))
 
     @property
     def aval(self) -> ShapedArray:
-        """As JAX has it."""
+        """The abstract value for JAX."""
         return ShapedArray(self.shape, np.dtype(self.dtype), self.weak)
 
 
 class Interface(NamedTuple):
-    """What goes into a program and comes out of it."""
+    """The inputs and outputs of a program."""
 
     inputs: tuple[Signature, ...]
     outputs: tuple[Signature, ...]
-    mesh: Mesh | None  # its devices, where there are several
+    mesh: Mesh | None  # its devices, if there are several
     lapack: bool  # whether it calls LAPACK
 
 
@@ -75,7 +75,7 @@ class Program:
         """Run it.
 
         Raises:
-            UnavailableError: where the arrays do not suit it.
+            UnavailableError: if the arrays do not fit.
         """
         with _as_expected():
             placed = [self._placed(*pair) for pair in zip(arrays, self._inputs, strict=True)]
@@ -91,7 +91,7 @@ class Program:
         return xla_client.batched_device_put(aval, sharding, [np.asarray(array, aval.dtype)], [device], False)
 
     def as_bytes(self) -> bytes:
-        """What `loaded` makes the program of again."""
+        """Bytes from which `loaded` makes the program again."""
         with _as_expected():
             return _client().serialize_executable(self._executable)
 
@@ -121,13 +121,13 @@ def compiled(
 
 
 def loaded(content: bytes, interface: Interface) -> Program:
-    """The program of some bytes, from a trusted place: they hold machine code.
+    """The program from its bytes. They hold machine code, and must come from a trusted place.
 
     Raises:
-        UnavailableError: where the client does not take them.
+        UnavailableError: if the client does not accept them.
     """
     with _as_expected():
-        if interface.lapack:  # JAX looks for it while it traces
+        if interface.lapack:  # JAX prepares it while it traces
             jaxlib.lapack.prepare_lapack_call("potrf_ffi", np.dtype(np.float64))
         devices = jax.local_devices()[:1] if interface.mesh is None else interface.mesh.devices.ravel().tolist()
         return Program(_client().deserialize_executable(content, devices), interface)
@@ -156,7 +156,7 @@ def _client() -> Any:
 
 @contextmanager
 def _as_expected():
-    """Whatever goes wrong between the client and this file makes a program unavailable, and nothing worse."""
+    """Turn every error of the client into `UnavailableError`."""
     try:
         yield
     except (AttributeError, TypeError, ValueError, RuntimeError) as error:  # RuntimeError: those of the client, too

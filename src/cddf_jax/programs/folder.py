@@ -1,6 +1,7 @@
-"""The folder in which programs are kept: the user's own, limited in size, those that were used least recently go first.
+"""The folder in which programs are kept. It belongs to the user alone, and is limited in size.
 
-Every file carries a checksum. A folder that cannot be used only means that nothing is kept.
+The programs that were used least recently are removed first. Every file has a checksum. If the folder cannot be used,
+nothing is kept.
 """
 
 import hashlib
@@ -33,7 +34,7 @@ def is_off() -> bool:
 
 
 def folder() -> Path | None:
-    """Where programs are kept; None where that is switched off."""
+    """Where programs are kept; None if that is switched off."""
     if is_off():
         return None
     if told := os.environ.get(VARIABLE):
@@ -44,7 +45,7 @@ def folder() -> Path | None:
 
 
 def read(key: str) -> Entry | None:
-    """The entry of a key; None where there is none that is whole and the user's own."""
+    """The entry of a key; None if there is none that is complete and the user's own."""
     try:
         place = _usable_folder(make=False)
         if place is None or not (path := place / f"{key}{SUFFIX}").exists():
@@ -58,7 +59,7 @@ def read(key: str) -> Entry | None:
 
 
 def write(key: str, entry: Entry) -> None:
-    """Keep an entry, in one step, so that no process sees half of it."""
+    """Keep an entry, in one step, so that no process reads a part of it."""
     try:
         place = _usable_folder(make=True)
         if place is None:
@@ -75,7 +76,7 @@ def write(key: str, entry: Entry) -> None:
 
 
 def entries() -> list[Path]:
-    """All files that are kept, those that were used least recently first."""
+    """All files that are kept, the least recently used first."""
     place = folder()
     try:
         found = [path for path in place.iterdir() if path.suffix in (SUFFIX, ".tmp")] if place else []
@@ -85,7 +86,7 @@ def entries() -> list[Path]:
 
 
 def size_of(paths: list[Path]) -> int:
-    """Bytes of some files; those that are gone have none."""
+    """The size of some files, bytes; files that are gone count as 0."""
     total = 0
     for path in paths:
         try:
@@ -96,7 +97,7 @@ def size_of(paths: list[Path]) -> int:
 
 
 def empty() -> int:
-    """Remove all that is kept; the number of files."""
+    """Remove all files; return their number."""
     found = entries()
     for path in found:
         path.unlink(missing_ok=True)
@@ -128,10 +129,10 @@ def _encoded(key: str, entry: Entry) -> bytes:
 
 
 def _decoded(key: str, data: bytes) -> Entry:
-    """What `_encoded` wrote.
+    """The entry that `_encoded` wrote.
 
     Raises:
-        ValueError: for anything else.
+        ValueError: for damaged bytes, or those of another key.
     """
     digest, _, rest = data.removeprefix(MAGIC).partition(b"\n")
     if not data.startswith(MAGIC) or hashlib.sha256(rest).hexdigest().encode() != digest:

@@ -1,7 +1,7 @@
 """`kept_program`: a compiled function whose programs the next process finds on the disk.
 
-Called with traced values, under a user's jit, vmap or grad, it is the compiled function as it is. So it is where
-something of the user's own takes part, a function or a class, and where keeping is switched off.
+With traced values, under a user's jit, vmap or grad, it is the plain compiled function. So it is if a function or a
+class of the user takes part, and if keeping is switched off.
 """
 
 import hashlib
@@ -32,10 +32,10 @@ Answer = TypeVar("Answer")
 
 
 class Call(NamedTuple):
-    """A program, and what its outputs are put into."""
+    """A program, and the structure of its answer."""
 
     program: Program
-    structure: Any  # as `jax.tree.structure` has it
+    structure: Any  # of `jax.tree.structure`
     leaves: tuple[Any, ...]  # of the answer: the number of an output as a `Place`, or a value
 
     def __call__(self, arrays: Sequence[Any]) -> Any:
@@ -47,8 +47,8 @@ class Question(NamedTuple):
     """A call to be answered: a function and its arguments, flat."""
 
     function: Callable[..., Any]  # compiled by JAX
-    structure: Any  # of (args, kwargs), as `jax.tree.structure` has it
-    leaves: tuple[Any, ...]  # a `Signature` in the place of every array
+    structure: Any  # of (args, kwargs), of `jax.tree.structure`
+    leaves: tuple[Any, ...]  # a `Signature` in place of every array
 
     @property
     def inputs(self) -> tuple[Signature, ...]:
@@ -56,19 +56,19 @@ class Question(NamedTuple):
 
     @property
     def mesh(self) -> Mesh | None:
-        """The devices, where there are several: an argument."""
+        """The mesh among the arguments, if there are several devices."""
         return next((leaf for leaf in self.leaves if isinstance(leaf, Mesh)), None)
 
 
-PROGRAMS: dict[Hashable, Call | None] = {}  # None: to be left to JAX
+PROGRAMS: dict[Hashable, Call | None] = {}  # None: left to JAX
 UNKNOWN: Any = object()
 
 
 def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
     """Keep the programs of a function that `jax.jit` or `eqx.filter_jit` compiles.
 
-    Only for the library's outermost functions: what is kept has no derivative and no `vmap` of its own.
-    Numbers and texts among the arguments are static, arrays are traced.
+    Only for the library's outermost functions: a kept program cannot be differentiated or vmapped. Numbers and texts
+    among the arguments are static, arrays are traced.
     """
 
     @wraps(function)
@@ -93,7 +93,7 @@ def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, A
 
 
 def shapes_of(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What `jax.eval_shape` gives for a callable pytree: kept like a program, because it takes a trace."""
+    """The result of `jax.eval_shape` for a callable pytree, kept like a program, because it needs a trace."""
     leaves, structure = jax.tree.flatten((function, *arguments))
     question = Question(jax.eval_shape, structure, tuple(map(_signature, leaves)))
     try:
@@ -114,7 +114,7 @@ def shapes_of(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def _can_be_kept(leaves: Sequence[Any], arguments: tuple[Any, ...]) -> bool:
-    """Whether all values are known, where they are looked for, and can be looked up."""
+    """Whether all arguments have concrete values within reach, and can be part of a key."""
     if not jax.sharding.get_abstract_mesh().empty or not all(map(_is_known, leaves)):
         return False
     numbers = sum(type(leaf) is float for leaf in leaves)  # in a tree, each value of one would make a program
@@ -141,7 +141,7 @@ def _signature(leaf: Any) -> Any:
 
 @cache
 def _name_of(dtype: np.dtype, double: bool) -> str:
-    """Of a type as JAX has it in this precision; NumPy takes long to say it."""
+    """The name of a type in JAX at this precision; it is cached, because NumPy is slow at it."""
     return jax.dtypes.canonicalize_dtype(dtype).name
 
 
@@ -153,7 +153,7 @@ def _remember(at: Hashable, call: Call | None) -> Call | None:
 
 
 def _answer_to(question: Question, arrays: Sequence[Any]) -> Call:
-    """The program from the disk, or else a new one; `UnavailableError` where it is none that can be kept."""
+    """The program from the disk, or else a new one; `UnavailableError` if it cannot be kept."""
     if are_special() or not is_source_unchanged():
         raise UnavailableError("special settings of JAX, or a source that was edited")
     if question.mesh is None and any(one.spec for one in question.inputs):
@@ -166,7 +166,7 @@ def _answer_to(question: Question, arrays: Sequence[Any]) -> Call:
 
 
 def _key(question: Question) -> str:
-    """A digest of all that the program depends on; `NotDescribedError` where something of a user's takes part."""
+    """A digest of all that the program depends on; `NotDescribedError` if something of the user takes part."""
     leaves = [Place(leaf) if isinstance(leaf, Signature) else leaf for leaf in question.leaves]
     function = f"{question.function.__module__}:{question.function.__qualname__}"
     parts = [function, describe(question.structure.unflatten(leaves)), machine_and_versions(), named_settings()]
@@ -174,7 +174,7 @@ def _key(question: Question) -> str:
 
 
 def _found(key: str, question: Question) -> Call | None:
-    """The program of the disk, if it is there and whole."""
+    """The program on the disk, if it is there and complete."""
     entry = folder.read(key)
     if entry is None:
         return None
@@ -190,7 +190,7 @@ def _found(key: str, question: Question) -> Call | None:
 
 @stage("compiling")
 def _made(key: str, question: Question, arrays: Sequence[Any]) -> Call:
-    """Trace and compile, and keep what comes out."""
+    """Trace and compile a program, and keep it."""
     answers: list[Any] = []
 
     def flat(*traced: jax.Array) -> list[jax.Array]:
@@ -209,7 +209,7 @@ def _made(key: str, question: Question, arrays: Sequence[Any]) -> Call:
 
 
 def _keep(key: str, call: Call) -> None:
-    """Write a program that has not run yet: one that has may no longer be turned into bytes."""
+    """Write a program that has not run yet: after a run it may not be possible to turn it into bytes."""
     if not is_source_unchanged():  # while it was traced
         return
     try:

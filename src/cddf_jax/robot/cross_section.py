@@ -1,4 +1,4 @@
-"""What the mechanics needs to know of a cross-section, in the plane and in space."""
+"""The properties of a cross-section that the mechanics needs, in the plane and in space."""
 
 from typing import Literal, TypeAlias
 
@@ -51,12 +51,12 @@ AnySection: TypeAlias = CrossSection | SpatialSection
 
 
 def planar(section: AnySection) -> CrossSection:
-    """The same, which is known to be of a body in the plane."""
+    """The section itself, which must be that of a body in the plane."""
     assert isinstance(section, CrossSection)
     return section
 
 
 def spatial(section: AnySection) -> SpatialSection:
-    """The same, which is known to be of a body in space."""
+    """The section itself, which must be that of a body in space."""
     assert isinstance(section, SpatialSection)
     return section

@@ -23,7 +23,7 @@ _OF_TENDON = ("friction_coefficient", "end", "axial_stiffness", "free_length", "
 
 
 def manipulator_in_words(manipulator: Manipulator) -> str:
-    """Dimensions, material and tendons; of a batch or under jit the names and shapes of what it holds."""
+    """Dimensions, material and tendons; for a batch or under jit the names and shapes of all arrays."""
     leaves = jax.tree.leaves(manipulator)
     if any(isinstance(leaf, Tracer) for leaf in leaves) or np.ndim(manipulator.length) > 0:
         return eqx.tree_pformat(manipulator)
@@ -60,7 +60,7 @@ def _first_line(manipulator: Manipulator, length: float) -> str:
 
 
 def _numbers(owner: Manipulator | Tendon, names: Sequence[str]) -> list[str]:
-    """Names and numbers of what is there; of all but `_ALSO_ZERO`, zero is the same as absent."""
+    """Names and numbers that are given; zero counts as not given, except for `_ALSO_ZERO`."""
     values = {name: getattr(owner, name) for name in names}
     return [
         f"{name} {shown(value, dimension_of(name))}"
@@ -77,7 +77,7 @@ def _tendon(tendon: Tendon, length: float) -> str:
 
 
 def _profile(profile: Profile, length: float, kind: Dimension = "length") -> str:
-    """A profile by its values at the base and the tip, and what lies between."""
+    """A profile by its values at both ends, its form and its range."""
     if isinstance(profile, Constant):
         return shown(profile.value, kind)
     s = np.linspace(0.0, length, 201)

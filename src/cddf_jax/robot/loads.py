@@ -25,10 +25,10 @@ class Loads(eqx.Module):
     Args:
         tip_force: F, a force on the tip (X, Y) or (X, Y, Z), N.
         tip_moment: m, a moment on the tip, N m: a number, positive from X to Y, or in space (X, Y, Z).
-        gravity: g, the acceleration of gravity (X, Y) or (X, Y, Z), m/s^2; density, mass_per_length and point masses
-            of the body make weights of it.
+        gravity: g, the acceleration of gravity (X, Y) or (X, Y, Z), m/s^2; it acts on density, mass_per_length and
+            point masses of the body.
 
-    Where one of them has three components, the body is solved in space; the others may have two.
+    If one of them has three components, the body is solved in space; the others may have two.
 
     Raises:
         ValueError: when tip_force or gravity has neither two nor three components.
@@ -48,7 +48,7 @@ class Loads(eqx.Module):
     def in_space(self) -> bool:
         """Whether one of them has three components; static."""
         vectors = [np.shape(self.tip_force), np.shape(self.gravity)]
-        along_path = any(len(shape) > 1 for shape in vectors)  # then a row of moments is one of numbers in the plane
+        along_path = any(len(shape) > 1 for shape in vectors)  # then (3,) are the moments of three steps in the plane
         return any(shape[-1] == 3 for shape in vectors) or (np.shape(self.tip_moment) == (3,) and not along_path)
 
 
@@ -65,9 +65,9 @@ def loads_in_space(loads: Loads) -> Loads:
 
 
 def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> Float[Array, "*points components"]:
-    """What all distributed dead loads together put on the body, N/m: its weight.
+    """The sum of all distributed dead loads, N/m: the weight of the body.
 
-    A further distributed load is a field of `Loads` and a term here; the solver and its energy take it from here.
+    To add a distributed load, add a field to `Loads` and a term here; the solver and the energy use this function.
 
     Args:
         loads: on the body.

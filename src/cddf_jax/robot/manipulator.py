@@ -40,7 +40,7 @@ def _as_rest_curvature(value: Any) -> Any:
 
 
 def _as_modulus(value: Profile | ArrayLike | None) -> Profile | Number | None:
-    """A number stays a number, named as the whole modulus; what varies along the body is a profile."""
+    """A constant modulus stays a number, named "youngs_modulus"; a varying one is a profile."""
     return _as_optional_profile(value) if callable(value) else _as_optional_number(value)
 
 
@@ -49,11 +49,11 @@ class Tendon(eqx.Module):
 
     Args:
         offset: d(s) >= 0, profile or number, m.
-        side: sigma, +1 or -1. A tendon with side +1 pulled alone bends the body towards +n.
+        side: sigma, +1 or -1. A tendon with side +1, if it alone is pulled, bends the body towards +n.
         end: arc length at which it is anchored, m; None for the tip of the body.
         friction_coefficient: its own mu; None for the manipulator's.
         axial_stiffness: E A of the tendon, N; None for a tendon that does not stretch.
-        free_length: of the tendon between body and actuator, m, which stretches as well.
+        free_length: length of the tendon between body and actuator, m, which stretches as well.
         drag: its own w, N/m; None for the manipulator's.
         angle: around the axis, profile or number, rad, from y to z of the cross-section: a helix is `Linear`. None for
             a tendon in the plane, at 0 on side +1 and at pi on side -1. A body is in space where a tendon has an angle.
@@ -79,7 +79,7 @@ class Tendon(eqx.Module):
 
 
 class PointMass(eqx.Module):
-    """A mass on the neutral axis, such as a disc, a camera or a magnet; gravity makes a dead load of it.
+    """A mass on the neutral axis, such as a disc, a camera or a magnet; under gravity it is a dead load.
 
     Args:
         arc_length: where it is fixed, s, m, above 0 and at most the length of the body.
@@ -101,31 +101,31 @@ class Manipulator(eqx.Module):
 
     Args:
         length: L of the neutral axis, m.
-        outer_radius, inner_radius: of the annular section, profiles or numbers, m. Both may be left out where
-            bending_stiffness is given; if they are there all the same, they tell wall, strain and what density weighs.
+        outer_radius, inner_radius: of the annular section, profiles or numbers, m. Both may be left out if
+            bending_stiffness is given; if they are given too, they define the wall, its strain and the mass by density.
         tendons: one or several `Tendon`.
         youngs_modulus: E, Pa, a number, or a profile where it varies along the body.
         friction_coefficient: mu between tendon and body, for every tendon without its own.
         density: rho, kg/m^3, of the material between the radii; it matters under gravity only.
         kinematics: "exact" follows the tendon itself, "published" takes the paper as written; see `mechanics`.
-        drag: w >= 0, N/m, friction per length of the neutral axis that is there without tension and curvature, as
-            of a sheath that squeezes the tendon: T' = -direction (mu |psi'| T + w). For every tendon without its
-            own; None for none. A tendon is slack, T = 0, from where drag has used its tension up.
-        yield_strain: above 0, a fraction: the largest bending strain of the wall from which the body comes back. A
-            solve is remarked on where its `peak_strain` is larger; nothing else follows from it. None where unknown.
-        mass_per_length: kg/m, profile or number, of what density does not weigh: many discs, a sleeve, cables.
+        drag: w >= 0, N/m, friction per length of the neutral axis without tension and curvature, such as that of a
+            sheath that squeezes the tendon: T' = -direction (mu |psi'| T + w). For every tendon without its own; None
+            for none. Where drag has used up its tension, a tendon is slack, T = 0.
+        yield_strain: above 0, a fraction: the largest bending strain of the wall from which the body recovers. A solve
+            with a larger `peak_strain` has a remark; it has no other effect. None if unknown.
+        mass_per_length: kg/m, profile or number, besides density: many discs, a sleeve, cables.
         point_masses: one or several `PointMass`.
         bending_stiffness: E I, N m^2, profile or number, in place of the modulus.
-        stiffness_factor: by which the stiffness is multiplied, -; None for 1. It is what a fit finds of a body that
-            has no single modulus.
+        stiffness_factor: multiplies the stiffness, -; None for 1. A fit estimates it for a body without a single
+            modulus.
         poissons_ratio: nu of the material, -; the shear modulus is E / (2 (1 + nu)). It matters in space.
         extensible: whether the axis stretches and shears.
-        axial_factor, shear_factor: of an extensible body, by which its axial and its shear stiffness are multiplied as
-            well, -; None for 1. A fit finds them where the axis stretches otherwise than its bending tells.
+        axial_factor, shear_factor: of an extensible body: they multiply its axial and its shear stiffness as well, -;
+            None for 1. A fit can estimate them, if these stiffnesses do not follow from that of bending.
         rest_curvature: of the body in space without moment, 1/m: three profiles or numbers (twist, about y, about z).
-        torsional_stiffness, axial_stiffness, shear_stiffness: N m^2, N, N, profiles or numbers, in place of what radii,
-            modulus and Poisson's ratio make of them; in space they are required where there are no radii, the latter
-            two where the axis is extensible.
+        torsional_stiffness, axial_stiffness, shear_stiffness: N m^2, N, N, profiles or numbers, in place of those that
+            follow from radii, modulus and Poisson's ratio. In space a body without radii needs the first, and if it is
+            extensible all three.
 
     Values are not checked here, as they may be traced: `validate` does that on the host.
 
@@ -206,7 +206,7 @@ class Manipulator(eqx.Module):
 
     @property
     def profiles(self) -> dict[str, Profile]:
-        """What may vary along the body, as far as it is there, by name, such as "outer_radius", "tendons.0.offset"."""
+        """The profiles of the body by name, such as "outer_radius" and "tendons.0.offset"."""
         found: dict[str, Any] = {name: getattr(self, name) for name in ("outer_radius", "inner_radius")}
         found |= {f"tendons.{i}.offset": tendon.offset for i, tendon in enumerate(self.tendons)}
         found |= {f"tendons.{i}.angle": tendon.angle for i, tendon in enumerate(self.tendons)}
@@ -221,7 +221,7 @@ class Manipulator(eqx.Module):
 
     @property
     def stiffened_by_radii(self) -> bool:
-        """Whether the radii make the bending stiffness, E J; not where it is given in its place."""
+        """Whether the bending stiffness, E J, follows from the radii, and is not given."""
         return self.bending_stiffness is None
 
     @property
@@ -287,7 +287,7 @@ class Manipulator(eqx.Module):
         """R_outer and r_inner, m.
 
         Raises:
-            InputError: for a body without.
+            InputError: for a body without radii.
         """
         if self.outer_radius is None or self.inner_radius is None:
             raise InputError("the body has no radii; give it outer_radius and inner_radius")
@@ -314,7 +314,7 @@ class Manipulator(eqx.Module):
         return found if self.stiffness_factor is None else jnp.asarray(self.stiffness_factor) * found
 
     def distributed_mass(self, arc_length: Points) -> Float[Array, "*points"]:
-        """What the body weighs per length without its point masses, kg/m: rho A and mass_per_length together."""
+        """The mass of the body per length without its point masses, kg/m: rho A and mass_per_length together."""
         parts = [jnp.asarray(self.density) * self.area(arc_length)] if self.has_radii else []
         parts += [] if self.mass_per_length is None else [self.mass_per_length(arc_length)]
         return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(jnp.asarray(arc_length))

@@ -1,11 +1,12 @@
-"""One case of a sweep: a manipulator, how it is actuated and loaded, and the names of all numbers in it.
+"""The names of all numbers in a case: a manipulator with its tensions, loads and directions.
 
-A name is a path of attributes and places, as in Python and counted as there: "youngs_modulus", "outer_radius.tip",
-"tendons.0.offset" (of a constant profile its value), "loads.tip_force.1". How the tendons are actuated is named as in
-tables, which count tendons from 1: "base_tension" and "direction" of all tendons, "base_tension_2" of tendon 2.
+A name is a path of attributes and indices as in Python, counted from 0: "youngs_modulus", "outer_radius.tip",
+"tendons.0.offset" (the value of a constant profile), "loads.tip_force.1". Tensions and directions have the names that
+they have in tables, where tendons count from 1: "base_tension" and "direction" of all tendons, "base_tension_2" of
+tendon 2.
 
-"tendons.0.angle.winding" is by how much a linear angle grows from base to tip, rad. It stands in place of the tip, so
-that tendons of different angles at the base may share it.
+"tendons.0.angle.winding" is by how much a linear angle grows from base to tip, rad. It takes the place of the tip, so
+that tendons with different angles at the base may share it.
 """
 
 import re
@@ -31,7 +32,7 @@ _NOT_OF_NOTHING = ("outer_radius", "inner_radius", "youngs_modulus", "bending_st
 
 _WINDING = re.compile(r"(tendons\.\d+\.angle)\.winding")
 
-Place = tuple[int, tuple[int, ...]]  # of a number: the leaf of the case, and where in an array it is
+Place = tuple[int, tuple[int, ...]]  # of a number: the leaf of the case, and the index in an array
 
 
 class Case(eqx.Module):
@@ -40,7 +41,7 @@ class Case(eqx.Module):
     manipulator: Manipulator
     base_tension: Any  # a number, one per tendon, or targets; None where it is swept
     loads: Loads | None
-    direction: Any  # numbers, or one entry per tendon with None where it is to be found
+    direction: Any  # numbers, or one entry per tendon, None for one to be found
 
     @property
     def in_space(self) -> bool:
@@ -51,7 +52,7 @@ class Case(eqx.Module):
         """The number of a name.
 
         Raises:
-            InputError: names what is not there, and what is.
+            InputError: for an unknown name, with the known ones.
         """
         if name in WHOLE:
             return getattr(self, name)
@@ -64,14 +65,14 @@ class Case(eqx.Module):
         return leaves[leaf][index] if index else leaves[leaf]
 
     def with_numbers(self, numbers: Mapping[str, Any]) -> "Case":
-        """The case with other numbers, which may be traced; with another "length" all that runs along stretches."""
+        """The case with other numbers, which may be traced; another "length" stretches everything along the body."""
         case, others = self, dict(numbers)
         if "length" in others:
             case = replace(case, manipulator=stretched(case.manipulator, others.pop("length")))
         case = replace(case, **{name: others.pop(name) for name in WHOLE if name in others})
         windings = {tip: others.pop(name) for name in tuple(others) if (tip := tip_of_winding(name))}
         if twice := [tip for tip in windings if tip in others]:
-            raise InputError(f"{twice[0]} follows from base and winding; leave it or the winding out")
+            raise InputError(f"{twice[0]} follows from base and winding; leave out one of tip and winding")
         leaves, places, structure = case._flat()
         for name, number in others.items():
             leaf, index = _place(name, leaves, places)
@@ -126,27 +127,27 @@ def unit_of_name(name: str) -> str:
 
 
 def of_tendon(name: str, place: int) -> str:
-    """The name of what one of several tendons has: "base_tension_2" of the tendon at place 1."""
+    """The name of a number of one tendon: "base_tension_2" for the tendon with index 1."""
     return f"{name}_{place + 1}"
 
 
 def holds(whole: str, part: str) -> bool:
-    """Whether a name stands for several numbers and another one for some of them."""
+    """Whether the name `whole` stands for several numbers, and `part` for some of them."""
     stem, tendon = stem_and_tendon(part.split(".")[0])
     return part.startswith(f"{whole}.") or (tendon is not None and stem == whole)
 
 
 def stem_and_tendon(name: str) -> tuple[str, int | None]:
-    """ "base_tension" and 1, the place of the tendon, of "base_tension_2"; None for what is not of one tendon."""
+    """ "base_tension" and the index 1 for "base_tension_2"; the name and None if it is not that of one tendon."""
     found = _OF_ONE_TENDON.fullmatch(name)
     return (found[1], int(found[2]) - 1) if found else (name, None)
 
 
 def _place(name: str, leaves: list[Any], places: Mapping[str, Place]) -> Place:
-    """Where the number of a name is.
+    """The place of a number, by its name.
 
     Raises:
-        InputError: names what is not there, and what is.
+        InputError: for an unknown name, with the known ones.
     """
     place = places.get(_short(name))
     if place is None:

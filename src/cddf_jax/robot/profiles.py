@@ -1,8 +1,8 @@
 """Quantities that vary along the arc length: constant, linear, piecewise, spline.
 
-A profile is any pytree that is callable on arc lengths s (m), element by element. Its numbers may be
-traced, differentiated and vmapped over. A profile that is not smooth names the arc lengths
-where it bends or jumps in `breakpoints`, so that the solver ends its panels there.
+A profile is any pytree that is callable on arc lengths s (m), element by element. Its numbers may be traced,
+differentiated and vmapped over. A profile with kinks or jumps lists their arc lengths in `breakpoints`, so that the
+solver ends its panels there.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,12 +21,12 @@ FEW = 64  # points among which comparing is faster than searching
 
 
 def as_number(value: object) -> Number:
-    """Keep what JAX traces as it is; hold every other number as a NumPy float64 array."""
+    """An array of JAX as it is; every other number as a NumPy float64 array."""
     return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
 
 
 def as_profile(value: Profile | ArrayLike) -> Profile:
-    """A profile of a number or a function; what is a pytree that is callable stays what it is."""
+    """A profile from a number or a function; a callable pytree is returned as it is."""
     if not callable(value):
         return Constant(value)
     return Function(value) if jax.tree_util.all_leaves([value]) else value
@@ -105,7 +105,7 @@ class Piecewise(eqx.Module):
 
 
 def _check_points(name: str, arc_length: Number, values: Number, least: int, remedy: str = "") -> None:
-    """Points are two lists of one length."""
+    """Refuse points that are not two lists of the same length."""
     own, other = np.shape(arc_length), np.shape(values)
     if own != other or len(own) != 1 or own[0] < least:
         demand = f"{name}: arc_length and values must be two lists of one length, {least} or more"
@@ -144,7 +144,7 @@ class Polyline(eqx.Module):
 
 
 def _count_up_to(places: Float[Array, " n"], arc_length: Float[Array, "*points"]) -> Array:
-    """How many of some increasing places lie at or before each arc length; a few are compared with in less time."""
+    """How many of some increasing places lie at or before each arc length."""
     if places.shape[0] > FEW:
         return jnp.searchsorted(places, arc_length, side="right")
     return jnp.sum(arc_length[..., None] >= places, axis=-1)
@@ -223,7 +223,7 @@ class Shifted(eqx.Module):
 
 
 def shifted(profile: Profile, by: ArrayLike) -> Profile:
-    """The profile plus a number; what is constant stays so."""
+    """The profile plus a number; a constant profile stays constant."""
     return Constant(profile.value + by) if isinstance(profile, Constant) else Shifted(profile, by)
 
 

@@ -1,4 +1,4 @@
-"""The same body in another shape: with another length, everything along it in proportion, or with another taper."""
+"""The same body with another length, everything along it in proportion, or with another taper."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def _stretched(profile: Profile, ratio: Number) -> Profile:
 
 
 def tapered(profile: Profile, base: float, tip: float, length: ArrayLike) -> Profile:
-    """The profile with other values at base and tip, m: what is added to it in between is a straight line.
+    """The profile with other values at base and tip, m, by adding a straight line.
 
     Raises:
         InputError: for a profile of a type that this package does not define.

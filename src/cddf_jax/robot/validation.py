@@ -1,4 +1,4 @@
-"""Checks on the host that the numbers of a manipulator describe a body, with messages for people."""
+"""Checks that the numbers of a manipulator describe a body; their messages name place, value and remedy."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -43,7 +43,7 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
     _check_leaves(manipulator)
     _check_scalars(manipulator)
     _check_knots(manipulator)
-    with jax.enable_x64(True):  # a profile is judged in float64, whatever the caller computes in
+    with jax.enable_x64(True):  # profiles are checked in float64, whatever precision the caller has
         s = _stations(manipulator)
         _check_wall(manipulator, s)
         for name, demand in _DEMANDED_ALONG.items():
@@ -57,7 +57,7 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
 
 
 def check_weight(manipulator: Manipulator, loads: Loads | None) -> None:
-    """Refuse gravity on a body without mass, where both are known; what is traced is not looked at.
+    """Refuse gravity on a body without mass; traced values are not checked.
 
     Raises:
         InputError: names what is missing and the remedy.
@@ -75,7 +75,7 @@ def check_weight(manipulator: Manipulator, loads: Loads | None) -> None:
 
 
 def _check_leaves(manipulator: Manipulator) -> None:
-    """Every number concrete and finite."""
+    """Refuse traced numbers, and numbers that are not finite."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(manipulator):
         name = jax.tree_util.keystr(path).removeprefix(".")
         if isinstance(leaf, Tracer):
@@ -105,7 +105,7 @@ def _check_scalars(manipulator: Manipulator) -> None:
 
 
 def _check_numbers(prefix: str, owner: Manipulator | PointMass | Tendon) -> None:
-    """Those of an owner that are there and do not vary along the body: one number each, and not too small."""
+    """Refuse numbers of an owner that are arrays or too small; profiles are checked elsewhere."""
     for name in (*_ABOVE_ZERO, *_ZERO_OR_MORE):
         value = getattr(owner, name, None)
         if value is None or callable(value):
@@ -121,7 +121,7 @@ def _check_numbers(prefix: str, owner: Manipulator | PointMass | Tendon) -> None
 
 
 def _check_knots(manipulator: Manipulator) -> None:
-    """Knots and joints increasing."""
+    """Refuse knots and joints that do not increase."""
     for name, profile in manipulator.profiles.items():
         words = re.sub(r"tendons\.(\d+)\.", lambda found: f"tendon {int(found[1]) + 1}: ", name)
         for part in _parts(profile):
@@ -156,7 +156,7 @@ def joints(manipulator: Manipulator) -> Array:
 
 
 def _sides(breakpoints: Number, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Just before and just behind each breakpoint; those not between base and `end` have both sides in one place."""
+    """Just before and just behind each breakpoint; for one that is not between base and `end` both are equal."""
     joints, nudge = np.sort(np.asarray(breakpoints, float)), 1e-9 * end
     return np.clip(joints - nudge, 0.0, end - nudge), np.clip(joints + nudge, 0.0, end - nudge)
 
@@ -210,7 +210,7 @@ def _check_jumps(name: str, tendon: Tendon, reach: float) -> None:
 
 
 def _check_turns(name: str, angle: Profile, reach: float) -> None:
-    """No jump of an angle, other than by whole turns."""
+    """Refuse a jump of an angle, except by whole turns."""
     sides = _sides(breakpoints(angle), reach)
     before, after = (_at(angle, side) for side in sides)
     meet, rule = np.abs(_least_turn(after - before)) <= _SLACK * np.maximum(1.0, np.abs(before)), "angle must not jump"
@@ -218,7 +218,7 @@ def _check_turns(name: str, angle: Profile, reach: float) -> None:
 
 
 def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
-    """No two tendons with an angle in one place of a cross-section; between arc lengths both move in straight lines."""
+    """Refuse two tendons that meet in a cross-section; between the arc lengths both move in straight lines."""
     turned = [(i, t, t.angle) for i, t in enumerate(manipulator.tendons, 1) if t.angle is not None]
     for (i, one, angle), (j, other, other_angle) in combinations(turned, 2):
         reach = min(float(manipulator.length if t.end is None else t.end) for t in (one, other))
@@ -240,7 +240,7 @@ def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
 
 
 def _least_turn(angle: np.ndarray) -> np.ndarray:
-    """The same angle less whole turns, from -pi to pi."""
+    """The angle less whole turns, from -pi to pi."""
     return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
 
 

@@ -1,4 +1,4 @@
-"""The axes of a sweep: what varies along each dimension of its answer."""
+"""The axes of a sweep: what varies along each dimension of its dataset."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,14 +11,14 @@ from ..robot.manipulator import KINEMATICS
 from ..robot.named_numbers import holds, stem_and_tendon
 from ..statics.arguments import check_nodes
 
-OPTIONS = ("nodes", "method", "kinematics")  # each value is a program of its own
-PATH = "path"  # the attribute of an answer that names the dimension whose base tensions were traced in their order
-ALONG_A_PATH = ("base_tension", "loads.")  # beginnings of the names of what may vary along it
+OPTIONS = ("nodes", "method", "kinematics")  # each value has its own program
+PATH = "path"  # the attribute of a dataset that names the dimension whose base tensions were traced in their order
+ALONG_A_PATH = ("base_tension", "loads.")  # how the names of numbers begin that may vary along it
 RESERVED = ("tendon", "point", "component", "axis", "result", "successful")
 
 
 class Dimension(NamedTuple):
-    """A dimension of the answer; everything along it has one length."""
+    """A dimension of the dataset; everything along it has the same length."""
 
     name: str
     numbers: dict[str, np.ndarray]  # by the name of a number of the case

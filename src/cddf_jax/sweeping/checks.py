@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def _check_kinds(work: "Sweep") -> None:
-    """Arguments of the right types."""
+    """Refuse arguments of wrong types."""
     if not isinstance(work.manipulator, Manipulator):
         raise InputError(f"sweep: manipulator must be a Manipulator, as of read_manipulator, got {work.manipulator!r}")
     if work.loads is not None and not isinstance(work.loads, Loads):
@@ -40,7 +40,7 @@ def _check_kinds(work: "Sweep") -> None:
 
 
 def _check_history(work: "Sweep") -> None:
-    """What cannot be traced."""
+    """Refuse what cannot be traced."""
     among = [dimension.name for dimension in work.pulled]
     if not among:
         raise InputError('sweep: history needs the axis "base_tension", whose values are the path')
@@ -66,7 +66,7 @@ def _check_history(work: "Sweep") -> None:
 
 
 def _check_short_steps(work: "Sweep") -> None:
-    """What cannot be followed in short steps."""
+    """Refuse what cannot be followed in short steps."""
     what = "of several tendons or under loads"
     if work.case.in_space:
         raise InputError(f"sweep: a history {what} is known in the plane only; take one tendon without loads")

@@ -16,19 +16,19 @@ from .one_solve import AXES, COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
 if TYPE_CHECKING:
     import xarray
 
-LABELS = {"component": COMPONENTS, "axis": AXES}  # of places along a dimension; others are counted
+LABELS = {"component": COMPONENTS, "axis": AXES}  # along a dimension; other dimensions have numbers
 
 
 def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
-    """The whole answer as a NetCDF file."""
+    """Write the whole dataset as a NetCDF file."""
     whole = answer.load().drop_encoding()
     texts = {name: (c.dims, list(map(str, c.values))) for name, c in whole.coords.items() if c.dtype.kind == "T"}
-    with in_one_step(path) as draft:  # SciPy's writer knows no text of any length
+    with in_one_step(path) as draft:  # SciPy's writer knows only texts of a fixed length
         whole.assign_coords(texts).to_netcdf(draft, engine="scipy", format="NETCDF3_64BIT")
 
 
 def write_csv(layout: Layout, answer: "xarray.Dataset", path: Path) -> None:
-    """A table with a row for each solve: what varies, the outputs that are no lines along the body, the result."""
+    """Write a table with a row for each solve: what varies, the outputs except those along the body, the result."""
     pandas = needed("pandas")
     with in_one_step(path) as draft, open(draft, "w", encoding="utf-8", newline="") as file:
         places = {name: np.arange(size) for name, size in layout.shape.items() if name not in answer.coords}
@@ -38,7 +38,7 @@ def write_csv(layout: Layout, answer: "xarray.Dataset", path: Path) -> None:
 
 
 def blocks_of(layout: Layout, answer: "xarray.Dataset") -> Iterator["xarray.Dataset"]:
-    """The answer in the order of its rows, as much at once as memory allows."""
+    """The dataset in blocks, in the order of its rows, each as large as memory allows."""
     sizes = list(layout.shape.values())
     rows = replace(layout, chunks=even_chunks(sizes, layout.chunk_size, [False] * len(sizes)))
     for index in rows.indices():
@@ -67,7 +67,7 @@ def _output_columns(layout: Layout, block: "xarray.Dataset") -> dict[str, np.nda
 
 
 def labelled(name: str, dims: Sequence[str], shape: Sequence[int]) -> Iterator[tuple[tuple[int, ...], str]]:
-    """The place and the name of each number of an output: "tip_position.X", "tip_tension_2"; just its name for one."""
+    """Index and name of each number of an output, "tip_position.X" or "tip_tension_2"; a single one is not numbered."""
     for place in np.ndindex(*shape):
         parts = zip(dims, place, shape, strict=True)
         ends = (f".{LABELS[d][i]}" if d in LABELS else of_tendon("", i) for d, i, n in parts if n > 1)
@@ -80,5 +80,5 @@ def _head(name: str, attrs: Mapping[str, object]) -> str:
 
 
 def is_short(layout: Layout, name: str) -> bool:
-    """Whether an output is a number or a few for each solve, not a line along the body."""
+    """Whether an output has one or a few numbers for each solve, and is not a line along the body."""
     return "point" not in layout.variables[name].dims

@@ -1,4 +1,4 @@
-"""What a sweep can be asked for, with dimensions and units."""
+"""The outputs of a sweep with their dimensions and units, and the function that computes them for one solve."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -25,7 +25,7 @@ COMPONENTS = ("X", "Y", "Z")  # in the fixed frame; a body in the plane has the 
 AXES = ("x", "y", "z")  # of a cross-section of a body in space
 SUCCESSFUL, RESULT = VERDICTS = "successful", "result"
 
-# what can be asked of an `Equilibrium`, and its dimensions beside those of the sweep
+# outputs of an `Equilibrium`, and their dimensions besides those of the sweep
 OUTPUTS: dict[str, tuple[str, ...]] = {
     "tip_position": ("component",),
     "tip_angle": (),
@@ -63,7 +63,7 @@ IN_SPACE: dict[str, tuple[str, ...]] = {
     "frame": ("point", "component", "axis"),
     "path": ("tendon", "point", "component"),
 }
-# what can be asked of a `History` beside what an equilibrium has too, and its dimensions beside those of the sweep
+# outputs of a `History`, and their dimensions besides those of the sweep
 OF_HISTORY: dict[str, tuple[str, ...]] = {
     **{name: OUTPUTS[name] for name in ("tip_position", "tip_angle", "tip_tension", "tendon_displacement")},
     **{name: OUTPUTS[name] for name in ("direction", "error_estimate")},
@@ -90,9 +90,9 @@ def variable(
     unit_by: str = "",
     by: str = "",
 ) -> Variable:
-    """An output of `array`'s shape and type for every solve, or its derivative by the number `by` with its unit.
+    """The variable of an output with the shape and type of `array`, or of its derivative by the number `by`.
 
-    `shape` is that of the sweep. `known` holds the dimensions of outputs that are no observables.
+    `shape` is that of the sweep, `unit_by` the unit of `by`, and `known` the dimensions of all outputs but observables.
     """
     dims, unit, meaning = tuple(f"{name}_{i}" for i in range(array.ndim)), "", name
     if name in known:
@@ -110,7 +110,7 @@ def variable(
 
 
 def slope_name(output: str, by: str) -> str:
-    """What the derivative of an output is called."""
+    """The name of the derivative of an output."""
     return f"{output}_by_{by}"
 
 
@@ -122,7 +122,7 @@ def quotient(unit: str, by: str) -> str:
 
 
 def coordinates(dimensions: tuple[Dimension, ...], units: Mapping[str, str], variables: Mapping[str, Variable]) -> dict:
-    """What labels the answer."""
+    """The coordinates of the dataset."""
     coords: dict[str, Coordinate] = {}
     for dimension in dimensions:
         for name, values in dimension.numbers.items():
@@ -147,7 +147,7 @@ Observables = tuple[tuple[str, Callable[[Equilibrium], ArrayLike]], ...]
 class OneSolve(eqx.Module):
     """The outputs of one solve, and their derivatives, as a function of the numbers that vary.
 
-    With a path they are those of `trace` after each of its steps, step first.
+    With a path the outputs are those of `trace` after each step, step first.
     """
 
     case: Case
@@ -189,7 +189,7 @@ class OneSolve(eqx.Module):
 
 
 def _along(case: Case, path: dict[str, Float[Array, " steps"]]) -> tuple[Array, Loads | None]:
-    """Base tensions of all tendons, step first, and the loads: those that stay, or step first where any changes."""
+    """Base tensions of all tendons, step first, and the loads: constant ones, or step first if any of them changes."""
     count = case.manipulator.num_tendons
 
     def after_step(numbers: Numbers) -> tuple[Array, Loads | None]:
@@ -218,7 +218,7 @@ def _observed(name: str, function: Callable[[Equilibrium], ArrayLike], found: Eq
 
 
 def prepared(case: Case, kinematics: str, dtype: np.dtype) -> Case:
-    """The case in one precision and kinematics, its numbers ready to be arguments of a program."""
+    """The case with the given kinematics, and its numbers as JAX arrays of the given precision."""
 
     def cast(leaf: object) -> object:
         if not isinstance(leaf, float | np.ndarray | jax.Array):

@@ -1,4 +1,4 @@
-"""`sweep`: one solve for every combination of what varies, with labels, in chunks that survive a stop."""
+"""`sweep`: a solve for every combination of what varies, as a labelled dataset, in chunks that survive a stop."""
 
 import os
 import re
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     import xarray
 
 CHUNK = 131072  # solves
-CHUNK_IN_SHORT_STEPS = 512  # each of which takes some 10,000 times as long
-SHARE = 0.25  # of the memory that is free
+CHUNK_IN_SHORT_STEPS = 512  # solves, each of which takes some 10,000 times as long
+SHARE = 0.25  # of the free memory
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
 Observable = Callable[[Equilibrium], ArrayLike]
-_OF_SPACE = re.compile(r"loads\.((tip_force|gravity)\.2|tip_moment\.[0-2])")  # components that the plane has not
+_OF_SPACE = re.compile(r"loads\.((tip_force|gravity)\.2|tip_moment\.[0-2])")  # components that only space has
 
 
 def sweep(
@@ -63,40 +63,40 @@ def sweep(
     memory: float | None = None,
     chunk: int | None = None,
 ) -> "xarray.Dataset":
-    """Solve for every combination of the values along the axes, on all devices and processes there are.
+    """Solve for every combination of the values along the axes, on all devices and processes.
 
     Args:
-        manipulator: the body; what no axis names is taken from here.
-        axes: by dimension of the answer. Either the name of a number and its values, {"base_tension": values}, or any
+        manipulator: the body, with all numbers that no axis names.
+        axes: by dimension of the dataset. Either the name of a number and its values, {"base_tension": values}, or any
             other name and several numbers that vary together along it, {"sample": latin_hypercube(...)}. The dimensions
             are combined with each other. A name is the path to a number: "base_tension", "youngs_modulus",
             "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension_2", and the options "nodes",
             "method", "kinematics". SI units.
-        base_tension, loads, direction, nodes, method: as `solve` takes them, where no axis names them.
-        history: take the base tensions along their axis for a path in time, N, from rest: they are pulled and
+        base_tension, loads, direction, nodes, method: as `solve` takes them, if no axis names them.
+        history: take the base tensions along their axis as a path in time, N, from rest: tendons are pulled and
             released in their order, by `trace`, for each combination of the other axes. Several tendons, and loads that
             change with them, vary together along it: {"path": {"base_tension_1": values, "base_tension_2": values}}.
-            Where base tensions vary along other axes too, the name of the axis that is the path. `loads` rest on the
-            body before the first step. Several tendons and loads are followed in short steps: ask for `error_estimate`,
-            and look at `result`, which says `inaccurate` where it is large.
+            If base tensions vary along other axes too, give the name of the axis that is the path. `loads` act before
+            the first step. Several tendons and loads are followed in short steps: ask for `error_estimate`, and look at
+            `result`, which is `inaccurate` if the error is large.
         short_steps: as `trace` takes it, with several tendons or loads.
-        outputs: attributes of `Equilibrium`, or of `History` and its fields, each an array of the answer.
+        outputs: attributes of `Equilibrium`, or of `History` and its fields, each an array of the dataset.
         observables: more outputs, by name, each a function of an `Equilibrium`.
-        sensitivities: names of numbers; for each output X that is real and each number P there is then
-            X_by_P, the derivative.
+        sensitivities: names of numbers; for each real output X and each number P the dataset then has X_by_P, the
+            derivative.
         precision: "float32" or "float64"; that of JAX unless given.
         out: path of a Zarr store. A sweep that was stopped, even by a kill, goes on where it was when it is started
             again. A store of another sweep is refused. Several processes (`jax.distributed`) share the work.
-        memory: that may be used, bytes; a quarter of what is free unless given.
-        chunk: solves between two writes; sized for speed and memory unless given.
+        memory: bytes that may be used; a quarter of the free memory unless given.
+        chunk: solves between two writes; chosen for speed and memory unless given.
 
     Returns:
         The outputs with the dimensions of the axes first, then "tendon", "point" (along the body), "component" (X, Y,
         and in space Z), and in space "axis" (x, y, z of the cross-section).
-        `result` says how each solve went (its codes are among its attributes) and `successful` where all is well: a
-        failed solve is NaN, a doubtful one (crossing, inaccurate, unstable, ...) keeps its numbers. As in `solve`,
-        walls and clearances are not checked: call `manipulator.validate()`. Chunks, devices and processes change
-        numbers in the last bits at most (1e-13 relative).
+        `result` is the code of each solve (its attributes list the codes), and `successful` is true where it has no
+        doubt. A failed solve is NaN, and a doubtful one (crossing, inaccurate, unstable, ...) keeps its numbers. As in
+        `solve`, walls and clearances are not checked: call `manipulator.validate()`. Chunks, devices and processes
+        change numbers by 1e-13 relative at most.
 
     With "length" everything along the body varies in proportion: tapers, knots, joints and anchors. All other numbers
     of a profile stay.
@@ -132,7 +132,7 @@ def _names(what: str, given: Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """A sweep that is to run; for its fields see `sweep`."""
+    """A sweep before it runs; for its fields see `sweep`."""
 
     manipulator: Manipulator
     dimensions: tuple[Dimension, ...]
@@ -173,7 +173,7 @@ class Sweep:
 
     @property
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
-        """What can be asked for, and its dimensions beside those of the sweep."""
+        """All possible outputs, and their dimensions besides those of the sweep."""
         if self.in_short_steps:
             of_one_tendon = "num_turns"
             return {name: dims for name, dims in one_solve.OF_HISTORY.items() if name != of_one_tendon}
@@ -200,7 +200,7 @@ class Sweep:
 
     @cached_property
     def layout(self) -> Layout:
-        """Its shape."""
+        """The shape of the dataset, and its chunks."""
         check_sweep(self)
         variables = self._variables()
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
@@ -241,7 +241,7 @@ class Sweep:
 
     @property
     def steps(self) -> int:
-        """How many solves are made together, as one goes on where another ended."""
+        """The number of solves that are made together: the steps of a path."""
         return 1 if self.path is None else self.path.size
 
     def _variables(self) -> dict[str, Variable]:
@@ -266,16 +266,16 @@ class Sweep:
 
     @cached_property
     def identity(self) -> dict[str, object]:
-        """All that the answer depends on, JSON."""
+        """All that the results depend on, JSON."""
         body = self.case.manipulator
-        along = np.linspace(0.0, float(np.asarray(body.length)), 101)  # a function as a profile has no leaves
+        along = np.linspace(0.0, float(np.asarray(body.length)), 101)  # for profiles that are functions, without leaves
         profiles = body.profiles.values()
         axes = {f"axis {d.name}": {k: recorded(v) for k, v in (d.numbers | d.options).items()} for d in self.dimensions}
         return {
             **numbers_of(self.case),
             **axes,
             "order of axes": [dimension.name for dimension in self.dimensions],
-            # operation by operation: compiled together, the last digits would depend on the compiler's options
+            # not compiled: the last digits would depend on the options of the compiler
             "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
             "kinematics": self.manipulator.kinematics,
             "history": self.history,
@@ -290,7 +290,7 @@ class Sweep:
         }
 
     def solver(self, index: Index) -> OneSolve:
-        """One solve as a function of the numbers that vary; `index` is that of the options along the dimensions."""
+        """One solve as a function of the numbers that vary, with the options at `index` along the dimensions."""
         chosen = {
             name: values[i]
             for dimension, i in zip(self.dimensions, index, strict=True)
@@ -308,7 +308,7 @@ class Sweep:
     # --- running ------------------------------------------------------------------------------------
 
     def run(self, out: str | os.PathLike[str] | None = None) -> "xarray.Dataset":
-        """Compute the chunks that the store does not have yet, and return the whole answer."""
+        """Compute the chunks that the store does not have yet, and return the whole dataset."""
         done = carry_out("solving", self.layout, lambda: self.identity, self.chunk, out, self.allowed)
         return done.dataset()
 
@@ -332,7 +332,7 @@ class Sweep:
         return {name: self._in_place(np.reshape(x, (*places[0].shape, *x.shape[1:]))) for name, x in outputs.items()}
 
     def _in_place(self, output: np.ndarray) -> np.ndarray:
-        """An output of a chunk with the steps of a path along their dimension, which has one place so far."""
+        """An output of a chunk with the steps of a path moved to their dimension, which has the length 1 so far."""
         if self.path is None:
             return output
         steps, own = len(self.dimensions), self.dimensions.index(self.path)
