@@ -109,7 +109,7 @@ _ALL = (
     Quantity("peak_strain_at", "length", "arc length of the peak strain"),
     # its history
     Quantity("front", "length", "arc length up to which the tendon slid last"),
-    Quantity("num_turns", "dimensionless", "turns that are still felt"),
+    Quantity("num_turns", "dimensionless", "turns that are still remembered"),
     Quantity("work", "energy", "work put in at the base"),
     Quantity("friction_loss", "energy", "energy lost to friction"),
     Quantity("stored_energy", "energy", "energy stored in the body"),
