@@ -5,7 +5,7 @@ history, friction coefficient and modulus free, the noise of each column estimat
 t-statistics. The seed is fixed beforehand, 21; loop k of each scenario is drawn from (21, k).
 
 - One tendon, base tensions of 5 to 85 N in steps of 5 N and back, 33 readings; also the tip angle alone.
-- One tendon that was released from 60 N to the first row, 40 N, then pulled to 85 N and let out to 5 N, 26 readings;
+- One tendon that was released from 60 N to the first row, 40 N, then pulled to 85 N and released to 5 N, 26 readings;
   what it had before is fitted too.
 - A pair of tendons, the second at 20 N: 8 readings from 10 to 70 N and back to 16 N; the same released from 62 N to
   the first row, 45 N, 8 readings, what tendon 1 had before fitted too. They are simulated with 16 short steps and

@@ -140,7 +140,7 @@ def loop(paper: cddf.Manipulator) -> str:
     angle = np.rad2deg(history.tip_angle) + ANGLE_SD * rng.normal(size=levels.size)
     notes = (
         NOTE.format(seed=SEED, stream=stream),
-        "Pulled from rest and let out again: 17 levels of 5 to 85 N, then 16 levels back to 5 N; steps in their order.",
+        "Pulled from rest and released: 17 levels of 5 to 85 N, then 16 levels back to 5 N; steps in their order.",
         truth(paper, "but EXACT kinematics: fit it with kinematics='exact'."),
         f"Noise, normal: base tension sd {BASE_SD} N; tip tension sd {CELL_FLOOR} N, tip angle sd {ANGLE_SD} deg.",
         f"The tip cell is off: gain {LOOP_GAIN}, zero {LOOP_ZERO} N.",

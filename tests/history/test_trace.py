@@ -78,7 +78,7 @@ def test_a_loop_of_the_paper():
 
 
 def test_random_paths_against_the_play():
-    """Also far above 113 N, where a tendon that is let out would lock, were all of it to slide."""
+    """Also far above 113 N, where a tendon that is released would lock, were all of it to slide."""
     rng = np.random.default_rng(21)
     for largest in (80.0, 200.0):
         path = rng.uniform(0, largest, 12)

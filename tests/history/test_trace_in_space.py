@@ -34,7 +34,7 @@ def helix(turns, friction=MU, **others):
 
 
 def test_a_parallel_tendon_is_that_of_the_plane_turned_about_the_axis():
-    angle, path = 0.7, [*LOOP[:4], 200.0, 150.0]  # far above 113 N, where a tendon that is let out would lock
+    angle, path = 0.7, [*LOOP[:4], 200.0, 150.0]  # far above 113 N, where a tendon that is released would lock
     planar = cddf.Manipulator(
         length=LENGTH,
         outer_radius=cddf.Linear(*RADII, LENGTH),

@@ -311,7 +311,7 @@ def test_where_nothing_is_left_of_what_was_before():
     found = cddf.fit(BODY, released(tension=low), free, noise=NOISE)
     assert 1 / 60 + 2 * MU / E * COMPLIANCE < 1 / 5
     assert found.status["before"] == "not identified"
-    assert "felt only where the release to that row has not reached the tip" in found.verdict[-1]
+    assert "has an effect only if the release to that row has not reached the tip" in found.verdict[-1]
     from_rest = cddf.fit(BODY, released(before=40.0), free, noise=NOISE)
     assert from_rest.status["before"] == "at bound"
     assert "before = 40 N: at bound, at most 40.2" in str(from_rest)

@@ -44,7 +44,7 @@ class CongruentStates(States):
     manipulator: Manipulator
     nodes: int = eqx.field(static=True)
     num_steps: int = eqx.field(static=True)  # the last of the path; those before come from an earlier history
-    open_tension: Float[Array, " turns"]  # N, of the turns that are felt at the end, then the last tension
+    open_tension: Float[Array, " turns"]  # N, of the turns that are remembered at the end, then the last tension
     path: Float[Array, " path"]  # base tensions, N
     turns: Turns  # of the path
     front: Float[Array, " path"]  # m
@@ -71,7 +71,7 @@ class CongruentStates(States):
 class Before(NamedTuple):
     """What was before the first step."""
 
-    open_tension: Float[Array, " turns"]  # N, a path that leaves what is felt
+    open_tension: Float[Array, " turns"]  # N, a path that leaves the remembered turns
     work_and_loss: Float[Array, "2"] | None = None  # since rest, J; None for those of that path
 
 

@@ -57,7 +57,7 @@ class History(eqx.Module):
     tip_frame: Float[Array, "steps 3 3"] | None  # of a body in space: its columns are the axes of the tip
     direction: Float[Array, "steps *tendons"]  # of the sliding tendon: +1 in, -1 out
     front: Float[Array, "steps *tendons"]  # s, m, up to which the tendon slid last; it rests beyond, if not the tip
-    num_turns: Int[Array, " steps"] | None  # how many turns are still felt; None with several tendons or loads
+    num_turns: Int[Array, " steps"] | None  # how many turns are still remembered; None with several tendons or loads
     tendon_displacement: Float[Array, "steps *tendons"]  # m, pulled in at the base since the straight body
     error_estimate: Float[Array, " steps"]  # of tip tension (relative), tip position (per length), tip angle (rad)
     result: RESULTS  # how each step ended

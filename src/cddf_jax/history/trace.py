@@ -63,7 +63,7 @@ def trace(
         start: the history of the same body that goes on, in the place of `before`; with its cells, whatever `nodes`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the body
             is cut into four times as many cells.
-        max_turns: how many turns may be felt at once, 1 or more; static. Where there are more, the step is
+        max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the step is
             `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
             Several tendons, and loads, have no such limit.
         short_steps: into how many each step is divided with several tendons or loads, 2 or more; static. A path of

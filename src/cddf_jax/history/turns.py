@@ -1,4 +1,4 @@
-"""The turns of a path that are still felt: largest and smallest values that nothing later has passed.
+"""The turns of a path that are still remembered: largest and smallest values that nothing later has passed.
 
 A tendon that is released slides out from the base as far as a front, and rests beyond it: there it has the tension that
 an earlier pull has left. So what it remembers is a stack of extremes, in turn a largest and a smallest one, each within
@@ -23,7 +23,7 @@ class Turns(NamedTuple):
     direction: Float[Array, " steps"]  # +1 where the tendon was pulled, -1 where it was released
     before: Int[Array, " steps"]  # the step at whose value this motion turned; NOBODY for the pull from rest
     place: Int[Array, " steps"]  # of this step in the stack
-    open: Int[Array, "steps turns"]  # the steps that are felt, the oldest first, this one last; then NOBODY
+    open: Int[Array, "steps turns"]  # the remembered steps, the oldest first, this one last; then NOBODY
     too_many: Bool[Array, " steps"]  # whether there were more turns than there is room for
 
 

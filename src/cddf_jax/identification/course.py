@@ -323,7 +323,7 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, sta
 
 
 def _most_open(path: np.ndarray) -> int:
-    """Room for the turns that are felt at once along a path: 4, 8, 16, ..."""
+    """Room for the turns that are remembered at once along a path: 4, 8, 16, ..."""
     still_open: list[float] = []
     most = 0
     for tension in path.tolist():

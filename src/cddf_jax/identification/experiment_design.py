@@ -259,7 +259,7 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
     Args:
         manipulator: with two tendons or more, pulling the second one as well is among them.
         tension: the largest base tension, N.
-        setting: of the bench; under loads of all rows nothing is let out.
+        setting: of the bench; with loads on all rows no candidate is a release.
     """
     levels = tension * np.arange(1, 7) / 6
     cell, angle, place = 0.01 * tension, np.radians(1.0), 1e-3

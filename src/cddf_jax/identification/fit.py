@@ -227,7 +227,7 @@ def fit(
     `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`, `tip_z` of a body in space, and markers
     (`x@120mm`); `direction`, `tip_force_x`, `tip_force_y`, `tip_force_z`, `trial`, `step` and `time` are optional.
 
-    With a history, the rows of a trial are steps of a path: pulled, let out and pulled again. It starts from rest, or
+    With a history, the rows of a trial are steps of a path: pulled, released and pulled again. It starts from rest, or
     as `before` tells. Directions follow from it, and a column `direction` is only compared with it. Without, each row
     counts as sliding one way along the whole tendon.
 

@@ -49,7 +49,7 @@ class ModelFreeLoop:
         pull, out = (np.count_nonzero(self.branch == way) for way in (1, -1))
         lines = [
             f"the tip cell reads {self.gain:.4g} +- {self.gain_standard_error:.2g} times the base cell (95 %: "
-            f"{low:.4g} to {high:.4g}), by the sum of 1/T_tip of {pull} rows pulled and {out} let out, for any body",
+            f"{low:.4g} to {high:.4g}), by the sum of 1/T_tip of {pull} rows pulled and {out} released, for any body",
             f"1/T_tip - 1/T_base of a pull = {self.loss:.4g} +- {self.loss_standard_error:.2g} 1/N, by the difference",
         ]
         if not low <= 1 <= high:
@@ -66,7 +66,7 @@ class ModelFreeLoop:
 
 
 def model_free_loop(table: Measurements) -> ModelFreeLoop:
-    """The gain of the tip cell and the loss of the tendon from tensions that were pulled up and let out again.
+    """The gain of the tip cell and the loss of the tendon from a loop of tensions, pulled and released.
 
     The rows are in the order of the columns `step` or `time`, or of the file, each trial from rest; of the way back
     those rows count in which all of the tendon slides. The noise of the tip cell is estimated from the scatter.

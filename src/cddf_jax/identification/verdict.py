@@ -227,7 +227,7 @@ def _advice(fit: "Fit", lost: set[str]) -> str:
     """What would separate the parameters that these data leave together."""
     if pasts := sorted(filter(is_past, lost)):
         return (
-            f"The data do not determine {', '.join(pasts)}: a tension before the first row is felt only where the "
+            f"The data do not determine {', '.join(pasts)}: a tension before the first row has an effect only if the "
             "release to that row has not reached the tip. Leave it fixed, or start from rest."
         )
     if fit.sums:

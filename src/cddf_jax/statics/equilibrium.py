@@ -61,7 +61,7 @@ class RESULTS(eqx.Enumeration):
         "A tendon that slides out locks: its tension grows without bound before the tip. "
         "Lower its base tension, friction or wrap."
     )
-    too_many_turns = "More turns of the base tension are still felt than there is room for. Raise max_turns=."
+    too_many_turns = "More turns of the base tension are still remembered than there is room for. Raise max_turns=."
     unphysical = (
         "The body or its load is not physical (NaN, negative tension, modulus, friction or drag, a wall of no "
         "thickness, a direction other than +1 or -1, a place off the body). Give tensions of 0 or more; "
