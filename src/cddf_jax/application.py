@@ -6,37 +6,37 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
-# Small programs spend their time in the compiler: these flags make it several times faster and its
-# code slower, which fits and single solves do not feel. XLA refuses flags that it does not know.
+# For small programs most of the time goes into compiling. With these flags it is several times faster, and the code is
+# slower, which does not matter for fits and single solves. XLA refuses flags that it does not know.
 QUICK_COMPILATION = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 TESTED_JAXLIB = "0.10."
 
 
 def configure_jax(*, quick_compilation: bool = True) -> None:
-    """Double precision, and what makes small programs start quickly. Call it before JAX computes anything.
+    """Set double precision, and make small programs start quickly. Call it before JAX computes anything.
 
     Args:
-        quick_compilation: trade the speed of compiled code for that of compiling it; not for large batches.
-            Without effect where XLA_FLAGS are set already.
+        quick_compilation: compile faster, to slower code; not for large batches. Without effect if XLA_FLAGS is set
+            already.
     """
     if quick_compilation and version("jaxlib").startswith(TESTED_JAXLIB):
         os.environ.setdefault("XLA_FLAGS", QUICK_COMPILATION)
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_cpu_enable_async_dispatch", False)  # another thread would be woken for every small program
-    jax.config.update("jax_traceback_in_locations_limit", 0)  # compiled code need not know the lines it comes from
-    gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that live; looking through them takes long
+    jax.config.update("jax_cpu_enable_async_dispatch", False)  # else every small program wakes another thread
+    jax.config.update("jax_traceback_in_locations_limit", 0)  # compiled code does not need its source lines
+    gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that stay; collecting takes long
 
 
 def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> None:
-    """As `configure_jax`, for large batches: code compiled with all care, and every core a device.
+    """As `configure_jax`, for large batches: fully optimised code, and every core is a device.
 
-    Settings of the user's for the devices, JAX_NUM_CPU_DEVICES or XLA_FLAGS, are respected.
+    The user's settings for the devices, JAX_NUM_CPU_DEVICES or XLA_FLAGS, are kept.
 
     Args:
-        processes: arguments of `jax.distributed.initialize` where several processes share the work; with none of
-            them in it JAX asks Slurm or MPI.
+        processes: arguments of `jax.distributed.initialize` if several processes share the work; if it is empty, JAX
+            asks Slurm or MPI.
     """
     configure_jax(quick_compilation=False)
     import jax
@@ -50,5 +50,5 @@ def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> Non
 
 
 def _cores() -> int:
-    """Those that this process may use, where the system tells."""
+    """The number of cores that this process may use, or of all cores if the system does not say."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -7,12 +7,12 @@ from types import ModuleType
 
 
 class InputError(ValueError):
-    """What a person typed or a file holds cannot be used. The message is one line: "where: what; remedy".
+    """Input of a user or in a file cannot be used. The message is one line: "where: what; remedy".
 
     Attributes:
-        what: is wrong; it may end in the remedy.
+        what: what is wrong; it may end in the remedy.
         where: the places, the outermost first, such as a file and a part of it.
-        remedy: what helps; "" where `what` says it.
+        remedy: what helps; "" if it is in `what`.
     """
 
     def __init__(self, what: str, *, where: str | tuple[str, ...] = (), remedy: str = ""):
@@ -27,11 +27,11 @@ class InputError(ValueError):
 
 @contextmanager
 def within(place: str | os.PathLike[str], kind: type[ValueError] = InputError) -> Iterator[None]:
-    """Errors of the block name the place in which they arose, such as a file.
+    """Errors in the block name the place in which they arose, such as a file.
 
     Args:
-        place: is put before the places that an error has already.
-        kind: of errors; `ValueError` where what users write also goes to code that raises no `InputError`.
+        place: put before the places that an error has already.
+        kind: of errors; `ValueError` if the block calls code that raises no `InputError`.
 
     Raises:
         InputError: for any error of that kind.
@@ -48,10 +48,10 @@ class SolveError(RuntimeError):
 
 
 def needed(package: str, extra: str = "sweep") -> ModuleType:
-    """A package that only an extra brings.
+    """A package that belongs to an extra.
 
     Raises:
-        InputError: says how to get it.
+        InputError: if it is missing; the message says how to install it.
     """
     try:
         return __import__(package)

@@ -1,4 +1,4 @@
-"""What long work is doing: said in `stage` by what does it, and shown to those who ask, by `show_progress`."""
+"""Progress of long work: the work reports it by `stage`, and `show_progress` shows it."""
 
 import sys
 import threading
@@ -10,24 +10,24 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, TypeVar
 
-PATIENCE = 2.0  # s, in which nothing is shown
+PATIENCE = 2.0  # s, during which nothing is shown
 RARER = 0.25  # of the time so far: the least time between two lines of a log
-TICK = 0.1  # s, between two looks
+TICK = 0.1  # s, between two updates
 Item = TypeVar("Item")
 
 
 @dataclass(eq=False)
 class Stage:
-    """What is being done. Whoever does it changes `what` and `done`."""
+    """A stage of work. The work changes `what` and `done`."""
 
     what: str
-    total: int | None  # of the items; None where they are not counted
+    total: int | None  # number of items; None if they are not counted
     done: int
-    before: int  # items that were done when it began
+    before: int  # items that were done before it began
     begun: float  # s, of the clock
 
     def in_words(self, now: float) -> str:
-        """With the item that is in work, how many are done in a second, and how long the others will take."""
+        """The stage with the present item, the items per second, and the time that the others will take."""
         if self.total in (None, 1):
             return self.what
         words = f"{self.what} {min(self.done + 1, self.total):,} of {self.total:,}"
@@ -39,7 +39,7 @@ class Stage:
 
 
 class Log:
-    """A line of text for each stage that takes long; the longer it takes, the more time between two lines."""
+    """Lines of text about stages that take long; the longer they take, the more time between two lines."""
 
     def __init__(self, write: Callable[[str], object]):
         self.write, self.next, self.last = write, PATIENCE, ""
@@ -51,7 +51,7 @@ class Log:
             self.next, self.last = seconds + max(PATIENCE, RARER * seconds), words
 
     def hide(self) -> None:
-        """Nothing is left to remove before the answer is printed: lines of a log stay."""
+        """Do nothing: lines of a log stay."""
 
 
 class Bar:
@@ -80,7 +80,7 @@ class Bar:
 
 
 class Stages:
-    """The stages that go on, the outermost first; `look` shows them. Between stages nothing is shown."""
+    """The present stages, the outermost first; `look` shows them. Between stages nothing is shown."""
 
     def __init__(self, screen: Log | Bar, clock: Callable[[], float] = time.monotonic):
         self.screen, self.clock, self.begun = screen, clock, clock()
@@ -106,9 +106,9 @@ SHOWN: ContextVar[Stages | None] = ContextVar("SHOWN", default=None)
 
 @contextmanager
 def stage(what: str, total: int | None = None, done: int = 0) -> Iterator[Stage]:
-    """Say what is being done, "searching", to those who asked; also a decorator.
+    """Report a stage of work, such as "searching", if progress is shown; also a decorator.
 
-    `total` is how many items are to be done, where they are counted, and `done` how many of them are done already.
+    `total` is the number of items, if they are counted, and `done` the number of those that are done already.
     """
     shown = SHOWN.get()
     here = Stage(what, total, done, done, shown.clock() if shown else 0.0)
@@ -122,7 +122,7 @@ def stage(what: str, total: int | None = None, done: int = 0) -> Iterator[Stage]
 
 
 def each(what: str, items: Sequence[Item]) -> Iterator[Item]:
-    """Go through items and say which one is in work."""
+    """Go through items, and report the present one."""
     with stage(what, len(items)) as here:
         for here.done, item in enumerate(items):
             yield item
@@ -130,10 +130,10 @@ def each(what: str, items: Sequence[Item]) -> Iterator[Item]:
 
 @contextmanager
 def show_progress() -> Iterator[None]:
-    """Say on standard error what long work is doing: `with cddf.show_progress(): fit = cddf.fit(robot, table)`.
+    """Show the progress of long work on standard error: `with cddf.show_progress(): fit = cddf.fit(robot, table)`.
 
-    Nothing is shown in the first 2 s. Then there is a bar on a terminal, until the work is done. Elsewhere, in a log,
-    each stage that takes long has a line, with the time so far. Work of other threads is not shown.
+    Nothing is shown in the first 2 s. Then a terminal shows a bar until the work is done. Elsewhere each stage that
+    takes long has a line, with the time so far. Work of other threads is not shown.
     """
     shown = Stages(Bar() if sys.stderr.isatty() else Log(lambda line: print(line, end="", file=sys.stderr, flush=True)))
     ended = threading.Event()

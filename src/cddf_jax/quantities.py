@@ -1,6 +1,6 @@
-"""Every quantity that has a name in a file, a table, a sweep, a fit or a figure: its dimension, and how it is called.
+"""Every quantity with a name in a file, a table, a sweep, a fit or a figure: its dimension, its words and its label.
 
-Other modules list names of this registry, and add what they alone know of them.
+Other modules use names of this registry, and add what only they need.
 """
 
 from typing import NamedTuple
@@ -12,9 +12,9 @@ class Quantity(NamedTuple):
     """A kind of number, in SI units wherever it is kept."""
 
     name: str
-    dimension: Dimension | None  # None for what has no unit at all: a label, yes or no, a mixture of units
-    description: str = ""  # in a few words, where the name alone does not say enough
-    title: str = ""  # at an axis or in a table, where it is not the name in words
+    dimension: Dimension | None  # None without any unit: a label, yes or no, mixed units
+    description: str = ""  # in a few words, if the name does not say enough
+    title: str = ""  # at an axis or in a table, if it is not the name in words
     symbol: str = ""  # in formulas, as Matplotlib takes it
     in_percent: bool = False  # whether figures show it in per cent
 
@@ -25,12 +25,12 @@ class Quantity(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What an axis or the head of a table says, without the unit: "Tip tension"."""
+        """The label of an axis or a column, without the unit: "Tip tension"."""
         return self.title or self.name.replace("_", " ").capitalize()
 
     @property
     def unit(self) -> str:
-        """The SI unit, "1" for a plain number, "" where there is none."""
+        """The SI unit, "1" for a plain number, "" without a unit."""
         return "" if self.dimension is None else si_unit(self.dimension)
 
     @property

@@ -1,7 +1,7 @@
-"""Quantities with units, at the edge: text such as "140 mm" in, SI numbers out, and back.
+"""Quantities with units: text such as "140 mm" to SI numbers, and back.
 
-Sizes are decimal numbers, so that "140 mm" is 0.14 to the last bit. The units of `_UNITS` are known here; pint knows
-all others, and is imported when the first of them is met.
+Sizes of units are decimal numbers, so that "140 mm" is 0.14 to the last bit. The units of `_UNITS` are known here. Pint
+knows all others; it is imported only when one of them is used.
 """
 
 import math
@@ -76,21 +76,21 @@ _QUANTITY = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)(?:\s*([^\d\s.,+-].*)|\s+(1\s*/.*))?",
     re.I,
 )
-_WORDS = re.compile(r"(newton|degree|radian|(milli|centi)?met(er|re)|(kilo)?gram)s?|deg|rad", re.I)  # in any letters
-_PIXELS = re.compile(r"px|pixels?", re.I)  # of a camera; pint has one of a printer
-_NEWTON_METRES = re.compile(r"([mk]?N)(m?m)")  # written in one word, which pint takes for a measure of yarn
+_WORDS = re.compile(r"(newton|degree|radian|(milli|centi)?met(er|re)|(kilo)?gram)s?|deg|rad", re.I)  # capitals or not
+_PIXELS = re.compile(r"px|pixels?", re.I)  # of a camera; pint knows that of a printer
+_NEWTON_METRES = re.compile(r"([mk]?N)(m?m)")  # in one word, which pint reads as a unit of yarn
 
 
 def quantity(text: object, dimension: Dimension, what: str) -> float:
     """The SI value of a number with its unit, such as "140 mm", "1.4 MPa" or "30 deg".
 
     Args:
-        text: number and unit; for "dimensionless" a plain number, as text or not, for "strain" that or per cent.
+        text: number and unit; for "dimensionless" a plain number, text or not; for "strain" a plain number or per cent.
         dimension: what is measured, such as "length" or "dimensionless".
         what: the name of the quantity, with which an error message begins.
 
     Raises:
-        InputError: for text that is no number, a missing, unknown or unfit unit, NaN or infinity.
+        InputError: for text that is not a number, a missing, unknown or wrong unit, NaN or infinity.
     """
     match = None if isinstance(text, bool) else _QUANTITY.fullmatch(str(text).rstrip())
     plain = dimension == "dimensionless"
@@ -118,10 +118,10 @@ def vector(text: str, dimension: Dimension, what: str) -> tuple[float, ...]:
 
 
 def series(text: str, dimensions: Sequence[Dimension], what: str) -> tuple[list[float], Dimension]:
-    """The SI values of a list such as "0 N, 75 N, 40 N", or with one unit for all "0, 75, 40 N", and what they measure.
+    """The SI values of a list such as "0 N, 75 N, 40 N", or with one unit for all "0, 75, 40 N", and their dimension.
 
-    They may measure some dimensions, of which the first is named where a unit is missing or unknown. An error message
-    begins with `what`, as that of `quantity` does.
+    It is one of `dimensions`; if the unit is missing or unknown, the error message names the first of these. The
+    message begins with `what`, as in `quantity`.
     """
     parts = _with_their_unit([part.strip() for part in text.split(",")])
     unit = _unit_of(parts[0])
@@ -131,7 +131,7 @@ def series(text: str, dimensions: Sequence[Dimension], what: str) -> tuple[list[
 
 
 def _with_their_unit(parts: list[str]) -> list[str]:
-    """Numbers without a unit take that of the others, where these have one and the same."""
+    """The parts, in which numbers without a unit take the unit of the others, if these have the same one."""
     units = {unit for part in parts if (unit := _unit_of(part))}
     if len(units) != 1:
         return parts
@@ -148,7 +148,7 @@ def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.
     """A whole column of numbers in one unit, such as "mm", converted to SI; for all dimensions but "dimensionless".
 
     Raises:
-        InputError: for a missing, unknown or unfit unit; the message begins with `what`, the name of the column.
+        InputError: for a missing, unknown or wrong unit; the message begins with `what`, the name of the column.
     """
     example = f"[{_UNITS[dimension].preferred}]"
     size = _size_in_si(unit, dimension, what, f"got [{unit}]" if unit else "got none", example)
@@ -159,7 +159,7 @@ def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.
 
 
 def unit_fits(unit: str, dimension: Dimension) -> bool:
-    """Whether a text is a unit of a dimension, or one that `to_si` refuses with its own remedy: a mass, pixels."""
+    """Whether a text is a unit of a dimension, or one for which `to_si` has its own message: a mass, pixels."""
     if dimension == "dimensionless":
         return False
     if _own_size(unit, dimension) is not None:
@@ -172,7 +172,7 @@ def unit_fits(unit: str, dimension: Dimension) -> bool:
 def written(value: float, dimension: Dimension) -> str:
     """The text of a finite SI value, such as "140 mm", that `quantity` turns back into the same float64.
 
-    The unit is the engineer's where that is exact, the SI unit otherwise.
+    The unit is the preferred one if that is exact, else the SI unit.
     """
     if dimension == "dimensionless":
         return repr(float(value))
@@ -198,7 +198,7 @@ def round_number(value: float) -> float:
 
 
 def preferred(dimension: Dimension) -> tuple[float, str]:
-    """How many of the unit that an engineer writes one SI unit is, and that unit; 1 and "" for a plain number."""
+    """The factor from the SI unit to the preferred unit, and this unit; 1 and "" for a plain number."""
     if dimension == "dimensionless":
         return 1.0, ""
     known = _UNITS[dimension]
@@ -236,7 +236,7 @@ def _own_size(unit: str, dimension: Dimension) -> Decimal | None:
 
 @cache
 def _in_si(unit: str) -> tuple[Decimal, object]:
-    """The size of a unit in SI base units, and which they are: None for an unknown unit."""
+    """The size of a unit in SI base units, and these base units: None for an unknown unit."""
     try:
         spelt = unit.lower() if _WORDS.fullmatch(unit) else unit
         size, base = _registry().get_base_units(_registry().parse_units(spelt))
