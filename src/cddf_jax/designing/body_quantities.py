@@ -179,7 +179,7 @@ def _bending(view: BodyView) -> Array:
 
 
 def _heading(view: BodyView) -> Array:
-    """In space the angle between the axes of cross-section and base."""
+    """The heading; in space the angle between the axes of cross-section and base."""
     along = view.along
     if isinstance(along, Fields):
         return along.heading

@@ -32,7 +32,7 @@ Aim = Objective | Callable[[Manipulator, Equilibrium], ArrayLike]
 
 @dataclass(frozen=True)
 class DesignOptions:
-    """How a design is searched for.
+    """Options of the search for a design.
 
     Args:
         starts: number of points within the bounds that are tried; searches begin at the best four and at the start.

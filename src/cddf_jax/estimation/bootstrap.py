@@ -57,7 +57,7 @@ class Bootstrap(NamedTuple):
 
     @property
     def remark(self) -> str:
-        """That the intervals are too narrow, if there were few cases or degrees of freedom; "" otherwise."""
+        """A remark that the intervals are too narrow, if there are few cases or degrees of freedom; else ""."""
         if self.coverage >= LEAST_COVERAGE:
             return ""
         if self.kind == "parametric":

@@ -38,7 +38,7 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Determination:
-    """What some data determine about the parameters. Dictionaries go by name, arrays by the order of `names`."""
+    """What some data determine about the parameters. The keys are names; arrays have the order of `names`."""
 
     names: tuple[str, ...]  # of the parameters that were fitted
     value: dict[str, float]  # estimate, SI

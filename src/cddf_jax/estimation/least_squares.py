@@ -75,7 +75,7 @@ class LeastSquaresFit(Determination):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """On parameters at a bound, without effect or determined by one datum; on outliers and unexplained data."""
+        """Remarks on parameters at a bound, without effect or determined by one datum, and on residuals."""
         return (
             *([self.restarted] if self.restarted else []),
             *remarks_on_parameters(self),
@@ -102,7 +102,7 @@ class LeastSquaresFit(Determination):
 
     @property
     def clusters(self) -> Clusters:
-        """By group of data, what a bootstrap of cases draws from, and the label of each datum; {}: every datum."""
+        """By group of data, the source of a bootstrap of cases and the label of each datum; {}: a datum is a case."""
         return {}
 
     def bootstrap(

@@ -22,7 +22,7 @@ MAX_STEPS = 500
 
 
 class Data(NamedTuple):
-    """What a model is fitted to; of many fits at once, arrays may have a leading axis of fits."""
+    """The data of a fit; for many fits at once, arrays may have a leading axis of fits."""
 
     values: tuple[Numbers, ...]  # by group
     noise: tuple[Numbers, ...]  # standard deviations, of the shapes of the values
@@ -154,7 +154,7 @@ def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Out
 
 
 def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
-    """Cost, residuals and derivatives at z, as of a search that ended there."""
+    """Cost, residuals and derivatives at z, as if a search had ended there."""
     return _outcome((*_at(problem, z, np.full(len(z), np.nan)), 0, True))
 
 

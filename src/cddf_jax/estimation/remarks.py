@@ -25,7 +25,7 @@ ONE_DATUM = 0.5  # of a parameter's variance; one datum should not determine mor
 
 
 def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
-    """On parameters at a bound, without effect, or determined mostly by one datum."""
+    """Remarks on parameters at a bound, without effect, or determined mostly by one datum."""
     evidence, jacobian, found = fit.evidence, fit.evidence.jacobian, []
     covariance = evidence.spectrum.covariance
     share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
@@ -48,7 +48,7 @@ def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
 
 
 def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
-    """On groups that are met exactly or hardly explained, outliers, and noise with few degrees of freedom."""
+    """Remarks on groups that are met exactly or hardly explained, outliers, noise with few degrees of freedom."""
     evidence, (problem, outcome) = fit.evidence, fit.minimum
     found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
     if any(evidence.noise_estimated.values()) and fit.degrees_of_freedom in (1, 2):

@@ -21,7 +21,7 @@ class Loss(NamedTuple):
     slope: Callable[[np.ndarray], np.ndarray]  # psi'
 
     def moments(self, residual: np.ndarray, num_parameters: int) -> tuple[float, float]:
-        """The mean of psi^2, for the degrees of freedom that so many parameters leave, and the mean of psi'."""
+        """The mean of psi^2 over the degrees of freedom, and the mean of psi'."""
         freedom = max(residual.size - num_parameters, 1)
         return float(np.sum(self.influence(residual) ** 2) / freedom), float(np.mean(self.slope(residual)))
 

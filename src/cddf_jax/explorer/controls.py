@@ -31,7 +31,7 @@ class Control(NamedTuple):
 
     @property
     def quantity(self) -> Quantity:
-        """What is changed: "base_tension" of "base_tension_2", "outer_radius" of "outer_radius.tip"."""
+        """The kind of number: "base_tension" of "base_tension_2", "outer_radius" of "outer_radius.tip"."""
         return QUANTITIES[re.split(r"_\d|\.", self.name)[0]]
 
     @property

@@ -43,7 +43,7 @@ def papers_manipulator() -> Manipulator:
 
 @dataclass(frozen=True)
 class PageContent:
-    """What a page shows when it is opened, and after a file was loaded."""
+    """The content of a page when it is opened, and after a file was loaded."""
 
     exploration: Exploration
     source: str  # of the manipulator, in words

@@ -30,7 +30,7 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
     In space the curvature over arc length stands there too, and three plane views below.
 
     Args:
-        manipulator, equilibrium, loads: as of `draw_shape`.
+        manipulator, equilibrium, loads: as in `draw_shape`.
 
     Raises:
         InputError: when the solve failed and there is no shape to draw.
@@ -105,7 +105,7 @@ def draw_view(
     """A body in space as it is seen along an axis, mm, to scale; else as `draw_shape` draws it.
 
     Args:
-        manipulator, equilibrium, loads: as of `draw_shape`, in space.
+        manipulator, equilibrium, loads: as in `draw_shape`, in space.
         plane: "XY" from above, "XZ" from the side, or "YZ" from the tip towards the base.
         axes: where to draw; None for a new figure, one column wide.
 
@@ -132,7 +132,7 @@ def views_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Load
     """A body in space in three plane views to one scale, with one scale of tensions.
 
     Args:
-        manipulator, equilibrium, loads: as of `draw_shape`, in space.
+        manipulator, equilibrium, loads: as in `draw_shape`, in space.
 
     Raises:
         InputError: for a body in the plane, or when the solve failed.

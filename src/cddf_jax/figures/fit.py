@@ -31,7 +31,7 @@ INTERVAL: looks.Look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "
 
 
 def shown_scale(name: str) -> tuple[float, str]:
-    """What to multiply a parameter by, and its label with the unit that then holds."""
+    """The factor from SI to the unit in figures, and the label with this unit, of a parameter."""
     parameter = parameter_named(name)
     scale, unit = preferred(parameter.dimension)
     words = QUANTITIES[name].label if name == parameter.name else name.replace("_", " ").capitalize()
@@ -91,7 +91,7 @@ def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None
     Where no single curve holds for all rows, the residuals are drawn over the prediction, as in `draw_fit`.
 
     Args:
-        fit, table, column, axes: as of `draw_fit`.
+        fit, table, column, axes: as in `draw_fit`.
 
     Raises:
         InputError: for another table or column, or where the model gave no numbers.
@@ -196,7 +196,7 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
 
 
 def _groups(fit: Fit, table: str) -> dict[str, Group]:
-    """What was read in a table, by column."""
+    """The groups of readings of a table, by column."""
     return {group.column: group for group in fit.groups if group.name == table}
 
 

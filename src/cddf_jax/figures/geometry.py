@@ -168,7 +168,7 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
 
 
 def drawn(manipulator: Manipulator, along: SpatialFields, loads: Loads | None) -> Drawn:
-    """What is drawn, from the fields along a body."""
+    """The body, tendons and loads to draw, from the fields along a body."""
     s = np.asarray(along.arc_length)
     there, outer = reached(manipulator, s), 1e3 * _radii(manipulator, s)[0]
     return Drawn(
@@ -233,7 +233,7 @@ def _bending(along: AnyFields) -> np.ndarray:
 
 
 def _heading(along: AnyFields) -> ArrayLike:
-    """In space the angle between the axes of cross-section and base."""
+    """The heading; in space the angle between the axes of cross-section and base."""
     return along.heading if isinstance(along, Fields) else np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))
 
 
@@ -265,6 +265,6 @@ def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np
 
 
 def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:
-    """What is drawn, mm, from arc lengths and points of the midline, m."""
+    """A body to draw, mm, from arc lengths and points of the midline, m."""
     outer, inner = _radii(manipulator, arc_length)
     return Body(1e3 * midline, heading, 1e3 * outer, 1e3 * inner)

@@ -35,7 +35,7 @@ def history_figure(
 
     Args:
         manipulator: the body that was traced.
-        history, steps, tendon: as of `draw_loop`. Along the body the last six lines are drawn.
+        history, steps, tendon: as in `draw_loop`. Along the body the last six lines are drawn.
 
     Raises:
         InputError: when a step failed.
@@ -107,7 +107,7 @@ def draw_history_along(
 
     Args:
         manipulator: the body that was traced.
-        history, axes: as of `draw_loop`.
+        history, axes: as in `draw_loop`.
         quantity: as `draw_along` takes it.
         steps: which of its steps, from 0, are drawn and have the numbers 1, 2, ...; unless given the last six steps at
             which it turns.
@@ -134,7 +134,7 @@ def draw_energy(
     In the exact kinematics the work is the sum of the other two.
 
     Args:
-        history, axes, steps: as of `draw_loop`.
+        history, axes, steps: as in `draw_loop`.
         tendon: whose base tensions stand below the steps, from 0.
 
     Raises:

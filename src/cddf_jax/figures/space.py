@@ -173,7 +173,7 @@ def draw_body_in_space(axes: Axes3D, what: Drawn) -> None:
 
 
 def silhouette(body: SpatialBody, plane: Sequence[int]) -> list[np.ndarray]:
-    """What a body covers of a plane of two coordinates: a polygon (corners, 2) for each piece between two rings."""
+    """The outline of a body in a plane of two coordinates: a polygon (corners, 2) for each piece between two rings."""
     from scipy.spatial import ConvexHull  # takes long to load, and sweeps load this module for other figures
 
     flat = body.rings[:, :-1][..., list(plane)]
@@ -228,7 +228,7 @@ def _draw_loads(axes: Axes3D, what: Drawn) -> None:
 
 
 def draw_in_plane(axes: Axes, what: Drawn, norm: Normalize, plane: str) -> None:
-    """What is seen of body, tendons and loads along the third axis, to scale."""
+    """Body, tendons and loads as seen along the third axis, to scale."""
     right, up, _ = VIEWS[plane]
     flat, towards = [right, up], np.array(TOWARDS[plane])
     polygons = silhouette(what.body, flat)

@@ -144,7 +144,7 @@ def common_legend(figure: Figure, panels: Sequence[Axes]) -> None:
 
 
 def _labelled(panels: Sequence[Axes]) -> dict[str, Artist]:
-    """What is labelled, each label once."""
+    """The artists with labels in some panels, each label once."""
     found: dict[str, Artist] = {}
     for panel in panels:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):

@@ -107,7 +107,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
 
 
 def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
-    """What varies along each dimension, by name."""
+    """The coordinates along one dimension, by name."""
     return {str(name): c for name, c in answer.coords.items() if c.ndim == 1}
 
 

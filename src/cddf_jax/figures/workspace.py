@@ -77,7 +77,7 @@ def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = T
     """Where the tip goes in a sweep: in space as a cloud in three dimensions, with three plane views to one scale.
 
     Args:
-        dataset, by: as of `draw_workspace`.
+        dataset, by: as in `draw_workspace`.
 
     Raises:
         InputError: as `draw_workspace`.
@@ -189,7 +189,7 @@ def _scatter(axes: Axes, points: np.ndarray, size: float, **look: looks.LookValu
 
 
 def _legend(where: Axes | Figure, cloud: Cloud) -> None:
-    """What hollow dots are, and what is not drawn."""
+    """A legend for hollow dots and for solves that are not drawn."""
     entries = []
     if np.any(cloud.codes != SUCCESSFUL):
         look: looks.Look = {"marker": "o", "markerfacecolor": "white", "color": looks.BLACK, "linestyle": "none"}

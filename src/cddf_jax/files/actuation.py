@@ -132,7 +132,7 @@ def read_loads(
 ) -> Loads | None:
     """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where no text is given.
 
-    In space each has three components, "0, -5, 1 N", the moment as well. `called` is as of `read_actuation`.
+    In space each has three components, "0, -5, 1 N", the moment as well. `called` is as in `read_actuation`.
     """
     if tip_force is None and tip_moment is None and gravity is None:
         return None

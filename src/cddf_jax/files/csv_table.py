@@ -25,7 +25,7 @@ _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")
 
 
 class Table(NamedTuple):
-    """What a file holds."""
+    """The content of a file."""
 
     columns: dict[str, np.ndarray]  # float64 in SI by name, text for labels
     rows: list[int]  # the line of each row in the file, or its number in the sheet

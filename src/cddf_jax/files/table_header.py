@@ -17,7 +17,7 @@ _BEHIND = re.compile(r"(.*[^\s_])[\s_]+([^\s_]+)")  # `Tbase_N`
 
 
 class Kind(NamedTuple):
-    """What the columns of a kind of table are."""
+    """A kind of table: which columns it has, and how they are read."""
 
     dimension_of: Callable[[str], Dimension | None]  # of a column, None without; raises InputError for an unknown one
     content: str  # of a row, in the plural

@@ -179,7 +179,7 @@ def _of_sheets(content: bytes, recognised: Recognised) -> Source | None:
 
 
 def _header_of(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int]:
-    """How many columns are recognised, and in which row; without any the first."""
+    """The largest number of known columns in a row, and the index of this row; 0 without any."""
     best = (0, 0)
     for i, (_, cells) in enumerate(rows[:_LOOKED_AT]):
         best = max(best, (recognised(cells), i), key=lambda found: found[0])

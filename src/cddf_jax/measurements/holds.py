@@ -28,7 +28,7 @@ LEAST_PAIRS = 10
 
 
 class SerialCorrelation(NamedTuple):
-    """How alike the residuals within holds are."""
+    """The correlation of the residuals within holds."""
 
     num_readings: int
     num_holds: int
@@ -108,7 +108,7 @@ def _is_ramp(change: np.ndarray, hold: np.ndarray) -> bool:
 
 
 def serial_correlation(residual: ArrayLike, labels: ArrayLike, num_parameters: float = 0.0) -> SerialCorrelation:
-    """How alike residuals of a fit are within holds, and how many independent readings they are worth.
+    """The correlation of residuals within holds, and the number of independent readings that they are worth.
 
     The effective number is n divided by a ratio: the scatter of the hold means, sum n_h mean_h^2 / (holds -
     parameters), over the mean square of all residuals. The ratio sums the correlations of all lags. The effective

@@ -94,7 +94,7 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
 
 
 def _rows(found: Table, num_rows: int) -> np.ndarray:
-    """Of the measurements, 0, 1, ..., for each row of the file."""
+    """For each row of the file the index of its row in the measurements, from 0."""
     for line, row in zip(found.rows, found.columns["row"], strict=True):
         if row not in range(1, num_rows + 1):
             raise InputError(

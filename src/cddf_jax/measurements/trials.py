@@ -22,7 +22,7 @@ def read_tables(
 
     Args:
         paths: of the files.
-        columns: as of `read_measurements`; a file need not have all of them.
+        columns: as in `read_measurements`; a file need not have all of them.
 
     Raises:
         InputError: as `read_measurements`.

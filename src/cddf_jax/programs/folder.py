@@ -22,7 +22,7 @@ LOG = logging.getLogger("cddf_jax.programs")
 
 
 class Entry(NamedTuple):
-    """What is kept of a program."""
+    """A kept program."""
 
     about: dict[str, Any]  # JSON
     content: bytes

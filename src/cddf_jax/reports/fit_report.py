@@ -65,7 +65,7 @@ def report_figures(report: Report) -> "dict[str, Figure]":
 
 
 def left_out(report: Report) -> dict[str, str]:
-    """By table or figure, why there is none."""
+    """The reasons for missing figures and tables, by name."""
     fit, failed = report.fit, f"the fit failed: {report.fit.result}"
     reasons = tables_without_numbers(fit)
     if not all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
@@ -321,7 +321,7 @@ def _repeat_section(report: Report) -> list[str]:
 
 
 def fit_in_words(report: Report) -> str:
-    """What the terminal shows."""
+    """The report for the terminal."""
     fit = report.fit
     lines = list(fit.verdict)
     for bootstrap in report.bootstraps:

@@ -77,7 +77,7 @@ def _moment(moment: ArrayLike) -> str:
 
 
 def missed_targets_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence[str]) -> str:
-    """How near to its targets a solve came, and at which tensions."""
+    """The values nearest to the targets of a solve, and their tensions, in words."""
     if isinstance(actuation, TipPosition):
         near, far = equilibrium.tip_position, shown(np.linalg.norm(equilibrium.target_miss), "length")
         place = ", ".join(shown(x, "length") for x in near)

@@ -109,7 +109,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Jso
 
 
 def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
-    """How many solves a store has already, in how many chunks."""
+    """The number of solves and of chunks that a store has already."""
     if not store.exists():
         return 0, 0
     opened = ZarrStore(store, work.layout, work.identity, create=False)
@@ -221,7 +221,7 @@ def rehearse(work: Sweep, places: Places | None) -> Json:
 
 
 def summary_in_words(summary: Json) -> str:
-    """What the terminal shows of what `run_sweep` returns."""
+    """The summary of `run_sweep` for the terminal."""
     total, before, paths = summary["solves"], summary["solves_there_before"], summary["paths"]
     counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in summary["results"].items())
     some = f", {before:,} there already, {total - before:,} more" if before else ""
@@ -244,7 +244,7 @@ def summary_in_words(summary: Json) -> str:
 
 
 def rehearsal_in_words(expected: Json) -> str:
-    """What the terminal shows of what `rehearse` returns."""
+    """The answer of `rehearse` for the terminal."""
     chunks, memory, store = expected["chunks"], expected["memory"], expected["store"]
     lines = [
         f"{expected['solves']:,} solves",

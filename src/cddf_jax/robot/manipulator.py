@@ -337,7 +337,7 @@ class Manipulator(eqx.Module):
         return jnp.stack([jnp.zeros_like(offset), offset * cosine, offset * sine], axis=-1)
 
     def strain_stiffness(self, arc_length: Float[ArrayLike, ""]) -> Float[Array, " strains"]:
-        """In torsion and twice in bending, N m^2; of an extensible body also along the axis and twice in shear, N."""
+        """The stiffness in torsion and twice in bending, N m^2; if extensible, also axial and twice in shear, N."""
         bending, shear_modulus = self.stiffness(arc_length), 0.5 / (1.0 + jnp.asarray(self.poissons_ratio))  # G / E
 
         def given_or(given: Profile | None, otherwise: Callable[[], Array], factor: Scalar | None = None) -> Array:

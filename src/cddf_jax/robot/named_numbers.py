@@ -36,7 +36,7 @@ Place = tuple[int, tuple[int, ...]]  # of a number: the leaf of the case, and th
 
 
 class Case(eqx.Module):
-    """What is solved once."""
+    """The input of one solve."""
 
     manipulator: Manipulator
     base_tension: Any  # a number, one per tendon, or targets; None where it is swept
