@@ -173,7 +173,7 @@ def test_a_process_that_cannot_open_the_store_stops_the_others_too(tmp_path):
     said = [child.communicate(timeout=300)[1].splitlines()[-1] for child in children]
     assert [child.returncode for child in children] == [1, 1]
     assert said[0].endswith("s.zarr: another process could not use the store, and says why")
-    assert said[1].endswith("folder is there and was not written by cddf_jax; give another path, or delete it")
+    assert said[1].endswith("folder exists and was not written by cddf_jax; give another path, or delete it")
 
 
 # --- stopped and started again ----------------------------------------------------------------------
@@ -337,7 +337,7 @@ def test_what_is_no_store_is_left_alone(tmp_path, kind):
     else:
         zarr.create_group(path, attributes={"identity": "no json"} if kind == "json" else {})
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
-    with pytest.raises(cddf.InputError, match=r"s\.zarr is there and was not written by cddf_jax; give another path"):
+    with pytest.raises(cddf.InputError, match=r"s\.zarr exists and was not written by cddf_jax; give another path"):
         cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS)
     assert before == {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
 

@@ -456,7 +456,7 @@ WRONG = [
     ),
     ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "--sample nodes: only numbers have a range"),
     ((*TENSIONS, "--sampler", "dice"), "Invalid value for '--sampler'"),
-    ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is no output"),
+    ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is not an output"),
     ((*TENSIONS, "--precision", "float16"), "Invalid value for '--precision'"),
     ((*TENSIONS, "--memory", "2"), "--memory '2': write a number above 0 and one of B, kB"),
     ((*TENSIONS, "--memory", "60 B"), "sweep: one solve needs "),
@@ -498,7 +498,7 @@ def test_places_that_cannot_be(run, tmp_path):
     code, _, error = run(PAPER, *TENSIONS, "--out", "other.zarr")
     assert (code, error) == (
         2,
-        "error: other.zarr is there and was not written by cddf_jax; give another path, or delete it\n",
+        "error: other.zarr exists and was not written by cddf_jax; give another path, or delete it\n",
     )
     assert (tmp_path / "file").read_text() == "mine"
 
@@ -576,7 +576,7 @@ def test_the_axis_that_is_the_path(run, pair_file, monkeypatch, tmp_path):
         assert (works[-1].path.name, works[-1].short_steps) == ("base_tension_1", 4)
     code, _, error = run(pair_file, *PAIR_LOOP, "--history", "--dry-run")
     assert code == 2
-    assert error.startswith("error: sweep: base tensions vary along 'base_tension_1', 'base_tension_2'; history must ")
+    assert error.startswith("error: sweep: base tensions vary along 'base_tension_1', 'base_tension_2'; give ")
     assert error.endswith("the path (--history-axis)\n")
 
 

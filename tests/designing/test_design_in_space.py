@@ -236,7 +236,7 @@ def test_what_has_no_meaning(body, objective, message):
 
 
 def test_a_tendon_without_an_angle_has_none_to_free():
-    with pytest.raises(cddf.InputError, match=r"'tendons.0.angle' has no number of its own here; give the start one"):
+    with pytest.raises(cddf.InputError, match=r"'tendons.0.angle' is not a number here; give it a value at the start"):
         cddf.design(PLANAR, cddf.Least("mass"), free=("tendons.0.angle",), cases=cddf.LoadCase(10.0, direction=1))
 
 
@@ -266,12 +266,12 @@ def test_a_winding_moves_the_tip_with_the_base():
         (
             STRAIGHT,
             ("tendons.*.angle.winding",),
-            "'?tendons.0.angle.winding'? is that of a linear angle; give this one",
+            "'?tendons.0.angle.winding'? needs a linear angle; give the tendon",
         ),
         (
             HELIX,
             ("tendons.0.angle", "tendons.0.angle.winding"),
-            "winding' and 'tendons.0.angle.tip' are free; leave one",
+            "winding' and 'tendons.0.angle.tip' are both free; leave one",
         ),
     ],
 )

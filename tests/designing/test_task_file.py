@@ -48,7 +48,7 @@ def refused_design(message, body=None, **changes):
         ({"free": ("outer_radius", "outer_radius")}, "'outer_radius.base' is free twice; leave one out"),
         ({"free": ("outer_radius", "outer_radius.tip")}, "'outer_radius.tip' is free twice; leave one out"),
         ({"free": ("outer_*",)}, "'outer_*': a * stands for all tendons, as in 'tendons.*.offset'"),
-        ({"free": ("tendons.0.end",)}, "'tendons.0.end' has no number of its own here; give the start one"),
+        ({"free": ("tendons.0.end",)}, "'tendons.0.end' is not a number here; give it a value at the start"),
         ({"free": ("density",)}, "'density' starts at 0; give it bounds"),
         ({"free": ("direction",)}, "a direction cannot be free; it is 1 or -1"),
     ],
@@ -90,7 +90,9 @@ def test_a_profile_of_an_unknown_kind():
     refused_design(
         "outer_radius is not one number; name a number of it: outer_radius.ends.0, outer_radius.pieces", inside
     )
-    refused("a profile of type Shifted cannot follow the length; hold the length", stretched, odd, 0.15)
+    refused(
+        "a profile of type Shifted cannot be stretched with the length; keep the length fixed", stretched, odd, 0.15
+    )
 
 
 def test_bounds_that_nobody_gave():
@@ -228,7 +230,7 @@ def test_a_case_that_counts_nothing(weight):
     [
         (cddf.Least("tip_position"), "tip_position has shape"),
         (cddf.Near("tip_position", (1.0, 2.0, 3.0)), "tip_position has shape"),
-        (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "compared at 0.5 m, off a body of 0.14 m"),
+        (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "compared at 0.5 m, beyond the tip at 0.14 m"),
         (cddf.Near("position", [[0.0, 0.0], [0.1, 0.0]]), "say where"),
         ([("much", cddf.Least("volume"))], "a weight is not a number, got 'much'"),
     ],

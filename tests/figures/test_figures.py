@@ -259,10 +259,13 @@ def test_a_map_either_way_round(grid):
         (lambda it: figures.draw_fit(it("fit")), "draw_fit: column must be one of tip_tension, tip_angle; got None"),
         (lambda it: figures.draw_fit(it("fit"), "x.csv"), "draw_fit: table must be one of tip_angle_simulated.csv"),
         (lambda it: figures.draw_residuals(it("fit"), column="tip_x"), "draw_residuals: column must be one of"),
-        (lambda it: figures.draw_lines(it("grid"), "x", "base_tension"), "draw_lines: 'x' is no output of this sweep"),
+        (
+            lambda it: figures.draw_lines(it("grid"), "x", "base_tension"),
+            "draw_lines: 'x' is not an output of this sweep",
+        ),
         (
             lambda it: figures.draw_lines(it("grid"), "tip_tension", "length"),
-            "draw_lines: 'length' is no number that varies; there are base_tension, friction_coefficient",
+            "draw_lines: 'length' is not a number that varies; there are base_tension, friction_coefficient",
         ),
         (
             lambda it: figures.draw_lines(it("grid"), "tip_position", "friction_coefficient"),

@@ -91,7 +91,7 @@ def test_a_plane_and_an_array_of_ones_own():
     [
         (answer().drop_vars("tip_position"), "tip_angle", "there is no tip_position; ask the sweep for it"),
         (answer(), "tip_tension", "tip_tension has more than one number for each solve; choose one tendon"),
-        (answer(), "twist", "'twist' is no output and no number that varies; there are tip_position"),
+        (answer(), "twist", "'twist' is neither an output nor a number that varies; there are tip_position"),
         (answer().isel(base_tension_2=0, drop=True), "total_tension", "not every base tension is known here"),
         (answer().assign(tip_position=answer().tip_position * np.nan), "tip_angle", "no solve gave a tip"),
     ],

@@ -185,7 +185,7 @@ CASES = [
     (_with("direction"), "row 2, column direction: must be 1 or -1, got 4.79; write 1 where"),
     (PAIRS.replace("tip_tension", "base_tension"), "row 1: the column base_tension appears twice; remove one"),
     (_with(""), "row 2 has 2 cells, the header 1; with decimal commas separate the columns by semicolons, and name"),
-    ("base_tension [N]  tip_tension [N]\n5 4", "is no column; write names and units such as 'base_tension [N], tip"),
+    ("base_tension [N]  tip_tension [N]\n5 4", "is not a column; write names and units such as 'base_tension [N], tip"),
     (" " * 10**6 + "a" + " " * 10**6 + "[", "row 1: 'a "),
     ("a" * 10**6, "row 1: 'aaaaaaa"),
     (PAIRS.replace("base_tension", "tip_tension_2"), "the column base_tension is missing; add it"),
@@ -207,7 +207,7 @@ CASES = [
     (PAIRS.encode("utf-16-le"), "is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8"),  # without its mark
     (PAIRS.encode() + b"\xe9, \x81", "is not text in UTF-8, UTF-16 or Latin-1"),
     (PAIRS.encode("utf-16")[:-1], "is not text in UTF-8, UTF-16 or Latin-1"),
-    (b"PK\x03\x04\x14\x00\x06\x00" + bytes(range(256)), "is no spreadsheet in the format .xlsx (File is not a zip"),
+    (b"PK\x03\x04\x14\x00\x06\x00" + bytes(range(256)), "is not a spreadsheet in the format .xlsx (File is not a zip"),
     (b"\xd0\xcf\x11\xe0" + bytes(range(256)), "is a spreadsheet in the old format .xls; save it as .xlsx or as CSV"),
     (np.random.default_rng(0).bytes(100_000), "is not text in UTF-8, UTF-16 or Latin-1"),
 ]  # fmt: skip

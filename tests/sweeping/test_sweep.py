@@ -182,8 +182,12 @@ def test_one_loop_alone_is_a_trace():
         ({"base_tension": PATH}, {"direction": 1}, "with history there is no direction; leave it out"),
         ({"base_tension": PATH}, {"method": cddf.LiteralIteration(1e-6)}, "with history there is no method"),
         ({"base_tension": PATH}, {"sensitivities": ("base_tension",)}, "with history there is no base_tension"),
-        ({"base_tension": PATH}, {"outputs": ("stable",)}, "'stable' is no output of a history; there are tip_pos"),
-        ({"base_tension": PATH}, {"history": False, "outputs": ("front",)}, "'front' is no output; there are tip_pos"),
+        ({"base_tension": PATH}, {"outputs": ("stable",)}, "'stable' is not an output of a history; there are tip_pos"),
+        (
+            {"base_tension": PATH},
+            {"history": False, "outputs": ("front",)},
+            "'front' is not an output; there are tip_pos",
+        ),
     ],
 )
 def test_what_has_no_history(axes, options, message):
@@ -231,12 +235,12 @@ def test_loops_of_several_tendons_and_under_loads_are_traces():
         (
             {"base_tension_1": PULL, "base_tension_2": AGAINST},
             {},
-            "base tensions vary along 'base_tension_1', 'base_tension_2'; history must be the name of the one",
+            "base tensions vary along 'base_tension_1', 'base_tension_2'; give as history the name of the axis",
         ),
         ({"base_tension": PULL}, {"sensitivities": ("youngs_modulus",)}, "right to about 1 % only; leave sensitiv"),
         ({"base_tension": PULL}, {"precision": "float32"}, "of several tendons or under loads needs float64"),
         ({"base_tension": PULL}, {"short_steps": 1}, "short_steps must be a whole number of 2 or more, got 1"),
-        ({"base_tension": PULL}, {"outputs": ("num_turns",)}, "'num_turns' is no output of a history"),
+        ({"base_tension": PULL}, {"outputs": ("num_turns",)}, "'num_turns' is not an output of a history"),
         (
             {"base_tension_1": PULL},
             {"base_tension": (10.0, cddf.TipAngle(1.0))},
@@ -425,7 +429,7 @@ BAD = {
     "a bad function": (
         {"base_tension": [1.0]},
         {"observables": {"x": lambda found: found.nothing}},
-        "the observable 'x' makes no array",
+        "the observable 'x' does not give an array",
     ),
     "direction": ({"direction": [1.0, 0.0]}, {"base_tension": 1.0}, "must hold 1 for sliding in and -1"),
     "one direction": ({"base_tension": [1.0]}, {"direction": 0}, "direction is 1 for sliding in and -1"),
@@ -469,7 +473,7 @@ BAD = {
     "nodes": ({"nodes": [2]}, {"base_tension": 1.0}, "nodes must be a whole number of 4 or more, got 2"),
     "kinematics": ({"kinematics": ["exakt"]}, {"base_tension": 1.0}, "'exakt' is not known"),
     "method": ({"method": ["FixedPoint"]}, {"base_tension": 1.0}, "method must be one such as"),
-    "output": ({"base_tension": [1.0]}, {"outputs": ["tip_tensions"]}, "'tip_tensions' is no output"),
+    "output": ({"base_tension": [1.0]}, {"outputs": ["tip_tensions"]}, "'tip_tensions' is not an output"),
     "no output": ({"base_tension": [1.0]}, {"outputs": []}, "nothing is asked for"),
     "axis and output": ({"base_tension": [1.0]}, {"outputs": ["base_tension"]}, "an axis and an output"),
     "observable": ({"base_tension": [1.0]}, {"observables": {"result": len}}, "no observable can be called"),

@@ -70,7 +70,7 @@ def test_components_that_the_plane_has_not_make_it_spatial():
 @pytest.mark.parametrize(
     ("body", "axes", "others", "message"),
     [
-        (THREE, {"base_tension": [5.0]}, {"outputs": ("heading",)}, "'heading' is no output in space; there are"),
+        (THREE, {"base_tension": [5.0]}, {"outputs": ("heading",)}, "'heading' is not an output in space; there are"),
         (
             THREE,
             {"kinematics": ["published"]},

@@ -140,9 +140,9 @@ def _same_work(zarr: ModuleType, path: Path, identity: Mapping[str, object], nam
         group = zarr.open_group(path, mode="r+")
         found = json.loads(group.attrs[IDENTITY])
     except (FileNotFoundError, FileExistsError, NotADirectoryError, KeyError, ValueError, zarr.errors.BaseZarrError):
-        raise InputError(f"{path} is there and was not written by cddf_jax; {remedy}") from None
+        raise InputError(f"{path} exists and was not written by cddf_jax; {remedy}") from None
     if not isinstance(found, dict):
-        raise InputError(f"{path} is there and was not written by cddf_jax; {remedy}")
+        raise InputError(f"{path} exists and was not written by cddf_jax; {remedy}")
     both = found.keys() & identity.keys()
     for name in sorted({*found, *identity}, key=lambda name: (name == "structure", name not in both, name)):
         if name not in found or name not in identity:

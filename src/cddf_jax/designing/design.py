@@ -250,7 +250,9 @@ def _check(
             raise InputError(f"design: {part.name!r} needs radii; give the body outer_radius and inner_radius")
         at = getattr(part, "at", None)
         if at is not None and (np.min(at) < 0 or np.max(at) > length * (1 + 1e-9)):
-            raise InputError(f"design: {part} is compared at {np.max(at):g} m, off a body of {length:g} m; change at")
+            raise InputError(
+                f"design: {part} is compared at {np.max(at):g} m, beyond the tip at {length:g} m; change at"
+            )
     for case in cases:
         if any(part.quantity == "hysteresis" for part in parts):
             case.check_loop(body)

@@ -76,7 +76,7 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
         if flat.count(name) > 1:
             raise InputError(f"design: {name!r} is free twice; leave one out")
         if tip_of_winding(name) in flat:
-            raise InputError(f"design: {name!r} and {tip_of_winding(name)!r} are free; leave one out")
+            raise InputError(f"design: {name!r} and {tip_of_winding(name)!r} are both free; leave one out")
     names = tuple(tied for tied, *_ in rows)
     start, low, high = np.transpose([numbers for _, *numbers in rows])
     origin = (start == 0) | [is_angle(tied[0]) for tied in names]  # numbers that have no size of their own
@@ -138,5 +138,5 @@ def _within(case: Case, name: str) -> list[str]:
         return inside
     number = case.number(name)
     if not isinstance(number, float | np.ndarray | jax.Array) or np.ndim(number) != 0:
-        raise InputError(f"design: {name!r} has no number of its own here; give the start one, or name a part of it")
+        raise InputError(f"design: {name!r} is not a number here; give it a value at the start, or name a part of it")
     return [name]

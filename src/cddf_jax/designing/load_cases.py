@@ -159,7 +159,7 @@ def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) ->
     open_ones = [name for name in own if fit.status[name] not in (IDENTIFIED, PRIOR_ONLY)]
     if open_ones or not own:
         raise InputError(
-            f"uncertain_cases: the fit does not tell {', '.join(open_ones) or 'any number of the body'}; "
+            f"uncertain_cases: the fit does not determine {', '.join(open_ones) or 'any number of the body'}; "
             "measure more, or give a prior, before designing for it"
         )
     if isinstance(num, bool) or not isinstance(num, int) or num < 1 or num & (num - 1):

@@ -57,7 +57,7 @@ class _Extreme(Objective):
         if known.along:
             return values
         if jnp.ndim(values) != (1 if known.per_tendon else 0):
-            raise InputError(f"design: {self.name} has shape {jnp.shape(values)}; a number is wanted for Least or Most")
+            raise InputError(f"design: {self.name} has shape {jnp.shape(values)}; Least and Most need a number")
         return jnp.sum(values)
 
     def displayed(self, value: float) -> float:

@@ -88,10 +88,14 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
     answer = dataset.drop_dims("point", errors="ignore").squeeze(drop=True)
     if output not in answer.data_vars or RESULT not in answer.data_vars:
         there = ", ".join(map(str, answer))
-        raise InputError(f"{who}: {output!r} is no output of this sweep, or one along the body; there are {there}")
+        raise InputError(
+            f"{who}: {output!r} is not an output of this sweep, or is one along the body; there are {there}"
+        )
     numbers = [name for name, c in _lists(answer).items() if labels.is_numeric(c.values) and name not in PARTS]
     if lost := [name for name in over if name not in numbers]:
-        raise InputError(f"{who}: {lost[0]!r} is no number that varies; there are {', '.join(numbers) or 'none left'}")
+        raise InputError(
+            f"{who}: {lost[0]!r} is not a number that varies; there are {', '.join(numbers) or 'none left'}"
+        )
     own = [answer[name].dims[0] for name in over]
     if len(set(own)) < len(own):
         raise InputError(f"{who}: x and y must be numbers along two different axes, got {' and '.join(over)}")

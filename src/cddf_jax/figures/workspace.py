@@ -129,7 +129,7 @@ def _coloured_by(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArra
         return _total_tension(who, dataset)
     if by not in dataset:
         there = ", ".join(map(str, (*dataset.data_vars, *dataset.coords)))
-        raise InputError(f"{who}: {by!r} is no output and no number that varies; there are {there}")
+        raise InputError(f"{who}: {by!r} is neither an output nor a number that varies; there are {there}")
     return dataset[by].squeeze(drop=True) if by not in dataset.dims else dataset[by]
 
 

@@ -106,7 +106,7 @@ def headings_of(cells: list[str], row: int, kind: Kind, given: Mapping[str, str]
         raise InputError(f"row {row}: there is no header above the numbers; {remedy}")
     if not known and len(cells) == 1:
         said = "and commas, semicolons or tabs between columns"
-        raise InputError(f"row {row}: {short(cells[0])} is no column; {remedy}, {said}")
+        raise InputError(f"row {row}: {short(cells[0])} is not a column; {remedy}, {said}")
     for heading in headings:
         is_said = heading.text in given or heading.name in given
         if heading.column is None and not is_said and (objection := kind.objection(heading.name)):

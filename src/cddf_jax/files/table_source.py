@@ -195,7 +195,9 @@ def _sheets(content: bytes) -> dict[str, list[Row]]:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
     except Exception as error:  # many kinds: a zip archive may hold anything
-        raise InputError(f"is no spreadsheet in the format .xlsx ({error}); save it as .xlsx or as CSV UTF-8") from None
+        raise InputError(
+            f"is not a spreadsheet in the format .xlsx ({error}); save it as .xlsx or as CSV UTF-8"
+        ) from None
     found = {}
     for name, rows in sheets.items():
         width = max((i + 1 for cells in rows for i, value in enumerate(cells) if value is not None), default=0)

@@ -71,7 +71,7 @@ def _arc_length(column: str, place: str) -> float:
         return quantity(place, "length", f"column {column}")
     except InputError:
         raise InputError(
-            f"column {column}: {place!r} is no arc length such as 120mm, and no marker of that name is given; give "
+            f"column {column}: {place!r} is not an arc length such as 120mm, and no marker has this name; give "
             f"BenchSetting(markers={{{place!r}: Marker(arc_length, offset)}}), or --marker "
             f'"{place}=0, 11, 0 mm at 80 mm"'
         ) from None

@@ -38,10 +38,12 @@ def read_path_file(path: str | os.PathLike[str]) -> PathFile:
     with within(path):
         driven = next((name for name in DRIVEN if name in table.columns), None)
         if driven is None:
-            raise InputError(f"has no column that drives; name one {', or '.join(DRIVEN)}, with its unit")
+            raise InputError(f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit")
         trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
         if len(trials) > 1:
-            raise InputError(f"holds {len(trials)} trials, and a path is one; keep the rows of one, as {trials[0]}")
+            raise InputError(
+                f"holds {len(trials)} trials, but a path is one trial; keep the rows of one, such as {trials[0]}"
+            )
         _check(table, driven)
     keys = [table.columns[name] for name in reversed(ORDER) if name in table.columns]
     values = table.columns[driven]

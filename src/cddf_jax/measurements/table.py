@@ -207,7 +207,7 @@ def read_measurements(path: str | os.PathLike[str], columns: Mapping[str, str] |
     """
     table, missing = read_file(path, columns or {})
     if missing:
-        raise InputError(f"{path}: has no column {missing[0]!r}; the heads are those of its row of names")
+        raise InputError(f"{path}: has no column {missing[0]!r}; use the heads of its header row")
     return table
 
 

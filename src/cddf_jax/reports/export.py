@@ -165,7 +165,7 @@ def history_columns(numbers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _stations(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] | None) -> np.ndarray:
     shape = np.shape(equilibrium.tip_angle)
     if shape:
-        raise InputError(f"takes one equilibrium, got a batch of shape {shape}; `cddf.sweep` labels batches")
+        raise InputError(f"needs a single equilibrium, got a batch of shape {shape}; `cddf.sweep` labels batches")
     length = float(equilibrium.arc_length[-1])
     if arc_length is None:
         return np.linspace(0.0, length, POINTS)

@@ -67,9 +67,11 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
         The content of reproduction.json: `table`, a list of rows in SI units, and `files`, the names of the files.
     """
     if manipulator.num_tendons != 1:
-        raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; leave one")
+        raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; keep one")
     if manipulator.in_space:
-        raise InputError("the paper's manipulator bends in a plane, this one is in space; take its tendon's angle away")
+        raise InputError(
+            "the paper's manipulator bends in a plane, this one is in space; remove the angle of its tendon"
+        )
     if "tip_tension" not in load_cells:
         raise InputError(f"{load_cells.name}: the column tip_tension is missing; Fig. 8 shows it over base_tension")
     results = computed(manipulator, load_cells)

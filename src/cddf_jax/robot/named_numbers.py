@@ -59,7 +59,7 @@ class Case(eqx.Module):
         leaves, places, _ = self._flat()
         if tip := tip_of_winding(name):
             if tip not in places:
-                raise InputError(f"{name} is that of a linear angle; give this one base and tip, Linear(0, 0, length)")
+                raise InputError(f"{name} needs a linear angle; give the tendon Linear(0, 0, length)")
             return self.number(tip) - self.number(_base_of(tip))
         leaf, index = _place(name, leaves, places)
         return leaves[leaf][index] if index else leaves[leaf]
@@ -153,7 +153,7 @@ def _place(name: str, leaves: list[Any], places: Mapping[str, Place]) -> Place:
     if place is None:
         raise InputError(_unknown(name, places))
     if leaves[place[0]] is None and name in _NOT_OF_NOTHING:
-        raise InputError(f"{name}: the body has none, and what it has in its place would stay; give it one first")
+        raise InputError(f"{name}: the body has none, and uses something else in its place; give the body one first")
     return place
 
 

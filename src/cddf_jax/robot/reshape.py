@@ -44,7 +44,9 @@ def _stretched(profile: Profile, ratio: Number) -> Profile:
             return replace(profile, arc_length=profile.arc_length * ratio)
         case Piecewise():
             return Piecewise(profile.ends * ratio, [_stretched(piece, ratio) for piece in profile.pieces])
-    raise InputError(f"a profile of type {type(profile).__name__} cannot follow the length; hold the length")
+    raise InputError(
+        f"a profile of type {type(profile).__name__} cannot be stretched with the length; keep the length fixed"
+    )
 
 
 def tapered(profile: Profile, base: float, tip: float, length: ArrayLike) -> Profile:

@@ -40,7 +40,7 @@ def dimensions_of(axes: object) -> tuple[Dimension, ...]:
             raise InputError(f"sweep: {name!r} varies along two axes; let it vary along one")
         inner = [other for other in names if holds(name, other)]
         if inner:
-            raise InputError(f"sweep: {name!r} holds {inner[0]!r}; let only one of them vary")
+            raise InputError(f"sweep: {name!r} includes {inner[0]!r}; let only one of them vary")
     return found
 
 

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 def _check_kinds(work: "Sweep") -> None:
     """Refuse arguments of wrong types."""
     if not isinstance(work.manipulator, Manipulator):
-        raise InputError(f"sweep: manipulator must be a Manipulator, as of read_manipulator, got {work.manipulator!r}")
+        raise InputError(
+            f"sweep: manipulator must be a Manipulator, such as that of read_manipulator, got {work.manipulator!r}"
+        )
     if work.loads is not None and not isinstance(work.loads, Loads):
         raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {work.loads!r}")
     if not isinstance(work.method, Method) or isinstance(work.method, type):
@@ -47,7 +49,7 @@ def _check_history(work: "Sweep") -> None:
     if work.path is None:
         which = ", ".join(map(repr, among))
         raise InputError(
-            f"sweep: base tensions vary along {which}; history must be the name of the one that is the path "
+            f"sweep: base tensions vary along {which}; give as history the name of the axis that is the path "
             "(--history-axis)"
         )
     beside = [name for name in (*work.path.numbers, *work.path.options) if not name.startswith(ALONG_A_PATH)]
@@ -95,7 +97,7 @@ def check_sweep(work: "Sweep") -> None:
     for name in work.outputs:
         if name not in work.known_outputs:
             of = " of a history" if work.history else " in space" if work.case.in_space else ""
-            raise InputError(f"sweep: {name!r} is no output{of}; there are {', '.join(work.known_outputs)}")
+            raise InputError(f"sweep: {name!r} is not an output{of}; there are {', '.join(work.known_outputs)}")
     for name in (*work.outputs, *work.observables):
         if name in known:
             raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")

@@ -214,7 +214,7 @@ def _observed(name: str, function: Callable[[Equilibrium], ArrayLike], found: Eq
         return jnp.asarray(function(found))
     except (TypeError, ValueError, AttributeError) as error:
         why = str(error).splitlines()[0]
-        raise InputError(f"sweep: the observable {name!r} makes no array of an Equilibrium ({why})") from None
+        raise InputError(f"sweep: the observable {name!r} does not give an array for an Equilibrium ({why})") from None
 
 
 def prepared(case: Case, kinematics: str, dtype: np.dtype) -> Case:
