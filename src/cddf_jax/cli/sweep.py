@@ -80,14 +80,14 @@ History = Annotated[
 HistoryAxis = Annotated[
     str | None,
     typer.Option(
-        help="As --history, where the base tensions of several tendons vary along axes of their own: the name of the "
-        'axis that is the path, "base_tension_1". Of axes that are one by --together it is their names in a row, '
+        help="Like --history, for base tensions of several tendons along separate axes: the name of the axis that is "
+        'the path, such as "base_tension_1". An axis made by --together has a name such as '
         '"base_tension_1_and_base_tension_2".'
     ),
 ]
 ShortSteps = Annotated[
     int,
-    typer.Option(help="Into how many each step of a history is divided with several tendons or loads.", min=2),
+    typer.Option(help="Short steps for each step of a history, with several tendons or loads.", min=2),
 ]
 BaseTension = Annotated[
     list[str] | None,
