@@ -34,6 +34,7 @@ from .problem import (
     Problem,
     Solution,
     State,
+    acting,
     at_base,
     at_nodes,
     axis_of,
@@ -91,6 +92,7 @@ def _shape_rates_in_plane(
     """Turning of the tendons, t, phi' and M_ext' at other places of the panels, in the plane."""
     tension = tension_of(sections, problem.base_tension, state.pull)
     kappa = curvature_along(sections, tension, state.moment)
+    assert state.force is not None
     axis = axis_of(state.heading)
     moment_rate = -planar_cross(axis, state.force)
     turning = turning_along(sections, kappa, tension, problem.direction, moment_rate)
@@ -102,12 +104,20 @@ def _shape_rates_in_space(
 ) -> tuple[Array, Array, Array, Array]:
     """The same in space; twice the derivative of the rotation, which is an angle."""
     cut, strain = problem.panels, strain_along(sections, problem.base_tension, state)
-    tangent = at_nodes(space.tangents, (0, 0))(sections, strain)
-    rate = cut.extended(cut.differentiate(tangent[:, : cut.order]), fractions)  # the first places are the nodes
-    turning = _turning_in_space(sections, strain, tangent, rate)
+    if _follow_the_axis(problem):
+        turning = _turning_along_axis(sections, strain)
+    else:
+        tangent = at_nodes(space.tangents, (0, 0))(sections, strain)
+        rate = cut.extended(cut.differentiate(tangent[:, : cut.order]), fractions)  # the first places are the nodes
+        turning = _turning_in_space(sections, strain, tangent, rate)
     axis = in_fixed_frame(state.heading, space.axis_of_strain(strain))
     turned = 2.0 * turned_by(state.heading, space.curvature_of_strain(strain))
-    return turning, axis, turned, -cross(axis, state.force)
+    return turning, axis, turned, jnp.zeros_like(axis) if state.force is None else -cross(axis, state.force)
+
+
+def _follow_the_axis(problem: Problem) -> bool:
+    """Whether all tendons of a body in space follow its axis, and turn as it does; static."""
+    return problem.loads is None and spatial(problem.nodes).parallel
 
 
 def _unseen_turning(problem: Problem) -> Number:
@@ -261,11 +271,9 @@ def _shape(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"])
 def _shape_in_space(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"]) -> _Shape:
     """In space, where rotations are unknowns as r and M_ext are, and t' is that of the polynomials."""
     cut, section = problem.panels, problem.nodes
-    wrench = None
-    if guess.frame is not None:
-        wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
+    wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
     strain = _strain_in_space(section, tension, wrench)
-    if spatial(section).parallel and wrench is None:  # every tendon follows the axis, and turns as it does
+    if _follow_the_axis(problem):
         turning = _turning_along_axis(section, strain)
     else:
         turning = _turning_in_space(section, strain, *_tangents(cut, section, strain))
@@ -350,7 +358,7 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
         values, heading, spent = point
         if heading is None:
             heading = jnp.broadcast_to(identity_as(values.ratio), (*values.ratio.shape[:-1], 4))
-        return PassState(Pull(values.ratio, spent), heading, moments_of(problem, values), force)
+        return PassState(Pull(values.ratio, spent), heading, moments_of(problem, values), acting(problem, force))
 
     outboard = problem.outboard
     return Solution(

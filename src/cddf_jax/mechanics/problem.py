@@ -93,7 +93,7 @@ class PassState(NamedTuple):
     pull: Pull
     heading: Heading  # the identity where a pass in space without loads has no need of it
     moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
-    force: Float[Array, "*points components"]  # N, N
+    force: Float[Array, "*points components"] | None  # N, N; None in space without loads
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -107,7 +107,7 @@ class State(NamedTuple):
     pull: Pull
     heading: Heading  # the identity where a pass in space without loads has no need of it
     moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
-    force: Float[Array, "*points components"]  # N, N
+    force: Float[Array, "*points components"] | None  # N, N; None in space without loads
     wrap_angle: Float[Array, "*points tendons"]  # theta, rad
     position: Float[Array, "*points components"]  # u, m
 
@@ -304,13 +304,18 @@ def strain_of(section: AnySection, base_tension: PerTendon, state: AnyState) -> 
     return bending.curvature(section, tension, state.moment)
 
 
-def wrench_of(frame: Heading, moment: Array, force: Array) -> space.Wrench:
-    """What the loads put on a cross-section in space, in its own frame."""
+def wrench_of(frame: Heading | None, moment: Array, force: Array | None) -> space.Wrench | None:
+    """What the loads put on a cross-section in space, in its own frame; None without loads."""
+    if frame is None or force is None:
+        return None
     return space.Wrench(in_own_frame(frame, moment), in_own_frame(frame, force))
 
 
-def moment_rate_of(heading: Float[Array, "*points"], force: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
+def moment_rate_of(
+    heading: Float[Array, "*points"], force: Float[Array, "*points 2"] | None
+) -> Float[Array, "*points"]:
     """M_ext' = -(t x N), N, in the plane."""
+    assert force is not None
     return -planar_cross(axis_of(heading), force)
 
 
@@ -335,7 +340,7 @@ def turn_at_joint(
     if joint is None:
         return jnp.zeros_like(ratio), ratio
     before, after = joint
-    wrench = None if frame is None else wrench_of(frame, moment, force)
+    wrench = wrench_of(frame, moment, force)
 
     def pointing(section, ratio):
         tension = tension_of(section, problem.base_tension, pull._replace(ratio=ratio))
@@ -415,7 +420,12 @@ def state_at_nodes(problem: Problem, values: Nodal) -> PassState:
     heading = jnp.zeros_like(values.ratio[..., 0]) if values.frame is None else values.frame
     if problem.in_space and values.frame is None:
         heading = jnp.broadcast_to(jnp.asarray(IDENTITY, moment.dtype), (*moment.shape[:-1], 4))
-    return PassState(pull_at_nodes(problem, values), heading, moment, problem.outboard.nodes)
+    return PassState(pull_at_nodes(problem, values), heading, moment, acting(problem, problem.outboard.nodes))
+
+
+def acting(problem: Problem, force: Array) -> Array | None:
+    """The force N as it stands in a state: None for a body in space without loads."""
+    return None if problem.in_space and problem.loads is None else force
 
 
 def line_up(base: Array, nodes: Array, tip: Array) -> Array:
