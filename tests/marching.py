@@ -5,6 +5,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from cddf_jax.mechanics import bending
 from cddf_jax.mechanics.fixed_point import ACCURACY
@@ -22,9 +23,11 @@ from cddf_jax.mechanics.problem import (
     moment_rate_of,
     ones_at_base,
     spent_scale,
+    strain_along,
     strain_of,
     tension_of,
     turn_at_joint,
+    unstrained,
 )
 from cddf_jax.numerics.arrays import zero_as
 
@@ -48,14 +51,20 @@ class Marching(eqx.Module):
         one = jnp.ones_like(length)
         force = jnp.max(jnp.abs(problem.outboard.starts)) + problem.moment_scale / length
         pull = Pull(tip.ratio, spent_scale(problem, tip.pull))
-        scale = State(pull, one, problem.moment_scale, force, jnp.ones_like(tip.ratio), length)
+        scale = State(pull, one, problem.moment_scale, force, None, jnp.ones_like(tip.ratio), length)
         both = zip(*map(jax.tree.leaves, (tip, coarse, scale)), strict=True)
         differences = [jnp.max(jnp.abs((a - b) / c)) for a, b, c in both]
         residual = jnp.max(jnp.stack(differences)) / 15
         positive = jnp.all(along.ratio > 0)
+        nodes = jax.tree.map(lambda x: x[:, :-1], along)
+        if unstrained(problem.manipulator, problem.loads, nodes.ratio) is not None:
+            strain = jax.lax.stop_gradient(strain_along(problem.nodes, problem.base_tension, nodes))
+            at_starts, at_ends = problem.panels.at_starts_and_ends(strain)
+            starts, tip = starts._replace(strain=at_starts), tip._replace(strain=at_ends[-1])
+            nodes = nodes._replace(strain=strain)
         return Solution(
             starts=starts,
-            nodes=jax.tree.map(lambda x: x[:, :-1], along),
+            nodes=nodes,
             tip=tip,
             num_iterations=jnp.ones_like(length),
             residual=residual,
@@ -63,7 +72,7 @@ class Marching(eqx.Module):
             locked=~positive,
         )
 
-    def improve(self, problem: Problem, guess: Nodal) -> Solution:
+    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution:
         return self(problem)
 
     finish = improve
@@ -87,7 +96,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
         force_rate = jnp.zeros_like(state.force)
         if problem.loads is not None:
             force_rate = -load_rate(problem.manipulator, arc_length, problem.loads)
-        return State(growth, kappa, moment_rate, force_rate, jnp.abs(turning), axis_of(state.heading))
+        return State(growth, kappa, moment_rate, force_rate, None, jnp.abs(turning), axis_of(state.heading))
 
     def panel(state, inputs):
         joint, drop, start, end, stops = inputs
@@ -111,7 +120,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
     zero = zero_as(ones)
     force = problem.outboard.starts[0]
     pull = Pull(ones, None if problem.base.drag is None else jnp.zeros_like(ones))
-    base = State(pull, zero, problem.base_moment, force, jnp.zeros_like(ones), jnp.zeros_like(force))
+    base = State(pull, zero, problem.base_moment, force, None, jnp.zeros_like(ones), jnp.zeros_like(force))
     base = jax.tree.map(lambda x: x + zero, base)
     inputs = problem.joints, problem.outboard.drops, cut.edges[:-1], cut.edges[1:], stops
     return jax.lax.scan(panel, base, inputs)

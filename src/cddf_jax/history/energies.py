@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import State, displacement_rate, guarded_section, lay_out, tension_of
+from ..mechanics.problem import State, curvature_along, displacement_rate, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import num_splits
 from ..numerics.quadrature import Panels, gauss_rule
 from ..robot.cross_section import AnySection, planar
@@ -227,7 +227,8 @@ def _rates(body: Manipulator, nodes: int, direction: Number, tension: Number, ar
 
     def pulled_in_rate(slide: _Slide) -> tuple[Float[Array, "P p"], Float[Array, "P p"]]:
         section, local, moment = jax.vmap(jax.vmap(partial(slide.at, body)))(cut.nodes)
-        return displacement_rate(body, planar(section), local, moment)[..., 0], local[..., 0]
+        kappa = curvature_along(section, local, moment, None)
+        return displacement_rate(body, planar(section), kappa, local)[..., 0], local[..., 0]
 
     (_, local), (growth, _) = jax.jvp(pulled_in_rate, (slide,), (by_tension,))
     outside = jnp.sum(body.tendon_compliance * body.tendon_free_length)

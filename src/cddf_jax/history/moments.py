@@ -150,6 +150,7 @@ def fields_of_moment(
         here.heading,
         here.moment,
         outboard[0] + place * (outboard[2] - outboard[0]),
+        None,
         between(shape.wrap_angle[i], shape.wrap_angle[i + 1], turning[0], turning[2]),
         between(shape.position[i], shape.position[i + 1], axis[0], axis[2]),
     )

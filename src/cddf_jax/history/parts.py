@@ -109,7 +109,7 @@ def stored_energy(dense: Dense) -> Number:
         elastic = jnp.sum(section.stiffness * strain**2, axis=-1)
     else:
         length = jnp.sqrt(1.0 + planar(section).offset_slope ** 2)
-        elastic = section.stiffness * curvature_along(section, tension, moment) ** 2
+        elastic = section.stiffness * curvature_along(section, tension, moment, dense.nodes.strain) ** 2
     stretch = tension**2 * length * body.tendon_compliance
     return jnp.sum(cut.gain(elastic + jnp.sum(stretch, axis=-1))) / 2
 

@@ -20,7 +20,7 @@ from ..robot.cross_section import CrossSection
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 
 Number = Float[Array, ""]
-NEWTON_STEPS = 8
+NEWTON_STEPS, FEW_STEPS = 8, 2  # from the curvature of a parallel tendon, and from one nearby
 
 
 class Tangent(NamedTuple):
@@ -62,11 +62,14 @@ def tangent_angle(section: CrossSection, curvature: Number) -> PerTendon:
     return jnp.arctan2(section.side * section.offset_slope, arm_ratio(section, curvature))
 
 
-def curvature(section: CrossSection, tension: PerTendon, external_moment: float | Number = 0.0) -> Number:
+def curvature(
+    section: CrossSection, tension: PerTendon, external_moment: float | Number = 0.0, start: Number | None = None
+) -> Number:
     """kappa, 1/m, from E J kappa = sum sigma d T (t_c . t) + M_ext.
 
     This is eq. (13) of Liu et al. (2020) integrated by parts; with T and d constant along s its
-    published form is the integral of eq. (17). External loads add M_ext.
+    published form is the integral of eq. (17). External loads add M_ext. With slanted tendons it is the root of an
+    equation, and `start` is near to it or None.
     """
     arm = section.side * section.offset
     pull = jnp.sum(arm * tension) + external_moment
@@ -74,26 +77,29 @@ def curvature(section: CrossSection, tension: PerTendon, external_moment: float 
         return pull / (section.stiffness + jnp.sum(tension * section.offset**2))
     if not section.slanted:
         return pull * (1.0 / section.stiffness)  # 1 / E J is the same in every pass
-    return _slanted_curvature(section, tension, external_moment)
+    return _slanted_curvature(section, tension, external_moment, start)
 
 
 @eqx.filter_custom_jvp
-def _slanted_curvature(section: CrossSection, tension: PerTendon, external_moment: float | Number) -> Number:
-    """The root of the moment gap, which grows with kappa: Newton's method finds it from the unslanted value."""
+def _slanted_curvature(
+    section: CrossSection, tension: PerTendon, external_moment: float | Number, start: Number | None
+) -> Number:
+    """The root of the moment gap, which grows with kappa: Newton's method finds it, also from the unslanted value."""
 
     def newton_step(_, kappa):
         value, slope = _gap_and_slope((section, tension, external_moment), kappa)
         return kappa - value / slope
 
     pull = jnp.sum(section.side * section.offset * tension) + external_moment
-    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, pull / section.stiffness)
+    first = pull / section.stiffness if start is None else start + 0.0 * pull
+    return jax.lax.fori_loop(0, NEWTON_STEPS if start is None else FEW_STEPS, newton_step, first)
 
 
 @_slanted_curvature.def_jvp
 def _(primals, tangents):
-    kappa = _slanted_curvature(*primals)
-    pushed = slope_along(lambda given: _moment_gap(given, kappa), primals, tangents)
-    return kappa, -pushed / _gap_and_slope(primals, kappa)[1]
+    kappa, given = _slanted_curvature(*primals), primals[:3]
+    pushed = slope_along(lambda given: _moment_gap(given, kappa), given, tangents[:3])
+    return kappa, -pushed / _gap_and_slope(given, kappa)[1]
 
 
 def _moment_gap(given: tuple[CrossSection, PerTendon, float | Number], kappa: Number) -> Number:

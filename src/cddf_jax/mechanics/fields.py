@@ -96,7 +96,7 @@ def planar_fields(
 ) -> Fields:
     """The fields at one cross-section in the plane, tendons last."""
     tension = tension_of(section, base_tension, state.pull)
-    kappa = bending.curvature(section, tension, state.moment)
+    kappa = bending.curvature(section, tension, state.moment, state.strain)
     rate = bending.rates(section, kappa, tension, direction, moment_rate_of(state.heading, state.force))
     forces = bending.distributed_forces(section, state.heading, kappa, tension, direction, rate)
     return Fields(

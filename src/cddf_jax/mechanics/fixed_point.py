@@ -48,6 +48,7 @@ from .problem import (
     tension_of,
     turn_at_joint,
     turning_along,
+    unstrained,
     wrench_of,
 )
 
@@ -91,7 +92,7 @@ def _shape_rates_in_plane(
 ) -> tuple[Array, Array, Array, Array]:
     """Turning of the tendons, t, phi' and M_ext' at other places of the panels, in the plane."""
     tension = tension_of(sections, problem.base_tension, state.pull)
-    kappa = curvature_along(sections, tension, state.moment)
+    kappa = curvature_along(sections, tension, state.moment, state.strain)
     assert state.force is not None
     axis = axis_of(state.heading)
     moment_rate = -planar_cross(axis, state.force)
@@ -151,6 +152,7 @@ class _Shape(NamedTuple):
     axis: Float[Array, "P p components"] | None  # the derivative of the position; None without loads
     moment_rate: Float[Array, "P p *components"] | None  # M_ext', N; None without loads
     strain: Float[Array, "P p strains"] | None  # of a body in space
+    near: Array | None  # the elastic strain, from which Newton's method starts next time; None where it needs no start
 
 
 class _Pass(NamedTuple):
@@ -198,14 +200,14 @@ class FixedPoint(eqx.Module):
         )
         return _with_path(problem, along, solution)
 
-    def improve(self, problem: Problem, guess: Nodal) -> Solution[PassState]:
-        return self._improve(problem, guess)[1]
+    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[PassState]:
+        return self._improve(problem, guess, strain)[1]
 
-    def finish(self, problem: Problem, guess: Nodal) -> Solution[State]:
-        return _with_path(problem, *self._improve(problem, guess))
+    def finish(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[State]:
+        return _with_path(problem, *self._improve(problem, guess, strain))
 
-    def _improve(self, problem: Problem, guess: Nodal) -> tuple["_Pass", Solution[PassState]]:
-        along, tip = _pass(problem, guess)
+    def _improve(self, problem: Problem, guess: Nodal, strain: Array | None) -> tuple["_Pass", Solution[PassState]]:
+        along, tip = _pass(problem, guess, strain)
         better, guess = without_derivative((along.nodes.values, guess))  # their change needs no derivative
         change = relative_size(jax.tree.map(problem.panels.without_empty, minus(better, guess)), better)
         positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
@@ -232,8 +234,13 @@ def _integral(cut: Panels, start: Array | float | None, rate: Array | None) -> t
     return start + edges, start + nodes
 
 
-def _pass(problem: Problem, guess: Nodal) -> tuple[_Pass, _Point]:
+def _pass(problem: Problem, guess: Nodal, strain: Array | None = None) -> tuple[_Pass, _Point]:
     """Shape and turning that follow from a guess of r and M_ext, and the better r and M_ext that follow from these.
+
+    Args:
+        problem: the body.
+        guess: the values at its nodes.
+        strain: about the elastic strain there, where Newton's method starts; None for a body at rest.
 
     Returns:
         What is found along the body, and at its tip.
@@ -241,7 +248,7 @@ def _pass(problem: Problem, guess: Nodal) -> tuple[_Pass, _Point]:
     cut, section, base = problem.panels, problem.nodes, at_base(problem)
     spent, spent_at_nodes = _integral(cut, 0.0, spent_rate(problem.direction, section, guess.ratio))
     tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent_at_nodes))
-    shape = (_shape_in_space if problem.in_space else _shape)(problem, guess, tension)
+    shape = (_shape_in_space if problem.in_space else _shape)(problem, guess, tension, strain)
     scaled = None if shape.moment_rate is None else shape.moment_rate * (1.0 / problem.moment_scale)
     bending, bending_at_nodes = _integral(cut, base.moment, scaled)
     heading, heading_at_nodes = (None, None) if shape.heading is None else shape.heading
@@ -257,36 +264,45 @@ def _pass(problem: Problem, guess: Nodal) -> tuple[_Pass, _Point]:
     return _Pass(at_starts, nodes, turns, shape), at_tip
 
 
-def _shape(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"]) -> _Shape:
+def _shape(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"], start: Array | None) -> _Shape:
     """In the plane."""
     section, loaded = problem.nodes, guess.moment is not None
-    kappa = curvature_along(section, tension, moments_of(problem, guess))
+    kappa = curvature_along(section, tension, moments_of(problem, guess), start)
     heading = problem.panels.integrate(kappa)
     axis = axis_of(heading[1]) if loaded else None
     moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, problem.outboard.nodes)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
-    return _Shape(turning, heading, axis, moment_rate if loaded else None, None)
+    return _Shape(turning, heading, axis, moment_rate if loaded else None, None, _near(problem, kappa))
 
 
-def _shape_in_space(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"]) -> _Shape:
+def _near(problem: Problem, elastic: Array) -> Array | None:
+    """The elastic strain as the next start of Newton's method, which has no derivative; None where it needs none."""
+    needed = unstrained(problem.manipulator, problem.loads, problem.nodes.offset) is not None
+    return without_derivative(elastic) if needed else None
+
+
+def _shape_in_space(
+    problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"], start: Array | None
+) -> _Shape:
     """In space, where rotations are unknowns as r and M_ext are, and t' is that of the polynomials."""
     cut, section = problem.panels, problem.nodes
     wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
-    strain = _strain_in_space(section, tension, wrench)
+    strain = _strain_in_space(section, tension, wrench, start)
+    near = _near(problem, strain - spatial(section).rest)
     if _follow_the_axis(problem):
         turning = _turning_along_axis(section, strain)
     else:
         turning = _turning_in_space(section, strain, *_tangents(cut, section, strain))
     if guess.frame is None:
-        return _Shape(turning, None, None, None, strain)
+        return _Shape(turning, None, None, None, strain, near)
     rate = turned_by(guess.frame, space.curvature_of_strain(strain))
     edges, nodes = cut.integrate(rate)
     frame = identity_as(tension) + edges, identity_as(tension) + nodes
     axis = in_fixed_frame(guess.frame, space.axis_of_strain(strain))
-    return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain)
+    return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain, near)
 
 
-_strain_in_space = at_nodes(space.strain, (0, 0, 0))
+_strain_in_space = at_nodes(space.strain, (0, 0, 0, 0))
 _turning_in_space = at_nodes(space.turning_in_space, (0, 0, 0, 0))
 _turning_along_axis = at_nodes(space.turning_along_axis, (0, 0))
 
@@ -354,17 +370,19 @@ def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple
 def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> Solution[PassState]:
     """What a pass found."""
 
-    def state(point: _Point, force: Array) -> PassState:
+    def state(point: _Point, outboard: Array, strain: Array | None) -> PassState:
         values, heading, spent = point
         if heading is None:
             heading = jnp.broadcast_to(identity_as(values.ratio), (*values.ratio.shape[:-1], 4))
-        return PassState(Pull(values.ratio, spent), heading, moments_of(problem, values), acting(problem, force))
+        moment, force = moments_of(problem, values), acting(problem, outboard)
+        return PassState(Pull(values.ratio, spent), heading, moment, force, strain)
 
-    outboard = problem.outboard
+    outboard, near = problem.outboard, along.shape.near
+    at_starts, at_ends = (None, None) if near is None else problem.panels.at_starts_and_ends(near)
     return Solution(
-        starts=state(along.starts, outboard.starts),
-        nodes=state(along.nodes, outboard.nodes),
-        tip=state(tip, outboard.tip),
+        starts=state(along.starts, outboard.starts, at_starts),
+        nodes=state(along.nodes, outboard.nodes, near),
+        tip=state(tip, outboard.tip, None if at_ends is None else at_ends[-1]),
         **outcome,
     )
 

@@ -94,6 +94,7 @@ class PassState(NamedTuple):
     heading: Heading  # the identity where a pass in space without loads has no need of it
     moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
     force: Float[Array, "*points components"] | None  # N, N; None in space without loads
+    strain: Float[Array, "*points_and_strains"] | None  # about the elastic one, see `unstrained`
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -108,6 +109,7 @@ class State(NamedTuple):
     heading: Heading  # the identity where a pass in space without loads has no need of it
     moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
     force: Float[Array, "*points components"] | None  # N, N; None in space without loads
+    strain: Float[Array, "*points_and_strains"] | None  # as in a pass
     wrap_angle: Float[Array, "*points tendons"]  # theta, rad
     position: Float[Array, "*points components"]  # u, m
 
@@ -151,11 +153,11 @@ class Method(Protocol):
         """Solve to the end."""
         ...
 
-    def improve(self, problem: Problem, guess: Nodal) -> Solution[AnyState]:
+    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[AnyState]:
         """One pass from a guess, `converged` if the guess was right; a method without passes solves to the end."""
         ...
 
-    def finish(self, problem: Problem, guess: Nodal) -> Solution[State]:
+    def finish(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[State]:
         """As `improve`, with wrap angle and position."""
         ...
 
@@ -300,8 +302,8 @@ def strain_of(section: AnySection, base_tension: PerTendon, state: AnyState) -> 
     """The curvature kappa, 1/m, at one cross-section; of a body in space its strain, (strains,)."""
     tension = tension_of(section, base_tension, state.pull)
     if isinstance(section, SpatialSection):
-        return space.strain(section, tension, wrench_of(state.heading, state.moment, state.force))
-    return bending.curvature(section, tension, state.moment)
+        return space.strain(section, tension, wrench_of(state.heading, state.moment, state.force), state.strain)
+    return bending.curvature(section, tension, state.moment, state.strain)
 
 
 def wrench_of(frame: Heading | None, moment: Array, force: Array | None) -> space.Wrench | None:
@@ -414,13 +416,30 @@ def moments_of(problem: Problem, values: Nodal) -> Float[Array, "*points_and_com
     return jnp.broadcast_to(zero[..., None], (*zero.shape, 3)) if problem.in_space else zero
 
 
-def state_at_nodes(problem: Problem, values: Nodal) -> PassState:
+def unstrained(manipulator: Manipulator, loads: Loads | None, points: Float[Array, "P p tendons"]) -> Array | None:
+    """The elastic strain of a body that nothing acts on: 0; None where the strain has a closed form, which is static.
+
+    Elsewhere a state holds about the elastic strain, from which Newton's method finds the strain in a few steps.
+
+    Args:
+        manipulator, loads: of the problem.
+        points: numbers at its nodes, one for each tendon.
+    """
+    zero = jnp.zeros_like(points[..., 0])
+    if not manipulator.in_space:
+        return zero if manipulator.kinematics == "exact" and manipulator.slanted else None
+    if loads is None and manipulator.parallel:
+        return None
+    return jnp.zeros((*zero.shape, 6 if manipulator.extensible else 3), zero.dtype) + zero[..., None]
+
+
+def state_at_nodes(problem: Problem, values: Nodal, strain: Array | None) -> PassState:
     """What a pass integrates, as far as it follows from the unknowns alone."""
     moment = moments_of(problem, values)
     heading = jnp.zeros_like(values.ratio[..., 0]) if values.frame is None else values.frame
     if problem.in_space and values.frame is None:
         heading = jnp.broadcast_to(jnp.asarray(IDENTITY, moment.dtype), (*moment.shape[:-1], 4))
-    return PassState(pull_at_nodes(problem, values), heading, moment, acting(problem, problem.outboard.nodes))
+    return PassState(pull_at_nodes(problem, values), heading, moment, acting(problem, problem.outboard.nodes), strain)
 
 
 def acting(problem: Problem, force: Array) -> Array | None:
@@ -445,7 +464,7 @@ def at_nodes(function: Callable[..., Array], in_axes: tuple[int | None, ...]) ->
 
 
 strain_along = at_nodes(strain_of, (0, None, 0))
-curvature_along = at_nodes(bending.curvature, (0, 0, 0))
+curvature_along = at_nodes(bending.curvature, (0, 0, 0, 0))
 turning_along = at_nodes(bending.turning, (0, 0, 0, None, 0))
 
 
@@ -474,19 +493,19 @@ def tendon_displacement(problem: Problem, state: AnyState) -> PerTendon:
             problem.nodes, strain, tension, body.tendon_compliance
         )
     else:
-        rate = displacement_rate(body, planar(problem.nodes), tension, state.moment)
+        kappa = curvature_along(problem.nodes, tension, state.moment, state.strain)
+        rate = displacement_rate(body, planar(problem.nodes), kappa, tension)
     return jnp.sum(problem.panels.gain(rate), axis=0) + outside
 
 
 def displacement_rate(
     manipulator: Manipulator,
     section: CrossSection,
+    curvature: Float[Array, "P p"],
     tension: Float[Array, "P p tendons"],
-    moment: Float[Array, "P p"],
 ) -> Float[Array, "P p tendons"]:
     """By how much a tendon's path shortens and the tendon stretches, per arc length, at the nodes."""
-    kappa = curvature_along(section, tension, moment)
-    return at_nodes(slip_rate, (0, 0, 0, None))(section, kappa, tension, manipulator.tendon_compliance)
+    return at_nodes(slip_rate, (0, 0, 0, None))(section, curvature, tension, manipulator.tendon_compliance)
 
 
 def slip_rate(section: CrossSection, curvature: Number, tension: PerTendon, compliance: PerTendon) -> PerTendon:

@@ -107,7 +107,7 @@ def signed_turning(problem: Problem, state: AnyState) -> Turning:
     """
     section = problem.nodes
     tension = tension_of(section, problem.base_tension, state.pull)
-    kappa = curvature_along(section, tension, state.moment)
+    kappa = curvature_along(section, tension, state.moment, state.strain)
     turning = kappa[..., None]
     if _turns_on_its_own(problem.manipulator):
         moment_rate = moment_rate_of(state.heading, state.force)
@@ -116,11 +116,6 @@ def signed_turning(problem: Problem, state: AnyState) -> Turning:
         return turning
     left = (problem.base_tension - state.pull.spent) / problem.moment_scale
     return jnp.concatenate([turning, left], axis=-1)
-
-
-def at_starts_and_ends(cut: Panels, turning: Turning) -> Float[Array, "2 P owners"]:
-    """The polynomials through the nodes of each panel, at its start and at its end."""
-    return jnp.moveaxis(jnp.moveaxis(turning, 1, -1) @ cut.constant("ends").T, -1, 0)
 
 
 def locate(problem: Problem, state: AnyState) -> Splits:
@@ -138,7 +133,7 @@ def locate(problem: Problem, state: AnyState) -> Splits:
 
 def with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:
     """The turning at the start, the nodes and the end of each panel, on the polynomials through its nodes."""
-    starts, ends = at_starts_and_ends(cut, turning)
+    starts, ends = cut.at_starts_and_ends(turning)
     return jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)
 
 
@@ -250,7 +245,7 @@ def turning_at_splits(problem: Problem, solution: Solution[AnyState], splits: Sp
     if problem.in_space:  # nothing depends on the places, but for the error of the quadrature
         return splits.arc_length - jax.lax.stop_gradient(splits.arc_length)
     edges = problem.panels.edges
-    starts = at_starts_and_ends(problem.panels, signed_turning(problem, solution.nodes))[0]
+    starts = problem.panels.at_starts_and_ends(signed_turning(problem, solution.nodes))[0]
     panel = jnp.argmin(jnp.abs(edges[:-1] - splits.arc_length[:, None]), axis=1)
     turning = starts[panel, jnp.maximum(splits.owner, 0)]
     return jnp.where(splits.owner >= 0, turning, splits.arc_length - edges[-1])

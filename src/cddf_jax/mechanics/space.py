@@ -23,7 +23,7 @@ from ..numerics.rotations import Vector, cross, length_of
 from ..robot.cross_section import SpatialSection
 from .friction import PerTendon, tension_rate
 
-NEWTON_STEPS = 6
+NEWTON_STEPS, FEW_STEPS = 6, 2  # from a body at rest, and from a strain nearby
 Strain = Float[Array, " strains"]
 Vectors = Float[Array, "tendons 3"]
 
@@ -35,11 +35,14 @@ class Wrench(NamedTuple):
     force: Vector  # N
 
 
-def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None) -> Strain:
-    """The curvature u, 1/m, and for an extensible axis v: u alone, or u and v one after the other."""
+def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None, start: Strain | None = None) -> Strain:
+    """The curvature u, 1/m, and for an extensible axis v: u alone, or u and v one after the other.
+
+    Where it is the root of an equation, `start` is near to what of it is elastic, or None.
+    """
     if section.parallel and loads is None:  # no twist, and t = (1, 0, 0)
         return section.rest - _gradient(section, tension, section.ahead, None) * (1.0 / section.stiffness)
-    return _strain_of_least_energy(section, tension, loads)
+    return _strain_of_least_energy(section, tension, loads, start)
 
 
 def curvature_of_strain(strain: Float[Array, "*points strains"]) -> Vector:
@@ -138,20 +141,23 @@ def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loa
 
 
 @eqx.filter_custom_jvp
-def _strain_of_least_energy(section: SpatialSection, tension: PerTendon, loads: Wrench | None) -> Strain:
+def _strain_of_least_energy(
+    section: SpatialSection, tension: PerTendon, loads: Wrench | None, start: Strain | None
+) -> Strain:
     def newton_step(_, strain):
         stiffness = _tangent_stiffness(section, tension, strain)
         return strain - solve_definite(stiffness, _residual(section, tension, loads, strain))
 
-    start = section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
-    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, start)
+    first = section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
+    first = first if start is None else first + start
+    return jax.lax.fori_loop(0, NEWTON_STEPS if start is None else FEW_STEPS, newton_step, first)
 
 
 @_strain_of_least_energy.def_jvp
 def _(primals, directions):
-    section, tension, _loads = primals
+    section, tension, *_ = primals
     found = _strain_of_least_energy(*primals)
-    pushed = slope_along(lambda given: _residual(given[0], given[1], given[2], found), primals, directions)
+    pushed = slope_along(lambda given: _residual(given[0], given[1], given[2], found), primals[:3], directions[:3])
     return found, -solve_definite(_tangent_stiffness(section, tension, found), pushed)
 
 

@@ -124,6 +124,10 @@ class Panels(eqx.Module):
         slopes = jnp.moveaxis(values, 1, -1) @ self.constant("differentiation").T  # on the right, as in `accumulate`
         return jnp.moveaxis(slopes, -1, 1) / width.reshape((-1, *[1] * (values.ndim - 1)))
 
+    def at_starts_and_ends(self, values: Float[Array, "P p *k"]) -> Float[Array, "2 P *k"]:
+        """The polynomials through the nodes of each panel, at its start and at its end."""
+        return jnp.moveaxis(jnp.moveaxis(values, 1, -1) @ self.constant("ends").T, -1, 0)
+
     @property
     def check_rule(self) -> tuple[np.ndarray, np.ndarray]:
         """Points in [0, 1], and weights that give an integral by a few more nodes less that by the nodes themselves."""

@@ -253,6 +253,11 @@ class Manipulator(eqx.Module):
         return not all(isinstance(place, Constant) for place in places)
 
     @property
+    def parallel(self) -> bool:
+        """Whether every tendon of a body in space follows the axis as long as nothing twists or stretches it."""
+        return not self.slanted and not self.extensible and self.rest_curvature is None
+
+    @property
     def tendon_friction(self) -> Float[Array, " tendons"]:
         """The friction coefficient mu of each tendon."""
         own = (tendon.friction_coefficient for tendon in self.tendons)
@@ -380,7 +385,7 @@ class Manipulator(eqx.Module):
             friction_coefficient=self.tendon_friction,
             drag=None if drag is None else jnp.where(present, drag, 0.0),
             present=present,
-            parallel=not self.slanted and not self.extensible and self.rest_curvature is None,
+            parallel=self.parallel,
         )
 
     def cross_section(self, arc_length: Float[ArrayLike, ""]) -> CrossSection:

@@ -63,6 +63,7 @@ class Trial(NamedTuple):
     moment: Moment | None  # M_ext(0) over its scale; None without loads
     heading: Headings | None  # likewise
     slopes: Slopes | None  # likewise
+    strain: Array | None  # about the elastic one; None where it has a closed form
     near: Flag  # near enough to the equilibrium to take the next step from here
     settled: Flag  # in equilibrium
     locked: Flag  # a tendon locks: its r passes below zero, and stays there
@@ -142,7 +143,7 @@ class LoadedBody(NamedTuple):
 
         def flow(guess: Nodal, moment: Moment, fraction: Number, pull: Number):
             here = self.at(moment, fraction, pull)
-            solution = self.method.improve(here, guess)
+            solution = self.method.improve(here, guess, trial.strain)
             heading = Headings(solution.nodes.heading, solution.tip.heading)
             heading = jax.tree.map(lambda x: 2.0 * x, heading) if here.in_space else heading
             return (nodal(here, solution), heading, moment_left_at_tip(here, solution)), solution
@@ -174,6 +175,7 @@ class LoadedBody(NamedTuple):
             nodal=_moved(values, slopes.nodal, correction),
             heading=_moved(heading, slopes.heading, correction),
             slopes=slopes,
+            strain=solution.nodes.strain,
             near=settled | (near & steady & (changed <= STEADY)),
             settled=settled,
             locked=solution.locked,
@@ -185,10 +187,11 @@ class LoadedBody(NamedTuple):
 
     def _improve(self, trial: Trial) -> Trial:
         """One pass without loads."""
-        solution = self.method.improve(self.problem, trial.nodal)
+        solution = self.method.improve(self.problem, trial.nodal, trial.strain)
         sane = jnp.isfinite(solution.residual) & ~solution.locked
         return trial._replace(
             nodal=nodal(self.problem, solution),
+            strain=solution.nodes.strain,
             near=solution.converged,
             settled=solution.converged,
             locked=solution.locked,
@@ -200,7 +203,7 @@ class LoadedBody(NamedTuple):
     def state(self, trial: Trial, fraction: Number) -> PassState:
         """At the nodes."""
         problem = self.problem if trial.moment is None else self.at(trial.moment, fraction, jnp.ones_like(trial.change))
-        state = state_at_nodes(problem, trial.nodal)
+        state = state_at_nodes(problem, trial.nodal, trial.strain)
         return state if trial.heading is None or problem.in_space else state._replace(heading=trial.heading.nodes)
 
     def travel(self, trial: Trial, fraction: Number) -> PerTendon:
@@ -208,10 +211,10 @@ class LoadedBody(NamedTuple):
 
         def displacement(guess: Nodal, moment: Moment, pull: Number) -> PerTendon:
             here = self.at(moment, fraction, pull)
-            return tendon_displacement(here, state_at_nodes(here, guess))
+            return tendon_displacement(here, state_at_nodes(here, guess, trial.strain))
 
         if trial.moment is None or trial.slopes is None:
-            return tendon_displacement(self.problem, state_at_nodes(self.problem, trial.nodal))
+            return tendon_displacement(self.problem, state_at_nodes(self.problem, trial.nodal, trial.strain))
         one = jnp.ones_like(trial.change)
         follows = moment_that_follows(trial.slopes.residual)
         moved = jax.tree.map(lambda slopes: slopes[-1] + along_moment(slopes, follows), trial.slopes.nodal)
@@ -289,9 +292,9 @@ def moment_left_at_tip(problem: Problem, solution: Solution[AnyState]) -> Moment
     return (solution.tip.moment - problem.loads.tip_moment) / problem.moment_scale
 
 
-def start_from(guess: Nodal, zero: Number) -> Trial:
+def start_from(guess: Nodal, strain: Array | None, zero: Number) -> Trial:
     """A trial that knows nothing but a guess of the values at the nodes; 0 under shard_map varies as all numbers do."""
-    guess, false, true = varying_as(guess, zero), zero > 0, zero == 0
+    (guess, strain), false, true = varying_as((guess, strain), zero), zero > 0, zero == 0
     heading = slopes = moment = None
     if guess.moment is not None:
         in_space = guess.frame is not None
@@ -305,6 +308,7 @@ def start_from(guess: Nodal, zero: Number) -> Trial:
         moment=moment,
         heading=heading,
         slopes=slopes,
+        strain=strain,
         near=false,
         settled=false,
         locked=false,

@@ -76,6 +76,11 @@ class System(eqx.Module):
     unknown: tuple[int, ...] = eqx.field(static=True)
     whole: bool = eqx.field(default=False, static=True)  # whether the equations need frame and position
 
+    @property
+    def strain(self) -> Array | None:
+        """About the elastic strain at the nodes; None where it has a closed form."""
+        return None if self.settled.trial is None else self.settled.trial.strain
+
     def root(self) -> Unknowns:
         """The unknowns as they were found."""
         load_path, splits = self.settled.load_path, self.settled.splits
@@ -110,7 +115,7 @@ class System(eqx.Module):
         """
         problem, method = self.problem(unknowns), self.setup.method
         improve = method.finish if self.whole else method.improve
-        solution = method(problem) if values is None else improve(problem, values)
+        solution = method(problem) if values is None else improve(problem, values, self.strain)
         turning = turning_at_splits(problem, solution, self._splits(unknowns))
         residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution), turning])
         return (None if values is None else nodal(problem, solution), residual), (problem, solution)
@@ -134,16 +139,18 @@ def balance(
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
         whole: whether the equations need frame and position.
     """
+    trial, found, travel = settled.trial, settled.load_path, settled.travel
+    if trial is None or travel is None:
+        return _from_scratch(System(setup, base_tension, settled, equations, unknown, whole))
+    start = first_guess(trial.nodal), None if trial.strain is None else jnp.zeros_like(trial.strain)
+    here = trial.nodal, trial.strain
+    values, strain = jax.tree.map(lambda x, guess: jnp.where(found.converged, x, guess), here, start)
+    settled = settled._replace(trial=trial._replace(strain=strain))
     system = System(setup, base_tension, settled, equations, unknown, whole)
-    trial, found = settled.trial, settled.load_path
-    if trial is None or settled.travel is None:
-        return _from_scratch(system)
-    start = first_guess(trial.nodal)
-    values = jax.tree.map(lambda x, guess: jnp.where(found.converged, x, guess), trial.nodal, start)
     values, root = implicit(system, values, system.root())
     assert values is not None
     problem = system.problem(root)
-    solution = setup.method.finish(problem, values)
+    solution = setup.method.finish(problem, values, strain)
     changes = [solution.residual, trial.change]
     changes += [] if setup.loads is None else [magnitude(moment_left_at_tip(problem, solution))]
     solution = replace(
@@ -153,7 +160,7 @@ def balance(
         converged=found.resolved & jnp.isfinite(solution.residual),
         locked=trial.locked,
     )
-    return Balance(problem, solution, found, settled.travel, jnp.where(found.converged, trial.leverage, 1.0))
+    return Balance(problem, solution, found, travel, jnp.where(found.converged, trial.leverage, 1.0))
 
 
 def _from_scratch(system: System) -> Balance:

@@ -27,6 +27,7 @@ from ..mechanics.problem import (
     loaded_to,
     pull_at_nodes,
     unloaded,
+    unstrained,
 )
 from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, unsplit
 from ..numerics.arrays import largest_size, varying_as, zero_as
@@ -106,7 +107,8 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     if not needs_search(setup):
         return Settled(direction, load_path, splits, None, None)
     guess = everywhere(_cut(setup, splits), unloaded(setup.manipulator, jnp.ones_like(base_tension), setup.loads))
-    return Settled(direction, load_path, splits, start_from(guess, zero), base_tension + zero)
+    strain = unstrained(setup.manipulator, setup.loads, guess.ratio)
+    return Settled(direction, load_path, splits, start_from(guess, strain, zero), base_tension + zero)
 
 
 def first_guess(values: Nodal) -> Nodal:
@@ -233,13 +235,14 @@ def _in_place(number: Number) -> float:
 
 def _moved(trial: Trial, on_new_panels: Callable[[Array], Array]) -> Trial:
     """The trial with its values and slopes at the nodes of other panels."""
-    nodal = jax.tree.map(on_new_panels, trial.nodal)
+    nodal, strain = jax.tree.map(on_new_panels, (trial.nodal, trial.strain))
     if trial.heading is None or trial.slopes is None:
-        return trial._replace(nodal=nodal)
+        return trial._replace(nodal=nodal, strain=strain)
     slopes = trial.slopes.nodal, trial.slopes.heading.nodes
     slopes, heading_slopes = jax.tree.map(jax.vmap(on_new_panels), slopes)
     return trial._replace(
         nodal=nodal,
+        strain=strain,
         heading=trial.heading._replace(nodes=on_new_panels(trial.heading.nodes)),
         slopes=trial.slopes._replace(nodal=slopes, heading=trial.slopes.heading._replace(nodes=heading_slopes)),
     )

@@ -57,11 +57,11 @@ class LiteralIteration(eqx.Module):
         wrap_edges, wrap = literal_wrap_angle(problem, answer.value)
         (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
         none = jnp.zeros_like(cut.edges), jnp.zeros_like(position_edges)
-        edges = State(Pull(jnp.exp(gain * wrap_edges)), heading_edges, *none, wrap_edges, position_edges)
+        edges = State(Pull(jnp.exp(gain * wrap_edges)), heading_edges, *none, None, wrap_edges, position_edges)
         outboard = problem.outboard.nodes
         return Solution(
             starts=jax.tree.map(lambda x: x[:-1], edges),
-            nodes=State(Pull(jnp.exp(gain * wrap)), heading, jnp.zeros_like(heading), outboard, wrap, position),
+            nodes=State(Pull(jnp.exp(gain * wrap)), heading, jnp.zeros_like(heading), outboard, None, wrap, position),
             tip=jax.tree.map(lambda x: x[-1], edges),
             num_iterations=answer.num_passes,
             residual=answer.change / cut.edges[-1],
@@ -69,7 +69,7 @@ class LiteralIteration(eqx.Module):
             locked=jnp.zeros_like(answer.converged),
         )
 
-    def improve(self, problem: Problem, guess: Nodal) -> Solution[State]:
+    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[State]:
         return self(problem)
 
     finish = improve
@@ -93,7 +93,7 @@ def _tip_motion(cut: Panels, change: Float[Array, "P p"], curvature: Float[Array
 def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
     """The shape with T = T_base everywhere, where the paper starts. Liu et al. (2020), eq. (17)."""
     tension = tension_of(problem.nodes, problem.base_tension, Pull(jnp.ones_like(problem.nodes.offset)))
-    return curvature_along(problem.nodes, tension, jnp.zeros_like(problem.panels.nodes))
+    return curvature_along(problem.nodes, tension, jnp.zeros_like(problem.panels.nodes), None)
 
 
 def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:

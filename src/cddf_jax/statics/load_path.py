@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from ..mechanics.problem import Moment, Nodal, Number
+from ..mechanics.problem import Moment, Nodal, Number, unstrained
 from ..mechanics.sign_changes import only_if
 from ..numerics.arrays import computed_once, largest_size, largest_sizes
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
@@ -44,6 +45,7 @@ class _Place(NamedTuple):
     nodal_slope: Nodal
     heading: Headings
     heading_slope: Headings
+    strain: Array | None  # as in a trial
     stable: Flag
 
 
@@ -88,7 +90,7 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
         tried = ~walk.arrived & (walk.trial.near | hopeless)
         return only_if(tried, lambda zero: _decide(walk._replace(fraction=walk.fraction + zero)), walk)
 
-    walk = jax.lax.while_loop(lambda walk: ~walk.over, advance, _first_walk(guess, zero))
+    walk = jax.lax.while_loop(lambda walk: ~walk.over, advance, _first_walk(body, guess, zero))
     place = walk.place
     found = LoadPath(
         base_moment=place.moment,
@@ -101,9 +103,10 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
     return found, walk.trial
 
 
-def _first_walk(guess: Nodal, zero: Number) -> _Walk:
+def _first_walk(body: LoadedBody, guess: Nodal, zero: Number) -> _Walk:
     """Before the first try, which is the body without loads."""
-    trial = start_from(guess, zero)
+    problem = body.problem
+    trial = start_from(guess, unstrained(problem.manipulator, problem.loads, guess.ratio), zero)
     false, true = zero > 0, zero == 0
     place = _arrive(trial, zero)._replace(stable=true)
     return _Walk(
@@ -137,6 +140,7 @@ def _arrive(trial: Trial, fraction: Number) -> _Place:
         nodal_slope=along_path(trial.slopes.nodal),
         heading=trial.heading,
         heading_slope=along_path(trial.slopes.heading),
+        strain=trial.strain,
         stable=trial.stable,
     )
 
@@ -201,6 +205,7 @@ def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
         moment=place.moment + step * place.moment_slope,
         nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
         slopes=trial.slopes._replace(nodal=slopes),
+        strain=place.strain,
         near=false,
         settled=false,
     )

@@ -230,9 +230,9 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     problem, solution, cut = there.problem, there.solution, there.problem.panels
     section = planar(problem.nodes)
     tension = tension_of(section, base_tension, solution.nodes.pull)
-    reel = displacement_rate(problem.manipulator, section, tension, solution.nodes.moment)
+    kappa = curvature_along(section, tension, solution.nodes.moment, solution.nodes.strain)
+    reel = displacement_rate(problem.manipulator, section, kappa, tension)
     edges, inner = cut.integrate(reel)
-    kappa = curvature_along(section, tension, solution.nodes.moment)
     moment_rate = moment_rate_of(solution.nodes.heading, solution.nodes.force)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
     friction = -tension_rate(problem.direction, section, turning, tension)
