@@ -20,7 +20,7 @@ from ..robot.cross_section import CrossSection
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 
 Number = Float[Array, ""]
-NEWTON_STEPS, FEW_STEPS = 8, 2  # from the curvature of a parallel tendon, and from one nearby
+NEWTON_STEPS = 8  # from the curvature of a parallel tendon
 
 
 class Tangent(NamedTuple):
@@ -69,7 +69,7 @@ def curvature(
 
     This is eq. (13) of Liu et al. (2020) integrated by parts; with T and d constant along s its
     published form is the integral of eq. (17). External loads add M_ext. With slanted tendons it is the root of an
-    equation, and `start` is near to it or None.
+    equation, to which one step of Newton's method leads from a `start` nearby.
     """
     arm = section.side * section.offset
     pull = jnp.sum(arm * tension) + external_moment
@@ -90,9 +90,10 @@ def _slanted_curvature(
         value, slope = _gap_and_slope((section, tension, external_moment), kappa)
         return kappa - value / slope
 
+    if start is not None:
+        return newton_step(0, start)
     pull = jnp.sum(section.side * section.offset * tension) + external_moment
-    first = pull / section.stiffness if start is None else start + 0.0 * pull
-    return jax.lax.fori_loop(0, NEWTON_STEPS if start is None else FEW_STEPS, newton_step, first)
+    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, pull / section.stiffness)
 
 
 @_slanted_curvature.def_jvp

@@ -419,7 +419,7 @@ def moments_of(problem: Problem, values: Nodal) -> Float[Array, "*points_and_com
 def unstrained(manipulator: Manipulator, loads: Loads | None, points: Float[Array, "P p tendons"]) -> Array | None:
     """The elastic strain of a body that nothing acts on: 0; None where the strain has a closed form, which is static.
 
-    Elsewhere a state holds about the elastic strain, from which Newton's method finds the strain in a few steps.
+    Elsewhere a state holds about the elastic strain, from which one step of Newton's method leads to it.
 
     Args:
         manipulator, loads: of the problem.

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 from ..numerics.arrays import largest, largest_of_each, largest_size, varying_as, zero_as
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import cross, length_of
+from ..robot.cross_section import spatial
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from . import space
@@ -144,7 +145,10 @@ def _around_sharpest_minimum(problem: Problem, state: AnyState) -> Splits:
     c'^2 ((s - s0)^2 + apart^2). The panels beside it are so short that apart is no small part of their length.
     """
     cut, nodes = problem.panels, problem.nodes
-    strain = strain_along(nodes, problem.base_tension, state)
+    if state.strain is None:
+        strain = strain_along(nodes, problem.base_tension, state)
+    else:
+        strain = spatial(nodes).rest + state.strain  # near enough for a place
     tangent = at_nodes(space.tangents, (0, 0))(nodes, strain)
     turn = at_nodes(space.turn_vectors, (0, 0, 0))(strain, tangent, cut.differentiate(tangent))
     rate = cut.differentiate(turn)

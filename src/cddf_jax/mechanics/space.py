@@ -23,7 +23,7 @@ from ..numerics.rotations import Vector, cross, length_of
 from ..robot.cross_section import SpatialSection
 from .friction import PerTendon, tension_rate
 
-NEWTON_STEPS, FEW_STEPS = 6, 2  # from a body at rest, and from a strain nearby
+NEWTON_STEPS = 6  # from a body at rest
 Strain = Float[Array, " strains"]
 Vectors = Float[Array, "tendons 3"]
 
@@ -38,7 +38,8 @@ class Wrench(NamedTuple):
 def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None, start: Strain | None = None) -> Strain:
     """The curvature u, 1/m, and for an extensible axis v: u alone, or u and v one after the other.
 
-    Where it is the root of an equation, `start` is near to what of it is elastic, or None.
+    Where it is the root of an equation, one step of Newton's method leads there from `start`, which is near to what of
+    it is elastic; several do from a body at rest.
     """
     if section.parallel and loads is None:  # no twist, and t = (1, 0, 0)
         return section.rest - _gradient(section, tension, section.ahead, None) * (1.0 / section.stiffness)
@@ -148,9 +149,11 @@ def _strain_of_least_energy(
         stiffness = _tangent_stiffness(section, tension, strain)
         return strain - solve_definite(stiffness, _residual(section, tension, loads, strain))
 
-    first = section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
-    first = first if start is None else first + start
-    return jax.lax.fori_loop(0, NEWTON_STEPS if start is None else FEW_STEPS, newton_step, first)
+    if start is not None:
+        return newton_step(0, section.rest + start)
+    return jax.lax.fori_loop(
+        0, NEWTON_STEPS, newton_step, section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
+    )
 
 
 @_strain_of_least_energy.def_jvp
