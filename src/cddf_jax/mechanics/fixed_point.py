@@ -315,16 +315,15 @@ def _tangents(cut: Panels, section: AnySection, strain: Array) -> tuple[Array, A
 
 def _frames(cut: Panels, strain: Array) -> tuple[Array, Array]:
     """The rotations at the edges and the nodes that follow from the curvature, both (..., 4)."""
-    update = Partial(_turn_on, cut, space.curvature_of_strain(strain))
-    identity = identity_as(strain)
-    guess = of_turn(cut.integrate(space.curvature_of_strain(strain))[1])  # what it is for bends about one axis
-    found = fixed_point(update, guess, tolerance=round_off(strain.dtype), max_passes=64).value
-    edges, nodes = cut.integrate(turned_by(found, space.curvature_of_strain(strain)))
-    return identity + edges, identity + nodes
+    curvature = space.curvature_of_strain(strain)
+    guess = jax.tree.map(of_turn, cut.integrate(curvature))  # what they are for bends about one axis
+    update = Partial(_turned_on, cut, curvature)
+    return fixed_point(update, guess, tolerance=round_off(strain.dtype), max_passes=64).value
 
 
-def _turn_on(cut: Panels, curvature: Array, frame: Array) -> Array:
-    return identity_as(frame) + cut.integrate(turned_by(frame, curvature))[1]
+def _turned_on(cut: Panels, curvature: Array, frames: tuple[Array, Array]) -> tuple[Array, Array]:
+    edges, nodes = cut.integrate(turned_by(frames[1], curvature))
+    return identity_as(edges) + edges, identity_as(nodes) + nodes
 
 
 def _point(

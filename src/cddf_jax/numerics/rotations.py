@@ -7,6 +7,8 @@ themselves it is off by the error of the quadrature, and every function here div
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .arrays import cos_sin
+
 Vector = Float[Array, "*#points 3"]
 Quaternion = Float[Array, "*#points 4"]
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -31,7 +33,9 @@ def product(p: Quaternion, q: Quaternion) -> Quaternion:
 def of_turn(turn: Vector) -> Quaternion:
     """The rotation about an axis: its direction is that of `turn`, its angle, rad, the length of it."""
     angle = length_of(turn)[..., None]
-    return jnp.concatenate([jnp.cos(angle / 2), jnp.sinc(angle / (2 * jnp.pi)) / 2 * turn], axis=-1)
+    cosine, sine = cos_sin(angle / 2)
+    turns = angle > 0
+    return jnp.concatenate([cosine, jnp.where(turns, sine / jnp.where(turns, angle, 1.0), 0.5) * turn], axis=-1)
 
 
 def inverse(q: Quaternion) -> Quaternion:
