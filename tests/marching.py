@@ -23,11 +23,11 @@ from cddf_jax.mechanics.problem import (
     moment_rate_of,
     ones_at_base,
     spent_scale,
+    starts_of_newton,
     strain_along,
     strain_of,
     tension_of,
     turn_at_joint,
-    unstrained,
 )
 from cddf_jax.numerics.arrays import zero_as
 
@@ -57,15 +57,12 @@ class Marching(eqx.Module):
         residual = jnp.max(jnp.stack(differences)) / 15
         positive = jnp.all(along.ratio > 0)
         nodes = jax.tree.map(lambda x: x[:, :-1], along)
-        if unstrained(problem.manipulator, problem.loads, nodes.ratio) is not None:
-            strain = jax.lax.stop_gradient(strain_along(problem.nodes, problem.base_tension, nodes))
-            at_starts, at_ends = problem.panels.at_starts_and_ends(strain)
-            starts, tip = starts._replace(strain=at_starts), tip._replace(strain=at_ends[-1])
-            nodes = nodes._replace(strain=strain)
+        strain = strain_along(problem.nodes, problem.base_tension, nodes)
+        at_starts, at_nodes, at_tip = starts_of_newton(problem, strain)
         return Solution(
-            starts=starts,
-            nodes=nodes,
-            tip=tip,
+            starts=starts._replace(strain=at_starts),
+            nodes=nodes._replace(strain=at_nodes),
+            tip=tip._replace(strain=at_tip),
             num_iterations=jnp.ones_like(length),
             residual=residual,
             converged=positive & (residual <= ACCURACY),

@@ -44,11 +44,11 @@ from .problem import (
     identity_as,
     moments_of,
     spent_scale,
+    starts_of_newton,
     strain_along,
     tension_of,
     turn_at_joint,
     turning_along,
-    unstrained,
     wrench_of,
 )
 
@@ -152,7 +152,7 @@ class _Shape(NamedTuple):
     axis: Float[Array, "P p components"] | None  # the derivative of the position; None without loads
     moment_rate: Float[Array, "P p *components"] | None  # M_ext', N; None without loads
     strain: Float[Array, "P p strains"] | None  # of a body in space
-    near: Array | None  # the elastic strain, from which Newton's method starts next time; None where it needs no start
+    elastic: Float[Array, "P p *strains"]  # the strain less that at rest
 
 
 class _Pass(NamedTuple):
@@ -272,13 +272,7 @@ def _shape(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"],
     axis = axis_of(heading[1]) if loaded else None
     moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, problem.outboard.nodes)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
-    return _Shape(turning, heading, axis, moment_rate if loaded else None, None, _near(problem, kappa))
-
-
-def _near(problem: Problem, elastic: Array) -> Array | None:
-    """The elastic strain as the next start of Newton's method, which has no derivative; None where it needs none."""
-    needed = unstrained(problem.manipulator, problem.loads, problem.nodes.offset) is not None
-    return without_derivative(elastic) if needed else None
+    return _Shape(turning, heading, axis, moment_rate if loaded else None, None, kappa)
 
 
 def _shape_in_space(
@@ -288,18 +282,18 @@ def _shape_in_space(
     cut, section = problem.panels, problem.nodes
     wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
     strain = _strain_in_space(section, tension, wrench, start)
-    near = _near(problem, strain - spatial(section).rest)
+    elastic = strain - spatial(section).rest
     if _follow_the_axis(problem):
         turning = _turning_along_axis(section, strain)
     else:
         turning = _turning_in_space(section, strain, *_tangents(cut, section, strain))
     if guess.frame is None:
-        return _Shape(turning, None, None, None, strain, near)
+        return _Shape(turning, None, None, None, strain, elastic)
     rate = turned_by(guess.frame, space.curvature_of_strain(strain))
     edges, nodes = cut.integrate(rate)
     frame = identity_as(tension) + edges, identity_as(tension) + nodes
     axis = in_fixed_frame(guess.frame, space.axis_of_strain(strain))
-    return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain, near)
+    return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain, elastic)
 
 
 _strain_in_space = at_nodes(space.strain, (0, 0, 0, 0))
@@ -376,12 +370,11 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
         moment, force = moments_of(problem, values), acting(problem, outboard)
         return PassState(Pull(values.ratio, spent), heading, moment, force, strain)
 
-    outboard, near = problem.outboard, along.shape.near
-    at_starts, at_ends = (None, None) if near is None else problem.panels.at_starts_and_ends(near)
+    outboard, (at_starts, at_nodes, at_tip) = problem.outboard, starts_of_newton(problem, along.shape.elastic)
     return Solution(
         starts=state(along.starts, outboard.starts, at_starts),
-        nodes=state(along.nodes, outboard.nodes, near),
-        tip=state(tip, outboard.tip, None if at_ends is None else at_ends[-1]),
+        nodes=state(along.nodes, outboard.nodes, at_nodes),
+        tip=state(tip, outboard.tip, at_tip),
         **outcome,
     )
 

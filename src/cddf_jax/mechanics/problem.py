@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..numerics.arrays import cos_sin, zero_as
+from ..numerics.implicit import without_derivative
 from ..numerics.quadrature import Panels, panels, panels_between
 from ..numerics.rotations import IDENTITY, in_own_frame
 from ..robot.cross_section import AnySection, CrossSection, SpatialSection, planar
@@ -145,7 +146,10 @@ class Nodal(NamedTuple):
 
 @runtime_checkable
 class Method(Protocol):
-    """A way to resolve shape and tension from the base to the tip. Its settings are static."""
+    """A way to resolve shape and tension from the base to the tip. Its settings are static.
+
+    Its states hold the elastic strain of `starts_of_newton`; that of the pass before is given to the next one.
+    """
 
     max_passes: int  # calls of `improve` in one try
 
@@ -431,6 +435,20 @@ def unstrained(manipulator: Manipulator, loads: Loads | None, points: Float[Arra
     if loads is None and manipulator.parallel:
         return None
     return jnp.zeros((*zero.shape, 6 if manipulator.extensible else 3), zero.dtype) + zero[..., None]
+
+
+def starts_of_newton(problem: Problem, elastic: Array) -> tuple[Array | None, Array | None, Array | None]:
+    """The elastic strain as states hold it: at the starts of the panels, the nodes and the tip, without derivatives.
+
+    Args:
+        problem: the body.
+        elastic: the strain at the nodes, less that at rest.
+    """
+    if unstrained(problem.manipulator, problem.loads, problem.nodes.offset) is None:
+        return None, None, None
+    nodes = without_derivative(elastic)
+    starts, ends = problem.panels.at_starts_and_ends(nodes)
+    return starts, nodes, ends[-1]
 
 
 def state_at_nodes(problem: Problem, values: Nodal, strain: Array | None) -> PassState:

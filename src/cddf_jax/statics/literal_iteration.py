@@ -13,7 +13,16 @@ from ..mechanics import bending
 from ..mechanics.directions import Directions, not_stated
 from ..mechanics.fixed_point import integrate_shape
 from ..mechanics.friction import Pull
-from ..mechanics.problem import Nodal, Problem, Solution, State, curvature_along, lay_out, tension_of
+from ..mechanics.problem import (
+    Nodal,
+    Problem,
+    Solution,
+    State,
+    curvature_along,
+    lay_out,
+    starts_of_newton,
+    tension_of,
+)
 from ..numerics.implicit import without_derivative
 from ..numerics.iteration import fixed_point
 from ..numerics.quadrature import Panels
@@ -58,11 +67,12 @@ class LiteralIteration(eqx.Module):
         (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
         none = jnp.zeros_like(cut.edges), jnp.zeros_like(position_edges)
         edges = State(Pull(jnp.exp(gain * wrap_edges)), heading_edges, *none, None, wrap_edges, position_edges)
-        outboard = problem.outboard.nodes
+        at_starts, at_nodes, at_tip = starts_of_newton(problem, answer.value)
+        pull, still, outboard = Pull(jnp.exp(gain * wrap)), jnp.zeros_like(heading), problem.outboard.nodes
         return Solution(
-            starts=jax.tree.map(lambda x: x[:-1], edges),
-            nodes=State(Pull(jnp.exp(gain * wrap)), heading, jnp.zeros_like(heading), outboard, None, wrap, position),
-            tip=jax.tree.map(lambda x: x[-1], edges),
+            starts=jax.tree.map(lambda x: x[:-1], edges)._replace(strain=at_starts),
+            nodes=State(pull, heading, still, outboard, at_nodes, wrap, position),
+            tip=jax.tree.map(lambda x: x[-1], edges)._replace(strain=at_tip),
             num_iterations=answer.num_passes,
             residual=answer.change / cut.edges[-1],
             converged=answer.converged,
