@@ -18,7 +18,8 @@ from ..batch.fingerprint import digest, numbers_of
 from ..batch.work import carry_out
 from ..errors import InputError
 from ..progress import stage
-from .levenberg_marquardt import Data, Minimum, minimise_all
+from .levenberg_marquardt import Minimum, minimise_all
+from .residuals import Data
 
 CHUNK = 250  # refits at once: bounds the memory, and shows progress
 KINDS = ("parametric", "cases")

@@ -13,11 +13,12 @@ from jaxtyping import ArrayLike, PyTree
 from ..errors import InputError
 from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
 from .determination import Determination, Evidence, determine, quantiles
-from .levenberg_marquardt import MAX_STEPS, Data, LeastSquaresProblem, Minimum
+from .levenberg_marquardt import MAX_STEPS, Minimum
 from .observations import Noise, Observed, group_observations
 from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
+from .residuals import Data, LeastSquaresProblem
 from .restarts import Searched, search
 from .robust_loss import LOSSES
 from .whole_search import FitTask

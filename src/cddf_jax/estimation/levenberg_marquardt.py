@@ -1,7 +1,6 @@
-"""The residuals of a fit, and the minimum of their squares by Levenberg-Marquardt over dimensionless unknowns."""
+"""The minimum of the squares of the residuals by Levenberg-Marquardt over dimensionless unknowns."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,77 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float, PyTree
+from jaxtyping import Array, ArrayLike, Float
 
-from ..errors import InputError
 from ..programs.kept import kept_program
-from .parameter_space import Numbers, ParameterSpace, Prior, Structure
-from .robust_loss import LOSSES
+from .parameter_space import Numbers
+from .residuals import Data, LeastSquaresProblem
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
 BATCH_TOLERANCE = 1e-6  # of a lane of many: far below any standard error
 MAX_STEPS = 500
-
-
-class Data(NamedTuple):
-    """The data of a fit; for many fits at once, arrays may have a leading axis of fits."""
-
-    values: tuple[Numbers, ...]  # by group
-    noise: tuple[Numbers, ...]  # standard deviations, of the shapes of the values
-    times: tuple[Numbers, ...]  # how often each datum counts
-    prior: dict[int, Prior]  # by parameter
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class LeastSquaresProblem:
-    """A model, its data, and what is known of its parameters."""
-
-    predict: Callable[[PyTree], PyTree]
-    unravel: Structure = field(metadata={"static": True})
-    groups: tuple[str, ...] = field(metadata={"static": True})  # of the data
-    data: Data
-    space: ParameterSpace
-    loss: str = field(metadata={"static": True})
-    max_steps: int = field(metadata={"static": True})  # of a search
-
-    def residual(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " m"]:
-        """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors."""
-        parameters = self.parameters(z, held)
-        predicted = jax.tree.leaves(self.predict(self.unravel(parameters)))
-        values, noise, _, prior = self.data
-        sizes, wanted = [jnp.size(p) for p in predicted], [np.size(v) for v in values]
-        if sizes != wanted:
-            raise InputError(f"predict gives arrays of {sizes} numbers where the data have {wanted}")
-        groups = zip(predicted, values, noise, strict=True)
-        rows = [jnp.ravel((jnp.reshape(p, jnp.shape(v)) - v) / s) for p, v, s in groups]
-        pulls = [(parameters[i] - one.mean) / one.standard_deviation for i, one in prior.items()]
-        return jnp.concatenate([*rows, jnp.stack(pulls)] if pulls else rows)
-
-    def parameters(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " n"]:
-        """The parameters at z; `held` is NaN where they are free."""
-        return jnp.where(jnp.isnan(held), self.space.parameters(z), held)
-
-    @property
-    def num_data(self) -> int:
-        """The number of data, without the rows of the priors."""
-        return sum(np.size(v) for v in self.data.values)
-
-    def softened(self, residual: Float[Numbers, " m"]) -> Float[Numbers, " m"]:
-        """The residuals whose squares are summed: as the loss transforms them, data that count twice taken twice."""
-        xp = residual.__array_namespace__()
-        data, prior = residual[: self.num_data], residual[self.num_data :]
-        times = xp.concat([t.reshape(-1) for t in self.data.times])
-        return xp.concat([LOSSES[self.loss].transformed(data) * xp.sqrt(times), prior])
-
-    def influence(self, residual: np.ndarray) -> np.ndarray:
-        """Half the derivative of the cost by each residual."""
-        data, prior = np.split(residual, [self.num_data])
-        return np.append(LOSSES[self.loss].influence(data), prior)
-
-    def by_group(self, rows: np.ndarray) -> list[np.ndarray]:
-        """An array with a row for each residual, split by group of data, without the rows of the priors."""
-        return np.split(rows, np.cumsum([np.size(v) for v in self.data.values]))[:-1]
 
 
 class Outcome(NamedTuple):

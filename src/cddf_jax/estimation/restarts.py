@@ -7,8 +7,9 @@ import numpy as np
 
 from ..progress import each, stage
 from .determination import NOT_IDENTIFIED
-from .levenberg_marquardt import LeastSquaresProblem, Outcome, minimise
+from .levenberg_marquardt import Outcome, minimise
 from .remarks import UNEXPLAINED
+from .residuals import LeastSquaresProblem
 from .whole_search import BETTER_ELSEWHERE, NO_NUMBER, NOT_SETTLED, STOPPED_SHORT, Ending, FitTask, search_from
 
 ROUNDS = (8, 8, 16)  # further searches; after each round the best one is judged

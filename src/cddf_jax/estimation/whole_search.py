@@ -20,10 +20,11 @@ from .determination import (
     determine,
     without_nan,
 )
-from .levenberg_marquardt import LeastSquaresProblem, Minimum, Outcome, evaluate, hold_one, minimise
+from .levenberg_marquardt import Minimum, Outcome, evaluate, hold_one, minimise
 from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
 from .remarks import unexplained_groups
+from .residuals import LeastSquaresProblem
 from .robust_loss import LOSSES
 
 SUCCESSFUL = "successful"

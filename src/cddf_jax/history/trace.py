@@ -18,9 +18,9 @@ from ..statics.arguments import check_nodes
 from ..statics.equilibrium import RESULTS, code_of
 from ..statics.response import tip_compliance
 from ..statics.targets import Displacement, TipAngle
-from .congruent import Before, CongruentStates, congruent_history
 from .history import History
 from .path import Driven, Path, as_numbers, given_path
+from .play_operator import Before, CongruentStates, congruent_history
 from .stepped import ACCURACY, Following, SteppedStates, after_first, squeezed, stepped_history
 
 
