@@ -19,7 +19,6 @@ from ..statics.solve import solve
 from ..units import shown
 
 PARAMETER = "before"  # of tendon 1 in all trials
-OF_TENDON = f"{PARAMETER}_tendon_"  # before the number of another tendon; `_2` behind either is that of trial 2 alone
 REST: Literal["rest"] = "rest"
 LEAST_ABOVE = 1.02  # of the first reading, from where the search for a tension starts
 
