@@ -29,7 +29,7 @@
 
 A body is in space where a tendon has an angle around the axis, which is a profile too, with its unit:
 
-    poissons_ratio = 0.5                 # optional, 0.5 unless given
+    poissons_ratio = 0.5                 # optional, 0.5 unless given; up to 5 for a body that is soft in torsion
     extensible = true                    # optional: the axis stretches and shears
     axial_factor = 0.8                   # optional, 1 unless given: multiplies the axial stiffness
     shear_factor = 0.8                   # optional, 1 unless given: multiplies the shear stiffness

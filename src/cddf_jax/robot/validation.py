@@ -27,6 +27,9 @@ _ZERO_OR_MORE = ("friction_coefficient", "drag", "density", "mass", "free_length
 _STIFFNESSES = ("youngs_modulus", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 _DEMANDED_ALONG = {**dict.fromkeys(_STIFFNESSES, "above 0"), "mass_per_length": "0 or more"}
 _STRAINS = ("twist", "about y", "about z")
+_LARGEST_RATIO = (
+    5.0  # Poisson's; a material has 0.5 or less, a body that is soft in torsion more, here up to E / G = 12
+)
 
 
 def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> None:
@@ -89,8 +92,11 @@ def _check_scalars(manipulator: Manipulator) -> None:
     length = manipulator.length
     _check_numbers("", manipulator)
     ratio = manipulator.poissons_ratio
-    if not -1 < ratio <= 0.5:
-        raise InputError(f"poissons_ratio must be above -1 and at most 0.5, got {float(ratio):.6g}; correct its value")
+    if not -1 < ratio <= _LARGEST_RATIO:
+        raise InputError(
+            f"poissons_ratio must be above -1 and at most {_LARGEST_RATIO:g}, got {float(ratio):.6g}; correct its "
+            "value, or give torsional_stiffness (and shear_stiffness where the axis is extensible) in its place"
+        )
     for number, point in enumerate(manipulator.point_masses, 1):
         _check_numbers(f"point mass {number}: ", point)
         if point.arc_length > length:
