@@ -1,141 +1,114 @@
 """Study: a measured body, a conical silicone tentacle that hangs from its base (../shared/data/soft_tentacle).
 
-The data are 14 poses with one tendon pulled, under gravity. The tip of the body is a passive link without a tendon. One
-modulus predicts the 112 marker coordinates in the plane to 8.9 mm (published kinematics, 302 kPa) and to 9.8 mm (exact,
-336 kPa), root mean square, on 360 mm.
+The data are 22 poses under gravity, with four markers each. Fourteen have one tendon pulled. Eight have two pulled,
+and leave every plane. Each fit has one modulus for all its poses. Nobody measured a tension at the tip. Errors below
+are root mean squares per coordinate, of a body of 360 mm.
 
-The friction coefficient is not identified. If the errors of all coordinates were independent, it would be 0.09 +- 0.03
-(exact: 0.12 +- 0.03). But the errors are errors of the model and common to a pose: three patterns make up 95 % of them.
-The friction that fits them best depends on the poses. Below 7 N the same fit ends near 0, with tendon 1 at 0.04 (0.07)
-and with tendon 2 at 0.14 (0.17).
+One modulus, without friction:
+- In the plane the 14 poses with one tendon leave 8.9 mm (published kinematics, 302 kPa), or 9.8 mm (exact, 336 kPa).
+- In space without stretch all poses together leave 9.4 mm with one tendon and 11.3 mm with two (318 kPa).
+- With stretch and shear they leave 7.6 and 8.1 mm (349 kPa), 7.77 mm in all, the least of all 264 coordinates together.
+  The two kinds of poses ask for different moduli: those with one tendon alone for 356 kPa (7.5 mm), those with two for
+  337 kPa (7.6 mm). At 340 kPa, which another analysis gave, they leave 8.2 and 7.7 mm, and 8.00 mm in all.
 
-Sources of the error:
-- Free friction leaves 8.3 mm (8.8), a free direction of gravity for each tendon 8.5 mm (9.2). So neither explains it.
-- A modulus for each pose, from 235 to over 450 kPa, leaves 5.2 mm.
-- A third of the mean square is constant. Its largest part is marker 1, which lies 6 mm lower than stated.
-- Tendons also shorten the body, by 9 mm at 5 N. An axis that does not stretch cannot do that.
+So it is the model that errs, in a way that is common to a pose. A pose counts as one reading, and what is fitted beside
+the modulus has a large standard error. Several things lower the error about as much, and each changes the modulus:
+- friction of 0.11 +- 0.06: 7.10 mm in all, 290 kPa. It is 0.07 for the poses with one tendon and 0.17 with two;
+- tensions, which are torques of motors over a radius, that are larger by a fifth than read: 6.77 mm, 447 kPa;
+- tendons that run 1.8 mm farther out than stated: 6.74 mm, 539 kPa;
+- a frame of the markers that is turned by 3.6 degrees: 6.93 mm, 350 kPa; gravity turned by 1.4 degrees: 7.55 mm.
+The data do not tell these from one another. So friction is not identified, and the modulus is known only if all else
+is as stated. An axial stiffness of its own, 0.96 +- 0.29 times E A, changes nothing: the body does stretch, as much as
+its modulus tells. Of Poisson's ratio and of shear the data tell nothing.
 
-Limits of the planar model: up to 6.2 N the markers stay within 11 mm of the tendon's plane. At 7.7 N they leave it by
-up to 23 mm. The eight poses with two tendons pulled bend between the planes of their tendons. They are not used.
+Each fit takes minutes. Without arguments the study fits the modulus; names of `cases` as arguments fit the rest.
 """
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
 from cddf_jax.figures import looks, style as draw
 from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.measurements.readings import kind_of
 
 TABLE = Path(__file__).resolve().parents[2] / "shared/data/soft_tentacle/tension_markers.csv"
+ROBOT = Path(__file__).with_suffix(".toml")
 OUT = "out/fitting/soft_tentacle"
-LENGTH, ANCHOR, DENSITY, GRAVITY = 0.360, 0.305, 1318.0, 9.81
-TENDONS = np.array([[0.5, 0.75**0.5], [0.5, -(0.75**0.5)]])  # seen from the axis, in the base frame's x-y
-MARKER = np.array([0.1291, 0.2195, 0.280, 0.360])  # arc length
-AHEAD = np.array([0.0, 0.0, 0.0, 0.008])  # of the cross-section, along the tangent
-ASIDE = np.array([0.025, -0.021, 0.020, 0.0])  # of the axis, along the body's z, which is the base frame's x
-# the error of the model is common to a pose: its eight coordinates, each 9 mm off, count as one reading
-POSE_ERROR = 0.009 * 8**0.5
-LEFT_OUT = 1e3  # m: standard deviation of a pose that is not used
-START = {"youngs_modulus": 3e5, "friction_coefficient": 0.1, "tilt": np.zeros(2)}
-BOUNDS = {"youngs_modulus": (1e5, 6e5), "friction_coefficient": (0.0, None)}
-FITS = ("modulus alone", "modulus and friction", "modulus and direction of gravity")
+COLUMNS = {
+    **{"run": "trial", "tendon1_tension_N": "base_tension [N]", "tendon2_tension_N": "base_tension_2 [N]"},
+    **{f"m{i}_{axis}_m": f"{axis}@m{i} [m]" for i in (1, 2, 3, 4) for axis in "xyz"},
+}
+MARKERS = {  # ahead of the cross-section, and beside the axis
+    "m1": cddf.Marker(0.1291, (0.0, 0.0, 0.025)),
+    "m2": cddf.Marker(0.2195, (0.0, 0.0, -0.021)),
+    "m3": cddf.Marker(0.280, (0.0, 0.0, 0.020)),
+    "m4": cddf.Marker(0.360, (0.008, 0.0, 0.0)),
+}
+GRAVITY = 9.81
+# the body hangs along its x. The frame of the markers has z up, and its x is the body's z
+SETTING = cddf.BenchSetting(cddf.Loads(gravity=(GRAVITY, 0.0, 0.0)), MARKERS, {"camera_turn_y": np.pi / 2})
+ERROR, ERROR_IN_PLANE = 0.008, 0.009  # m, of the model, in each coordinate; those of a pose count as one reading
+BOUNDS = {"youngs_modulus": (1e5, 8e5), "axial_factor": (0.05, 20.0)}
+NODES = 12
+BESIDE = {  # what may be fitted beside the modulus, all poses, with stretch
+    "friction": ("friction_coefficient",),
+    "axial stiffness": ("axial_factor",),
+    "Poisson's ratio": ("poissons_ratio",),
+    "direction of gravity": ("gravity_turn_y", "gravity_turn_z"),
+    "offset of the tendons": ("tendon_offset_error",),
+    "gain of the tensions": ("base_gain",),
+    "pose of the camera": tuple(f"camera{turn}_{axis}" for turn in ("", "_turn") for axis in "xyz"),
+}
+AT_ONCE = ("no stretch", "stretch", "in the plane, published", "in the plane, exact")
 
 
-class Poses(NamedTuple):
-    """The poses with one tendon pulled, in the plane of that tendon and the straight axis; m and N."""
+class Case(NamedTuple):
+    """What is fitted to what."""
 
-    name: np.ndarray
-    tension: np.ndarray
-    towards: np.ndarray  # (poses, 2): the tendon, seen from the axis, in the base frame's x-y
-    in_plane: np.ndarray  # (poses, markers, 2): X along the straight body, Y towards the tendon
-    out_of_plane: np.ndarray  # (poses, markers), without the part due to the offset of the marker
-
-    @property
-    def tendon(self) -> np.ndarray:
-        """Number of the pulled tendon, 1 or 2."""
-        return np.where(self.towards[:, 1] > 0, 1, 2)
+    body: cddf.Manipulator
+    table: cddf.Measurements
+    beside: tuple[str, ...] = ()  # the modulus
+    setting: cddf.BenchSetting = SETTING
+    error: float = ERROR
 
 
-def read_poses() -> Poses:
-    """The table, in the frame of each pose: X is -z of the base frame, Y lies in its x-y plane."""
-    table: Any = np.genfromtxt(TABLE, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    tension = np.stack([table["tendon1_tension_N"], table["tendon2_tension_N"]], axis=1)
-    alone = np.count_nonzero(tension, axis=1) == 1
-    table, tension = table[alone], tension[alone]
-    towards = TENDONS[np.argmax(tension, axis=1)]
-    x, y, z = (np.stack([table[f"m{i}_{axis}_m"] for i in (1, 2, 3, 4)], axis=1) for axis in "xyz")
-    cos, sin = towards[:, :1], towards[:, 1:]
-    in_plane = np.stack([-z, cos * x + sin * y], axis=-1)
-    return Poses(table["run"], tension.max(axis=1), towards, in_plane, cos * y - sin * (x - ASIDE))
+def read_poses() -> cddf.Measurements:
+    """All 22 poses; both tendons slide in."""
+    table = cddf.read_measurements(TABLE, COLUMNS)
+    pulled = np.ones(len(table))
+    return replace(table, columns={**table.columns, "direction": pulled, "direction_2": pulled})
 
 
-def body(youngs_modulus: Any, friction_coefficient: Any, kinematics: Any) -> cddf.Manipulator:
-    """The tentacle: solid, conical up to the anchor of the tendon, then the passive link."""
-    return cddf.Manipulator(
-        length=LENGTH,
-        outer_radius=cddf.Piecewise.linear([0.0, ANCHOR, LENGTH], [15.41e-3, 6.42e-3, 4.80e-3]),
-        inner_radius=0.0,
-        tendons=(cddf.Tendon(cddf.Linear(11.4e-3, 11.4e-3 - 0.0295 * ANCHOR, ANCHOR), end=ANCHOR),),
-        youngs_modulus=youngs_modulus,
-        friction_coefficient=friction_coefficient,
-        density=DENSITY,
-        kinematics=kinematics,
-    )
+def some(table: cddf.Measurements, which: np.ndarray) -> cddf.Measurements:
+    """The poses where `which` is true."""
+    return replace(table, columns={name: one[which] for name, one in table.columns.items()}, rows=table.rows[which])
 
 
-class Prediction(eqx.Module):
-    """Predicts all poses from parameters. The modulus is one number or one per pose."""
-
-    tension: Any
-    towards: Any
-    friction_coefficient: Any  # used if it is not fitted
-    kinematics: Any = eqx.field(static=True)
-
-    def equilibria(self, parameters: dict[str, Any]) -> cddf.Equilibrium:
-        modulus = jnp.broadcast_to(parameters["youngs_modulus"], jnp.shape(self.tension))
-        friction = parameters.get("friction_coefficient", self.friction_coefficient)
-        tilt = self.towards @ parameters.get("tilt", jnp.zeros(2))  # of gravity off the straight axis, rad
-
-        def hang(tension, modulus, tilt):
-            gravity = GRAVITY * jnp.stack([jnp.cos(tilt), jnp.sin(tilt)])
-            return cddf.solve(body(modulus, friction, self.kinematics), tension, cddf.Loads(gravity=gravity))
-
-        return jax.vmap(hang)(self.tension, modulus, tilt)
-
-    def __call__(self, parameters: dict[str, Any]) -> jax.Array:
-        return jax.vmap(markers)(self.equilibria(parameters))
+def with_two(table: cddf.Measurements) -> np.ndarray:
+    """(poses,): whether both tendons are pulled."""
+    return (table["base_tension"] > 0) & (table["base_tension_2"] > 0)
 
 
-def markers(equilibrium: cddf.Equilibrium) -> jax.Array:
-    """Positions of the markers in the plane, m. A marker moves with its cross-section."""
-    at = equilibrium.at(MARKER)
-    assert isinstance(at, cddf.Fields)
-    t = jnp.stack([jnp.cos(at.heading), jnp.sin(at.heading)], axis=-1)
-    n = jnp.stack([-jnp.sin(at.heading), jnp.cos(at.heading)], axis=-1)
-    return at.position + AHEAD[:, None] * t + (TENDONS[0, 0] * ASIDE)[:, None] * n
+def fit(case: Case) -> cddf.Fit:
+    """The modulus, and what is named beside it, from the markers of a table."""
+    columns = [column for column in case.table.columns if kind_of(column)]
+    noise, free = {column: case.error * len(columns) ** 0.5 for column in columns}, ("youngs_modulus", *case.beside)
+    bounds = {name: BOUNDS[name] for name in free if name in BOUNDS}
+    options: Any = {"bounds": bounds, "noise": noise, "setting": case.setting, "starts": 1, "nodes": NODES}
+    return cddf.fit(case.body, case.table, free, **options)
 
 
-def prediction(poses: Poses, kinematics: str, friction_coefficient: float = 0.0) -> Prediction:
-    """The model of these poses."""
-    given = (jnp.asarray(x) for x in (poses.tension, poses.towards, friction_coefficient))
-    return Prediction(*given, kinematics=kinematics)
-
-
-def fit(predict: Prediction, poses: Poses, free: Sequence[str], use: Any = True) -> cddf.LeastSquaresFit:
-    """Fit parameters to the poses where `use` is true."""
-    sigma = np.where(np.broadcast_to(use, poses.tension.shape), POSE_ERROR, LEFT_OUT)[:, None, None]
-    sigma = np.broadcast_to(sigma, poses.in_plane.shape)
-    start, bounds = ({name: table[name] for name in free if name in table} for table in (START, BOUNDS))
-    return cddf.least_squares_fit(predict, start, poses.in_plane, sigma, bounds, max_steps=100)
+def left(found: cddf.Fit) -> np.ndarray:
+    """(poses, coordinates): measured less predicted, m."""
+    return np.stack(list(found.residuals.values()), axis=1)
 
 
 def rms(residuals: Any, axis: Any = None) -> Any:
@@ -143,143 +116,94 @@ def rms(residuals: Any, axis: Any = None) -> Any:
     return np.sqrt(np.mean(np.asarray(residuals) ** 2, axis=axis))
 
 
-def described(found: cddf.LeastSquaresFit, use: Any = True) -> dict[str, Any]:
-    """The result of a fit as a dictionary."""
-    names = ("value", "standard_error", "confidence_interval", "status", "correlation", "success")
-    return {name: getattr(found, name) for name in names} | {"rms": rms(found.residuals[np.asarray(use)])}
+def in_plane(table: cddf.Measurements) -> cddf.Measurements:
+    """The poses with one tendon pulled, in the plane of that tendon and the straight body: x down, y to the tendon."""
+    alone = some(table, ~with_two(table))
+    angle = np.where(alone["base_tension"] > 0, *np.radians([60.0, -60.0]))  # from the frame's x to the tendon
+    columns = {"base_tension": alone["base_tension"] + alone["base_tension_2"], "trial": alone["trial"]}
+    for name in MARKERS:
+        x, y, z = (alone[f"{axis}@{name}"] for axis in "xyz")
+        columns |= {f"x@{name}": -z, f"y@{name}": np.cos(angle) * x + np.sin(angle) * y}
+    return replace(alone, columns=columns)
 
 
-def with_friction(poses: Poses, kinematics: str) -> dict[str, Any]:
-    """Fits of modulus and friction to all poses, and to some of them."""
-    subsets = {
-        "all poses": poses.tension > 0.0,
-        "below 7 N": poses.tension < 7.0,
-        "tendon 1": poses.tendon == 1,
-        "tendon 2": poses.tendon == 2,
-    }
-    predict, free = prediction(poses, kinematics), ("youngs_modulus", "friction_coefficient")
-    return {name: described(fit(predict, poses, free, use), use) for name, use in subsets.items()}
+def body_in_plane(robot: cddf.Manipulator, kinematics: str) -> cddf.Manipulator:
+    """The body with one of its tendons."""
+    tendon = replace(robot.tendons[0], angle=None)
+    return replace(robot, tendons=(tendon,), extensible=False, kinematics=kinematics)
 
 
-def by_modulus(poses: Poses, kinematics: str, youngs_modulus: Any) -> np.ndarray:
-    """Measured minus predicted for each modulus, without friction, (moduli, poses, markers, 2)."""
-    predict = eqx.filter_jit(prediction(poses, kinematics))
-    return np.stack([poses.in_plane - predict({"youngs_modulus": jnp.asarray(E)}) for E in youngs_modulus])
+def setting_in_plane() -> cddf.BenchSetting:
+    """Markers lie aside by half of their offset, since the tendon is at 60 degrees from it."""
+    aside = {name: one._replace(offset=(one.offset[0], 0.5 * one.offset[2])) for name, one in MARKERS.items()}
+    return cddf.BenchSetting(cddf.Loads(gravity=(GRAVITY, 0.0)), aside)
 
 
-def per_pose(poses: Poses, residuals: np.ndarray) -> list[dict[str, Any]]:
-    """Error of each pose in the plane, and how far its markers are out of the plane."""
-    columns = {
-        "pose": poses.name,
-        "tendon": poses.tendon,
-        "tension": poses.tension,
-        "rms": rms(residuals, (1, 2)),
-        "out_of_plane": np.max(np.abs(poses.out_of_plane), axis=1),
-    }
-    order = np.lexsort([poses.tendon, poses.tension])
-    return [{name: column[i] for name, column in columns.items()} for i in order]
+def cases() -> dict[str, Case]:
+    """Every fit of the study by its name."""
+    poses, robot = read_poses(), cddf.read_manipulator(ROBOT)
+    rubbed, two = replace(robot, friction_coefficient=0.1), with_two(poses)
+    found = {"no stretch": Case(replace(robot, extensible=False), poses), "stretch": Case(robot, poses)}
+    found |= {f"stretch, {name}": Case(robot, some(poses, part)) for name, part in (("one", ~two), ("two", two))}
+    for name, beside in BESIDE.items():
+        found[name] = Case(rubbed if name == "friction" else robot, poses, beside)
+    table, pull, first = in_plane(poses), in_plane(poses)["base_tension"], poses["base_tension"][~two] > 0
+    parts = {"all": pull > 0, "below 7 N": pull < 7, "tendon 1": first, "tendon 2": ~first}
+    for kinematics in ("published", "exact"):
+        body, rest = body_in_plane(robot, kinematics), (setting_in_plane(), ERROR_IN_PLANE)
+        found[f"in the plane, {kinematics}"] = Case(body, table, (), *rest)
+        for name, part in parts.items():
+            sliding = replace(body, friction_coefficient=0.1), some(table, part), BESIDE["friction"]
+            found[f"in the plane, {kinematics}, friction, {name}"] = Case(*sliding, *rest)
+    return found
 
 
-def modulus_of_each_pose(poses: Poses, kinematics: str) -> dict[str, Any]:
-    """The best of a list of moduli, for each pose."""
-    moduli = np.linspace(2.0e5, 4.5e5, 26)
-    residuals = by_modulus(poses, kinematics, moduli)
-    best = np.argmin(rms(residuals, (2, 3)), axis=0)
-    left = residuals[best, np.arange(best.size)]
-    return {"youngs_modulus": dict(zip(poses.name.tolist(), moduli[best], strict=True)), "rms": rms(left)}
+def results_of(found: cddf.Fit) -> dict[str, Any]:
+    """A fit with its errors: of all its poses, of those with one tendon, with two, and of each pose, m."""
+    (table,), errors = found.tables, left(found)
+    two = with_two(table) if "base_tension_2" in table else np.zeros(len(table), bool)
+    parts = {"rms": slice(None), "rms_one_tendon": ~two, "rms_two_tendons": two}
+    names = [table.trial_labels[int(i)] for i in table["trial"]]
+    told = {name: getattr(found, name) for name in ("value", "standard_error", "confidence_interval", "status")}
+    told |= {name: rms(errors[which]) for name, which in parts.items() if errors[which].size}
+    return told | {"rms_of_pose": dict(zip(names, rms(errors, 1).tolist(), strict=True))}
 
 
-def study(poses: Poses, kinematics: str) -> dict[str, Any]:
-    """All results for one kinematics, SI units."""
-    fits = {f"mu = {mu:g}": fit(prediction(poses, kinematics, mu), poses, ["youngs_modulus"]) for mu in (0.0, 0.4)}
-    tilted = fit(prediction(poses, kinematics), poses, ["youngs_modulus", "tilt"])
-    return {
-        "modulus alone": {name: described(found) for name, found in fits.items()},
-        "poses": per_pose(poses, fits["mu = 0"].residuals),
-        "modulus and friction": with_friction(poses, kinematics),
-        "modulus and direction of gravity": {"free": described(tilted)},
-        "modulus of each pose": modulus_of_each_pose(poses, kinematics),
-    }
+def line(name: str, one: Mapping[str, Any]) -> str:
+    """One fit in words."""
+    errors = [f"{1e3 * one[key]:.2f}" if key in one else "-" for key in ("rms", "rms_one_tendon", "rms_two_tendons")]
+    told = []
+    for parameter, value in one["value"].items():
+        size, unit = (1e3, " kPa") if parameter == "youngs_modulus" else (1.0, "")
+        status, error = one["status"][parameter], one["standard_error"][parameter]
+        if status != "fixed":
+            doubt = f"+- {error / size:.2g}{unit}" if status == "identified" else status
+            told.append(f"{parameter} {value / size:.3g}{unit} ({doubt})")
+    return f"{name:<42} {'  '.join(f'{error:>5}' for error in errors)}   {', '.join(told)}"
 
 
-def shape_figure(poses: Poses, kinematics: str, youngs_modulus: float) -> Figure:
-    """The predicted body to scale at five tensions, with the measured markers of both tendons."""
-    chosen = np.flatnonzero((poses.tendon == 1) & ~np.isin(poses.name, ("m1_u012", "m1_u018")))
-    chosen = chosen[np.argsort(poses.tension[chosen])]
-    predict = prediction(poses, kinematics)
-    s = np.linspace(0.0, LENGTH, 121)
-
-    @jax.jit
-    def along(parameters):
-        equilibria = predict.equilibria(parameters)
-        return jax.vmap(lambda equilibrium: (equilibrium.at(s), markers(equilibrium)))(equilibria)
-
-    fields, predicted = jax.device_get(along({"youngs_modulus": youngs_modulus}))
-    radius = 1e3 * np.asarray(body(1.0, 0.0, kinematics).radii(s)[0])
+def figure_of(fits: Mapping[str, cddf.Fit]) -> Figure:
+    """The error of each pose without and with stretch, and the tips seen from below, measured and predicted."""
+    (poses,) = fits["stretch"].tables
+    pulled, two = poses["base_tension"] + poses["base_tension_2"], with_two(poses)
     with draw.house_style():
-        figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.9)
-        panels = figure.subplots(1, chosen.size, sharex=True, sharey=True)
-        for axes, i in zip(panels, chosen, strict=True):
-            draw.draw_body(
-                axes, draw.Body(_hung(fields.position[i]), fields.heading[i] - np.pi / 2, radius, 0 * radius)
-            )
-            axes.plot(*_hung(predicted[i]).T, "+", color=looks.BLACK, markersize=5, label="predicted")
-            for tendon, style in zip((1, 2), looks.CURVES, strict=False):
-                (j,) = np.flatnonzero((poses.tendon == tendon) & (poses.tension == poses.tension[i]))
-                look = {"linestyle": "", "markerfacecolor": "none", "label": f"measured, tendon {tendon}"}
-                axes.plot(*_hung(poses.in_plane[j]).T, **(style | look))
-            axes.set_title(f"{poses.tension[i]:.2f} N")
-            axes.set_xlabel("$Y$ (mm)")
-        panels[0].set_ylabel("$-X$ (mm)")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.8)
+        errors, below = figure.subplots(1, 2)
+        for name, color, markers in (("no stretch", looks.VERMILION, "x+"), ("stretch", looks.BLUE, "os")):
+            of_each = 1e3 * rms(left(fits[name]), 1)
+            for some, marker, note in zip((~two, two), markers, ("one tendon", "two tendons"), strict=True):
+                look = {"color": color, "markerfacecolor": "none", "label": f"{name}, {note}"}
+                errors.plot(pulled[some], of_each[some], marker, **look)
+        errors.set(xlabel="Sum of base tensions (N)", ylabel="Error, rms per coordinate (mm)", ylim=(0.0, 32.0))
+        errors.legend()
+        tips, off = 1e3 * np.stack([poses["y@m4"], poses["x@m4"]], axis=1), 1e3 * left(fits["stretch"])[:, [-2, -3]]
+        for tip, miss in zip(tips, off, strict=True):
+            below.plot(*np.stack([tip, tip - miss]).T, color=looks.GREY, linewidth=0.6)
+        below.plot(*tips.T, "o", color=looks.BLACK, markerfacecolor="none", label="measured")
+        below.plot(*(tips - off).T, "+", color=looks.BLACK, label="predicted, stretch")
+        below.set(xlabel="$y$ of the last marker (mm)", ylabel="$z$ (mm)", aspect="equal", ylim=(0.0, 240.0))
+        below.legend()
     return figure
-
-
-def _hung(points: np.ndarray) -> np.ndarray:
-    """Points with X downwards and Y to the right, mm."""
-    return 1e3 * np.stack([points[..., 1], -points[..., 0]], axis=-1)
-
-
-def error_figure(results: dict[str, Any]) -> Figure:
-    """For each pose over its tension: the error in the plane, and how far the markers are out of the plane."""
-    with draw.house_style():
-        figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.4)
-        left, right = figure.subplots(1, 2)
-        for (kinematics, result), fill in zip(results.items(), ("none", None), strict=True):
-            _draw_by_tendon(left, result["poses"], "rms", f", {kinematics}", fill)
-        left.axhline(10.0, color=looks.GREY, linestyle="--", linewidth=0.8, label="10 mm")
-        left.set_ylabel("In-plane error, rms per coordinate (mm)")
-        _draw_by_tendon(right, results["exact"]["poses"], "out_of_plane", "", None)
-        right.set_ylabel("Farthest marker out of plane (mm)")
-        for axes in (left, right):
-            axes.set_xlabel("Base tension (N)")
-            axes.set_ylim(bottom=0.0)
-        left.legend(loc="lower right", ncols=2)
-        right.legend()
-    return figure
-
-
-def _draw_by_tendon(axes: Axes, rows: list[dict[str, Any]], column: str, note: str, fill: str | None) -> None:
-    for tendon, style in zip((1, 2), looks.CURVES, strict=False):
-        own = [row for row in rows if row["tendon"] == tendon]
-        values = [1e3 * row[column] for row in own]
-        look = {"label": f"tendon {tendon}{note}", "linewidth": 0.6}
-        look |= {"markerfacecolor": fill} if fill else {}
-        axes.plot([row["tension"] for row in own], values, **(style | look))
-
-
-def summary(results: dict[str, Any]) -> list[str]:
-    """The results, one line for each fit."""
-    lines = []
-    for kinematics, result in results.items():
-        fits = {(kind, name): one for kind in FITS for name, one in result[kind].items()}
-        for (kind, name), one in fits.items():
-            words = [f"E = {1e-3 * one['value']['youngs_modulus']:.0f} kPa"]
-            if "friction_coefficient" in one["value"]:
-                words += [f"mu = {one['value']['friction_coefficient']:.2f} {one['status']['friction_coefficient']}"]
-            lines.append(f"{kinematics}, {kind}, {name}: {1e3 * one['rms']:.2f} mm, {', '.join(words)}")
-        lines.append(f"{kinematics}, modulus of each pose: {1e3 * result['modulus of each pose']['rms']:.2f} mm")
-    return lines
 
 
 def main() -> None:
@@ -287,14 +211,17 @@ def main() -> None:
     if not TABLE.exists():
         print(f"soft_tentacle: nothing done, the measured data are not here: {TABLE}")
         return
-    poses = read_poses()
-    results = {kinematics: study(poses, kinematics) for kinematics in ("published", "exact")}
-    modulus = results["exact"]["modulus alone"]["mu = 0"]["value"]["youngs_modulus"]
+    every = cases()
+    print("error per coordinate, mm, root mean square: all, 14 poses with one tendon, 8 with two", flush=True)
+    fits, results = {}, {}
+    for name in sys.argv[1:] or AT_ONCE:
+        fits[name] = fit(every[name])
+        results[name] = results_of(fits[name])
+        print(line(name, results[name]), flush=True)
     files: dict[str, str | bytes] = {"soft_tentacle.json": as_json(results)}
-    files |= draw.render(shape_figure(poses, "exact", modulus), "shapes")
-    files |= draw.render(error_figure(results), "errors")
+    if {"no stretch", "stretch"} <= set(fits):
+        files |= draw.render(figure_of(fits), "errors")
     write_all(OUT, files)
-    print(*summary(results), sep="\n")
 
 
 if __name__ == "__main__":
