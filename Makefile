@@ -54,6 +54,8 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/fits.py
 	$(BIN)/python benchmarks/seventeen_levels.py
 	$(BIN)/python benchmarks/batch.py
+	$(BIN)/python benchmarks/space.py
+	$(BIN)/python benchmarks/space_loads.py
 	$(BIN)/python benchmarks/sweeps.py
 	$(BIN)/python benchmarks/designs.py
 	$(BIN)/python benchmarks/cold_start.py

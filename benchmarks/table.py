@@ -20,6 +20,7 @@ KEPT = Path("benchmarks")
 PARTS = {
     "batch": "One solve, batches, gradients, loads",
     "space": "Batches in space",
+    "space_loads": "Batches in space under a tip force",
     "sweeps": "Sweeps: size, devices, processes, precision, memory",
     "fits": "Fit, bootstrap and profile",
     "seventeen_levels": "Fit of 17 levels with tip positions",
