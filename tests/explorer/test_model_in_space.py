@@ -67,7 +67,9 @@ def test_loads_of_three_components_reach_the_solver(three):
 def test_the_picture_of_two_tendons_is_that_of_the_table():
     """space.md section 2, tendons at 0 and 90 degrees, 40 and 20 N; 10 digits."""
     table = Measurements.from_columns(
-        "tips", base_tension=[40.0], base_tension_2=[20.0], tip_x=[0.13], tip_y=[0.036], tip_z=[0.018]
+        "tips",
+        **{"base_tension": [40.0], "base_tension_2": [20.0], "tip_x": [0.13], "tip_y": [0.036], "tip_z": [0.018]},
+        **{"x@140mm": [0.13], "y@140mm": [0.036], "z@140mm": [0.018], "x@70mm": [0.069]},
     )
     explored = Exploration(turned(0.0, np.pi / 2), (table,))
     numbers = {**explored.start.numbers, "base_tension_1": 40.0, "base_tension_2": 20.0}
@@ -93,7 +95,11 @@ def test_the_picture_of_two_tendons_is_that_of_the_table():
     np.testing.assert_allclose([1e3 * model[f"tip_{axis}"][0] for axis in "xyz"], tip, atol=1e-5)
     plot.show_points("data", [(table, table.columns)])
     plot.show_points("rows", [(table, model)])
-    assert [plot.space.data["kind"].count(kind) for kind in ("data", "rows")] == [1, 1]
+    # the tip and the marker there, but not the marker of which only x is told
+    assert [plot.space.data["kind"].count(kind) for kind in ("data", "rows")] == [2, 2]
+    sent = dict(zip(plot.space.data["kind"], plot.space.data["points"], strict=True))
+    np.testing.assert_allclose(sent["rows"], tip, atol=1e-5)
+    np.testing.assert_allclose(sent["data"], [130.0, 36.0, 18.0])
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from bokeh.models import ColumnDataSource, CustomJS, Slider
 
 from ..figures.geometry import AZIMUTH, ELEVATION, Drawn, drawn
 from ..figures.looks import BLACK, GREY, PALE, PURPLE
+from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..mechanics.fields import SpatialFields
 from ..robot.manipulator import Manipulator
@@ -79,14 +80,14 @@ class SpacePlot:
         self.figure.title.text = f"drag to turn; squares of {square:g} mm"
         self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
         self.now: list[Row] = []  # of the picture
-        self.tips: dict[str, list[Row]] = {"data": [], "rows": []}
+        self.places: dict[str, list[Row]] = {"data": [], "rows": []}
         self.extents: list[ColumnDataSource] = []  # of each figure, two corners that set its scale
         self.middle = (0.5 * self.length, 0.0, -0.1 * self.length)
         seen = self._sees(self.figure, BODY | SCENE, azimuth, elevation, self.middle)
         self._draw_floor(seen)
         _draw_body(self.figure, seen, 12)
         self.figure.text("x", "y", source=seen["names"], **_words(12))
-        self._draw_tips(seen)
+        self._draw_places(seen)
         self._draw_legend()
         self.views: list[Plot] = []
         for plane, (around, up, _) in PLANES.items():
@@ -132,11 +133,11 @@ class SpacePlot:
         legend.orientation, legend.ncols, legend.spacing, legend.margin = "horizontal", 3, 12, 0
         self.figure.add_layout(legend, "above")
 
-    def _draw_tips(self, seen: dict[str, ColumnDataSource]) -> None:
-        """Measured positions of the tip, and those of the model."""
-        for kind in self.tips:
+    def _draw_places(self, seen: dict[str, ColumnDataSource]) -> None:
+        """Measured positions of the tip and of markers, and those of the model."""
+        for kind in self.places:
             self.figure.scatter("x", "y", source=seen[kind], name=kind, line_color=BLACK, **MARKS[kind])
-        for kind in self.tips:
+        for kind in self.places:
             show_named(self.figure, kind, False)
 
     def show(self, picture: Picture) -> None:
@@ -154,18 +155,25 @@ class SpacePlot:
         self._send()
 
     def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
-        """Positions of the tip in tables with all three coordinates: the readings for "data", the model for "rows"."""
-        complete = [columns for _, columns in tables if all(name in columns for name in TIP)]
-        if complete or self.tips[kind]:
-            places = [1e3 * np.stack([columns[name] for name in TIP], axis=1) for columns in complete]
-            self.tips[kind] = [Row(kind, points) for points in places]
-            show_named(self.figure, kind, bool(complete))
+        """Positions of the tip and of markers with three coordinates: the readings for "data", the model for "rows"."""
+        told = [Row(kind, place) for _, columns in tables for place in places_told(columns)]
+        if told or self.places[kind]:
+            self.places[kind] = told
+            show_named(self.figure, kind, bool(told))
             self._send()
 
     def _send(self) -> None:
         """Send everything at once to the browser, as soon as there is a picture."""
         if self.now:
-            self.space.data = columns_of_rows([*self.floor, *self.now, *self.tips["data"], *self.tips["rows"]])
+            self.space.data = columns_of_rows([*self.floor, *self.now, *self.places["data"], *self.places["rows"]])
+
+
+def places_told(columns: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """Of the tip and of each marker, (rows, 3), mm, where a table tells all three coordinates."""
+    markers = dict.fromkeys(marker[1] for column in columns if (marker := marker_column(column)))
+    every = [TIP, *(tuple(f"{axis}@{marker}" for axis in "xyz") for marker in markers)]
+    told = [names for names in every if all(name in columns for name in names)]
+    return [1e3 * np.stack([columns[name] for name in names], axis=1) for names in told]
 
 
 def _words(size: int) -> Look:
