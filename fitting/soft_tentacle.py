@@ -8,14 +8,14 @@ One modulus, without friction:
 - In the plane the 14 poses with one tendon leave 8.9 mm (published kinematics, 302 kPa), or 9.8 mm (exact, 336 kPa).
 - In space without stretch all poses together leave 9.4 mm with one tendon and 11.3 mm with two (318 kPa).
 - With stretch and shear they leave 7.6 and 8.1 mm (349 kPa), 7.77 mm in all, the least of all 264 coordinates together.
-  The two kinds of poses ask for different moduli: those with one tendon alone for 356 kPa (7.5 mm), those with two for
-  337 kPa (7.6 mm). At 340 kPa, which another analysis gave, they leave 8.2 and 7.7 mm, and 8.00 mm in all.
+  The two kinds of poses ask for different moduli: those with one tendon alone for 356 kPa (7.49 mm), those with two for
+  337 kPa (7.65 mm). At 340 kPa, which another analysis gave, they leave 8.2 and 7.7 mm, and 8.00 mm in all.
 
 So it is the model that errs, in a way that is common to a pose. A pose counts as one reading, and what is fitted beside
-the modulus has a large standard error. Several things lower the error about as much, and each changes the modulus:
+the modulus has a large standard error. Several things lower the error about as much, and most change the modulus:
 - friction of 0.11 +- 0.06: 7.10 mm in all, 290 kPa. It is 0.07 for the poses with one tendon and 0.17 with two;
-- tensions, which are torques of motors over a radius, that are larger by a fifth than read: 6.77 mm, 447 kPa;
-- tendons that run 1.8 mm farther out than stated: 6.74 mm, 539 kPa;
+- tensions, which are torques of motors over a radius, that are larger by a fifth than read: 6.76 mm, 447 kPa;
+- tendons that run 1.8 mm farther out than stated: 6.73 mm, 538 kPa;
 - a frame of the markers that is turned by 3.6 degrees: 6.93 mm, 350 kPa; gravity turned by 1.4 degrees: 7.55 mm.
 The data do not tell these from one another. So friction is not identified, and the modulus is known only if all else
 is as stated. An axial stiffness of its own, 0.96 +- 0.29 times E A, changes nothing: the body does stretch, as much as
