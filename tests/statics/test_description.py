@@ -33,6 +33,14 @@ def test_a_result_prints_its_words(bent):
     assert isinstance(bent.result, cddf.RESULTS)
 
 
+@pytest.mark.parametrize(("ratio", "count"), [(0.5, 0), (0.8, 1)])  # an isotropic material has 0.5 at most
+def test_a_poissons_ratio_that_no_material_has(ratio, count):
+    body = replace(paper_body("exact"), poissons_ratio=ratio)
+    remarks = cddf.solve(body, 40.0, space=True).remarks
+    assert [remark.startswith("poissons_ratio = 0.8 is above 0.5") for remark in remarks] == [True] * count
+    assert cddf.solve(body, 40.0).remarks == ()  # in the plane nothing depends on it
+
+
 def test_numbers_to_be_doubted_say_so():
     """Offset times curvature is above 1 at the tip, as in test_results, and the body is rolled up, 783 degrees."""
     crossing = cddf.solve(paper_body("exact", youngs_modulus=3e5, friction_coefficient=0.05), 200.0, throw=False)

@@ -27,9 +27,7 @@ _ZERO_OR_MORE = ("friction_coefficient", "drag", "density", "mass", "free_length
 _STIFFNESSES = ("youngs_modulus", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 _DEMANDED_ALONG = {**dict.fromkeys(_STIFFNESSES, "above 0"), "mass_per_length": "0 or more"}
 _STRAINS = ("twist", "about y", "about z")
-_LARGEST_RATIO = (
-    5.0  # Poisson's; a material has 0.5 or less, a body that is soft in torsion more, here up to E / G = 12
-)
+_LARGEST_RATIO = 5.0  # Poisson's; a material has 0.5 at most, a body that is soft in torsion more: here E / G = 12
 
 
 def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> None:

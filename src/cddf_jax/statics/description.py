@@ -11,6 +11,7 @@ from .contact import self_contact
 from .equilibrium import RESULTS, Dense, Equilibrium, ended_as, on_host
 
 _FAR_TOO_MUCH = 10.0  # offset * curvature, which no change of a body explains, but another unit does
+_RATIO_OF_MATERIALS = 0.5  # the largest Poisson's ratio of an isotropic material
 # results whose numbers are kept and may be wrong; `remarks_on` tells of further ones
 _DOUBTED = (RESULTS.crossing, RESULTS.inaccurate, RESULTS.slack, RESULTS.unreachable, RESULTS.undetermined)
 
@@ -86,12 +87,22 @@ def remarks_on(equilibrium: Equilibrium) -> tuple[str, ...]:
     told = [] if equilibrium.stable else [RESULTS[RESULTS.unstable]]
     wrong = [str(i) for i, contradicted in enumerate(equilibrium.direction_contradicted, 1) if contradicted]
     told += [f"tendon {i}: {RESULTS[RESULTS.direction_contradicted]}" for i in wrong]
-    return *told, *wall_remarks(equilibrium)
+    return *told, *_on_material(equilibrium), *wall_remarks(equilibrium)
 
 
 def wall_remarks(equilibrium: Equilibrium) -> list[str]:
     """On a wall that is strained too much or touches itself; none where there is no solution."""
     return [*_on_strain(equilibrium), *_on_contact(equilibrium)]
+
+
+def _on_material(equilibrium: Equilibrium) -> list[str]:
+    ratio = equilibrium._dense.manipulator.poissons_ratio
+    if not equilibrium.in_space or not ratio > _RATIO_OF_MATERIALS:
+        return []
+    return [
+        f"poissons_ratio = {float(ratio):.3g} is above {_RATIO_OF_MATERIALS}, the most that a material can have: it "
+        "stands for a body that is soft in torsion or shear. Correct it if it was meant for the material."
+    ]
 
 
 def _on_strain(equilibrium: Equilibrium) -> list[str]:

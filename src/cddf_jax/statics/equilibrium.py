@@ -210,7 +210,7 @@ class Equilibrium(eqx.Module):
         """Warnings about numbers that are correct, in words; for one solve, on the host, not traced.
 
         An unstable equilibrium, tendons that travel against their direction, a strain above the body's
-        `yield_strain`, a body that touches itself.
+        `yield_strain`, a body that touches itself, a Poisson's ratio that no material has.
 
         Raises:
             ValueError: for a batch or traced values.
