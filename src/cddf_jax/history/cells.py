@@ -16,7 +16,8 @@ from jaxtyping import Array, Float, Int
 
 from ..mechanics import bending
 from ..mechanics.friction import PerTendon, ratio_beyond, tension_rate
-from ..mechanics.problem import Problem, guarded_section, lay_out, moment_rate_of, slip_rate
+from ..mechanics.problem import Problem, guarded_section, lay_out, moment_rate_of
+from ..mechanics.tendon_displacement import slip_rate
 from ..robot.cross_section import CrossSection, planar
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator

@@ -16,8 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import State, curvature_along, displacement_rate, guarded_section, lay_out, tension_of
+from ..mechanics.problem import State, curvature_along, guarded_section, lay_out, tension_of
 from ..mechanics.sign_changes import num_splits
+from ..mechanics.tendon_displacement import displacement_rate
 from ..numerics.quadrature import Panels, gauss_rule
 from ..robot.cross_section import AnySection, planar
 from ..robot.manipulator import Manipulator

@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from ..mechanics.fields import Fields, planar_fields
 from ..mechanics.friction import PerTendon, Pull
-from ..mechanics.problem import State, axis_of, guarded_section, stretch_rate
+from ..mechanics.problem import State, axis_of, guarded_section
+from ..mechanics.tendon_displacement import stretch_rate
 from ..numerics.arrays import largest_size
 from ..robot.cross_section import planar
 from ..robot.loads import Loads

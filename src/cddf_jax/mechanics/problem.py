@@ -6,7 +6,7 @@ c_i of the base tension: T_i = (T_base,i - c_i) / r_i with c' = direction w r, w
 in T' = -direction (mu theta' T + w). Both stay regular where T is zero.
 
 First the types and how a `Problem` is laid out on panels; then functions of one cross-section, which the methods
-integrate; last how far tendons slide: the length of their paths through the body, and their own stretch.
+integrate.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.implicit import without_derivative
 from ..numerics.quadrature import Panels, panels, panels_between
 from ..numerics.rotations import IDENTITY, in_own_frame
-from ..robot.cross_section import AnySection, CrossSection, SpatialSection, planar
+from ..robot.cross_section import AnySection, SpatialSection
 from ..robot.loads import Loads, force_at_points, force_per_length, planar_cross
 from ..robot.manipulator import Manipulator
 from . import bending, space
@@ -451,6 +451,12 @@ def starts_of_newton(problem: Problem, elastic: Array) -> tuple[Array | None, Ar
     return starts, nodes, ends[-1]
 
 
+def pull_at_nodes(problem: Problem, values: Nodal) -> Pull:
+    """R and what follows from it, c = the integral of c'."""
+    spending = spent_rate(problem.direction, problem.nodes, values.ratio)
+    return Pull(values.ratio, None if spending is None else problem.panels.integrate(spending)[1])
+
+
 def state_at_nodes(problem: Problem, values: Nodal, strain: Array | None) -> PassState:
     """What a pass integrates, as far as it follows from the unknowns alone."""
     moment = moments_of(problem, values)
@@ -484,70 +490,3 @@ def at_nodes(function: Callable[..., Array], in_axes: tuple[int | None, ...]) ->
 strain_along = at_nodes(strain_of, (0, None, 0))
 curvature_along = at_nodes(bending.curvature, (0, 0, 0, 0))
 turning_along = at_nodes(bending.turning, (0, 0, 0, None, 0))
-
-
-# --- how far tendons slide ------------------------------------------------------------------------
-
-
-def pull_at_nodes(problem: Problem, values: Nodal) -> Pull:
-    """R and what follows from it, c = the integral of c'."""
-    spending = spent_rate(problem.direction, problem.nodes, values.ratio)
-    return Pull(values.ratio, None if spending is None else problem.panels.integrate(spending)[1])
-
-
-def tendon_displacement(problem: Problem, state: AnyState) -> PerTendon:
-    """Length of each tendon pulled in at the base since the straight body without tension, m.
-
-    Args:
-        problem: the body.
-        state: at its nodes.
-    """
-    body = problem.manipulator
-    outside = stretch_rate(body.tendon_compliance, problem.base_tension) * body.tendon_free_length
-    tension = tension_of(problem.nodes, problem.base_tension, state.pull)
-    if problem.in_space:
-        strain = strain_along(problem.nodes, problem.base_tension, state)
-        rate = at_nodes(space.slip_rate_in_space, (0, 0, 0, None))(
-            problem.nodes, strain, tension, body.tendon_compliance
-        )
-    else:
-        kappa = curvature_along(problem.nodes, tension, state.moment, state.strain)
-        rate = displacement_rate(body, planar(problem.nodes), kappa, tension)
-    return jnp.sum(problem.panels.gain(rate), axis=0) + outside
-
-
-def displacement_rate(
-    manipulator: Manipulator,
-    section: CrossSection,
-    curvature: Float[Array, "P p"],
-    tension: Float[Array, "P p tendons"],
-) -> Float[Array, "P p tendons"]:
-    """By how much a tendon's path shortens and the tendon stretches, per arc length, at the nodes."""
-    return at_nodes(slip_rate, (0, 0, 0, None))(section, curvature, tension, manipulator.tendon_compliance)
-
-
-def slip_rate(section: CrossSection, curvature: Number, tension: PerTendon, compliance: PerTendon) -> PerTendon:
-    """By how much a tendon's path shortens and the tendon stretches, per arc length, at one cross-section.
-
-    The path shortens by sqrt(1 + d'^2) - |u_c'|; the tendon stretches by T sqrt(1 + d'^2) / (E A).
-
-    Args:
-        section: the cross-section.
-        curvature: kappa, 1/m.
-        tension: T, N.
-        compliance: 1 / (E A), 1/N.
-    """
-    # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
-    bend, slope = section.side * section.offset * curvature, section.offset_slope
-    straight = jnp.sqrt(1.0 + slope**2)
-    rate = bend * (2.0 - bend) / (straight + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
-    return jnp.where(section.present, rate, 0.0) + stretch_rate(compliance, tension, section)
-
-
-def stretch_rate(compliance: PerTendon, tension: Array, section: CrossSection | None = None) -> Array:
-    """By how much a tendon stretches: T / (E A) per length outside the body, in it times sqrt(1 + d'^2) per arc length.
-
-    Half of this times T is its elastic energy per length.
-    """
-    along = tension if section is None else tension * jnp.sqrt(1.0 + section.offset_slope**2)
-    return along * compliance

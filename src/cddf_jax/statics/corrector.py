@@ -25,8 +25,8 @@ from ..mechanics.problem import (
     loaded_to,
     nodal,
     state_at_nodes,
-    tendon_displacement,
 )
+from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import largest, largest_size, relative_size, varying_as, zero_as
 from ..numerics.implicit import solve_small
 from ..numerics.rotations import cross, small_turn

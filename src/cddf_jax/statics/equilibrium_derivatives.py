@@ -11,20 +11,10 @@ from jaxtyping import Array, Float
 
 from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import (
-    AnyState,
-    Nodal,
-    Number,
-    Problem,
-    Solution,
-    State,
-    all_points,
-    nodal,
-    strain_of,
-    tendon_displacement,
-)
+from ..mechanics.problem import AnyState, Nodal, Number, Problem, Solution, State, all_points, nodal, strain_of
 from ..mechanics.sign_changes import Splits, turning_at_splits
 from ..mechanics.space import course
+from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import largest
 from ..numerics.implicit import Unknowns, implicit, without_derivative
 from ..robot.cross_section import AnySection, SpatialSection

@@ -23,14 +23,12 @@ from ..mechanics.problem import (
     Solution,
     State,
     curvature_along,
-    displacement_rate,
     load_rate,
     moment_rate_of,
-    stretch_rate,
-    tendon_displacement,
     tension_of,
     turning_along,
 )
+from ..mechanics.tendon_displacement import displacement_rate, stretch_rate, tendon_displacement
 from ..numerics.quadrature import gauss_rule
 from ..programs.kept import kept_program
 from ..robot.cross_section import planar

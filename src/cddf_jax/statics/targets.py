@@ -18,9 +18,9 @@ from ..mechanics.problem import (
     bending_stiffness,
     guarded_section,
     strain_of,
-    tendon_displacement,
     with_tip_force,
 )
+from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.rotations import tilt
 from ..robot.profiles import Scalar, as_number
 from .equilibrium_derivatives import missing_moment
