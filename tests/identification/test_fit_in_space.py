@@ -58,7 +58,7 @@ def test_a_marker_on_the_axis_at_the_tip_is_the_tip():
     ("columns", "setting", "words"),
     [
         ({"tip_z": [0.01]}, PLAIN, "the body is in the plane; give its tendons an angle"),
-        ({"x@head": [0.01]}, PLAIN, "no marker of that name is given"),
+        ({"x@head": [0.01]}, PLAIN, "no marker has this name; give BenchSetting"),
         ({"x@200mm": [0.01]}, PLAIN, "at 200 mm, but the body is 140 mm long"),
         ({"x@head": [0.01]}, cddf.BenchSetting(markers={"head": cddf.Marker(-0.01)}), "at -10 mm"),
         ({"tip_x": [0.01]}, cddf.BenchSetting(markers={"head": HEAD}), "the marker 'head' is in no table"),
