@@ -148,7 +148,10 @@ def test_a_fit_to_markers_that_a_camera_sees(cddf_command, tmp_path):
             "in space only the history of one tendon without loads is known",
         ),
         (("trace", HELIX, "--path", "0 deg, 5 deg"), "trace: TipAngle drives a tendon in the plane; in space give"),
-        (("reproduce", HELIX, str(DATA / "load_cells_simulated.csv")), "bends in a plane, this one is in space; remove the angle"),
+        (
+            ("reproduce", HELIX, str(DATA / "load_cells_simulated.csv")),
+            "in a plane, this one is in space; remove the angle",
+        ),
     ],
 )
 def test_refused_in_one_line(fails, arguments, message):
