@@ -21,6 +21,7 @@ import cddf_jax as cddf
 OUTPUTS = "tip_tension", "tip_position", "result", "error_estimate"
 OF_TRACES = "tip_tension", "tip_position", "front", "error_estimate"
 TIP_FORCE = cddf.Loads(tip_force=(0.0, -1.0))
+IN_SPACE = cddf.Loads(tip_force=(0.0, -1.0, 0.5))
 
 
 def num_operations(function: Callable, *arguments: object) -> int:
@@ -118,6 +119,7 @@ PROGRAMS = {
     "a tip force": (solved(lambda x: x, loads=TIP_FORCE), 1),
     "a tip force, gradient by the whole body": (gradient(TIP_FORCE), 1),
     "a displacement under a tip force": (solved(lambda x: cddf.Displacement(1e-4 * x), loads=TIP_FORCE), 1),
+    "a tip force in space": (solved(lambda x: x, loads=IN_SPACE), 1),
     "a trace": (traced(lambda path: path, *OF_TRACES), 1),
     "a trace of displacements": (traced(lambda path: cddf.Displacement(1e-4 * path), *OF_TRACES), 1),
     "a trace of two tendons": (traced(lambda path: jnp.stack([path, 0.3 * path], axis=1), *OF_TRACES), 2),

@@ -7,7 +7,7 @@ import pytest
 from jax.tree_util import Partial
 from numpy.testing import assert_allclose
 
-from cddf_jax.numerics.implicit import implicit
+from cddf_jax.numerics.implicit import implicit, solve_small
 from cddf_jax.numerics.iteration import fixed_point
 
 A = np.array([0.5, 2.0, 7.0])
@@ -112,3 +112,14 @@ def test_a_fixed_point_that_does_not_settle_says_so_and_stays_where_it_started()
     assert not answer.converged
     assert answer.value == 3.0
     assert answer.num_passes == 20
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (3,)])
+@pytest.mark.parametrize("size", [1, 3, 4])
+def test_a_small_system_is_solved_as_lapack_solves_it(size, shape):
+    """One right side or several; the first pivot is 0, so that rows have to change places."""
+    rng = np.random.default_rng(size)
+    matrix, sides = rng.normal(size=(size, size)), rng.normal(size=(size, *shape))
+    matrix[0, 0] = 0.0 if size > 1 else 2.0
+    assert_allclose(solve_small(matrix, sides)[0], np.linalg.solve(matrix, sides), rtol=1e-11, atol=1e-13)
+    assert solve_small(np.ones((size, size)), sides)[1] == (1.0 if size == 1 else 0.0)  # a singular matrix

@@ -20,6 +20,7 @@ LARGEST = {
     "a tip force": 5_400,
     "a tip force, gradient by the whole body": 8_350,
     "a displacement under a tip force": 9_450,
+    "a tip force in space": 12_700,
     "a trace": 3_560,
     "a trace of displacements": 10_450,
     "a trace of two tendons": 5_380,

@@ -151,10 +151,13 @@ def slope_along(function: Callable[[Tree], Result], given: Tree, direction: PyTr
     return jax.tree.map(lambda x, v: jnp.zeros_like(x) + still if v is None else v, value, slope)
 
 
-def solve_small(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+def solve_small(
+    matrix: Float[Array, "n n"], vector: Float[Array, "n *k"]
+) -> tuple[Float[Array, "n *k"], Float[Array, ""]]:
     """Gaussian elimination with partial pivoting, unrolled: for a handful of unknowns in batches of thousands.
 
-    LAPACK would be called once for every matrix of a batch, and not every loop that XLA compiles may call it.
+    LAPACK would be called once for every matrix of a batch, and not every loop that XLA compiles may call it. The right
+    side is a vector, or a matrix with one in each column.
 
     Returns:
         The solution, and the smallest pivot over the largest one: near zero where the matrix is singular.
@@ -162,16 +165,21 @@ def solve_small(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> tupl
     """
     n, pivots = matrix.shape[0], []
     for k in range(n):  # matrix and vector apart, as derivatives in reverse mode need what is linear in the vector
-        chosen = k + jnp.argmax(jnp.abs(matrix[k:, k]))
-        order = jnp.arange(n).at[k].set(chosen).at[chosen].set(k)
-        matrix, vector = matrix[order], vector[order]
+        if k + 1 < n:
+            chosen = k + jnp.argmax(jnp.abs(matrix[k:, k]))
+            order = jnp.arange(n).at[k].set(chosen).at[chosen].set(k)
+            matrix, vector = matrix[order], vector[order]
         pivots.append(matrix[k, k])
         safe = jnp.where(pivots[k] == 0, 1.0, pivots[k])
         others = jnp.where(jnp.arange(n) == k, 0.0, matrix[:, k]) / safe
-        matrix, vector = matrix - others[:, None] * matrix[k], vector - others * vector[k]
+        matrix, vector = matrix - others[:, None] * matrix[k], vector - _along_rows(others, vector) * vector[k]
     size = jnp.abs(jnp.stack(pivots))
     safe = jnp.where(size == 0, 1.0, jnp.stack(pivots))
-    return vector / safe, jnp.min(size) / jnp.maximum(jnp.max(size), jnp.finfo(size.dtype).tiny)
+    return vector / _along_rows(safe, vector), jnp.min(size) / jnp.maximum(jnp.max(size), jnp.finfo(size.dtype).tiny)
+
+
+def _along_rows(numbers: Float[Array, " n"], like: Float[Array, "n *k"]) -> Float[Array, "n *_"]:
+    return numbers.reshape(-1, *[1] * (like.ndim - 1))
 
 
 def solve_definite(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> Float[Array, " n"]:

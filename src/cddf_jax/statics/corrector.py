@@ -98,8 +98,7 @@ class Trial(NamedTuple):
             for slope, heading in zip(by_moment(self.slopes.heading), self.heading, strict=True)
         ]
         nodes, tip = (jnp.min(_invariants(turn)) for turn in turns)
-        moment = by_moment(self.slopes.residual).T
-        stiffness = jnp.stack([solve_small(turns[1].T, row)[0] for row in moment])  # M_ext(L) by the turn of the tip
+        stiffness = solve_small(turns[1].T, by_moment(self.slopes.residual))[0].T  # M_ext(L) by the turn of the tip
         return (nodes >= 0) & (tip > 0) & (jnp.min(_invariants(stiffness + stiffness.T)) > 0)
 
     @property

@@ -108,7 +108,20 @@ def _first_walk(body: LoadedBody, guess: Nodal, zero: Number) -> _Walk:
     problem = body.problem
     trial = start_from(guess, unstrained(problem.manipulator, problem.loads, guess.ratio), zero)
     false, true = zero > 0, zero == 0
-    place = _arrive(trial, zero)._replace(stable=true)
+    assert trial.moment is not None
+    assert trial.heading is not None
+    still = jax.tree.map(jnp.zeros_like, trial)
+    place = _Place(
+        fraction=zero,
+        moment=trial.moment,
+        moment_slope=still.moment,
+        nodal=trial.nodal,
+        nodal_slope=still.nodal,
+        heading=trial.heading,
+        heading_slope=still.heading,
+        strain=trial.strain,
+        stable=true,
+    )
     return _Walk(
         place=place,
         trial=trial,

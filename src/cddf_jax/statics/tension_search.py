@@ -175,8 +175,8 @@ def _evaluation(
         targets = rows.size - loaded
         residual, jacobian = rows[:targets], slopes[:targets, :count]
         if loaded:  # the base moment follows the tensions so that M_ext(L) stays m
-            followed = [solve_small(slopes[targets:, count:], slopes[targets:, i])[0] for i in range(count)]
-            jacobian = jacobian - slopes[:targets, count:] @ jnp.stack(followed, axis=1)
+            followed = solve_small(slopes[targets:, count:], slopes[targets:, :count])[0]
+            jacobian = jacobian - slopes[:targets, count:] @ followed
         fine = settled.load_path.converged & solution.converged & (largest(inside_of_bend(problem, solution)) < 1.0)
         fine = fine & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
         cost = jnp.where(fine, jnp.sum(residual**2), jnp.inf)
