@@ -3,11 +3,12 @@
 import gc
 import os
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
 # For small programs most of the time goes into compiling. With these flags it is several times faster, and the code is
-# slower, which does not matter for fits and single solves. XLA refuses flags that it does not know.
+# slower, which does not matter for fits and single solves.
 QUICK_COMPILATION = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 TESTED_JAXLIB = "0.10."
 
@@ -19,7 +20,7 @@ def configure_jax(*, quick_compilation: bool = True) -> None:
         quick_compilation: compile faster, to slower code; not for large batches. Without effect if XLA_FLAGS is set
             already.
     """
-    if quick_compilation and version("jaxlib").startswith(TESTED_JAXLIB):
+    if quick_compilation and is_tested_jaxlib():
         os.environ.setdefault("XLA_FLAGS", QUICK_COMPILATION)
     import jax
 
@@ -27,6 +28,12 @@ def configure_jax(*, quick_compilation: bool = True) -> None:
     jax.config.update("jax_cpu_enable_async_dispatch", False)  # else every small program wakes another thread
     jax.config.update("jax_traceback_in_locations_limit", 0)  # compiled code does not need its source lines
     gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that stay; collecting takes long
+
+
+@cache
+def is_tested_jaxlib() -> bool:
+    """Whether the options of XLA that the library knows are those of this jaxlib; XLA refuses unknown ones."""
+    return version("jaxlib").startswith(TESTED_JAXLIB)
 
 
 def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> None:

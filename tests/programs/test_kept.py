@@ -229,8 +229,12 @@ def test_an_entry_that_cannot_be_used_is_made_anew(case):
 def test_switched_off(place, monkeypatch):
     monkeypatch.setenv(folder.VARIABLE, "off")
     raised(x(1.0))
+    np.testing.assert_array_equal(raised(x(3.0))["power"], [9.0])
+    assert len(TRACED) == 1
     assert not place.exists()
-    assert not PROGRAMS
+    next_process()
+    raised(x(1.0))
+    assert len(TRACED) == 1
 
 
 def test_a_folder_that_cannot_be_made_keeps_nothing(place, recwarn):
@@ -255,6 +259,7 @@ def test_an_equilibrium_is_that_of_a_fresh_trace_to_the_last_bit(place, monkeypa
     fresh = [cddf.solve(BODY, 75.0), cddf.solve(BODY, 40.0, loads)]
     monkeypatch.setenv(folder.VARIABLE, str(place))
     for _ in range(2):
+        next_process()
         for one, there in zip((cddf.solve(BODY, 75.0), cddf.solve(BODY, 40.0, loads)), fresh, strict=True):
             assert jax.tree.structure(one) == jax.tree.structure(there)
             for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(there), strict=True):
@@ -262,7 +267,6 @@ def test_an_equilibrium_is_that_of_a_fresh_trace_to_the_last_bit(place, monkeypa
                 np.testing.assert_array_equal(ours, theirs)
             assert str(one.result) == "successful"
         assert len(folder.entries()) == 2
-        next_process()
 
 
 FRESH = """

@@ -4,6 +4,7 @@ All uses of jaxlib's client are in this file. The public functions of JAX for th
 version differs, `UnavailableError` is raised, and nothing is kept.
 """
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
@@ -16,7 +17,10 @@ from jax.core import ShapedArray
 from jax.sharding import Mesh, NamedSharding, PartitionSpec, Sharding, SingleDeviceSharding
 from jaxlib import xla_client
 
+from ..application import is_tested_jaxlib
+
 CALLED = ("lapack_", "Sharding", "SPMD", "xla.sdy")  # calls that every process finds; others may be this process's own
+EMITTERS = "xla_cpu_use_fusion_emitters"  # of jaxlib 0.10; with them compiling takes twice as long for code no faster
 
 
 class UnavailableError(Exception):
@@ -111,13 +115,19 @@ def compiled(
     others = sorted(name for name in called if not name.startswith(CALLED))
     if others or traced.jaxpr.effects:
         raise UnavailableError(f"it has effects, or calls {others}")
-    done = lowered.compile()
+    done = lowered.compile(compiler_options=_options())
     found = zip(jax.tree.leaves(lowered.out_info), jax.tree.leaves(done.output_shardings), strict=True)
     if not all(is_within_reach(sharding) for sharding in jax.tree.leaves(done.output_shardings)):
         raise UnavailableError("its outputs are elsewhere")
     outputs = tuple(Signature(one.shape, one.dtype.name, spec=spec_of(sharding)) for one, sharding in found)
     lapack = any(name.startswith("lapack_") for name in called)
     return Program(done.runtime_executable(), Interface(inputs, outputs, mesh, lapack))
+
+
+def _options() -> dict[str, bool]:
+    """What XLA is asked for, unless the user's flags say it."""
+    left_to_us = EMITTERS not in os.environ.get("XLA_FLAGS", "") and jax.default_backend() == "cpu"
+    return {EMITTERS: False} if left_to_us and is_tested_jaxlib() else {}
 
 
 def loaded(content: bytes, interface: Interface) -> Program:

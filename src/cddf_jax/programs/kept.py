@@ -1,7 +1,7 @@
 """`kept_program`: a compiled function whose programs the next process finds on the disk.
 
 With traced values, under a user's jit, vmap or grad, it is the plain compiled function. So it is if a function or a
-class of the user takes part, and if keeping is switched off.
+class of the user takes part. If keeping is switched off, the same programs are made anew in every process.
 """
 
 import hashlib
@@ -74,7 +74,7 @@ def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, A
     @wraps(function)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
         leaves, structure = jax.tree.flatten((args, kwargs))
-        if folder.is_off() or not _can_be_kept(leaves, (*args, *kwargs.values())):
+        if not _can_be_kept(leaves, (*args, *kwargs.values())):
             return function(*args, **kwargs)
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         question = Question(function, structure, tuple(map(_signature, leaves)))
@@ -97,7 +97,7 @@ def shapes_of(function: Callable[..., Any], *arguments: Any) -> Any:
     leaves, structure = jax.tree.flatten((function, *arguments))
     question = Question(jax.eval_shape, structure, tuple(map(_signature, leaves)))
     try:
-        if folder.is_off() or not _can_be_kept(leaves, arguments) or are_special() or not is_source_unchanged():
+        if not _can_be_kept(leaves, arguments) or are_special() or not is_source_unchanged():
             raise UnavailableError("switched off, special values or settings of JAX, or a source that was edited")
         key = _key(question)
     except (NotDescribedError, UnavailableError) as error:
@@ -210,7 +210,7 @@ def _made(key: str, question: Question, arrays: Sequence[Any]) -> Call:
 
 def _keep(key: str, call: Call) -> None:
     """Write a program that has not run yet: after a run it may not be possible to turn it into bytes."""
-    if not is_source_unchanged():  # while it was traced
+    if folder.is_off() or not is_source_unchanged():  # while it was traced
         return
     try:
         answer, interface = describe(call.structure.unflatten(call.leaves)), call.program.interface
