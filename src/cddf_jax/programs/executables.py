@@ -124,7 +124,7 @@ def compiled(
     return Program(done.runtime_executable(), Interface(inputs, outputs, mesh, lapack))
 
 
-def _options() -> dict[str, bool]:
+def _options() -> dict[str, str | bool]:
     """What XLA is asked for, unless the user's flags say it."""
     left_to_us = EMITTERS not in os.environ.get("XLA_FLAGS", "") and jax.default_backend() == "cpu"
     return {EMITTERS: False} if left_to_us and is_tested_jaxlib() else {}

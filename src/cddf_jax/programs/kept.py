@@ -98,7 +98,7 @@ def shapes_of(function: Callable[..., Any], *arguments: Any) -> Any:
     question = Question(jax.eval_shape, structure, tuple(map(_signature, leaves)))
     try:
         if not _can_be_kept(leaves, arguments) or are_special() or not is_source_unchanged():
-            raise UnavailableError("switched off, special values or settings of JAX, or a source that was edited")
+            raise UnavailableError("special values or settings of JAX, or a source that was edited")
         key = _key(question)
     except (NotDescribedError, UnavailableError) as error:
         LOG.debug("shapes are traced: %s", error)
