@@ -198,15 +198,15 @@ def is_physical(
 ) -> Bool[Array, ""]:
     """Whether the numbers, as they were before `harmless`, have a physical meaning."""
     stiffness = jax.vmap(jax.vmap(problem.manipulator.stiffness))(problem.panels.nodes)
+    sections = (stiffness[..., None] > 0) & ((problem.nodes.offset >= 0) | ~problem.nodes.present)
     return (
-        jnp.all(stiffness > 0)
+        jnp.all(sections)  # as one: XLA takes seconds to fold the offsets of a large batch if they are constants
         & (problem.panels.edges[-1] > 0)
         & jnp.all(manipulator.tendon_friction >= 0)
         & (True if manipulator.tendon_drag is None else jnp.all(manipulator.tendon_drag >= 0))
         & _has_physical_masses(manipulator, problem)
         & jnp.all(jnp.isfinite(manipulator.tendon_compliance) & (manipulator.tendon_compliance >= 0))
         & jnp.all(manipulator.tendon_free_length >= 0)
-        & jnp.all((problem.nodes.offset >= 0) | ~problem.nodes.present)
         & jnp.all(base_tension >= 0)
         & jnp.all(jnp.abs(direction) == 1)
     )
