@@ -69,7 +69,7 @@ class Marching(eqx.Module):
             locked=~positive,
         )
 
-    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution:
+    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None, before: object = 0.0) -> Solution:
         return self(problem)
 
     finish = improve

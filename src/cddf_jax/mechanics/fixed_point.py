@@ -53,6 +53,7 @@ from .problem import (
 )
 
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
+LAST_GAIN = 64.0  # at most: by which the pass that is not made would have brought the answer nearer
 SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
 _ratio_rates = at_nodes(ratio_rate, (None, 0, 0, 0))
 
@@ -200,18 +201,24 @@ class FixedPoint(eqx.Module):
         )
         return _with_path(problem, along, solution)
 
-    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[PassState]:
-        return self._improve(problem, guess, strain)[1]
+    def improve(
+        self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
+    ) -> Solution[PassState]:
+        return self._improve(problem, guess, strain, before)[1]
 
     def finish(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[State]:
-        return _with_path(problem, *self._improve(problem, guess, strain))
+        return _with_path(problem, *self._improve(problem, guess, strain, 0.0))
 
-    def _improve(self, problem: Problem, guess: Nodal, strain: Array | None) -> tuple["_Pass", Solution[PassState]]:
+    def _improve(
+        self, problem: Problem, guess: Nodal, strain: Array | None, before: Number | float
+    ) -> tuple["_Pass", Solution[PassState]]:
         along, tip = _pass(problem, guess, strain)
         better, guess = without_derivative((along.nodes.values, guess))  # their change needs no derivative
         change = relative_size(jax.tree.map(problem.panels.without_empty, minus(better, guess)), better)
         positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
-        still = change <= self._tolerance(problem)
+        # the next change would be this one times change / before, by which passes converge
+        least = self._tolerance(problem)
+        still = (change * change <= least * jnp.maximum(before, change)) & (change <= LAST_GAIN * least)
         return along, _solution(
             problem,
             along,

@@ -157,8 +157,13 @@ class Method(Protocol):
         """Solve to the end."""
         ...
 
-    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[AnyState]:
-        """One pass from a guess, `converged` if the guess was right; a method without passes solves to the end."""
+    def improve(
+        self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
+    ) -> Solution[AnyState]:
+        """One pass from a guess, `converged` if the result is right; a method without passes solves to the end.
+
+        `before` is the relative change in the pass before, 0 if there was none. It shows how fast passes converge.
+        """
         ...
 
     def finish(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[State]:

@@ -70,7 +70,7 @@ class Trial(NamedTuple):
     lost: Flag  # locked, no longer finite, or too many passes
     sane: Flag  # whether the first pass was finite
     num_passes: Number
-    change: Number  # in the last pass, relative
+    change: Number  # in the last pass, relative; 0 before the first one of a try
 
     @property
     def stable(self) -> Flag:
@@ -142,7 +142,7 @@ class LoadedBody(NamedTuple):
 
         def flow(guess: Nodal, moment: Moment, fraction: Number, pull: Number):
             here = self.at(moment, fraction, pull)
-            solution = self.method.improve(here, guess, trial.strain)
+            solution = self.method.improve(here, guess, trial.strain, trial.change)
             heading = Headings(solution.nodes.heading, solution.tip.heading)
             heading = jax.tree.map(lambda x: 2.0 * x, heading) if here.in_space else heading
             return (nodal(here, solution), heading, moment_left_at_tip(here, solution)), solution
@@ -186,7 +186,7 @@ class LoadedBody(NamedTuple):
 
     def _improve(self, trial: Trial) -> Trial:
         """One pass without loads."""
-        solution = self.method.improve(self.problem, trial.nodal, trial.strain)
+        solution = self.method.improve(self.problem, trial.nodal, trial.strain, trial.change)
         sane = jnp.isfinite(solution.residual) & ~solution.locked
         return trial._replace(
             nodal=nodal(self.problem, solution),

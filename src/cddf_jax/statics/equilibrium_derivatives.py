@@ -141,7 +141,7 @@ def balance(
     assert values is not None
     problem = system.problem(root)
     solution = setup.method.finish(problem, values, strain)
-    changes = [solution.residual, trial.change]
+    changes = [solution.residual]
     changes += [] if setup.loads is None else [magnitude(moment_left_at_tip(problem, solution))]
     solution = replace(
         solution,

@@ -144,7 +144,7 @@ class _Following(NamedTuple):
     trial: Trial
     travel: PerTendon
     ends: Splits  # where the panels end
-    num_moves: Number
+    num_moves: Number  # -1 at the end of a path of loads, where they move before the first pass
     over: Flag
 
 
@@ -165,7 +165,8 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
         trial = _moved(near, partial(problem.panels.with_empty, count=count))
 
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
-    start = _Following(trial, blank.travel, blank.splits, zero, ~found.converged | trial.lost)
+    num_moves = zero if setup.loads is None else zero - 1.0
+    start = _Following(trial, blank.travel, blank.splits, num_moves, ~found.converged | trial.lost)
     end = jax.lax.while_loop(lambda state: ~state.over, follow, start)
     trial = end.trial
     found = found._replace(
@@ -180,6 +181,7 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
 def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number, state: _Following) -> _Following:
     """Make one pass unless the body has settled, locate the sign changes, and move the panels there if it is time.
 
+    At the end of a path of loads they move before the first pass: on panels that do not end there it would be in vain.
     Panels follow at once where the passes are calm. Where sign changes come and go, the panels follow only from one
     settled body to the next.
     """
@@ -193,7 +195,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
         kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), start, trial)
         return kept._replace(lost=trial.lost, locked=trial.locked)
 
-    trial = only_if(~state.trial.settled, corrected, state.trial)
+    trial = only_if(~state.trial.settled & (num_moves >= 0), corrected, state.trial)
     splits = locate(problem, body.state(trial, fraction))
     moves = splits.arc_length - ends.arc_length
     distance = (largest_size(moves) if moves.size else jnp.zeros_like(fraction)) / problem.panels.edges[-1]
@@ -218,12 +220,12 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
 
     travel = only_if(over, travelled, state.travel)
     trial = only_if(move, moved, trial)
-    num_passes = jnp.where(move, 0.0, trial.num_passes)
+    num_passes, change = (jnp.where(move, 0.0, number) for number in (trial.num_passes, trial.change))
     return _Following(
-        trial=trial._replace(settled=trial.settled & ~move, num_passes=num_passes),
+        trial=trial._replace(settled=trial.settled & ~move, num_passes=num_passes, change=change),
         travel=travel,
         ends=jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends) if moves.size else ends,
-        num_moves=num_moves + jnp.where(move, 1.0, 0.0),
+        num_moves=jnp.maximum(num_moves, 0.0) + jnp.where(move, 1.0, 0.0),
         over=over,
     )
 

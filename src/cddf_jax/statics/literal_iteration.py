@@ -15,6 +15,7 @@ from ..mechanics.fixed_point import integrate_shape
 from ..mechanics.friction import Pull
 from ..mechanics.problem import (
     Nodal,
+    Number,
     Problem,
     Solution,
     State,
@@ -79,7 +80,9 @@ class LiteralIteration(eqx.Module):
             locked=jnp.zeros_like(answer.converged),
         )
 
-    def improve(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution[State]:
+    def improve(
+        self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
+    ) -> Solution[State]:
         return self(problem)
 
     finish = improve

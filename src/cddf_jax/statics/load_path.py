@@ -17,6 +17,7 @@ from ..numerics.arrays import computed_once, largest_size, largest_sizes
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
 
 LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
+FIRST_TURN = 0.5  # rad, by which the first one should, as nobody knows yet by how much it will miss
 LARGEST_MISS = 0.2  # rad, by which any cross-section may miss its predicted heading
 LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: where stability changes in a longer step, it may have reached another branch
@@ -63,7 +64,17 @@ class _Walk(NamedTuple):
     @property
     def over(self) -> Flag:
         trial = self.trial
-        return self.ended | (self.arrived & (trial.settled | trial.lost | (trial.num_passes >= MAX_SETTLING)))
+        done = trial.settled | trial.lost | (trial.num_passes >= MAX_SETTLING)
+        return self.ended | (self.arrived & (done | _bends_both_ways(trial)))
+
+
+def _bends_both_ways(trial: Trial) -> Flag:
+    """Whether a planar body does. It settles sooner on panels that end where the curvature changes its sign."""
+    assert trial.heading is not None
+    if trial.moment is not None and trial.moment.ndim:
+        return trial.lost & False
+    turned = jnp.diff(trial.heading.nodes.ravel())
+    return jnp.any(turned > 0) & jnp.any(turned < 0)
 
 
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
@@ -173,7 +184,7 @@ def _decide(walk: _Walk) -> _Walk:
     place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), new, old)
 
     remaining = 1.0 - place.fraction
-    step = jnp.minimum(_next_step(walk.step, missed, place, accepted, near & ~jumped), remaining)
+    step = jnp.minimum(_next_step(walk.step, missed, place, accepted, near & ~jumped, first), remaining)
     step = computed_once(step)
     tries = walk.num_tries + 1.0
     arrived = accepted & (place.fraction >= 1.0)
@@ -192,7 +203,7 @@ def _decide(walk: _Walk) -> _Walk:
     )
 
 
-def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_path: Flag) -> Number:
+def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_path: Flag, first: Flag) -> Number:
     """The next step to try, of the loads: by how much the last one missed its prediction, and how fast the body turns.
 
     Args:
@@ -201,11 +212,13 @@ def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_p
         place: from which the next step starts.
         accepted: whether the last step was.
         on_path: whether it led to an equilibrium that may lie on the path.
+        first: whether there was none, but the body without loads.
     """
     ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
     shorter = step * jnp.where(on_path, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = step * jnp.clip(ideal, 0.3, 4.0)
-    gentle = 0.8 * LARGEST_TURN / jnp.maximum(largest_size(place.heading_slope), 0.1 * LARGEST_TURN)
+    turn = jnp.where(first, FIRST_TURN, 0.8 * LARGEST_TURN)
+    gentle = turn / jnp.maximum(largest_size(place.heading_slope), 0.1 * LARGEST_TURN)
     return jnp.minimum(jnp.where(accepted, longer, shorter), gentle)
 
 
@@ -226,4 +239,4 @@ def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
 
 def _counted_anew(trial: Trial) -> Trial:
     """The trial with all its passes before it."""
-    return trial._replace(lost=trial.lost & False, num_passes=jnp.zeros_like(trial.num_passes))
+    return trial._replace(lost=trial.lost & False, num_passes=0.0 * trial.num_passes, change=0.0 * trial.num_passes)
