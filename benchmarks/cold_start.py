@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.files.writing import as_json, write_all
 from cddf_jax.programs.folder import VARIABLE
 
 if TYPE_CHECKING:

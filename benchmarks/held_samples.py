@@ -14,7 +14,7 @@ import numpy as np
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.files.writing import as_json, write_all
 from cddf_jax.measurements.holds import holds_of, serial_correlation
 from cddf_jax.measurements.table import Measurements
 

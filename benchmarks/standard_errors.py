@@ -17,7 +17,7 @@ import numpy as np
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.files.writing import as_json, write_all
 from cddf_jax.identification.bench import Bench
 from cddf_jax.identification.fit import Fit
 from cddf_jax.identification.parameters import starting_value, with_parameters

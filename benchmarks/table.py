@@ -13,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.files.writing import as_json, write_all
 
 FOLDER = Path("out/benchmark")
 KEPT = Path("benchmarks")

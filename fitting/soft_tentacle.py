@@ -36,7 +36,7 @@ from matplotlib.figure import Figure
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
 from cddf_jax.figures import looks, style as draw
-from cddf_jax.files.artifacts import as_json, write_all
+from cddf_jax.files.writing import as_json, write_all
 from cddf_jax.measurements.readings import kind_of
 
 TABLE = Path(__file__).resolve().parents[2] / "shared/data/soft_tentacle/tension_markers.csv"

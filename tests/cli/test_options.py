@@ -5,7 +5,7 @@ import pytest
 from bodies import paper_body
 
 import cddf_jax as cddf
-from cddf_jax.cli.fit_texts import read_before, read_bounds, read_noise, read_priors, read_setting
+from cddf_jax.cli.fit_options import read_before, read_bounds, read_noise, read_priors, read_setting
 from cddf_jax.cli.options import read_data
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.observations import Noise

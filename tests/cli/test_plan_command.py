@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from places import DATA
 
 import cddf_jax as cddf
-from cddf_jax.cli.fit_texts import read_candidates
+from cddf_jax.cli.fit_options import read_candidates
 from cddf_jax.figures.estimates import draw_plan
 
 PAPER, LOAD_CELLS = (DATA / name for name in ("smooth_sil_940.toml", "load_cells_simulated.csv"))

@@ -18,7 +18,7 @@ from places import DATA
 import cddf_jax as cddf
 from cddf_jax import application
 from cddf_jax.batch.store import Memory
-from cddf_jax.cli import sweep_texts as sweep_options
+from cddf_jax.cli import sweep_options
 from cddf_jax.figures import style as plotting
 from cddf_jax.reports import sweep_report
 from cddf_jax.sweeping import export as sweep_exports

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import cddf_jax as cddf
-from cddf_jax.programs import circumstances, description, folder
+from cddf_jax.programs import description, environment, folder
 from cddf_jax.programs.kept import PROGRAMS, kept_program, shapes_of
 from cddf_jax.progress import SHOWN
 
@@ -117,12 +117,12 @@ def test_a_setting_of_jax_makes_a_new_program():
 
 
 def test_the_key_knows_versions_source_machine_and_flags(monkeypatch):
-    told = circumstances.machine_and_versions()
+    parts = environment.machine_and_versions()
     packages = ("cddf_jax", "jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
-    assert {text.split()[0] for text in told if text} >= set(packages)
-    assert {os.environ["XLA_FLAGS"], sys.version} <= set(told)
-    for i, text in enumerate(told):
-        changed = (*told[:i], f"{text} another", *told[i + 1 :])
+    assert {text.split()[0] for text in parts if text} >= set(packages)
+    assert {os.environ["XLA_FLAGS"], sys.version} <= set(parts)
+    for i, text in enumerate(parts):
+        changed = (*parts[:i], f"{text} another", *parts[i + 1 :])
         monkeypatch.setattr("cddf_jax.programs.kept.machine_and_versions", lambda changed=changed: changed)
         next_process()
         raised(x(1.0))
@@ -131,15 +131,15 @@ def test_the_key_knows_versions_source_machine_and_flags(monkeypatch):
 
 def test_an_edited_source_is_another_one(tmp_path, monkeypatch):
     (tmp_path / "module.py").write_text("LAW = 1\n")
-    monkeypatch.setattr(circumstances, "SOURCE", tmp_path)
-    before, stamp = circumstances.source.__wrapped__(), circumstances.stamp()
+    monkeypatch.setattr(environment, "SOURCE", tmp_path)
+    before, stamp = environment.source.__wrapped__(), environment.stamp()
     (tmp_path / "module.py").write_text("LAW = 22\n")
-    assert circumstances.source.__wrapped__() != before
-    assert circumstances.stamp() != stamp
+    assert environment.source.__wrapped__() != before
+    assert environment.stamp() != stamp
 
 
 def test_nothing_is_kept_once_the_source_is_edited(place, monkeypatch):
-    monkeypatch.setattr(circumstances, "STAMP", (("module.py", 0, 0),))
+    monkeypatch.setattr(environment, "STAMP", (("module.py", 0, 0),))
     raised(x(1.0))
     assert not place.exists()
 

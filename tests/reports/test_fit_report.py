@@ -23,7 +23,7 @@ from cddf_jax.figures import (
     fit as fit_figures,
     style as plotting,
 )
-from cddf_jax.files import artifacts
+from cddf_jax.files import writing
 from cddf_jax.identification.bench import Bench, experiment_of
 from cddf_jax.identification.predictions import correlated_names, normality
 from cddf_jax.measurements.table import Measurements
@@ -158,7 +158,7 @@ def test_warnings_have_their_section(paper):
 
 @pytest.mark.parametrize("name", ["tensions_only", "paper_route", "with_prior"])
 def test_json_has_no_infinities(name, request):
-    text = artifacts.as_json(results_of(request.getfixturevalue(name)))
+    text = writing.as_json(results_of(request.getfixturevalue(name)))
 
     def refuse(constant):
         raise AssertionError(constant)
@@ -167,7 +167,7 @@ def test_json_has_no_infinities(name, request):
 
 
 def test_what_is_infinite_is_null(tensions_only):
-    answer = json.loads(artifacts.as_json(results_of(tensions_only)))
+    answer = json.loads(writing.as_json(results_of(tensions_only)))
     assert answer["standard_error"] == dict.fromkeys(BOTH)
     assert answer["confidence_interval"] == {name: [0.0, None] for name in BOTH}
     assert answer["condition_number"] is None
@@ -178,7 +178,7 @@ def test_what_is_infinite_is_null(tensions_only):
 
 
 def test_the_dictionary_holds_the_fit(paper_route):
-    answer = json.loads(artifacts.as_json(results_of(paper_route)))
+    answer = json.loads(writing.as_json(results_of(paper_route)))
     assert answer["value"] == paper_route.value
     assert answer["standard_error"] == paper_route.standard_error
     assert answer["verdict"] == list(paper_route.verdict)
@@ -218,7 +218,7 @@ def test_figures_are_drawn(figures, tmp_path):
     for name, figure in figures.items():
         files = plotting.render(figure, name)
         assert set(files) == {f"{name}.pdf", f"{name}.png"}
-        artifacts.write_all(tmp_path, files)
+        writing.write_all(tmp_path, files)
         assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF-")
         assert np.ptp(imread(tmp_path / f"{name}.png")) > 0.5  # something is on it
 
@@ -298,7 +298,7 @@ def test_a_failed_fit_still_has_a_report():
     fit = cddf.fit(paper_body(), table, starts=1)
     assert not fit.success
     assert words_of(fit).splitlines()[2].startswith("- The fit failed: ")
-    json.dumps(artifacts.plain(results_of(fit)), allow_nan=False)
+    json.dumps(writing.plain(results_of(fit)), allow_nan=False)
     made = fit_results.make_report(fit)
     assert report.report_figures(made) == {}
     said = report.fit_as_markdown(made, [])
@@ -487,7 +487,7 @@ def test_the_files_of_a_report(drum, drum_report, tmp_path):
 
 
 def test_a_fit_is_repeated_from_its_results(drum_report, drum, tmp_path):
-    results = json.loads(artifacts.as_json(fit_results.fit_as_dict(drum_report)))
+    results = json.loads(writing.as_json(fit_results.fit_as_dict(drum_report)))
     assert set(results["versions"]) == {"python", "cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox"}
     assert results["bootstraps"][0]["replicates"] == 40
     again = repeated(results, tmp_path)

@@ -12,7 +12,7 @@ from places import DATA
 
 from cddf_jax.errors import InputError
 from cddf_jax.figures import fit as fit_figures
-from cddf_jax.files import artifacts
+from cddf_jax.files import writing
 from cddf_jax.files.manipulator_file import read_manipulator
 from cddf_jax.measurements.table import Measurements, read_measurements
 from cddf_jax.reports import reproduction
@@ -151,20 +151,20 @@ def test_bad_input_is_named(load_cells, tmp_path):
     assert not any(tmp_path.iterdir())
 
 
-# --- artifacts -----------------------------------------------------------------------------------
+# --- writing of files ------------------------------------------------------------------------------
 
 
 def test_files_are_replaced_together_or_not_at_all(tmp_path):
-    artifacts.write_all(tmp_path, {"a.txt": "old", "b.bin": b"old"})
+    writing.write_all(tmp_path, {"a.txt": "old", "b.bin": b"old"})
     with pytest.raises(InputError, match="missing"):
-        artifacts.write_all(tmp_path, {"a.txt": "new", "missing/b.bin": b"new"})
+        writing.write_all(tmp_path, {"a.txt": "new", "missing/b.bin": b"new"})
     assert (tmp_path / "a.txt").read_text() == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.bin"]
 
 
 def test_json_of_arrays_and_of_what_is_not_finite():
     value = {"a": np.array([1.0, np.nan]), "b": (np.float64(np.inf), 2, True, None, "µ"), "c": np.int64(3)}
-    assert json.loads(artifacts.as_json(value)) == {"a": [1.0, None], "b": [None, 2, True, None, "µ"], "c": 3}
+    assert json.loads(writing.as_json(value)) == {"a": [1.0, None], "b": [None, 2, True, None, "µ"], "c": 3}
 
 
 # --- plotting ------------------------------------------------------------------------------------

@@ -61,8 +61,8 @@ def run_design(task: "DesignTask", out: Path | None) -> Answer:
     """Design, and write what is asked for; the new manipulator only where it keeps to all limits."""
     from ..designing import report
     from ..figures import design_figure, render
-    from ..files.artifacts import as_json, write_all
     from ..files.cross_sections import cross_sections_csv
+    from ..files.writing import as_json, write_all
 
     found = task.design()
     answer, text = report.design_as_dict(found), report.design_in_words(found)
@@ -82,7 +82,7 @@ def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
     from ..designing import report
     from ..figures import draw_trade_off, render
     from ..figures.style import figure_of
-    from ..files.artifacts import as_json, write_all
+    from ..files.writing import as_json, write_all
 
     if task.choices or task.options.starts > 1 or any(weight != 1 for weight, _ in task.objective):
         raise InputError(

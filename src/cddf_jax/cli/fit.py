@@ -94,7 +94,7 @@ def fit(
         from ..identification.fit import fit
         from ..reports.fit_report import fit_in_words, write_report
         from ..reports.fit_results import fit_as_dict, make_report
-        from .fit_texts import read_before, read_bounds, read_noise, read_priors, read_setting
+        from .fit_options import read_before, read_bounds, read_noise, read_priors, read_setting
 
     found = fit(
         manipulator,

@@ -113,7 +113,7 @@ def note(lines: Iterable[str]) -> None:
 def print_answer(text: str, answer: object, *, as_json: bool) -> None:
     """The answer on standard output, in words or as one JSON object."""
     if as_json:
-        from ..files.artifacts import as_json as json_text
+        from ..files.writing import as_json as json_text
 
         text = json_text(answer).rstrip()
     typer.echo(text)

@@ -51,7 +51,7 @@ def plan(
         from ..identification.fit import fit
         from ..reports.plan_report import plan_as_dict, plan_as_markdown
         from ..units import quantity
-        from .fit_texts import read_candidates, read_setting
+        from .fit_options import read_candidates, read_setting
 
     names = tuple(free) if free else None
     largest = quantity(tension, "force", "--tension")
@@ -66,7 +66,7 @@ def plan(
     if out is not None:
         from ..figures.estimates import draw_plan
         from ..figures.style import figure_of, render
-        from ..files.artifacts import as_json as json_text, write_all
+        from ..files.writing import as_json as json_text, write_all
 
         write_all(out, {"plan.md": text, "plan.json": json_text(answer)} | render(figure_of(draw_plan(found)), "plan"))
     options.print_answer(text, answer, as_json=as_json)

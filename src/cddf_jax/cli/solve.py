@@ -63,7 +63,7 @@ def solve(
         from ..figures.along import sections_figure
         from ..figures.body import equilibrium_figure
         from ..figures.style import render
-        from ..files.artifacts import as_json as json_text, write_all
+        from ..files.writing import as_json as json_text, write_all
         from ..reports.export import fields_csv, fields_on_grid
 
         figures = render(equilibrium_figure(manipulator, equilibrium, loads), "solve")

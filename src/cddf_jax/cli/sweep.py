@@ -170,11 +170,11 @@ def sweep(
     with stage("loading"):
         from ..files.actuation import read_directions, read_loads
         from ..reports import sweep_report
-        from . import sweep_texts
+        from . import sweep_options
     if not sweep_report.is_first_process():
         SHOWN.set(None)  # only the first process shows progress
 
-    work = sweep_texts.read_sweep(
+    work = sweep_options.read_sweep(
         read.manipulator,
         over or [],
         together or [],
@@ -191,7 +191,7 @@ def sweep(
         sensitivities=tuple(sensitivity or ()),
         nodes=nodes,
         precision=precision,
-        memory=None if memory is None else sweep_texts.read_memory(memory),
+        memory=None if memory is None else sweep_options.read_memory(memory),
         chunk_size=chunk,
     )
     if dry_run:
@@ -216,7 +216,7 @@ def _configure(
 ) -> None:
     """Set JAX up, alone or as one of several processes."""
     from .. import application
-    from .sweep_texts import read_processes
+    from .sweep_options import read_processes
 
     processes = read_processes(coordinator, num_processes, process_id, distributed=distributed)
     if processes is not None:  # what libraries print when processes meet goes to standard error, the answer does not

@@ -66,7 +66,7 @@ def trace(
     manipulator = options.read_robot(robot, kinematics).manipulator
     with stage("loading"):
         from ..files.actuation import read_loads
-        from ..files.artifacts import as_json as json_text, write_all
+        from ..files.writing import as_json as json_text, write_all
         from ..reports import trace_report
         from ..units import series
 

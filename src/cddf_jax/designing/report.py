@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..files.artifacts import markdown_table
+from ..files.writing import markdown_table
 from ..numerics.constrained import TOLERANCE
 from ..units import Dimension, preferred, shown
 from .free_numbers import is_angle

@@ -21,7 +21,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from ..errors import InputError
-from ..files.artifacts import write_all
+from ..files.writing import write_all
 from ..progress import stage
 from .geometry import Body
 from .looks import BLACK, GREY, PALE, LookValue

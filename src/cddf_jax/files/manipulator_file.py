@@ -81,9 +81,9 @@ from ..quantities import QUANTITIES, dimension_of
 from ..robot.manipulator import Manipulator, PointMass, Tendon
 from ..robot.profiles import Constant, Profile, as_profile
 from ..units import quantity
-from .artifacts import write_all
 from .cross_sections import TOLERANCE, CrossSections, SectionColumn, sections_and_columns
 from .profile_forms import number_text, profile_form, read_profile
+from .writing import write_all
 
 _Table = Mapping[str, Any]
 _RADII = ("outer_radius", "inner_radius")

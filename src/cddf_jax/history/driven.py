@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot.manipulator import Manipulator
+from .congruent_parts import ends_of_motion
 from .fronts import Motion
-from .parts import ends_of_motion
-from .turns import NOBODY, Stack, Turns, go_on
+from .turns import NO_STEP, Stack, Turns, go_on
 
 Number = Float[Array, ""]
 Gain = Callable[[Number, Number], Number]  # of the tensions before and after a motion
@@ -60,7 +60,7 @@ def driven(
         value, step = given
         stack, turn = go_on(state.stack, jax.lax.stop_gradient(value), step)
         below = jnp.maximum(turn.place - 1, 0)
-        from_rest = turn.before == NOBODY
+        from_rest = turn.before == NO_STEP
         turned_at, since = (jnp.where(from_rest, 0.0, x[below]) for x in (state.tensions, state.values))
         gain, constant_gain = (
             partial(_gain, one, nodes, quantity, turn.direction, from_rest) for one in (body, constant)

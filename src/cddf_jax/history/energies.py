@@ -23,9 +23,9 @@ from ..numerics.quadrature import Panels, gauss_rule
 from ..robot.cross_section import AnySection, planar
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
+from .congruent_parts import ends_of_motion
 from .fronts import Motion, cut_at, first_zero, front_of, is_play_of_inverse
-from .parts import ends_of_motion
-from .turns import NOBODY, Turns
+from .turns import NO_STEP, Turns
 
 Number = Float[Array, ""]
 WorkAndLoss = Float[Array, "... 2"]  # J
@@ -36,7 +36,7 @@ def work_and_loss(
     body: Manipulator, nodes: int, path: Float[Array, " path"], turns: Turns, front: Float[Array, " path"]
 ) -> WorkAndLoss:
     """What each step of a path that started at rest takes at the base, and what of that it loses to friction, J."""
-    from_rest = turns.before == NOBODY
+    from_rest = turns.before == NO_STEP
     turned_at = jnp.where(from_rest, 0.0, path[turns.before])
 
     def there_and_back(step: tuple[Number, Number, Number, Number, Bool[Array, ""]]) -> WorkAndLoss:
@@ -63,10 +63,10 @@ def work_and_loss(
 
 def _of_step(turns: Turns, there: WorkAndLoss, back: WorkAndLoss, step: Int[Array, ""]) -> WorkAndLoss:
     """A step closes the loops that it passes, each from where it is in that loop to where the loop began."""
-    earlier = jnp.where(step > 0, turns.open[jnp.maximum(step - 1, 0)], NOBODY)
+    earlier = jnp.where(step > 0, turns.open[jnp.maximum(step - 1, 0)], NO_STEP)
     slots = jnp.arange(earlier.size)
     alike = (slots % 2 == 0) == (turns.direction[step] > 0)
-    passed = (earlier != NOBODY) & (slots >= turns.place[step])
+    passed = (earlier != NO_STEP) & (slots >= turns.place[step])
     goes_back = passed & ~alike & (slots > turns.place[step])
     zero = jnp.zeros_like(there)
     been = jnp.where((passed & alike)[:, None], there[earlier], zero[:1])

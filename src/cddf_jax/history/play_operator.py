@@ -2,7 +2,7 @@
 
 Without loads the curvature follows from the tension at the same place. So where the tendon rests the body keeps its
 curvature, and where it slides the tension is that of `solve` with the direction in which it slides. Between the
-fronts of its open turns the body is therefore congruent to a part of one of these equilibria, see `parts`.
+fronts of its open turns the body is therefore congruent to a part of one of these equilibria, see `congruent_parts`.
 """
 
 from collections.abc import Callable
@@ -25,12 +25,23 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import one_precision
 from ..statics.equilibrium import RESULTS, Dense, code_of, nan_unless, with_words
 from ..statics.solve import solve
+from .congruent_parts import (
+    Heading,
+    Slid,
+    Tip,
+    ends_of_motion,
+    pose_of_base,
+    rotated,
+    tilt_of,
+    tips,
+    turned_back,
+    turned_on,
+)
 from .driven import Drive, driven
 from .energies import work_and_loss
 from .fronts import Motion, cut_at, moving_front
 from .history import Energies, History, States
-from .parts import Heading, Slid, Tip, ends_of_motion, pose_of_base, rotated, tilt_of, tips, turned_back, turned_on
-from .turns import NOBODY, Turns, open_turns
+from .turns import NO_STEP, Turns, open_turns
 
 Number = Float[Array, ""]
 Given = TypeVar("Given")
@@ -119,7 +130,7 @@ def congruent_history(
         tip_frame=heading if body.in_space else None,
         direction=turns.direction,
         front=front,
-        num_turns=jnp.sum(turns.open != NOBODY, axis=1),
+        num_turns=jnp.sum(turns.open != NO_STEP, axis=1),
         tendon_displacement=pulled_in,
         error_estimate=error,
         result=added.result if drive is None else jax.vmap(_with_drive)(added.result, drive, usable),
@@ -127,7 +138,7 @@ def congruent_history(
             manipulator=body,
             nodes=nodes,
             num_steps=num_steps,
-            open_tension=nan_unless(good[-1], jnp.where(still_open == NOBODY, path[-1], path[still_open])),
+            open_tension=nan_unless(good[-1], jnp.where(still_open == NO_STEP, path[-1], path[still_open])),
             path=path,
             turns=all_turns,
             front=fronts,
@@ -167,7 +178,7 @@ def follow(
     body: Manipulator, nodes: int, path: Float[Array, " path"], turns: Turns
 ) -> tuple[Float[Array, " path"], Tip, Float[Array, " path"]]:
     """Front and tip after each step of a path that started at rest, and the fronts with their derivatives."""
-    from_rest = turns.before == NOBODY
+    from_rest = turns.before == NO_STEP
     turned_at = jnp.where(from_rest, path, path[turns.before])
 
     def step(motion: Motion) -> tuple[Number, tuple[Slid, Slid]]:
@@ -251,7 +262,7 @@ def _parts(branches: Dense, open_steps: Int[Array, " turns"]) -> _Part:
         index = jnp.maximum(step, 0)
         of = jax.tree.map(lambda x: x[index], branches)
         end = of.edges[-1]
-        covers = (step != NOBODY) & (end > body.end)
+        covers = (step != NO_STEP) & (end > body.end)
         joint, there = of.state(jnp.minimum(body.end, end)), of.state(end)
         turned = turned_on(body.heading, turned_back(_heading(joint)))
         moved = body.position - rotated(joint.position, turned)

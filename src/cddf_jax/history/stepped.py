@@ -24,15 +24,15 @@ from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import RESULTS, first_of, nan_unless, with_words
 from .cells import Cells, cut_into_cells, forces_along
 from .history import Energies, History, States
-from .moments import (
+from .instants import (
     AT_LIMIT,
     Given,
-    Moment,
+    Instant,
     TipPose,
     at_rest,
     crosses,
     difference,
-    fields_of_moment,
+    fields_of_instant,
     fronts_of,
     moved,
     pushed,
@@ -41,7 +41,7 @@ from .moments import (
     tip_of,
 )
 from .path import Path, given_path
-from .stepping import Ends
+from .short_step import Ends
 
 Number = Float[Array, ""]
 ACCURACY = 3e-2  # a step with a larger error estimate is called inaccurate
@@ -62,7 +62,7 @@ class SteppedStates(States):
     """The bodies after all steps of a path."""
 
     manipulator: Manipulator
-    passes: Moment  # the fine pass, and those with rough cells and with rough steps; then step first
+    passes: Instant  # the fine pass, and those with rough cells and with rough steps; then step first
     loads: Loads  # after the last step
     num_cells: int = eqx.field(static=True)
 
@@ -71,7 +71,7 @@ class SteppedStates(States):
         return cut_into_cells(self.manipulator, self.num_cells)
 
     @property
-    def moments(self) -> Moment:
+    def instants(self) -> Instant:
         """Of the fine pass, step first."""
         return jax.tree.map(lambda x: x[0], self.passes)
 
@@ -80,22 +80,22 @@ class SteppedStates(States):
         return self.cells.edges
 
     def energies(self) -> Energies:
-        stored = jax.vmap(partial(stored_in, self.cells))(self.moments)
+        stored = jax.vmap(partial(stored_in, self.cells))(self.instants)
 
         # the error of trapezoids falls with the square of their width; what they add to the work is lost
         fine, _, rough = self.passes.work
         more = (fine - rough) / 3
-        return Energies(fine + more, self.moments.friction_loss + more, stored)
+        return Energies(fine + more, self.instants.friction_loss + more, stored)
 
     def fields(self, arc_length: Float[Array, " points"]) -> Fields:
-        shapes = jax.vmap(partial(shape_of, self.cells))(self.moments)
-        at_points = jax.vmap(partial(fields_of_moment, self.manipulator, self.cells), (None, None, 0))
-        return jax.vmap(at_points, (0, 0, None))(self.moments, shapes, arc_length)
+        shapes = jax.vmap(partial(shape_of, self.cells))(self.instants)
+        at_points = jax.vmap(partial(fields_of_instant, self.manipulator, self.cells), (None, None, 0))
+        return jax.vmap(at_points, (0, 0, None))(self.instants, shapes, arc_length)
 
     def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps *tendons points"]:
-        slid = self.moments.slid
+        slid = self.instants.slid
         moves = jnp.abs(slid) > LEAST_SLIP * jnp.max(jnp.abs(slid), axis=(1, 2), keepdims=True)
-        slides = moves & (jnp.abs(self.moments.step.share) > 1 - AT_LIMIT)
+        slides = moves & (jnp.abs(self.instants.step.share) > 1 - AT_LIMIT)
         found = jnp.moveaxis(jnp.where(slides, jnp.sign(slid), 0.0)[:, self.cells.at(arc_length)], 1, -1)
         return found[:, 0] if found.shape[1] == 1 else found
 
@@ -111,13 +111,13 @@ class _Rough(NamedTuple):
 
 
 def _followed(
-    manipulator: Manipulator, path: Path, kind: Following, start: Moment | None, rough: _Rough
-) -> tuple[Moment, TipPose, Float[Array, "steps tendons"], Bool[Array, " steps"]]:
-    """The moments after all steps, their tips, fronts, and whether fibres cross.
+    manipulator: Manipulator, path: Path, kind: Following, start: Instant | None, rough: _Rough
+) -> tuple[Instant, TipPose, Float[Array, "steps tendons"], Bool[Array, " steps"]]:
+    """The instants after all steps, their tips, fronts, and whether fibres cross.
 
     Args:
         manipulator, path, kind: as in `stepped_history`.
-        start: the moment before the first step; None for rest.
+        start: the instant before the first step; None for rest.
         rough: how the pass differs from the fine one.
     """
     cells = cut_into_cells(manipulator, kind.num_cells, rough.cells)
@@ -131,24 +131,24 @@ def _followed(
     counts = jnp.arange(1, kind.num_steps + 1)
     driven = jnp.asarray(kind.driven, int)
 
-    def advance(moment: Moment, to: Given) -> tuple[Moment, Moment]:
-        before = moment.given
+    def advance(instant: Instant, to: Given) -> tuple[Instant, Instant]:
+        before = instant.given
 
-        def part(moment: Moment, count: Array) -> tuple[Moment, None]:
+        def part(instant: Instant, count: Array) -> tuple[Instant, None]:
             here = jax.tree.map(lambda a, b: a + count / kind.num_steps * (b - a), before, to)
             left_out = (rough.steps > 0) & ((kind.num_steps - count) % 2 == 1)
             moves = partial(moved, cells, kind.driven)
-            return jax.lax.cond(left_out, lambda moment, _: moment, moves, moment, here), None
+            return jax.lax.cond(left_out, lambda instant, _: instant, moves, instant, here), None
 
-        moment = jax.lax.scan(part, moment, counts)[0]
-        edges, ends = moment.step.edges, moment.given.ends
+        instant = jax.lax.scan(part, instant, counts)[0]
+        edges, ends = instant.step.edges, instant.given.ends
         tension = ends.base_tension.at[driven].set(edges.tension[0, driven])  # as it was found
         found = to._replace(ends=ends._replace(base_tension=tension, displacement=cells.pulled_in(edges)))
-        return moment._replace(given=to), moment._replace(given=found)
+        return instant._replace(given=to), instant._replace(given=found)
 
-    moments = jax.lax.scan(advance, start, given)[1]
-    tip = jax.vmap(partial(tip_of, cells))(moments)
-    return moments, tip, fronts_of(cells, moments.step.share), jax.vmap(partial(crosses, cells))(moments)
+    instants = jax.lax.scan(advance, start, given)[1]
+    tip = jax.vmap(partial(tip_of, cells))(instants)
+    return instants, tip, fronts_of(cells, instants.step.share), jax.vmap(partial(crosses, cells))(instants)
 
 
 def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, rough: Number) -> Given:
@@ -184,18 +184,18 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     else:
         passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, rough))
     cells = cut_into_cells(manipulator, kind.num_cells)
-    moments, tip = jax.tree.map(lambda x: x[0], (passes, tips))
+    instants, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
     apart = jax.vmap(jax.vmap(partial(difference, cells)), (None, 0))(tip, others)
-    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, cells))(moments, tip)
-    step = moments.step
+    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, cells))(instants, tip)
+    step = instants.step
     good = physical & jnp.all(passes.step.converged, axis=0)
-    numbers = jax.vmap(nan_unless)(good, (moments.given.ends, tip, error, fronts[0]))
+    numbers = jax.vmap(nan_unless)(good, (instants.given.ends, tip, error, fronts[0]))
     ends, tip, error, front = numbers
     states = SteppedStates(manipulator, passes, _last(path), kind.num_cells)
     slack = jnp.zeros_like(good)
     if kind.driven:
-        short = moments.given.ends.displacement - path.displacement > 1e-9 * cells.scale
+        short = instants.given.ends.displacement - path.displacement > 1e-9 * cells.scale
         slack = jnp.any(short[:, list(kind.driven)], axis=1)
     return History(
         base_tension=jnp.where(
@@ -252,8 +252,8 @@ def tips_along(manipulator: Manipulator, path: Path, kind: Following) -> Tips:
     def tips(given: tuple[Manipulator, Path]) -> Tips:
         manipulator, path, physical = _checked(*given)
         none = jnp.zeros((), path.tension.dtype)
-        moments, tip, _, crossing = _followed(manipulator, path, kind, None, _Rough(none, none))
-        good = physical & moments.step.converged
+        instants, tip, _, crossing = _followed(manipulator, path, kind, None, _Rough(none, none))
+        good = physical & instants.step.converged
         tip = jax.vmap(nan_unless)(good, tip)
         flags = (flag.astype(path.tension.dtype) for flag in (physical, good, crossing))
         return Tips(tip.tension, tip.heading, tip.position, *flags)

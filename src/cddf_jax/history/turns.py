@@ -14,16 +14,16 @@ from jaxtyping import Array, Bool, Float, Int
 from ..numerics.arrays import zero_as
 
 Number = Float[Array, ""]
-NOBODY = -1  # in the place of a step
+NO_STEP = -1  # in the place of a step
 
 
 class Turns(NamedTuple):
     """What is open after each step; steps are counted from 0. Without the axis of the steps it is that of one."""
 
     direction: Float[Array, " steps"]  # +1 where the tendon was pulled, -1 where it was released
-    before: Int[Array, " steps"]  # the step at whose value this motion turned; NOBODY for the pull from rest
+    before: Int[Array, " steps"]  # the step at whose value this motion turned; NO_STEP for the pull from rest
     place: Int[Array, " steps"]  # of this step in the stack
-    open: Int[Array, "steps turns"]  # the remembered steps, the oldest first, this one last; then NOBODY
+    open: Int[Array, "steps turns"]  # the remembered steps, the oldest first, this one last; then NO_STEP
     too_many: Bool[Array, " steps"]  # whether there were more turns than there is room for
 
 
@@ -39,7 +39,7 @@ class Stack(NamedTuple):
 def empty_stack(max_turns: int, values: Float[Array, " steps"]) -> Stack:
     """The stack of a tendon at rest; `values` tells precision and devices."""
     zero = zero_as(values)
-    nothing = jnp.full(max_turns, NOBODY)
+    nothing = jnp.full(max_turns, NO_STEP)
     return Stack(jnp.zeros(max_turns, values.dtype) + zero, nothing, jnp.zeros((), int), zero > 1)
 
 
@@ -60,11 +60,11 @@ def go_on(stack: Stack, value: Number, step: Int[Array, ""]) -> tuple[Stack, Tur
     here = slots == place
     new = Stack(
         value=jnp.where(here, value, stack.value),
-        step=jnp.where(here, step, jnp.where(slots < place, stack.step, NOBODY)),
+        step=jnp.where(here, step, jnp.where(slots < place, stack.step, NO_STEP)),
         num_open=place + 1,
         too_many=too_many,
     )
-    before = jnp.where(place > 0, new.step[jnp.maximum(place - 1, 0)], NOBODY)
+    before = jnp.where(place > 0, new.step[jnp.maximum(place - 1, 0)], NO_STEP)
     return new, Turns(direction, before, place, new.step, too_many)
 
 

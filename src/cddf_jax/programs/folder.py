@@ -37,8 +37,8 @@ def folder() -> Path | None:
     """Where programs are kept; None if that is switched off."""
     if is_off():
         return None
-    if told := os.environ.get(VARIABLE):
-        return Path(told)
+    if place := os.environ.get(VARIABLE):
+        return Path(place)
     from platformdirs import user_cache_dir
 
     return Path(user_cache_dir("cddf_jax")) / "programs"

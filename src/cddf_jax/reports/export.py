@@ -11,8 +11,8 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError, needed
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
-from ..files.artifacts import picked
 from ..files.csv_table import table_csv
+from ..files.writing import picked
 from ..history.history import History
 from ..identification.experiment_design import Plan
 from ..identification.parameters import unit_of
@@ -175,14 +175,14 @@ def _stations(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] 
     return s
 
 
-def _parameters(told: Determination) -> list[dict[str, str | float]]:
+def _parameters(found: Determination) -> list[dict[str, str | float]]:
     rows = []
-    for name, status in told.status.items():
-        value = np.nan if status == NOT_IDENTIFIED else told.value[name]
-        lower, upper = told.confidence_interval[name]
-        rows.append((name, value, told.standard_error[name], lower, upper, unit_of(name), status))
-    for name, (value, error) in told.told_together.items():
-        reach = told.quantile * error
+    for name, status in found.status.items():
+        value = np.nan if status == NOT_IDENTIFIED else found.value[name]
+        lower, upper = found.confidence_interval[name]
+        rows.append((name, value, found.standard_error[name], lower, upper, unit_of(name), status))
+    for name, (value, error) in found.told_together.items():
+        reach = found.quantile * error
         rows.append((name, value, error, value - reach, value + reach, unit_of(name), IDENTIFIED))
     heads = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")
     return [dict(zip(heads, row, strict=True)) for row in rows]

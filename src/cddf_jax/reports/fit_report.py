@@ -9,7 +9,7 @@ import numpy as np
 
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
-from ..files.artifacts import as_json, markdown_table, write_all
+from ..files.writing import as_json, markdown_table, write_all
 from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
@@ -94,7 +94,7 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
     """
     fit = report.fit
     several = len(fit.tables) > 1 or len(fit.noise) > 1
-    alone = [f"{name}: {determination_in_words(told)}" for name, told in fit.alone.items()] if several else []
+    alone = [f"{name}: {determination_in_words(found)}" for name, found in fit.alone.items()] if several else []
     later = [warning for warning in fit.warnings if warning not in fit.remarks]  # remarks are in the first lines
     sections = [
         _in_short(report),
@@ -232,7 +232,7 @@ def way_back_rows(fit: Fit) -> list[list[str]]:
     names = [name for name in fit.names if not name.startswith(TRIALS)]
     rows = [[name, error_in_words(pull, name), error_in_words(fit, name)] for name in names]
     for name in fit.combinations:
-        both = (told.combinations.get(name) for told in (pull, fit))
+        both = (found.combinations.get(name) for found in (pull, fit))
         rows.append([name, *(f"{100 * e.standard_error / e.value:.2g} %" if e else "-" for e in both)])
     return rows
 

@@ -12,8 +12,8 @@ from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import Determination
 from ..estimation.profile_likelihood import Profile
-from ..files.artifacts import picked
 from ..files.manipulator_file import manipulator_text
+from ..files.writing import picked
 from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import unit_of
@@ -165,9 +165,9 @@ def _table_as_dict(table: Measurements) -> dict[str, object]:
     return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.spread is not None}
 
 
-def _determination_as_dict(told: Determination) -> dict[str, object]:
-    units = {name: unit_of(name) for name in (*told.names, *told.told_together)}
-    return {"unit": units} | picked(told, OF_DETERMINATION)
+def _determination_as_dict(found: Determination) -> dict[str, object]:
+    units = {name: unit_of(name) for name in (*found.names, *found.told_together)}
+    return {"unit": units} | picked(found, OF_DETERMINATION)
 
 
 def _profile_as_dict(profile: Profile) -> dict[str, object]:

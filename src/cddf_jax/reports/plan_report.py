@@ -1,7 +1,7 @@
 """The answer of `cddf plan`: in words, as a table, and as plain numbers."""
 
 from ..estimation.determination import NOT_IDENTIFIED, Determination
-from ..files.artifacts import markdown_table, picked
+from ..files.writing import markdown_table, picked
 from ..identification.experiment_design import Plan, Ranked
 from ..identification.parameters import unit_of
 from ..identification.verdict import error_in_words

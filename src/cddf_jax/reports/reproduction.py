@@ -16,7 +16,7 @@ from ..figures.along import draw_along
 from ..figures.body import draw_force_arrows
 from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
 from ..figures.geometry import planar_fields_along, stations
-from ..files.artifacts import as_json, markdown_table, picked, plain, write_all
+from ..files.writing import as_json, markdown_table, picked, plain, write_all
 from ..measurements.table import Measurements
 from ..programs.kept import kept_program
 from ..progress import each, stage

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..files.artifacts import picked
+from ..files.writing import picked
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_in_space
 from ..statics.contact import self_contact

@@ -124,7 +124,7 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
     from ..figures.sweep_labels import name_in_words
     from ..figures.sweeps import left_out_of_figure, sweep_figure
     from ..figures.workspace import workspace_figure
-    from ..files.artifacts import as_json, write_all
+    from ..files.writing import as_json, write_all
 
     if places.netcdf is not None:
         write_netcdf(answer, places.netcdf)

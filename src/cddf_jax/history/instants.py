@@ -1,4 +1,4 @@
-"""A body at one moment of a path that is followed in short steps: how it begins, moves on, and what it is then."""
+"""A body at one instant of a path that is followed in short steps: how it begins, moves on, and what it is then."""
 
 from functools import partial
 from typing import NamedTuple
@@ -18,21 +18,21 @@ from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import nan_unless
 from ..statics.solve import solve
 from .cells import Along, Cells, Edge, integral
-from .stepping import Ends, Setting, Step, after_step
+from .short_step import Ends, Setting, Step, after_step
 
 Number = Float[Array, ""]
 AT_LIMIT = 1e-3  # how near its friction limit a tendon slides
 
 
 class Given(NamedTuple):
-    """What is given at one moment."""
+    """What is given at one instant."""
 
     ends: Ends
     outboard: Float[Array, "P 3 2"]  # N, N, at the starts, middles and ends of the cells
 
 
-class Moment(NamedTuple):
-    """A body at one moment, and what it took to get there."""
+class Instant(NamedTuple):
+    """A body at one instant, and what it took to get there."""
 
     given: Given
     step: Step
@@ -42,13 +42,13 @@ class Moment(NamedTuple):
     friction_loss: Number  # J
 
 
-def at_rest(manipulator: Manipulator, cells: Cells, given: Given, loads: Loads | None) -> Moment:
+def at_rest(manipulator: Manipulator, cells: Cells, given: Given, loads: Loads | None) -> Instant:
     """The body before the first step, whose tendons have no tension: straight, or as loads that stay bend it.
 
     Args:
         manipulator: the body.
         cells: of it.
-        given: at that moment.
+        given: at that instant.
         loads: that rest on it, or None.
     """
     still = given.ends.base_tension
@@ -64,11 +64,11 @@ def at_rest(manipulator: Manipulator, cells: Cells, given: Given, loads: Loads |
     slip = jnp.concatenate([jnp.cumsum(gains[::-1], axis=0)[::-1], slips[:1]])
     edges = edges._replace(slip=slip)
     step = Step(edges, slips[1:], -along.rates.slip[:, 1], good)
-    moment = Moment(given, step, cells.along(given.outboard, edges, slips[1:]), slips[1:], line[0], line[0])
-    return moment._replace(work=stored_in(cells, moment))
+    instant = Instant(given, step, cells.along(given.outboard, edges, slips[1:]), slips[1:], line[0], line[0])
+    return instant._replace(work=stored_in(cells, instant))
 
 
-def moved(cells: Cells, driven: tuple[int, ...], before: Moment, given: Given) -> Moment:
+def moved(cells: Cells, driven: tuple[int, ...], before: Instant, given: Given) -> Instant:
     """The body a short step later, some tendons of which are driven by their displacement."""
     step = after_step(Setting(cells, given.outboard, driven), given.ends, before.step)
     old, new = before.along, cells.along(given.outboard, step.edges, step.share)
@@ -89,7 +89,7 @@ def moved(cells: Cells, driven: tuple[int, ...], before: Moment, given: Given) -
     slipped = step.edges.slip - before.step.edges.slip
     jumps = mean(_jumps(old, before.step), _jumps(new, step)) * slipped[:-1]
     lost = whole(jnp.sum(friction, axis=-1)) + jnp.sum(jumps)
-    return Moment(
+    return Instant(
         given,
         step,
         new,
@@ -115,9 +115,9 @@ class Shape(NamedTuple):
     wrap_angle: Float[Array, "edges tendons"]  # theta, rad
 
 
-def shape_of(cells: Cells, moment: Moment) -> Shape:
+def shape_of(cells: Cells, instant: Instant) -> Shape:
     """What is summed up along the body."""
-    along = moment.along
+    along = instant.along
 
     def summed(rate: Array, jumps: Array | float = 0.0) -> Array:
         gains = jax.vmap(integral)(cells.width, rate) + jumps
@@ -126,23 +126,23 @@ def shape_of(cells: Cells, moment: Moment) -> Shape:
     return Shape(along, summed(axis_of(along.values.heading)), summed(jnp.abs(along.turning), along.turn))
 
 
-def stored_in(cells: Cells, moment: Moment) -> Number:
+def stored_in(cells: Cells, instant: Instant) -> Number:
     """The energy of bending, and of tendons that stretch, J."""
-    along, edges = moment.along, moment.step.edges
+    along, edges = instant.along, instant.step.edges
     tension = jnp.where(cells.sections.present, along.values.tension, 0.0)
     stretch = jnp.sum(tension * stretch_rate(cells.stretch, tension, cells.sections), axis=-1)
     density = (cells.sections.stiffness * along.rates.heading**2 + stretch) / 2
     return jnp.sum(jax.vmap(integral)(cells.width, density)) + jnp.sum(cells.free_stretch * edges.tension[0] ** 2) / 2
 
 
-def fields_of_moment(
-    manipulator: Manipulator, cells: Cells, moment: Moment, shape: Shape, arc_length: Number
+def fields_of_instant(
+    manipulator: Manipulator, cells: Cells, instant: Instant, shape: Shape, arc_length: Number
 ) -> Fields:
     """The fields at one arc length, tendons last; cubic polynomials within the cells."""
     i = cells.at(arc_length)
     width = cells.width[i]
     place = (arc_length - cells.edges[i]) / jnp.where(width > 0, width, 1.0)
-    along, outboard = jax.tree.map(lambda x: x[i], (shape.along, moment.given.outboard))
+    along, outboard = jax.tree.map(lambda x: x[i], (shape.along, instant.given.outboard))
     between = partial(_cubic, place, width)
     here = jax.tree.map(lambda x, rate: between(x[0], x[2], rate[0], rate[2]), along.values, along.rates)
     axis, turning = axis_of(along.values.heading), jnp.abs(along.turning)
@@ -156,7 +156,7 @@ def fields_of_moment(
         between(shape.position[i], shape.position[i + 1], axis[0], axis[2]),
     )
     section = planar(guarded_section(manipulator, arc_length))
-    fields = planar_fields(section, here.tension, moment.step.share[i], arc_length, state)
+    fields = planar_fields(section, here.tension, instant.step.share[i], arc_length, state)
     return nan_unless((arc_length >= 0) & (arc_length <= cells.edges[-1]), fields)
 
 
@@ -174,10 +174,10 @@ class TipPose(NamedTuple):
     heading: Number
 
 
-def tip_of(cells: Cells, moment: Moment) -> TipPose:
+def tip_of(cells: Cells, instant: Instant) -> TipPose:
     """The tip of a body."""
-    edges = moment.step.edges
-    return TipPose(edges.tension[-1], shape_of(cells, moment).position[-1], edges.heading[-1])
+    edges = instant.step.edges
+    return TipPose(edges.tension[-1], shape_of(cells, instant).position[-1], edges.heading[-1])
 
 
 def difference(cells: Cells, tip: TipPose, other: TipPose) -> Number:
@@ -200,14 +200,14 @@ def _tension_scale(cells: Cells, tip: TipPose) -> Number:
     return jnp.maximum(jnp.max(tip.tension), 1e-3) + dragged
 
 
-def pushed(cells: Cells, moment: Moment, tip: TipPose) -> Number:
+def pushed(cells: Cells, instant: Instant, tip: TipPose) -> Number:
     """How much a tendon pushes where drag has used up its tension, over what tensions are compared to: it cannot."""
-    return jnp.maximum(-jnp.min(moment.step.edges.tension), 0.0) / _tension_scale(cells, tip)
+    return jnp.maximum(-jnp.min(instant.step.edges.tension), 0.0) / _tension_scale(cells, tip)
 
 
-def crosses(cells: Cells, moment: Moment) -> Bool[Array, ""]:
+def crosses(cells: Cells, instant: Instant) -> Bool[Array, ""]:
     """Whether fibres cross on the inside of the bend."""
-    bend = cells.sections.side * cells.sections.offset * moment.along.rates.heading[..., None]
+    bend = cells.sections.side * cells.sections.offset * instant.along.rates.heading[..., None]
     return jnp.any(jnp.where(cells.sections.present, bend, 0.0) >= 1.0)
 
 

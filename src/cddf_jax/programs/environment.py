@@ -63,16 +63,16 @@ def _version(package: str) -> str:
 
 def _processor() -> str:
     """The processor with its instruction set: code compiled for another one would crash."""
-    told = [platform.machine(), platform.processor(), platform.system()]
+    parts = [platform.machine(), platform.processor(), platform.system()]
     try:
-        told.append(str(xla_client.get_topology_for_devices(jax.local_devices()).fingerprint()))
-    except Exception as error:  # a backend that does not tell; its name and version are part of the key
+        parts.append(str(xla_client.get_topology_for_devices(jax.local_devices()).fingerprint()))
+    except Exception as error:  # a backend without one; its name and version are part of the key
         LOG.debug("no fingerprint of the devices: %s", error)
     instructions = Path("/proc/cpuinfo")
     if instructions.exists():
         lines = instructions.read_text().splitlines()
-        told += sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))})
-    return " ".join(told)
+        parts += sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))})
+    return " ".join(parts)
 
 
 def stamp() -> tuple[tuple[str, int, int], ...]:

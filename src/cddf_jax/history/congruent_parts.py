@@ -22,7 +22,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, Dense, code_of, with_words
 from ..statics.solve import solve
 from .fronts import Motion, cut_at, front_of
-from .turns import NOBODY, Turns
+from .turns import NO_STEP, Turns
 
 Number = Float[Array, ""]
 Heading = Float[Array, "*axes"]  # phi, rad, in the plane; in space R, whose columns are the axes, (3, 3)
@@ -133,7 +133,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     def add(stack: tuple[Slid, Onward, Float[Array, " turns"]], given: tuple[Slid, Slid, Turns]):
         own, other, turn = given
         end, onward, tip_tension = jax.tree.map(lambda x: x[jnp.maximum(turn.place - 1, 0)], stack)
-        first = turn.before == NOBODY
+        first = turn.before == NO_STEP
         between = _between(other.added, end.added)
         rest = _choose(own.end < end.end, _joined(between, onward), onward)
         missed = jnp.abs(own.tension - other.tension) / jnp.where(other.tension > 0, other.tension, 1.0)
