@@ -106,7 +106,7 @@ def test_prior_on_what_the_data_do_not_hold(priors):
     assert fit.status == {"a": "identified", "b": "identified", "c": "prior only"}
     assert fit.value["c"] == pytest.approx(3.0)
     assert fit.standard_error["c"] == pytest.approx(0.1)
-    alone = fit.told_by("data")
+    alone = fit.determined_by("data")
     assert alone.status["c"] == "not identified"
     assert alone.standard_error["c"] == np.inf
 
@@ -375,8 +375,8 @@ def joint(groups):
     )
 
 
-def test_told_by_one_group(joint):
-    alone = joint.told_by("fine")
+def test_what_one_group_determines(joint):
+    alone = joint.determined_by("fine")
     assert alone.status == {"fine_level": "identified", "slope": "identified", "coarse_level": "not identified"}
     # the line through that group, its noise as given: sigma^2 (X'X)^-1, without the prior
     expected = 0.03 * np.sqrt(np.diag(COVARIANCE))
@@ -385,9 +385,9 @@ def test_told_by_one_group(joint):
     assert alone.rank == 2
 
 
-def test_told_by_all_groups_is_the_fit_without_its_prior(groups, joint):
+def test_what_all_groups_determine_is_the_fit_without_its_prior(groups, joint):
     _, covariance, _, _ = weighted(groups, 0.03, 0.3)
-    both = joint.told_by("fine", "coarse")
+    both = joint.determined_by("fine", "coarse")
     np.testing.assert_allclose([both.standard_error[n] for n in LEVELS], np.sqrt(np.diag(covariance)), rtol=1e-6)
     assert both.status["coarse_level"] == "identified"
 

@@ -63,12 +63,12 @@ class Determination:
             if status == IDENTIFIED:
                 number += f" +- {self.standard_error[name]:.2g} (95 %: {low:.4g} to {high:.4g})"
             lines.append(f"{name}{number}: {status}")
-        together = self.told_together.items()
+        together = self.identified_together.items()
         lines += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g}: identified" for name, e in together]
         return "\n".join(lines)
 
     @property
-    def told_together(self) -> dict[str, Estimate]:
+    def identified_together(self) -> dict[str, Estimate]:
         """What is identified of parameters that are not identified themselves: `combinations` and `sums`."""
         return self.combinations | self.sums
 
@@ -280,14 +280,16 @@ def _sums(evidence: Evidence, lost: np.ndarray) -> dict[str, Estimate]:
             continue
         others, own = np.delete(evidence.jacobian, pair, axis=1), evidence.jacobian[:, pair]
         own = own * (scale / evidence.size[pair])
-        told = spectrum_of(own - others @ np.linalg.lstsq(others, own)[0])
-        direction = told.directions[0] / told.directions[0, 0] if told.directions[0, 0] else np.array([0.0, 1.0])
-        if told.values[0] * LARGEST_RELATIVE_ERROR <= 1 or np.abs(told.directions[0]).min() <= NEGLIGIBLE_POWER:
+        spectrum = spectrum_of(own - others @ np.linalg.lstsq(others, own)[0])
+        direction = (
+            spectrum.directions[0] / spectrum.directions[0, 0] if spectrum.directions[0, 0] else np.array([0.0, 1.0])
+        )
+        if spectrum.values[0] * LARGEST_RELATIVE_ERROR <= 1 or np.abs(spectrum.directions[0]).min() <= NEGLIGIBLE_POWER:
             continue
         factor = np.round(direction[1]) if abs(abs(direction[1]) - 1) < NEGLIGIBLE_POWER else np.round(direction[1], 2)
         one, other = (space.names[i] for i in pair)
         parts = f"{abs(factor):g} {other}" if abs(factor) != 1 else other
-        error = float(scale) * float(np.hypot(1.0, factor)) / float(told.values[0])
+        error = float(scale) * float(np.hypot(1.0, factor)) / float(spectrum.values[0])
         value = float(evidence.value[pair] @ [1.0, factor])
         found[f"{one} {'+' if factor > 0 else '-'} {parts}"] = Estimate(value, error)
     return found

@@ -154,7 +154,7 @@ class LeastSquaresFit(Determination):
         evidence = replace(self.evidence, failed=True, bounded_above=())
         return replace(self, **vars(determine(evidence)), evidence=evidence, success=False, result=reason)
 
-    def told_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
+    def determined_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
         """What some groups of the data alone would determine if this estimate were the true values.
 
         Args:

@@ -197,9 +197,11 @@ def draw_plan(plan: Plan, axes: Axes | None = None) -> Axes:
     rows = [("now", plan.now), *((ranked.candidate.name, ranked.expected) for ranked in plan.ranking)]
     names = plan.now.names
     kinds = {name: parameter_named(name) for name in names}
-    sizes = [{n: abs(told.value[n]) if kind.positive else kind.scale for n, kind in kinds.items()} for _, told in rows]
+    sizes = [
+        {n: abs(found.value[n]) if kind.positive else kind.scale for n, kind in kinds.items()} for _, found in rows
+    ]
     pairs = zip(rows, sizes, strict=True)
-    errors = np.array([[100 * told.standard_error[n] / size[n] for n in names] for (_, told), size in pairs])
+    errors = np.array([[100 * found.standard_error[n] / size[n] for n in names] for (_, found), size in pairs])
     known = errors[np.isfinite(errors) & (errors > 0)]
     edge = 5 * known.max(initial=10.0)
     with draw.axes_or_new(axes, 1.1 + ROW_HEIGHT * len(rows), draw.DOUBLE_COLUMN) as axes:

@@ -409,7 +409,7 @@ def _conclude(
         manipulator=with_parameters(body, statistics.parameters),
         tables=tables,
         model=model,
-        alone={n: Alone(**vars(statistics.told_by(*labels[n], with_priors_of=kept))) for n in model.names},
+        alone={n: Alone(**vars(statistics.determined_by(*labels[n], with_priors_of=kept))) for n in model.names},
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
         looks=looks,

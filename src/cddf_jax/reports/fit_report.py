@@ -147,7 +147,7 @@ def parameter_rows(determination: Determination) -> list[list[str]]:
         value, error, low, high, unit = parameter_shown(determination, name)
         spread = [f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}"] if np.isfinite(error) else ["-", "-"]
         rows.append([name, f"{value:.5g}{unit}", *spread, status])
-    for name, (value, error) in determination.told_together.items():
+    for name, (value, error) in determination.identified_together.items():
         unit = unit_of(name)
         rows.append([name, f"{value:.5g} {unit}", f"{error:.2g} {unit}", "-", "identified"])
     return rows
@@ -219,7 +219,7 @@ def _shown_bootstrap(bootstrap: Bootstrap, name: str) -> tuple[float, float, flo
 def determination_in_words(determination: Determination) -> str:
     """One line."""
     parts = [f"{name} {status}" for name, status in determination.status.items() if not name.startswith(TRIALS)]
-    together = determination.told_together.items()
+    together = determination.identified_together.items()
     parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} {unit_of(name)}" for name, e in together]
     return "; ".join(parts)
 

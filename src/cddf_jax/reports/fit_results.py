@@ -166,7 +166,7 @@ def _table_as_dict(table: Measurements) -> dict[str, object]:
 
 
 def _determination_as_dict(found: Determination) -> dict[str, object]:
-    units = {name: unit_of(name) for name in (*found.names, *found.told_together)}
+    units = {name: unit_of(name) for name in (*found.names, *found.identified_together)}
     return {"unit": units} | picked(found, OF_DETERMINATION)
 
 
