@@ -105,7 +105,7 @@ def stored_energy(dense: Dense) -> Number:
     tension = tension_of(section, dense.base_tension, dense.nodes.pull)
     if isinstance(section, SpatialSection):
         strain = strain_along(section, dense.base_tension, dense.nodes) - section.rest
-        length = length_of(at_nodes(space.course, (0, 0))(section, section.rest))
+        length = length_of(at_nodes(space.path_rate, (0, 0))(section, section.rest))
         elastic = jnp.sum(section.stiffness * strain**2, axis=-1)
     else:
         length = jnp.sqrt(1.0 + planar(section).offset_slope ** 2)

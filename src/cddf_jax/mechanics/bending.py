@@ -1,10 +1,10 @@
 """The mechanics of one cross-section: where its tendons point, how they turn, how the body bends.
 
 Frame: t along the neutral axis, n to its left; tendon i lies at sigma_i d_i n. A tendon with
-tension T_i puts the force -T_i t_ci on the body outboard of the cross-section; everything here
-follows from that one vector. Two kinematics differ only in how long t_ci is and how fast the
-tendon is said to turn: "published" takes Liu et al. (2020) as written, "exact" normalises t_ci
-and counts the turning of the tendon itself.
+tension T_i exerts the force -T_i t_ci on the body outboard of the cross-section. Everything here
+follows from that one vector. The two kinematics differ in two things only: the length of t_ci, and
+the rate at which a tendon turns. "published" takes both from Liu et al. (2020) as written. "exact"
+normalises t_ci and takes the turning of the tendon itself.
 """
 
 from functools import partial
@@ -20,7 +20,7 @@ from ..robot.cross_section import CrossSection
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 
 Number = Float[Array, ""]
-NEWTON_STEPS = 8  # from the curvature of a parallel tendon
+NEWTON_STEPS = 8  # that start from the curvature of parallel tendons
 
 
 class Tangent(NamedTuple):
@@ -28,10 +28,10 @@ class Tangent(NamedTuple):
 
     along: PerTendon  # t_ci . t
     across: PerTendon  # t_ci . n
-    along_rate: PerTendon  # d(along)/ds at fixed kappa
-    along_slope: PerTendon  # d(along)/dkappa at fixed s
-    turning: PerTendon  # the part of psi' without kappa'
-    turning_slope: PerTendon  # what multiplies kappa' in psi'
+    along_rate: PerTendon  # d(along)/ds at fixed kappa, 1/m
+    along_slope: PerTendon  # d(along)/dkappa at fixed s, m
+    turning: PerTendon  # psi' less the term with kappa', rad/m
+    turning_slope: PerTendon  # the factor of kappa' in psi', m
 
 
 def arm_ratio(section: CrossSection, curvature: Number) -> PerTendon:
@@ -58,7 +58,7 @@ def tangent(section: CrossSection, curvature: Number) -> Tangent:
 
 
 def tangent_angle(section: CrossSection, curvature: Number) -> PerTendon:
-    """alpha, rad: from t to t_ci in the exact kinematics, where a tendon that bends sharply turns by its jump."""
+    """The angle alpha from t to t_ci in the exact kinematics, rad. At a kink the tendon turns by the jump of alpha."""
     return jnp.arctan2(section.side * section.offset_slope, arm_ratio(section, curvature))
 
 
@@ -68,8 +68,8 @@ def curvature(
     """kappa, 1/m, from E J kappa = sum sigma d T (t_c . t) + M_ext.
 
     This is eq. (13) of Liu et al. (2020) integrated by parts; with T and d constant along s its
-    published form is the integral of eq. (17). External loads add M_ext. With slanted tendons it is the root of an
-    equation, to which one step of Newton's method leads from a `start` nearby.
+    published form is the integral of eq. (17). External loads add M_ext. With slanted tendons kappa is the root of an
+    equation: from a `start` close to it, one step of Newton's method finds it.
     """
     arm = section.side * section.offset
     pull = jnp.sum(arm * tension) + external_moment
@@ -84,7 +84,7 @@ def curvature(
 def _slanted_curvature(
     section: CrossSection, tension: PerTendon, external_moment: float | Number, start: Number | None
 ) -> Number:
-    """The root of the moment gap, which grows with kappa: Newton's method finds it, also from the unslanted value."""
+    """The root of `_moment_gap`, by Newton's method. The gap grows with kappa, so the start may be rough."""
 
     def newton_step(_, kappa):
         value, slope = _gap_and_slope((section, tension, external_moment), kappa)
@@ -104,7 +104,7 @@ def _(primals, tangents):
 
 
 def _moment_gap(given: tuple[CrossSection, PerTendon, float | Number], kappa: Number) -> Number:
-    """What is missing of the moment at a cross-section with its tensions and M_ext, N m."""
+    """E J kappa less the moments of the tendons and M_ext, N m: zero in equilibrium."""
     section, tension, external_moment = given
     arm = section.side * section.offset * tension
     return section.stiffness * kappa - jnp.sum(arm * tangent(section, kappa).along) - external_moment
@@ -130,8 +130,8 @@ def rates(
 ) -> Rates:
     """The rates kappa' and psi' from the derivative of the equilibrium along s, with the T' of `tension_rate`.
 
-    In the exact kinematics psi' of a slanted tendon contains kappa', which contains T'; the
-    equation is linear once the signs of psi' are known. They are first taken without friction.
+    In the exact kinematics psi' of a slanted tendon contains kappa', which contains T'. The
+    equation is linear once the signs of psi' are known. The first signs are those without friction.
     """
     t = tangent(section, curvature)
     arm = section.side * section.offset
@@ -160,7 +160,10 @@ def turning(
     direction: PerTendon,
     external_moment_rate: float | Number = 0.0,
 ) -> PerTendon:
-    """The rate psi' alone, zero beyond the anchor: what friction needs, without kappa' unless psi' depends on it."""
+    """The rate psi' of each tendon, rad/m, which friction needs; zero beyond its anchor.
+
+    It does not compute kappa' where psi' does not depend on it.
+    """
     if _turns_with_the_body(section):
         rate = tangent(section, curvature).turning
     else:
@@ -169,12 +172,12 @@ def turning(
 
 
 def _turns_with_the_body(section: CrossSection) -> bool:
-    """Whether psi' follows from kappa alone; static."""
+    """Whether psi' does not depend on kappa'; static."""
     return section.kinematics == "published" or not section.slanted
 
 
 class Forces(NamedTuple):
-    """What one tendon puts on the body per length of the neutral axis, in the fixed frame, N/m."""
+    """The force of each tendon on the body per length of the neutral axis, in the fixed frame, N/m."""
 
     normal: Float[Array, "tendons 2"]
     friction: Float[Array, "tendons 2"]
@@ -185,8 +188,8 @@ def distributed_forces(
 ) -> Forces:
     """F_CDDN = T t_c' and F_CDDF = T' t_c, together the derivative of T t_c.
 
-    Liu et al. (2020), eq. (9) and the second line of eq. (10). Its first line, mu |F_CDDN|, is not
-    the same force, and only the second closes the balance of eq. (13).
+    Liu et al. (2020), eq. (9) and the second line of eq. (10). The first line of eq. (10), mu |F_CDDN|, is
+    another force; only the second line satisfies the balance of eq. (13).
     """
     t = tangent(section, curvature)
     axis = jnp.stack([jnp.cos(heading), jnp.sin(heading)])

@@ -1,7 +1,7 @@
 """The capstan law, T = T_base exp(-mu theta), in closed form where it has one.
 
-Along a body with one tendon the closed form is the oracle of every method; over a fixed pulley it is eq. (5) of the
-paper, friction between tendon and body material apart from any manipulator.
+Along a body with one tendon the closed form is the reference for every method. Over a fixed pulley it is eq. (5) of
+the paper: there the friction between tendon and body material is measured without a manipulator.
 """
 
 import jax.numpy as jnp
@@ -26,9 +26,9 @@ def closed_form_tension(
 
     Args:
         base_tension: T_base, N, a number.
-        arc_length: s, m, a number or an array; NaN comes back outside 0 to L. Beyond the anchor of
-            a tendon its tension there is kept.
-        nodes: Gauss nodes for G in each smooth piece of the body; not checked to be enough for a rough one.
+        arc_length: s, m, a number or an array; the tension is NaN outside 0 to L. Beyond the anchor of
+            the tendon it is the tension at the anchor.
+        nodes: Gauss nodes for G in each smooth piece of the body. Whether they are enough is not checked.
 
     Raises:
         ValueError: for a negative tension, more tendons than one, drag, or in the exact kinematics a varying offset.
@@ -62,7 +62,7 @@ def _surely_constant(offset: Profile) -> bool:
 
 
 def _integral_up_to(whole: Panels, function: Profile, arc_length: Float[Array, "*points"]) -> Float[Array, "*points"]:
-    """The integral of `function` from 0 to each arc length, panel by panel, with the Gauss rule on what is covered."""
+    """The integral of `function` from 0 to each arc length, by the Gauss rule on the covered part of each panel."""
     starts = whole.edges[:-1]
     covered = jnp.clip(arc_length[..., None] - starts, 0.0, whole.width)
     at = starts[:, None] + covered[..., None] * whole.constant("nodes")

@@ -1,8 +1,8 @@
 """The direction in which each tendon slides: that of its travel, where the caller does not state it.
 
-A tendon that slides in at the base (+1) loses tension towards the tip, one that slides out (-1) gains tension. Its
-travel is the length pulled in since the straight body, under loads the rate of that while all tensions rise in
-proportion.
+A tendon that slides in at the base (+1) loses tension towards the tip; one that slides out (-1) gains tension. Its
+travel is the length of tendon pulled in at the base since the body was straight. Under loads it is the rate of that
+length while all tensions rise in proportion.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,8 +18,8 @@ from .friction import PerTendon, Pull, unspent
 from .problem import Number, Problem
 
 LEAST_TRAVEL = 1e-6  # of the length: a tendon that travels less contradicts no direction
-NUM_FLIPS = 3  # choices made by turning round what was contradicted; then all choices in turn
-MOST_LISTED = 64
+NUM_FLIPS = 3  # choices that reverse the contradicted directions; after them all choices are tried in turn
+MOST_LISTED = 64  # of all choices
 
 Answer = TypeVar("Answer")
 Directions = ArrayLike | Sequence[ArrayLike | None] | None  # for all tendons, or one each; None where it is to be found
@@ -63,7 +63,7 @@ def stated_directions(direction: Directions, num_tendons: int) -> ArrayLike | Se
 def travel_under_tension(problem: Problem, pull: Pull, travel: PerTendon) -> PerTendon:
     """The travel of each tendon, m, zero for one that has no tension anywhere.
 
-    A drag gives a tendon that slides out more and more tension, so that it may have some without base tension.
+    Drag gives a tendon that slides out more tension towards the tip, so it may have tension without base tension.
     """
     pulls = problem.base_tension > 0
     if problem.base.drag is not None:
@@ -72,15 +72,15 @@ def travel_under_tension(problem: Problem, pull: Pull, travel: PerTendon) -> Per
 
 
 def is_contradicted(direction: PerTendon, travel: PerTendon, length: Number) -> Bool[Array, " tendons"]:
-    """Whether a tendon travels against its direction."""
+    """Whether each tendon travels against its direction."""
     return direction * travel < -LEAST_TRAVEL * length
 
 
 class _DirectionSearch(NamedTuple):
     direction: PerTendon  # to be tried next
-    best: PyTree  # an answer
+    best: PyTree  # the best answer so far
     fewest: Number  # contradictions in the best answer
-    against: PerTendon  # 1 for a tendon to find that the last choice contradicted
+    against: PerTendon  # of the tendons to find: 1 for one that travelled against its last direction
     num_tried: Number
     ended: Bool[Array, ""]
 
@@ -95,8 +95,8 @@ def find_directions(
 ) -> Answer:
     """The answer in which no tendon travels against its direction, or else the answer with the fewest that do.
 
-    The first choice follows the moment of the tensions at the base. Then tendons that contradict their direction are
-    turned round. The search ends where one tendon contradicts both of its directions and all others agree: part of
+    The first choice follows the moment of the tensions at the base. Then the directions that are contradicted are
+    reversed. The search ends where one tendon contradicts both of its directions and all others agree: part of
     such a tendon usually sticks. Otherwise all choices are tried in turn; of more than 6 tendons the first 64.
 
     Args:
@@ -123,7 +123,7 @@ def find_directions(
         bits = ((num_tried - NUM_FLIPS).astype(int) >> jnp.arange(len(to_find))) & 1
         flipped = search.direction[which] * (one - 2 * against)
         following = search.direction.at[which].set(jnp.where(num_tried < NUM_FLIPS, flipped, one - 2 * bits))
-        # one tendon, which was turned round just now, slides neither in nor out
+        # one tendon, whose direction was reversed just now, slides neither in nor out
         sticks = (num_tried <= NUM_FLIPS) & (count == 1) & jnp.all(against == search.against)
         ended = found & ((count == 0) | sticks) | (num_tried >= NUM_FLIPS + listed)
         return _DirectionSearch(following, best, jnp.minimum(count, search.fewest), against, num_tried, ended)

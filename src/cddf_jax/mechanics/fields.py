@@ -42,11 +42,11 @@ class SpatialFields(eqx.Module):
     wrap_angle: Float[Array, "tendons *points"]  # theta, rad, counted from the base
     normal_force: Float[Array, "tendons *points 3"]  # T t' on the body, N/m, fixed frame
     friction_force: Float[Array, "tendons *points 3"]  # T' t on the body, N/m, fixed frame
-    path: Float[Array, "tendons *points 3"]  # the place of the tendon, m, fixed frame
+    path: Float[Array, "tendons *points 3"]  # position of the tendon, m, fixed frame
 
     @property
     def twist(self) -> Float[Array, "*points"]:
-        """The twist, 1/m, less that at rest."""
+        """The twist rate less that at rest, rad/m."""
         return self.curvature[..., 0]
 
 
@@ -54,18 +54,18 @@ AnyFields: TypeAlias = Fields | SpatialFields
 Varying = TypeVar("Varying", bound=AnyFields)
 
 
-def in_the_plane(fields: AnyFields, asking: str) -> Fields:
+def in_the_plane(fields: AnyFields, caller: str) -> Fields:
     """The fields of a body in the plane.
 
     Args:
         fields: of any body.
-        asking: who asks, for the message.
+        caller: its name, for the message.
 
     Raises:
         InputError: for those of a body in space.
     """
     if isinstance(fields, SpatialFields):
-        raise InputError(f"{asking}: the body is in space, and only bodies in the plane are known here")
+        raise InputError(f"{caller}: the body is in space; this works for bodies in the plane only")
     return fields
 
 

@@ -3,8 +3,8 @@
 The state is r_i = T_base,i / T_i, for which the capstan law, Liu et al. (2020) eq. (8), reads
 r' = direction mu theta' r, and under dead loads the moment M_ext. One pass of the iteration computes the shape from
 the last r and M_ext, and new r and M_ext from that shape. With one unloaded tendon theta' r mostly does not depend
-on r, see `Problem.is_quadrature`, and one pass is exact. What drag uses up of the base tension follows from r by one
-more integral, see `problem`.
+on r, see `Problem.is_quadrature`, and one pass is exact. The part of the base tension that drag uses up follows from
+r by one more integral, see `problem`.
 """
 
 from typing import NamedTuple
@@ -54,7 +54,7 @@ from .problem import (
 
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
 LAST_GAIN = 64.0  # at most: by which the pass that is not made would have brought the answer nearer
-SAFETY = 5.0  # by which the difference of two quadratures is taken larger than it is
+SAFETY = 5.0  # factor on the difference of two quadratures in the error estimate
 _ratio_rates = at_nodes(ratio_rate, (None, 0, 0, 0))
 
 
@@ -68,9 +68,9 @@ def integrate_shape(cut: Panels, curvature: Float[Array, "P p"]) -> tuple[tuple[
 def truncation_error(problem: Problem, solution: Solution[AnyState]) -> Number:
     """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest.
 
-    With drag the tip tension is taken relative to what it would be without.
-    The rates along the polynomials of the solution are integrated by the nodes of the panels and by a few more in
-    each; what differs is summed over the panels.
+    With drag, errors of the tip tension are relative to the tip tension without drag.
+    The rates along the polynomials of the solution are integrated twice: with the nodes of the panels, and with three
+    more nodes in each panel. The magnitudes of the differences are summed over the panels.
     """
     cut = problem.panels
     fractions, difference = cut.check_rule
@@ -104,7 +104,7 @@ def _shape_rates_in_plane(
 def _shape_rates_in_space(
     problem: Problem, solution: Solution[AnyState], sections: AnySection, state: AnyState, fractions: np.ndarray
 ) -> tuple[Array, Array, Array, Array]:
-    """The same in space; twice the derivative of the rotation, which is an angle."""
+    """The same in space. The derivative of the quaternion is doubled, because half an angle stands in it."""
     cut, strain = problem.panels, strain_along(sections, problem.base_tension, state)
     if _follow_the_axis(problem):
         turning = _turning_along_axis(sections, strain)
@@ -123,7 +123,10 @@ def _follow_the_axis(problem: Problem) -> bool:
 
 
 def _unseen_turning(problem: Problem) -> Number:
-    """What the nodes miss of the bend under constant moments, T_base d and M_ext(0) over E J, rad: a notch."""
+    """The bending angle that the nodes miss, for instance at a narrow notch, rad.
+
+    The moments are taken as constant: T_base d, and M_ext(0) under loads; the curvature is these over E J.
+    """
     body, cut = problem.manipulator, problem.panels
 
     def bend(arc_length):
@@ -138,7 +141,7 @@ def _unseen_turning(problem: Problem) -> Number:
 
 
 class _Point(NamedTuple):
-    """What a pass integrates from the base up to a point, or to each of several points."""
+    """The values that a pass integrates from the base to a point, or to each of several points."""
 
     values: Nodal
     heading: Heading | None  # None in space without loads
@@ -146,7 +149,7 @@ class _Point(NamedTuple):
 
 
 class _Shape(NamedTuple):
-    """What follows from tensions and moments at the nodes."""
+    """The shape that follows from the tensions and moments at the nodes."""
 
     turning: Float[Array, "P p tendons"]  # of the tendons, 1/m
     heading: tuple[Array, Array] | None  # at the edges and the nodes; None in space without loads
@@ -247,10 +250,10 @@ def _pass(problem: Problem, guess: Nodal, strain: Array | None = None) -> tuple[
     Args:
         problem: the body.
         guess: the values at its nodes.
-        strain: about the elastic strain there, where Newton's method starts; None for a body at rest.
+        strain: the elastic strain there, approximately, from which Newton's method starts; None to start from zero.
 
     Returns:
-        What is found along the body, and at its tip.
+        The values along the body, and those at its tip.
     """
     cut, section, base = problem.panels, problem.nodes, at_base(problem)
     spent, spent_at_nodes = _integral(cut, 0.0, spent_rate(problem.direction, section, guess.ratio))
@@ -285,7 +288,7 @@ def _shape(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"],
 def _shape_in_space(
     problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"], start: Array | None
 ) -> _Shape:
-    """In space, where rotations are unknowns as r and M_ext are, and t' is that of the polynomials."""
+    """In space. Rotations are unknowns, as r and M_ext are; t' is the derivative of polynomials through the nodes."""
     cut, section = problem.panels, problem.nodes
     wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
     strain = _strain_in_space(section, tension, wrench, start)
@@ -317,7 +320,7 @@ def _tangents(cut: Panels, section: AnySection, strain: Array) -> tuple[Array, A
 def _frames(cut: Panels, strain: Array) -> tuple[Array, Array]:
     """The rotations at the edges and the nodes that follow from the curvature, both (..., 4)."""
     curvature = space.curvature_of_strain(strain)
-    guess = jax.tree.map(of_turn, cut.integrate(curvature))  # what they are for bends about one axis
+    guess = jax.tree.map(of_turn, cut.integrate(curvature))  # exact where the body bends about one axis
     update = Partial(_turned_on, cut, curvature)
     return fixed_point(update, guess, tolerance=round_off(strain.dtype), max_passes=64).value
 
@@ -342,7 +345,7 @@ def _acceptable(values: Nodal) -> Bool[Array, ""]:
 
 
 def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array]:
-    """The finite angles by which tendons turn between panels, and what they do to r.
+    """The finite angles by which tendons turn between panels, and r with the friction of these turns.
 
     Args:
         problem: the body.
@@ -387,7 +390,7 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
 
 
 def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) -> Solution[State]:
-    """The solution with wrap angle and position, which a pass has no need of."""
+    """The solution with wrap angle and position, which the passes do not need."""
     cut, shape, axis = problem.panels, along.shape, along.shape.axis
     if shape.strain is not None and shape.heading is None:
         frame, frame_at_nodes = _frames(cut, shape.strain)

@@ -1,11 +1,11 @@
-"""The friction law: how the tension of a tendon changes along the body. It stands here and nowhere else.
+"""The friction law: how the tension of a tendon changes along the body. No other file of the solver states it.
 
     T' = -direction (mu |psi'| T + w)      N/m
 
-Bending by psi' (rad/m) loses in proportion to the tension, the derivative of Liu et al. (2020), eq. (8); a drag w (N/m)
-is lost whatever the tension. The solver integrates what stays regular where T is zero, by variation of constants:
-T = (T_base - c) / r with r' = direction mu |psi'| r and c' = direction w r. All functions here state the same law
-and must be changed together; `tests/mechanics/test_friction.py` compares them.
+The loss by turning at the rate psi' (rad/m) is proportional to the tension: the derivative of Liu et al. (2020),
+eq. (8). The drag w (N/m) does not depend on the tension. The solver integrates r and c, which stay regular where T is
+zero. By variation of constants, T = (T_base - c) / r with r' = direction mu |psi'| r and c' = direction w r. All
+functions here state the same law and must be changed together; `tests/mechanics/test_friction.py` compares them.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ PerTendon = Float[Array, "... tendons"]  # at one point or several
 class Pull(NamedTuple):
     """The integrated friction, from which the tension follows: T = (T_base - c) / r."""
 
-    ratio: Float[Array, "*points tendons"]  # r, which grows by bending; T_base / T without drag
+    ratio: Float[Array, "*points tendons"]  # r, which grows where the tendon turns; T_base / T without drag
     spent: Float[Array, "*points tendons"] | None = None  # c, N, used up by drag; None without drag
 
 
@@ -33,7 +33,7 @@ def bending_loss(direction: PerTendon, section: AnySection, tension: PerTendon) 
 def drag_loss(direction: PerTendon, section: AnySection, tension: PerTendon) -> PerTendon | None:
     """The loss of T per length by drag, N/m: 0 where a tendon that slides in is slack; None without drag.
 
-    A slack tendon has T = 0 exactly. Iterations of `trace` pass through T < 0, and there the law goes on smoothly.
+    A slack tendon has T = 0 exactly. `trace` iterates through T < 0; there the law continues smoothly.
     """
     if section.drag is None:
         return None
@@ -48,12 +48,12 @@ def tension_rate(direction: PerTendon, section: AnySection, turning: PerTendon, 
 
 
 def ratio_rate(direction: PerTendon, section: AnySection, turning: PerTendon, ratio: PerTendon) -> PerTendon:
-    """The growth r' = direction mu |psi'| |r|, 1/m; r is negative only beyond the point where a tendon locks."""
+    """The rate r' = direction mu |psi'| |r|, 1/m; r is negative only beyond the point where a tendon locks."""
     return direction * section.friction_coefficient * jnp.abs(turning) * jnp.abs(ratio)
 
 
 def is_proportional(section: AnySection) -> bool:
-    """Whether a tendon loses in proportion to its tension, so that r' is known with T psi' / T_base; static."""
+    """Whether the loss of a tendon is proportional to its tension, so that psi' r alone determines r'; static."""
     return section.drag is None
 
 
@@ -63,7 +63,7 @@ def ratio_beyond(direction: PerTendon, section: AnySection, turn: PerTendon, rat
 
 
 def spent_rate(direction: PerTendon, section: AnySection, ratio: PerTendon) -> PerTendon | None:
-    """The growth c' = direction w r, N/m; None without drag. It goes on where a tendon is slack."""
+    """The rate c' = direction w r, N/m; None without drag. c also grows where a tendon is slack."""
     return None if section.drag is None else direction * section.drag * jnp.abs(ratio)
 
 

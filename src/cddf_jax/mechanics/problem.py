@@ -1,9 +1,9 @@
-"""A body under load, ready to be solved from base to tip, and what holds at each of its cross-sections.
+"""A body under load, ready to be solved from base to tip, and the equations at each of its cross-sections.
 
-With the tensions at the base and the moment of the dead loads there, M_ext(0), everything outboard follows:
+The tensions at the base and the moment of the dead loads there, M_ext(0), determine everything outboard:
 r_i = T_base,i / T_i grows with friction, Liu et al. (2020) eq. (8), and M_ext' = -(t x N). A drag w uses up
-c_i of the base tension: T_i = (T_base,i - c_i) / r_i with c' = direction w r, which is variation of constants
-in T' = -direction (mu theta' T + w). Both stay regular where T is zero.
+c_i of the base tension: T_i = (T_base,i - c_i) / r_i with c' = direction w r. This is variation of constants
+in T' = -direction (mu theta' T + w). Both r and c stay regular where T is zero.
 
 First the types and how a `Problem` is laid out on panels; then functions of one cross-section, which the methods
 integrate.
@@ -33,14 +33,14 @@ Heading = Float[Array, "..."]  # phi, rad, in the plane; a quaternion in space
 
 
 class Joints(NamedTuple):
-    """Where two smooth pieces of the body may meet: both sides of the start of every panel, leading axis P."""
+    """The cross-sections on both sides of the start of each panel, where two smooth pieces may meet; leading axis P."""
 
     before: AnySection
     after: AnySection
 
 
 class Outboard(NamedTuple):
-    """N, N: the sum of the dead loads outboard of a cross-section.
+    """The force N of all dead loads outboard of a cross-section, in newtons.
 
     That is the force on the tip, the weight per length integrated from there to the tip, and the point masses beyond.
     """
@@ -48,9 +48,8 @@ class Outboard(NamedTuple):
     starts: Float[Array, "P components"]
     nodes: Float[Array, "P p components"]
     tip: Float[Array, " components"]
-    drops: Float[Array, "P components"] | None = (
-        None  # by which N falls at the start of a panel; None without point masses
-    )
+    # by how much N falls at the start of a panel; None without point masses
+    drops: Float[Array, "P components"] | None = None
 
 
 class Problem(eqx.Module):
@@ -78,8 +77,9 @@ class Problem(eqx.Module):
     def is_quadrature(self) -> bool:
         """Whether theta' r, and with it r', is the same for every r; static.
 
-        So it is where theta' and friction are proportional to T: theta' = d T / (E J) for one unloaded tendon, in the
-        exact kinematics if it is parallel to the neutral axis, in the published ones, as kappa / (1 - d kappa), always.
+        That is so where theta' and friction are proportional to T. For one tendon without loads theta' = d T / (E J):
+        in the exact kinematics if the tendon is parallel to the neutral axis, in the published kinematics always,
+        where theta' = |kappa / (1 - sigma d kappa)|.
         """
         body = self.manipulator
         if body.in_space:
@@ -89,13 +89,13 @@ class Problem(eqx.Module):
 
 
 class PassState(NamedTuple):
-    """What a pass integrates along the body; leading axes may be panels and nodes."""
+    """The values that a pass integrates along the body; leading axes may be panels and nodes."""
 
     pull: Pull
-    heading: Heading  # the identity where a pass in space without loads has no need of it
+    heading: Heading  # the identity where a pass in space without loads does not need it
     moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
-    force: Float[Array, "*points components"] | None  # N, N; None in space without loads
-    strain: Float[Array, "*points_and_strains"] | None  # about the elastic one, see `unstrained`
+    force: Float[Array, "*points components"] | None  # force N, newtons; None in space without loads
+    strain: Float[Array, "*points_and_strains"] | None  # the elastic strain, approximately; see `unstrained`
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -104,12 +104,12 @@ class PassState(NamedTuple):
 
 
 class State(NamedTuple):
-    """All that is integrated along the body: as in a pass, and what follows from it at the end."""
+    """All values that are integrated along the body: those of a pass, and at the end wrap angle and position."""
 
     pull: Pull
-    heading: Heading  # the identity where a pass in space without loads has no need of it
+    heading: Heading
     moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
-    force: Float[Array, "*points components"] | None  # N, N; None in space without loads
+    force: Float[Array, "*points components"] | None  # force N, newtons; None in space without loads
     strain: Float[Array, "*points_and_strains"] | None  # as in a pass
     wrap_angle: Float[Array, "*points tendons"]  # theta, rad
     position: Float[Array, "*points components"]  # u, m
@@ -146,9 +146,9 @@ class Nodal(NamedTuple):
 
 @runtime_checkable
 class Method(Protocol):
-    """A way to resolve shape and tension from the base to the tip. Its settings are static.
+    """A method that solves for shape and tension, from the base to the tip. Its settings are static.
 
-    Its states hold the elastic strain of `starts_of_newton`; that of the pass before is given to the next one.
+    Its states hold the elastic strain of `starts_of_newton`; each pass takes the strain of the pass before.
     """
 
     max_passes: int  # calls of `improve` in one try
@@ -160,7 +160,7 @@ class Method(Protocol):
     def improve(
         self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
     ) -> Solution[AnyState]:
-        """One pass from a guess, `converged` if the result is right; a method without passes solves to the end.
+        """One pass from a guess; `converged` if its result is the solution. Without passes it solves to the end.
 
         `before` is the relative change in the pass before, 0 if there was none. It shows how fast passes converge.
         """
@@ -207,7 +207,7 @@ def lay_out(
 def _may_turn_at_joints(manipulator: Manipulator, loads: Loads | None) -> bool:
     """Whether a tendon may turn by a finite angle where the body is not smooth; static.
 
-    So does a slanted one in the exact kinematics, and in space any one that follows a twist.
+    A slanted tendon does so in the exact kinematics, and in space every tendon of a body that twists.
     """
     twisted = manipulator.in_space and (loads is not None or manipulator.rest_curvature is not None)
     return manipulator.kinematics == "exact" and (manipulator.slanted or twisted)
@@ -294,7 +294,7 @@ def guarded_section(manipulator: Manipulator, arc_length: Number) -> AnySection:
 
 
 def edge_nudge(cut: Panels) -> Number:
-    """The least step off an edge, m, that surely tells its two sides apart."""
+    """A step away from an edge, m, just large enough that rounding does not confuse the two sides of the edge."""
     return 8 * float(jnp.finfo(cut.edges.dtype).eps) * cut.edges[-1]
 
 
@@ -302,7 +302,7 @@ def edge_nudge(cut: Panels) -> Number:
 
 
 def tension_of(section: AnySection, base_tension: PerTendon, pull: Pull) -> PerTendon:
-    """T, N, zero beyond the anchor. Where a tendon locks, r goes on below zero, and its size stands in."""
+    """T, N, zero beyond the anchor. Beyond the point where a tendon locks r is negative; |r| takes its place."""
     size = jnp.maximum(jnp.abs(pull.ratio), jnp.finfo(pull.ratio.dtype).eps)
     return jnp.where(section.present, unspent(base_tension, pull) / size, 0.0)
 
@@ -316,7 +316,7 @@ def strain_of(section: AnySection, base_tension: PerTendon, state: AnyState) -> 
 
 
 def wrench_of(frame: Heading | None, moment: Array, force: Array | None) -> space.Wrench | None:
-    """What the loads put on a cross-section in space, in its own frame; None without loads."""
+    """Moment and force of the loads on a cross-section in space, in its own frame; None without loads."""
     if frame is None or force is None:
         return None
     return space.Wrench(in_own_frame(frame, moment), in_own_frame(frame, force))
@@ -362,7 +362,7 @@ def turn_at_joint(
     between = space.turn_between if problem.in_space else lambda one, other: jnp.abs(other - one)
     arriving = pointing(before, ratio)
 
-    def improve(_, guess):  # the angle beyond depends on r there only by mu d d' kappa, so this contracts fast
+    def improve(_, guess):  # r beyond changes the angle there by mu d d' kappa only, so this converges fast
         turn = jnp.where(after.present, between(arriving, pointing(after, guess[1])), 0.0)
         return turn, ratio_beyond(problem.direction, before, turn, ratio)
 
@@ -370,13 +370,13 @@ def turn_at_joint(
 
 
 def ones_at_base(problem: Problem) -> PerTendon:
-    """Ones, r at the base, made so that under shard_map it varies over the same devices as r further on."""
+    """Ones: r at the base. Under shard_map it varies over the same devices as r further outboard."""
     there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
     return jnp.ones_like(problem.base_tension) + zero_as(there)
 
 
 def at_base(problem: Problem) -> Nodal:
-    """What holds at the base."""
+    """The unknowns at the base."""
     ones = ones_at_base(problem)
     moment = problem.base_moment / problem.moment_scale + zero_as(ones)
     if problem.loads is None:
@@ -399,7 +399,7 @@ def unloaded(manipulator: Manipulator, ones: PerTendon, loads: Loads | None) -> 
 
 
 def identity_as(numbers: Array) -> Float[Array, "4"]:
-    """The rotation that turns nothing, made so that under shard_map it varies as the numbers do."""
+    """The identity rotation. Under shard_map it varies over the same devices as the numbers."""
     return jnp.asarray(IDENTITY, numbers.dtype) + zero_as(numbers)
 
 
@@ -426,9 +426,10 @@ def moments_of(problem: Problem, values: Nodal) -> Float[Array, "*points_and_com
 
 
 def unstrained(manipulator: Manipulator, loads: Loads | None, points: Float[Array, "P p tendons"]) -> Array | None:
-    """The elastic strain of a body that nothing acts on: 0; None where the strain has a closed form, which is static.
+    """The elastic strain of a body without tensions and loads, which is 0; None where the strain has a closed form.
 
-    Elsewhere a state holds about the elastic strain, from which one step of Newton's method leads to it.
+    Without a closed form a state holds the elastic strain approximately, and one step of Newton's method improves it.
+    Whether there is a closed form is static.
 
     Args:
         manipulator, loads: of the problem.
@@ -457,13 +458,13 @@ def starts_of_newton(problem: Problem, elastic: Array) -> tuple[Array | None, Ar
 
 
 def pull_at_nodes(problem: Problem, values: Nodal) -> Pull:
-    """R and what follows from it, c = the integral of c'."""
+    """The integrated friction: r, and c, the integral of c'."""
     spending = spent_rate(problem.direction, problem.nodes, values.ratio)
     return Pull(values.ratio, None if spending is None else problem.panels.integrate(spending)[1])
 
 
 def state_at_nodes(problem: Problem, values: Nodal, strain: Array | None) -> PassState:
-    """What a pass integrates, as far as it follows from the unknowns alone."""
+    """The state at the nodes that follows from the unknowns alone, with a given elastic strain."""
     moment = moments_of(problem, values)
     heading = jnp.zeros_like(values.ratio[..., 0]) if values.frame is None else values.frame
     if problem.in_space and values.frame is None:
@@ -472,7 +473,7 @@ def state_at_nodes(problem: Problem, values: Nodal, strain: Array | None) -> Pas
 
 
 def acting(problem: Problem, force: Array) -> Array | None:
-    """The force N as it stands in a state: None for a body in space without loads."""
+    """The force N as a state holds it: None for a body in space without loads."""
     return None if problem.in_space and problem.loads is None else force
 
 
@@ -488,7 +489,7 @@ def all_points(problem: Problem, solution: Solution[Kind]) -> tuple[AnySection, 
 
 
 def at_nodes(function: Callable[..., Array], in_axes: tuple[int | None, ...]) -> Callable[..., Array]:
-    """A function of one cross-section, made one over panels and nodes."""
+    """A function of one cross-section, mapped over panels and nodes."""
     return jax.vmap(jax.vmap(function, in_axes), in_axes)
 
 

@@ -1,13 +1,15 @@
-"""The mechanics of one cross-section of a body in space: how it strains, where its tendons point, and what they do.
+"""The mechanics of one cross-section of a body in space: its strain, the tangents of its tendons, and their turning.
 
 Frame: x along the axis, y and z across; tendon i lies at rho_i. Its unit tangent is t_i = w_i / |w_i| with
-w_i = v + u x rho_i + rho_i', where u is the curvature and v the strain of the axis, (1, 0, 0) unless it can stretch.
-A tendon of tension T_i puts the force -T_i t_i on the body outboard of the cross-section. Strains x make the energy
+w_i = v + u x rho_i + rho_i'. Here u is the curvature, and v is the derivative of the position of the axis along s:
+(1, 0, 0) unless the axis can stretch and shear. A tendon of tension T_i exerts the force -T_i t_i on the body outboard
+of the cross-section. The strain is e = u, or e = (u, v) with stretch. It is the minimum of the convex energy
 
-    1/2 (x - x*) K (x - x*) + sum T_i |w_i(x)| - M u - N v
+    1/2 (e - e*) K (e - e*) + sum T_i |w_i(e)| - M u - N v
 
-least, which is convex; M and N are moment and force of the loads in the frame of the cross-section. Without friction
-that is Rucker and Webster (2011), doi 10.1109/TRO.2011.2160469; in the plane it is the law of `bending`.
+where e* is the strain at rest, and M and N are moment and force of the loads in the frame of the cross-section.
+Without friction this is the model of Rucker and Webster (2011), doi 10.1109/TRO.2011.2160469; in the plane it is the
+law of `bending`.
 """
 
 from collections.abc import Callable
@@ -23,23 +25,24 @@ from ..numerics.rotations import Vector, cross, length_of
 from ..robot.cross_section import SpatialSection
 from .friction import PerTendon, tension_rate
 
-NEWTON_STEPS = 6  # from a body at rest
+NEWTON_STEPS = 6  # that start from the strain at rest
 Strain = Float[Array, " strains"]
 Vectors = Float[Array, "tendons 3"]
 
 
 class Wrench(NamedTuple):
-    """What the loads put on a cross-section, in its frame."""
+    """Moment and force of the loads on a cross-section, in its frame."""
 
     moment: Vector  # N m
     force: Vector  # N
 
 
 def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None, start: Strain | None = None) -> Strain:
-    """The curvature u, 1/m, and for an extensible axis v: u alone, or u and v one after the other.
+    """The strain: the curvature u, 1/m; for an extensible axis u and v one after the other.
 
-    Where it is the root of an equation, one step of Newton's method leads there from `start`, which is near to what of
-    it is elastic; several do from a body at rest.
+    Tendons parallel to the axis of a body without loads give a closed form. Elsewhere the strain is the root of an
+    equation. From `start`, which is close to its elastic part, one step of Newton's method finds it; without `start`
+    there are `NEWTON_STEPS` steps.
     """
     if section.parallel and loads is None:  # no twist, and t = (1, 0, 0)
         return section.rest - _gradient(section, tension, section.ahead, None) * (1.0 / section.stiffness)
@@ -58,30 +61,30 @@ def axis_of_strain(strain: Float[Array, "*points strains"]) -> Vector:
     return jnp.broadcast_to(jnp.asarray([1.0, 0.0, 0.0], strain.dtype), strain.shape)
 
 
-def course(section: SpatialSection, strain: Strain) -> Vectors:
-    """The derivative w of each tendon's place along s, in the frame of the cross-section."""
+def path_rate(section: SpatialSection, strain: Strain) -> Vectors:
+    """The derivative w of each tendon's position along s, in the frame of the cross-section."""
     return section.lever @ strain + section.ahead
 
 
 def tangents(section: SpatialSection, strain: Strain) -> Vectors:
     """The unit tangent t of each tendon in the frame of the cross-section."""
-    w = course(section, strain)
+    w = path_rate(section, strain)
     return w / jnp.sqrt(jnp.sum(w**2, axis=-1, keepdims=True))
 
 
 def turn_vectors(strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> Vectors:
-    """How each tangent changes along s in space, seen in the frame of the cross-section, 1/m: t' + u x t."""
+    """The derivative of each tangent along s, 1/m: t' + u x t, in components of the frame of the cross-section."""
     u = jnp.broadcast_to(curvature_of_strain(strain), tangent.shape)
     return tangent_rate + cross(u, tangent)
 
 
 def turning_in_space(section: SpatialSection, strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> PerTendon:
-    """The angle per arc length by which each tendon turns, rad/m; zero beyond its anchor."""
+    """The angle by which each tendon turns per arc length, rad/m; zero beyond its anchor."""
     return jnp.where(section.present, length_of(turn_vectors(strain, tangent, tangent_rate)), 0.0)
 
 
 def turning_along_axis(section: SpatialSection, strain: Strain) -> PerTendon:
-    """The same of tendons that follow the axis of a body without loads, which does not twist: |u|."""
+    """The same for tendons parallel to the axis of a body without loads, which does not twist: |u|."""
     return jnp.where(section.present, length_of(curvature_of_strain(strain)), 0.0)
 
 
@@ -97,10 +100,11 @@ def tension_rate_without_loads(
     tension: PerTendon,
     direction: PerTendon,
 ) -> PerTendon:
-    """T', N/m, of a tendon that slides at a place with a tension; for a body with one tendon and no loads.
+    """T', N/m, of the sliding tendon of a body with one tendon and no loads, for a given arc length and tension.
 
-    There the strain follows from s and T alone, so t' = dt/ds + (dt/dT) T' and T' stands on both sides of the law. What
-    is missing of it grows with T' while mu T |dt/dT| < 1, and is convex or concave: Newton's method finds its root.
+    The strain follows from s and T alone, so t' = dt/ds + (dt/dT) T', and T' stands on both sides of the friction law.
+    The difference of the two sides grows with T' while mu T |dt/dT| < 1, and is convex or concave. So Newton's method
+    finds its root.
     """
     one = jnp.ones_like(arc_length)
 
@@ -125,15 +129,15 @@ def tension_rate_without_loads(
 
 
 def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTendon, compliance: PerTendon) -> PerTendon:
-    """By how much a tendon's path shortens and the tendon stretches, per arc length; as `slip_rate` in the plane."""
-    straight, bent = course(section, section.rest), course(section, strain)
+    """By how much a tendon's path shortens and the tendon stretches per arc length; see `slip_rate` for the plane."""
+    straight, bent = path_rate(section, section.rest), path_rate(section, strain)
     length, now = length_of(straight), length_of(bent)
     shorter = jnp.sum((straight - bent) * (straight + bent), axis=-1) / (length + now)  # without cancellation
     return jnp.where(section.present, shorter, 0.0) + tension * length * compliance
 
 
 def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loads: Wrench | None) -> Strain:
-    """The derivative of the energy by the strain, without its elastic part."""
+    """The derivative of the energy with respect to the strain, without the elastic part."""
     pull = jnp.einsum("ijk,ij->k", section.lever, tension[:, None] * tangent)
     if loads is None:
         return pull
@@ -171,7 +175,7 @@ def _residual(section: SpatialSection, tension: PerTendon, loads: Wrench | None,
 
 def _tangent_stiffness(section: SpatialSection, tension: PerTendon, strain: Strain) -> Float[Array, "strains strains"]:
     """The second derivative of the energy: K + sum T / |w| lever^T (1 - t t^T) lever."""
-    w = course(section, strain)
+    w = path_rate(section, strain)
     size = jnp.sqrt(jnp.sum(w**2, axis=-1))
     t = w / size[:, None]
     along = jnp.einsum("ijk,ij->ik", section.lever, t)

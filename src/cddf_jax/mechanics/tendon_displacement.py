@@ -11,7 +11,7 @@ from .problem import AnyState, Number, Problem, at_nodes, curvature_along, strai
 
 
 def tendon_displacement(problem: Problem, state: AnyState) -> PerTendon:
-    """Length of each tendon pulled in at the base since the straight body without tension, m.
+    """The length of each tendon pulled in at the base, m: zero for the straight body without tension.
 
     Args:
         problem: the body.
@@ -37,12 +37,12 @@ def displacement_rate(
     curvature: Float[Array, "P p"],
     tension: Float[Array, "P p tendons"],
 ) -> Float[Array, "P p tendons"]:
-    """By how much a tendon's path shortens and the tendon stretches, per arc length, at the nodes."""
+    """By how much a tendon's path shortens and the tendon stretches per arc length, at the nodes."""
     return at_nodes(slip_rate, (0, 0, 0, None))(section, curvature, tension, manipulator.tendon_compliance)
 
 
 def slip_rate(section: CrossSection, curvature: Number, tension: PerTendon, compliance: PerTendon) -> PerTendon:
-    """By how much a tendon's path shortens and the tendon stretches, per arc length, at one cross-section.
+    """By how much a tendon's path shortens and the tendon stretches per arc length, at one cross-section.
 
     The path shortens by sqrt(1 + d'^2) - |u_c'|; the tendon stretches by T sqrt(1 + d'^2) / (E A).
 
@@ -60,9 +60,10 @@ def slip_rate(section: CrossSection, curvature: Number, tension: PerTendon, comp
 
 
 def stretch_rate(compliance: PerTendon, tension: Array, section: CrossSection | None = None) -> Array:
-    """By how much a tendon stretches: T / (E A) per length outside the body, in it times sqrt(1 + d'^2) per arc length.
+    """By how much a tendon stretches per length.
 
-    Half of this times T is its elastic energy per length.
+    It is T / (E A) per length outside the body, and T sqrt(1 + d'^2) / (E A) per arc length within it. Half of this
+    times T is the elastic energy of the tendon per length.
     """
     along = tension if section is None else tension * jnp.sqrt(1.0 + section.offset_slope**2)
     return along * compliance

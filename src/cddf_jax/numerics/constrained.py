@@ -1,7 +1,7 @@
-"""The minimum of a smooth function under smooth limits: SciPy's SLSQP, exact derivatives, multipliers as proof.
+"""The minimum of a smooth function under smooth limits: SciPy's SLSQP with exact derivatives, checked by multipliers.
 
-The multipliers are computed here, and not taken from SciPy: its SLSQP returns none for bounds, and those of its last
-step only; here they are needed at any point, also where several sets of them meet the conditions.
+The multipliers are computed here. SciPy's SLSQP returns no multipliers of bounds, and the others of its last step only.
+Here they are needed at any point, also where several sets of multipliers satisfy the conditions.
 """
 
 from collections.abc import Callable
@@ -15,14 +15,14 @@ from scipy.optimize import linprog, lsq_linear, minimize
 TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
 ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
 REFUSED = 1e3  # times the objective: the value where the function has no answer
-RUNS = 4  # of SLSQP, each from where the one before ended
+RUNS = 4  # of SLSQP; each starts where the one before ended
 
 Vector = Float[np.ndarray, " _"]
 Matrix = Float[np.ndarray, "_ _"]
 
 
 class Point(NamedTuple):
-    """Values and slopes at one point."""
+    """Values and derivatives at one point."""
 
     x: Vector
     objective: float
@@ -35,20 +35,20 @@ class Point(NamedTuple):
 
     @property
     def violation(self) -> float:
-        """The largest, scaled."""
+        """The largest violation of a limit, scaled."""
         return float(max(np.max(-self.inequality, initial=0.0), np.max(np.abs(self.equality), initial=0.0)))
 
 
 @dataclass(frozen=True)
 class Optimality:
-    """The first-order conditions of Karush, Kuhn and Tucker at a point, with the multipliers that meet them best."""
+    """The first-order conditions of Karush, Kuhn and Tucker at a point, with the multipliers that satisfy them best."""
 
     residual: float  # largest entry of the Lagrangian's gradient, over that of the objective's or 1
     inequality: Vector  # multipliers, zero where there is a margin
     lower: Vector  # of the bounds
     upper: Vector
     equality: Vector
-    active: np.ndarray  # the places of active limits among inequalities, lower bounds, upper bounds, equalities
+    active: np.ndarray  # indices of the active limits among inequalities, lower bounds, upper bounds, equalities
     slopes: Matrix  # of the active limits
 
     def range_of(
@@ -59,13 +59,14 @@ class Optimality:
         lower: ArrayLike = 0.0,
         upper: ArrayLike = 0.0,
     ) -> tuple[float, float]:
-        """The least and the largest of a weighted sum of multipliers that meet the conditions equally well.
+        """The smallest and the largest weighted sum of multipliers that satisfy the conditions equally well.
 
-        They differ where several limits are active at one place. By the theory of the optimal value under a
-        perturbation, relaxing is then worth the least, and tightening costs the largest.
+        They differ where the active limits do not determine the multipliers uniquely. The optimal value then changes
+        differently to both sides: relaxing the limits gains the smallest sum, tightening them costs the largest sum.
 
         Args:
-            inequality, equality, lower, upper: weights of the multipliers of limits and bounds, one each or for all.
+            inequality, equality, lower, upper: weights of the multipliers of limits and bounds; a number for all of
+                one kind, or one for each.
         """
         if not self.active.size:
             return 0.0, 0.0
@@ -109,7 +110,7 @@ def minimise_constrained(
     max_iterations: int = 300,
     after: AfterIteration = lambda count, point: None,
 ) -> LocalMinimum:
-    """Search from one start with SLSQP, which begins again where it ends before a stationary point.
+    """Search from one start with SLSQP, which starts again where it ended before it reached a stationary point.
 
     Args:
         function: values and exact first derivatives anywhere within the bounds.
@@ -154,7 +155,10 @@ def minimise_constrained(
 
 
 class _Seen:
-    """The function, evaluated once at each point; where it has no answer, values that send the optimiser back."""
+    """The function, evaluated once at each point.
+
+    Where it has no answer, a large objective and the slopes of the point before make the optimiser go back.
+    """
 
     def __init__(self, function: VectorFunction, start: Vector):
         self.function, self.count = function, 1
@@ -173,12 +177,12 @@ class _Seen:
 
 
 def _rank(point: Point) -> tuple[float, float]:
-    """Smaller is better: first the violation, then, where both keep to the limits, the objective."""
+    """Smaller is better: first the violation; where both satisfy the limits, the objective."""
     return max(point.violation, TOLERANCE), point.objective
 
 
 def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
-    """The multipliers that come nearest to making the Lagrangian stationary, and how near that is."""
+    """The multipliers that make the gradient of the Lagrangian smallest, and the size of that gradient."""
     unit = np.eye(point.x.size)
     margins = [point.inequality, point.x - lower, upper - point.x, np.zeros(point.equality.size)]
     slopes = np.concatenate([point.inequality_slopes, unit, -unit, point.equality_slopes])
@@ -196,14 +200,15 @@ def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
 
 
 def relaxed(function: VectorFunction, rigid: int = 0) -> VectorFunction:
-    """The limits of a function alone, with one more unknown behind the others: by how much each may be broken.
+    """The problem of the least violation: one more unknown, the last, by which each limit may be violated.
 
-    Its minimum is the least violation possible, and its multipliers tell which limits contradict each other. Its
-    inequalities are those of the function, then its equalities from above, then from below.
+    The objective is this unknown. Its minimum is the least violation possible, and the multipliers there show which
+    limits contradict each other. The inequalities are those of the function, then its equalities from above, then
+    from below.
 
     Args:
         function: whose limits are relaxed.
-        rigid: how many inequalities at the end may not be broken.
+        rigid: how many inequalities, the last ones, may not be violated.
     """
 
     def values(x: Vector) -> Point:
@@ -220,6 +225,6 @@ def relaxed(function: VectorFunction, rigid: int = 0) -> VectorFunction:
 
 
 def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector, rigid: int) -> LocalMinimum:
-    """The point that breaks the limits least, of `relaxed`; its objective is the largest violation."""
+    """The minimum of `relaxed`: the point that violates the limits least. Its objective is the largest violation."""
     first = np.append(start, function(start).violation)
     return minimise_constrained(relaxed(function, rigid), first, np.append(lower, 0.0), np.append(upper, np.inf))

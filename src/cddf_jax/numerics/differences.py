@@ -1,4 +1,4 @@
-"""Forward derivatives by central differences, for what is smooth but whose own derivatives are rough."""
+"""Forward derivatives by central differences, for functions whose values are smooth and whose derivatives are not."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -15,13 +15,14 @@ Given = TypeVar("Given")
 
 
 def with_differences(function: Callable[[Given], PyTree[Float[Array, "..."]]], given: Given) -> PyTree:
-    """The function at what is given; its derivative along a direction is a central difference.
+    """The value of the function; its derivative along a direction is a central difference.
 
     First derivatives in forward mode only.
 
     Args:
-        function: of a tree of arrays and of what is static, to floating-point arrays.
-        given: arrays each of numbers of one size; each moves by `STEP` of its largest number, or by less.
+        function: of a tree that holds arrays and static values; it returns floating-point arrays.
+        given: that tree. The numbers of one array should be of similar size: each array is changed by `STEP` times its
+            largest number, or by less.
     """
     arrays, rest = eqx.partition(given, eqx.is_inexact_array)
     flat, unravel = jax.flatten_util.ravel_pytree(arrays)

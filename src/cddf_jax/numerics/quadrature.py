@@ -1,8 +1,9 @@
 """Gauss panels: integration and interpolation along the arc length.
 
-The body is cut into panels, in each of which everything is smooth. A panel carries `order` Gauss
-nodes; a function sampled there is integrated to every node by one small matrix and to the end of
-the panel by the Gauss weights, whose error falls like rho^(-2 order) for an analytic function.
+The body is cut into panels, in each of which everything is smooth. A panel has `order` Gauss nodes.
+One small matrix integrates a function sampled there from the start of the panel to every node. The
+Gauss weights integrate it to the end of the panel; for an analytic function their error falls like
+rho^(-2 order).
 """
 
 from collections.abc import Callable
@@ -28,8 +29,8 @@ class Rule(NamedTuple):
     integration: np.ndarray  # (p, p) integral from 0 to each node
     differentiation: np.ndarray  # (p, p) derivative at each node
     interpolation: np.ndarray  # (p + 1, p + 1) values at 0 and the nodes -> Legendre coefficients
-    barycentric: np.ndarray  # (p) of the nodes
-    ends: np.ndarray  # (2, p) the polynomial through the nodes at 0 and at 1
+    barycentric: np.ndarray  # (p,) barycentric weights of the nodes
+    ends: np.ndarray  # (2, p) values at the nodes -> their polynomial at 0 and at 1
 
 
 @lru_cache
@@ -75,7 +76,7 @@ class Panels(eqx.Module):
 
     @property
     def shares(self) -> Float[Array, "P p"]:
-        """Of each node in a mean along the body; one in all."""
+        """The weight of each node in a mean along the body; their sum is 1."""
         return self.width[:, None] * self.constant("weights") / self.edges[-1]
 
     def constant(self, name: str) -> Float[Array, "..."]:
@@ -86,11 +87,11 @@ class Panels(eqx.Module):
         return self.width.reshape((-1, *[1] * (rate.ndim - 2)))
 
     def without_empty(self, values: Float[Array, "P p *k"]) -> Float[Array, "P p *k"]:
-        """The values, zero at the nodes of panels without width."""
+        """The values, with zero at the nodes of panels of width 0."""
         return jnp.where(self._width_for(values)[:, None] > 0, values, 0.0)
 
     def with_empty(self, values: Float[Array, "P p *k"], count: int) -> Float[Array, "Q p *k"]:
-        """The values at the nodes of these panels and of panels without width at the tip."""
+        """The values at the nodes of these panels, followed by those of `count` panels of width 0 at the tip."""
         tip = jnp.tensordot(self.constant("ends")[1], values[-1], 1)
         return jnp.concatenate([values, jnp.broadcast_to(tip, (count, *values.shape[1:]))])
 
@@ -114,14 +115,14 @@ class Panels(eqx.Module):
     def accumulate(self, rate: Float[Array, "*k"], axis: int = 0) -> Float[Array, "*k"]:
         """The integral of `rate` from the start of a panel of width 1 to its nodes, which lie along `axis`.
 
-        The matrix stands on the right: in a batch XLA then multiplies without copies.
+        The matrix is the right factor: XLA then multiplies a batch without copies.
         """
         return jnp.moveaxis(jnp.moveaxis(rate, axis, -1) @ self.constant("integration").T, -1, axis)
 
     def differentiate(self, values: Float[Array, "P p *k"]) -> Float[Array, "P p *k"]:
         """The derivative along s of the polynomials through the nodes of each panel."""
         width = jnp.where(self.width > 0, self.width, 1.0)
-        slopes = jnp.moveaxis(values, 1, -1) @ self.constant("differentiation").T  # on the right, as in `accumulate`
+        slopes = jnp.moveaxis(values, 1, -1) @ self.constant("differentiation").T  # right factor, as in `accumulate`
         return jnp.moveaxis(slopes, -1, 1) / width.reshape((-1, *[1] * (values.ndim - 1)))
 
     def at_starts_and_ends(self, values: Float[Array, "P p *k"]) -> Float[Array, "2 P *k"]:
@@ -130,12 +131,12 @@ class Panels(eqx.Module):
 
     @property
     def check_rule(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points in [0, 1], and weights that give an integral by a few more nodes less that by the nodes themselves."""
+        """Points in [0, 1] and weights, whose sum is the integral by three more nodes less that by the nodes."""
         more = gauss_rule(self.order + 3)
         return np.append(self.rule.nodes, more.nodes), np.append(-self.rule.weights, more.weights)
 
     def dense_gain(self, rate: Callable[[Array], Array], times: int, order: int) -> Float[Array, "P *k"]:
-        """The integral of a function of the arc length over each panel cut into `times`, with `order` nodes in each."""
+        """The integral of a function of the arc length over each panel, in `times` parts with `order` nodes each."""
         rule = gauss_rule(order)
         fractions = (np.arange(times)[:, None] + rule.nodes).ravel() / times
         weights = jnp.asarray(np.tile(rule.weights, times) / times, self.edges.dtype)
@@ -144,39 +145,42 @@ class Panels(eqx.Module):
         return self._width_for(values) * (jnp.moveaxis(values, 1, -1) @ weights)
 
     def resample(self, start: Float[Array, "P *k"], values: Float[Array, "P p *k"], nodes: np.ndarray) -> Array:
-        """The polynomials through the starts and the nodes of the panels, at other places in [0, 1] of each."""
+        """The polynomials through the starts and the nodes of the panels, at other points in [0, 1] of each panel."""
         basis = legendre.legvander(2 * nodes - 1, self.order) @ self.rule.interpolation
         at_start, at_nodes = jnp.split(jnp.asarray(basis, self.edges.dtype), [1], axis=1)
-        inside = jnp.moveaxis(values, 1, -1) @ at_nodes.T  # the matrix on the right, as in `accumulate`
+        inside = jnp.moveaxis(values, 1, -1) @ at_nodes.T  # right factor, as in `accumulate`
         return jnp.moveaxis(inside + start[..., None] * at_start[:, 0], -1, 1)
 
     def extended(self, values: Float[Array, "P p *k"], places: np.ndarray) -> Array:
-        """The polynomials through the nodes of the panels alone, at other places in [0, 1] of each."""
+        """The polynomials through the nodes of the panels alone, at other points in [0, 1] of each panel."""
         basis = legendre.legvander(2 * places - 1, self.order - 1)
         basis = basis @ np.linalg.inv(legendre.legvander(2 * self.rule.nodes - 1, self.order - 1))
         weights = jnp.asarray(basis, self.edges.dtype)
         return jnp.moveaxis(jnp.moveaxis(values, 1, -1) @ weights.T, -1, 1)
 
     def _within(self, arc_length: Float[Array, ""]) -> tuple[Int[Array, ""], Float[Array, ""]]:
-        """The panel that holds `arc_length`, and where in it that is, from 0 to 1."""
+        """The index of the panel that holds `arc_length`, and the position within the panel, from 0 to 1."""
         i = jnp.sum(self.edges[1:-1] <= arc_length)
         width = self.width[i]
         return i, (arc_length - self.edges[i]) / jnp.where(width > 0, width, 1.0)
 
     def lagrange(self, place: Float[Array, ""]) -> Float[Array, " p"]:
-        """The weights of the nodes in their polynomial at a place in [0, 1]; without a derivative by the place."""
+        """The weights of the nodes in the value of their polynomial at a point in [0, 1].
+
+        At a node, derivatives with respect to the point are wrong.
+        """
         apart = place - self.constant("nodes")
         terms = self.constant("barycentric") / jnp.where(apart == 0, jnp.finfo(apart.dtype).tiny ** 0.5, apart)
         return terms / jnp.sum(terms)
 
     def shifted(self, values: Float[Array, "P p *k"], new: "Panels") -> Float[Array, "P p *k"]:
-        """Values at the nodes of panels whose edges lie a little further on, to second order in how far."""
+        """The values at the nodes of panels whose edges have moved a little, to second order in the distance."""
         shift = (new.nodes - self.nodes).reshape((*self.nodes.shape, *[1] * (values.ndim - 2)))
         rate = self.differentiate(values)
         return values + shift * (rate + shift / 2 * self.differentiate(rate))
 
     def weights_on(self, new: "Panels") -> Float[Array, "points nodes"]:
-        """The weights of these nodes in their polynomials at the nodes of other panels of the body, in one row each."""
+        """The matrix that interpolates from these nodes to those of other panels: a row for each new node."""
 
         def weights_at(arc_length):
             i, place = self._within(arc_length)
@@ -210,7 +214,7 @@ def panels(length: Float[Array, ""], breakpoints: Float[Array, " n"], nodes: int
 
 
 def panels_between(joints: Float[Array, " joints"], nodes: int) -> Panels:
-    """As `panels`, between joints in order, the first of which is the base and the last the tip."""
+    """As `panels`, between joints in increasing order; the first is the base and the last the tip."""
     per_piece = -(-nodes // LARGEST_ORDER)
     order = -(-nodes // per_piece)
     fraction = jnp.arange(per_piece) / per_piece

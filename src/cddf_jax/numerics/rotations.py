@@ -1,7 +1,7 @@
 """Rotations in space as quaternions (w, x, y, z), which need not have the length 1.
 
-The Gauss nodes of a panel keep the length of a quaternion from one end of the panel to the other; at the nodes
-themselves it is off by the error of the quadrature, and every function here divides by it.
+Integration by Gauss nodes keeps the length of a quaternion from one end of a panel to the other. At the nodes
+themselves the length has the error of the quadrature; every function here divides by it.
 """
 
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """The product a x b."""
+    """The vector product a x b."""
 
     def moved(x: Vector) -> Vector:
         return jnp.concatenate([x[..., 1:], x[..., :1]], axis=-1)
@@ -31,7 +31,7 @@ def product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def of_turn(turn: Vector) -> Quaternion:
-    """The rotation about an axis: its direction is that of `turn`, its angle, rad, the length of it."""
+    """The rotation about the direction of `turn` by an angle that is the length of `turn`, rad."""
     angle = length_of(turn)[..., None]
     cosine, sine = cos_sin(angle / 2)
     turns = angle > 0
@@ -39,25 +39,25 @@ def of_turn(turn: Vector) -> Quaternion:
 
 
 def inverse(q: Quaternion) -> Quaternion:
-    """The rotation back, of the same length."""
+    """The inverse rotation; the quaternion keeps its length."""
     return jnp.concatenate([q[..., :1], -q[..., 1:]], axis=-1)
 
 
 def turned_by(q: Quaternion, rate: Vector) -> Quaternion:
-    """The derivative of a rotation whose rate is given in its own axes, rad per unit: q (0, rate) / 2."""
+    """The derivative q (0, rate) / 2 of a rotation; `rate` is the rate of turning in its own axes, rad per unit."""
     w = -jnp.sum(q[..., 1:] * rate, axis=-1, keepdims=True)
     return 0.5 * jnp.concatenate([w, q[..., :1] * rate + cross(q[..., 1:], rate)], axis=-1)
 
 
 def in_fixed_frame(q: Quaternion, vector: Vector) -> Vector:
-    """A vector in the axes of the rotation, seen from outside: R v."""
+    """The components in the fixed frame of a vector v given in the axes of the rotation: R v."""
     across = cross(q[..., 1:], vector)
     twice = 2.0 / jnp.sum(q**2, axis=-1, keepdims=True)
     return vector + twice * (q[..., :1] * across + cross(q[..., 1:], across))
 
 
 def in_own_frame(q: Quaternion, vector: Vector) -> Vector:
-    """A vector from outside, in the axes of the rotation: R^T v."""
+    """The components in the axes of the rotation of a vector v given in the fixed frame: R^T v."""
     return in_fixed_frame(inverse(q), vector)
 
 
@@ -68,7 +68,7 @@ def as_matrix(q: Quaternion) -> Float[Array, "*points 3 3"]:
 
 
 def small_turn(change: Quaternion, q: Quaternion) -> Vector:
-    """The turn, rad, seen from outside, that a small change of a rotation means."""
+    """The small rotation vector, rad, in the fixed frame, by which a small change of the quaternion turns."""
     return 2.0 * product(change, inverse(q))[..., 1:] / jnp.sum(q**2, axis=-1, keepdims=True)
 
 
@@ -79,6 +79,6 @@ def length_of(vector: Float[Array, "*points n"]) -> Float[Array, "*points"]:
 
 
 def tilt(q: Quaternion) -> Float[Array, "*points"]:
-    """The angle between the first axis and where it is turned, rad, from 0 to pi; at 0 its derivative is zero."""
+    """The angle between the first axis and the rotated first axis, rad, from 0 to pi; at 0 its derivative is zero."""
     across = length_of(q[..., 2:])
     return 2.0 * jnp.arctan2(across, length_of(q[..., :2]))
