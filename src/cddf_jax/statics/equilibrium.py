@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, fields_at, tendons_first
 from ..mechanics.problem import State, edge_nudge, guarded_section, strain_of
-from ..mechanics.space import course
+from ..mechanics.space import path_rate
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import length_of
 from ..programs.kept import kept_program
@@ -272,7 +272,7 @@ class Dense(eqx.Module):
 
         def at(s: Float[Array, ""]) -> PerTendon:
             section = spatial(guarded_section(self.manipulator, s))
-            return 1.0 - course(section, strain_of(section, self.base_tension, self.state(s)))[:, 0]
+            return 1.0 - path_rate(section, strain_of(section, self.base_tension, self.state(s)))[:, 0]
 
         return jax.vmap(at, out_axes=1)(jnp.asarray(arc_length))
 

@@ -13,7 +13,7 @@ from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import AnyState, Nodal, Number, Problem, Solution, State, all_points, nodal, strain_of
 from ..mechanics.sign_changes import Splits, turning_at_splits
-from ..mechanics.space import course
+from ..mechanics.space import path_rate
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import largest
 from ..numerics.implicit import Unknowns, implicit, without_derivative
@@ -173,7 +173,7 @@ def inside_of_bend(problem: Problem, solution: Solution[State]) -> Float[Array, 
     def inside(section: AnySection, state: AnyState) -> Number:
         strain = strain_of(section, problem.base_tension, state)
         if isinstance(section, SpatialSection):
-            shorter = 1.0 - course(section, strain)[:, 0]
+            shorter = 1.0 - path_rate(section, strain)[:, 0]
         else:
             shorter = section.side * section.offset * strain
         return jnp.max(jnp.where(section.present, shorter, -jnp.inf))
