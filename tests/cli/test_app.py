@@ -133,7 +133,7 @@ def test_wrong_manipulators(fails, command, change, message):
         (("fit", PAPER, PULLEY, "--starts", "0"), "Invalid value for '--starts'"),
         (("fit", PAPER, PULLEY, "--bootstrap", "1"), "bootstrap: needs 2 replicates or more, got 1"),
         (("fit", PAPER, PULLEY, "--per-trial", "--free", "youngs_modulus"), "fit: per_trial needs a free friction_co"),
-        (("fit", PAPER, PULLEY, "--free", "density"), "fit: 'density' is no parameter that can be fitted"),
+        (("fit", PAPER, PULLEY, "--free", "density"), "fit: 'density' is not a parameter that can be fitted"),
         (("reproduce", PAPER, LOAD_CELLS, "--column", "a=trial"), "load_cells_simulated.csv: no column 'a'"),
         (("reproduce", PAPER, PULLEY), "pulley_simulated.csv: the column tip_tension is missing"),
     ],

@@ -146,7 +146,7 @@ def test_options_that_are_refused(run):
     for options, message in (
         (("--tension", "0 N"), "give a tension above 0 N"),
         (("--criterion", "E"), "criterion 'E' is neither"),
-        (("--free", "friction"), "'friction' is no parameter"),
+        (("--free", "friction"), "'friction' is not a parameter"),
         (("--candidates", "nowhere.toml"), "cannot be read"),
     ):
         code, _, error = run(PAPER, *options)

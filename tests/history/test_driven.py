@@ -80,7 +80,7 @@ def test_what_came_before():
         np.testing.assert_allclose(getattr(found, name), getattr(whole, name)[1:], rtol=1e-13)
     with pytest.raises(ValueError, match='before must be "rest" or the largest base tension, N, got'):
         cddf.trace(BODY, [40.0], before="full")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match="before and start both tell what was before"):
+    with pytest.raises(ValueError, match="before and start both give the history"):
         cddf.trace(BODY, [40.0], before=75.0, start=whole)
     with pytest.raises(ValueError, match=r"displacement must be a list of lengths, m, .* shape \(\)"):
         cddf.trace(BODY, cddf.Displacement(0.01))

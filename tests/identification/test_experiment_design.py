@@ -145,7 +145,7 @@ def test_a_candidate_beyond_the_model_says_so():
     [
         ({"candidates": []}, "no candidate"),
         ({"criterion": "E"}, "criterion 'E' is neither"),
-        ({"free": ("friction",)}, "'friction' is no parameter"),
+        ({"free": ("friction",)}, "'friction' is not a parameter"),
         ({"candidates": [Candidate("x", {"base_tension": 1.0}, {"tip": 1.0})]}, "candidate 'x': unknown column 'tip'"),
         ({"candidates": [Candidate("x", {"base_tension_2": 1.0}, {"tip_angle": 1.0})]}, "candidate 'x'"),
     ],

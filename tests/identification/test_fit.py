@@ -303,7 +303,7 @@ def test_a_prediction_that_the_data_do_not_hold_has_no_band(pulley_alone):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("tip_slope", [10.0]), "'tip_slope' is no reading; there are tip_angle, tip_tension, tip_x, tip_y"),
+        (("tip_slope", [10.0]), "'tip_slope' is not a reading; there are tip_angle, tip_tension, tip_x, tip_y"),
         (("tip_angle", [-5.0]), "base_tension must be 0 N or more, got -5; a tendon only pulls"),
         (("tip_angle", [np.nan]), "base_tension must hold finite numbers"),
         (("tip_angle", [5.0], (0.0, np.inf)), "tip_force must hold finite numbers"),
@@ -509,11 +509,14 @@ def test_warnings_of_a_table_are_passed_on():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"free": ("mu",)}, "fit: 'mu' is no parameter that can be fitted; there are friction_coefficient, youngs_mod"),
+        (
+            {"free": ("mu",)},
+            "fit: 'mu' is not a parameter that can be fitted; there are friction_coefficient, youngs_mod",
+        ),
         ({"free": ()}, "fit: needs a table of measurements and a free parameter"),
         ({"data": ()}, "fit: needs a table of measurements and a free parameter"),
-        ({"free": ("tip_gain_x",)}, "fit: 'tip_gain_x' is no parameter"),
-        ({"free": ("angle_zero_2",)}, "fit: 'angle_zero_2' is no parameter"),
+        ({"free": ("tip_gain_x",)}, "fit: 'tip_gain_x' is not a parameter"),
+        ({"free": ("angle_zero_2",)}, "fit: 'angle_zero_2' is not a parameter"),
         ({"per_trial": True}, "fit: per_trial needs a free friction_coefficient and tables whose column trial names 2"),
         ({"data": "bench.csv"}, "fit: data must be tables as read_measurements gives them, one or several"),
         (

@@ -79,12 +79,12 @@ def test_a_place_that_is_told_twice(tmp_path):
     (tmp_path / "bench.csv").write_text("base_tension [N]\n10\n")
     (tmp_path / "markers.csv").write_text("row,marker,arc_length [mm],x [mm]\n1,head,80,79\n")
     (table,) = cddf.read_tables([tmp_path / "bench.csv", tmp_path / "markers.csv"])
-    with pytest.raises(InputError, match="the place of the marker 'head' is told by its table and once more"):
+    with pytest.raises(InputError, match="the table gives the position of the marker 'head' already"):
         cddf.fit(in_plane(), table, setting=cddf.BenchSetting(markers={"head": HEAD}))
 
 
 @pytest.mark.parametrize(
-    ("given", "words"), [({"youngs_modulus": 1e6}, "is no number of the bench"), ({"tip_gain": np.nan}, "finite")]
+    ("given", "words"), [({"youngs_modulus": 1e6}, "does not belong to the bench"), ({"tip_gain": np.nan}, "finite")]
 )
 def test_what_cannot_be_given(given, words):
     with pytest.raises(InputError, match=words):
@@ -102,15 +102,19 @@ def test_a_setting_in_words():
 
 def test_what_turns_out_of_the_plane():
     table = cddf.Measurements.from_columns("bench", base_tension=[10.0], tip_x=[0.13])
-    with pytest.raises(InputError, match="camera_turn_x matters to a body in space"):
+    with pytest.raises(InputError, match="camera_turn_x has an effect only on a body in space"):
         cddf.fit(in_plane(), table, ["camera_turn_x"])
 
 
 @pytest.mark.parametrize(
     ("body", "name", "words"),
     [
-        (in_plane(), "poissons_ratio", "poissons_ratio matters to a body in space; give its tendons an angle"),
-        (winding(), "shear_factor", "shear_factor matters to a body that stretches; make it extensible"),
+        (
+            in_plane(),
+            "poissons_ratio",
+            "poissons_ratio has an effect only on a body in space; give its tendons an angle",
+        ),
+        (winding(), "shear_factor", "shear_factor has an effect only on a body that stretches; make it extensible"),
     ],
 )
 def test_stiffnesses_that_the_body_has_not(body, name, words):
@@ -148,7 +152,7 @@ def test_torsion_and_stretch_apart_from_bending(turns, tmp_path):
 
 def test_a_history_in_space_is_refused():
     table = cddf.Measurements.from_columns("bench", base_tension=[10.0, 5.0], step=[1, 2], tip_z=[0.01, 0.0])
-    with pytest.raises(InputError, match="a history with a body in space is not known yet"):
+    with pytest.raises(InputError, match="a history with a body in space is not possible yet"):
         cddf.fit(winding(), table)
 
 
@@ -207,7 +211,7 @@ def test_a_camera_and_a_tendon_turned_about_the_axis_act_alike():
     assert value == pytest.approx(turn, abs=1e-7)
     # turning moves each tip across the axis by its distance from it
     assert error == pytest.approx(1e-4 / np.linalg.norm(tip[:, 1:]), rel=0.3)
-    assert "Some act alike: only the sums and differences above are told." in fit.verdict[-1]
+    assert "Some have the same effect: only the sums and differences above are determined." in fit.verdict[-1]
 
 
 @pytest.mark.slow

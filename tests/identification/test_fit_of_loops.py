@@ -362,7 +362,7 @@ def test_a_first_row_may_be_a_release():
         ),
         ({"before": -1.0}, "fit: before must be"),
         ({"before": [60.0, 60.0]}, "fit: before must hold one entry for each of the 1 trials, got 2"),
-        ({"free": ["before_3"]}, "fit: before_3 is that of trial 3, and there are 1 with a history"),
+        ({"free": ["before_3"]}, "fit: before_3 belongs to trial 3, but only 1 have a history"),
         ({"free": ["before"], "history": False}, "fit: before is used with a history only; leave it out, or give hist"),
         ({"before": 60.0, "history": False}, "fit: before is used with a history only"),
     ],
@@ -401,7 +401,7 @@ def test_the_course_of_several_tendons():
     np.testing.assert_allclose(course.tip_force[0, :, 1], force)
     assert not course.force_stays
     assert course_of(pair_table(tip_force_y=np.full(20, -0.2)))[0].force_stays
-    with pytest.raises(InputError, match="pair: before is that of 1 tendons, and there are 2 columns of"):
+    with pytest.raises(InputError, match="pair: before holds tensions of 1 tendons, but there are 2 columns of"):
         course_of(pair_table(), starts=[Start((60.0,))])
     with pytest.raises(InputError, match="fit: short_steps must be a whole number of 2 or more, got 1"):
         cddf.fit(PAIR, pair_table(), short_steps=1)
@@ -424,7 +424,7 @@ def test_what_came_before_several_tendons():
     for before, free, message in (
         (60.0, (), r"base tensions of 2 tendons before the first row, N, in a list of trials such as .*, got 60.0"),
         ([(60.0, -1.0)], (), "before must be .rest. or the base tensions of 2 tendons"),
-        ("rest", ["before_tendon_3"], "before_tendon_3 is that of tendon 3, and the body has 2"),
+        ("rest", ["before_tendon_3"], "before_tendon_3 belongs to tendon 3, but the body has 2"),
     ):
         with pytest.raises(InputError, match=message):
             starts_of([1], before, free, 2)
@@ -663,7 +663,7 @@ def test_rows_that_were_mixed_up():
 def test_all_rows_mixed_up():
     order = np.random.default_rng(12).permutation(33)
     found = changed(lambda read: {name: read[name][order] for name in ("base_tension", *NOISE)})
-    assert any("hardly better in their order than in one by chance" in remark for remark in found.remarks)
+    assert any("hardly better in their order than in a random order" in remark for remark in found.remarks)
 
 
 def test_creep_drifts():

@@ -187,7 +187,7 @@ def test_one_row_tells_the_value_but_not_its_own_noise():
     assert (found.standard_error, found.confidence_interval) == (np.inf, (-np.inf, np.inf))
     assert found.verdict[-1].startswith("A single row determines it")
     assert np.isnan(found.constancy.p_value)
-    assert any("do not tell whether it depends on base tension: measure more rows" in line for line in found.verdict)
+    assert any("do not show whether it depends on base tension: measure more rows" in line for line in found.verdict)
 
 
 def test_one_row_that_outweighs_all_others_is_alone():

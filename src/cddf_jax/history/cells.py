@@ -1,9 +1,8 @@
-"""A body cut into short cells, along which tendons may slide one way, the other way, or rest.
+"""A body cut into short cells, along which tendons may slide in, slide out, or rest.
 
-Along each cell the friction of a tendon has one share sigma of its limit: +1 where it slides in, -1 where it slides
-out, between them where it rests or where its direction changes within the cell. All else is integrated over a cell to
-fourth order (Lobatto's rule, the value in the middle by Hermite's), so that a body all of whose tendons slide one way
-is as exact as a smooth curve allows.
+Along each cell the friction of a tendon is a share sigma of its limit: +1 where the tendon slides in, -1 where it
+slides out, and between -1 and +1 where it rests or where its direction changes within the cell. Everything else is
+integrated over a cell to fourth order: by Simpson's rule, with the value in the middle from Hermite's cubic polynomial.
 """
 
 from functools import partial
@@ -23,26 +22,26 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 
 Number = Float[Array, ""]
-STIFFEST = 1e-7  # the least stretch of a tendon, as a part of how far it slides when the body bends
+STIFFEST = 1e-7  # the least strain of a tendon per tension, over d^2 / (E J), its slip per tension by bending
 
 
 class Edge(NamedTuple):
-    """What varies along the body, at an edge between cells; all edges have a leading axis."""
+    """The values at an edge between cells; those of all edges have a leading axis."""
 
     tension: Float[Array, "*edges tendons"]  # T, N
     heading: Float[Array, "*edges"]  # phi, rad
-    slip: Float[Array, "*edges tendons"]  # w, m: how far the tendon has moved towards the base through the body
+    slip: Float[Array, "*edges tendons"]  # w, m: how far the tendon has moved through the body towards the base
     moment: Float[Array, "*edges"]  # M_ext, N m
 
 
 class Cells(eqx.Module):
-    """The cells, P of them; their sections at the start, the middle and the end of each."""
+    """The P cells, with the cross-sections at the start, the middle and the end of each."""
 
     edges: Float[Array, " edges"]  # s, m
     sections: CrossSection  # leading axes P, 3
     before: CrossSection | None  # just before each cell; None where no tendon can turn by a finite angle there
     stretch: PerTendon  # strain of each tendon per tension, 1/N
-    free_stretch: PerTendon  # of the tendon outside the body, m/N
+    free_stretch: PerTendon  # elongation per tension of the tendon outside the body, m/N
 
     @property
     def width(self) -> Float[Array, " P"]:
@@ -54,7 +53,7 @@ class Cells(eqx.Module):
         return jnp.max(jnp.abs(self.sections.offset))
 
     def at(self, arc_length: Float[Array, "*points"]) -> Int[Array, "*points"]:
-        """The number of the cell that holds an arc length, m."""
+        """The index of the cell that holds an arc length, m."""
         return jnp.sum(self.edges[1:-1] <= arc_length[..., None], axis=-1)
 
     def pulled_in(self, edges: Edge) -> PerTendon:
@@ -62,19 +61,19 @@ class Cells(eqx.Module):
         return edges.slip[0] + self.free_stretch * edges.tension[0]
 
     def along(self, outboard: Float[Array, "P 3 2"], edges: Edge, share: Float[Array, "P tendons"]) -> "Along":
-        """All cells between what holds at their edges; leading axis P.
+        """Values and rates along all cells, from the values at their edges; leading axis P.
 
         Args:
-            outboard: N, the dead loads beyond the start, the middle and the end of each cell, N.
-            edges: what holds at the edges.
-            share: sigma, of the friction limit of each tendon.
+            outboard: the force N of the dead loads beyond the start, the middle and the end of each cell, in newtons.
+            edges: the values at the edges.
+            share: sigma of each tendon.
         """
         starts, ends = jax.tree.map(lambda x: x[:-1], edges), jax.tree.map(lambda x: x[1:], edges)
         along = jax.vmap(along_cell, (0, 0, 0, 0, None))
         return along(self.inputs(outboard), starts, ends, share, self.stretch)
 
     def inputs(self, outboard: Float[Array, "P 3 2"]) -> "Inputs":
-        """What is known of each cell."""
+        """The known numbers of each cell."""
         return Inputs(self.width, self.sections, self.before, outboard)
 
 
@@ -83,8 +82,8 @@ def cut_into_cells(manipulator: Manipulator, count: int, merged: Number | float 
 
     Args:
         manipulator: the body.
-        count: of cells; static.
-        merged: 1 where every second cell has no width, so that the others are twice as long; else 0.
+        count: number of cells; static.
+        merged: 1 to give every second cell the width 0, so that the others are twice as long; else 0.
     """
     problem = _laid_out(manipulator, None, count, merged)
     free = manipulator.tendon_compliance * manipulator.tendon_free_length
@@ -115,16 +114,16 @@ def _laid_out(manipulator: Manipulator, loads: Loads | None, count: int, merged:
 
 def _sections(problem: Problem) -> CrossSection:
     cut = problem.panels
-    nudge = 1e-9 * cut.width  # a joint belongs to both of its sides
+    nudge = 1e-9 * cut.width  # a joint has a cross-section on either side
     places = jnp.stack([cut.edges[:-1] + nudge, cut.nodes[:, 1], cut.edges[1:] - nudge], axis=1)
     return planar(jax.vmap(jax.vmap(partial(guarded_section, problem.manipulator)))(places))
 
 
 def _stretch(manipulator: Manipulator, problem: Problem) -> PerTendon:
-    """1 / (E A), with a little stretch for a tendon that has none.
+    """1 / (E A), with a small value for a tendon that does not stretch.
 
-    Where two tendons that do not stretch both rest, their friction is not determined; the stretch chooses that of two
-    equal, very stiff tendons.
+    Where two tendons that do not stretch both rest, their friction is not determined. With the small stretch it is that
+    of two equal, very stiff tendons.
     """
     sections = problem.nodes
     by_bending = jnp.max(sections.offset**2 / sections.stiffness[..., None], axis=(0, 1))
@@ -135,37 +134,37 @@ def _stretch(manipulator: Manipulator, problem: Problem) -> PerTendon:
 
 
 class Along(NamedTuple):
-    """What holds at the start, the middle and the end of a cell (a leading axis of 3), and the derivatives along s."""
+    """The values at the start, the middle and the end of a cell (a leading axis of 3), and their rates along s."""
 
     values: Edge
     rates: Edge
     turning: Float[Array, "3 tendons"]  # psi', rad/m
-    turn: PerTendon  # by which a tendon turns at once where the cell starts, rad
+    turn: PerTendon  # the finite angle by which a tendon turns at the start of the cell, rad
 
 
 class Inputs(NamedTuple):
-    """What is known of a cell."""
+    """The known numbers of a cell."""
 
     width: Number  # m
     sections: CrossSection  # at its start, its middle and its end
     before: CrossSection | None  # just before it
-    outboard: Float[Array, "3 2"]  # N, N
+    outboard: Float[Array, "3 2"]  # force N, newtons
 
 
 def along_cell(inputs: Inputs, start: Edge, end: Edge, share: PerTendon, stretch: PerTendon) -> Along:
-    """A cell between what holds at its ends; in the middle, cubic polynomials through these.
+    """Values and rates along a cell, from the values at its ends; those in the middle are on cubic polynomials.
 
     Args:
-        inputs: what is known of it.
-        start, end: what holds at its ends.
-        share: sigma, of the friction limit of each tendon.
-        stretch: of the tendons per tension, 1/N.
+        inputs: the known numbers of the cell.
+        start, end: the values at its ends.
+        share: sigma of each tendon.
+        stretch: strain of the tendons per tension, 1/N.
     """
     width, sections, before, force = inputs
 
     def rates_at(i: int, here: Edge) -> tuple[Edge, PerTendon]:
         section = jax.tree.map(lambda x: x[i], sections)
-        tension = jnp.where(section.present, here.tension, 0.0)  # beyond its anchor the number stays as it was there
+        tension = jnp.where(section.present, here.tension, 0.0)  # beyond the anchor `here` still holds its tension
         kappa = bending.curvature(section, tension, here.moment)
         moment_rate = moment_rate_of(here.heading, force[i])
         turning = bending.turning(section, kappa, tension, share, moment_rate)
@@ -194,14 +193,14 @@ def _across(before: CrossSection, after: CrossSection, here: Edge, share: PerTen
         return bending.tangent_angle(section, bending.curvature(section, pull, here.moment))
 
     arriving, beyond, turn = angle(before, here.tension), here.tension, jnp.zeros_like(share)
-    for _ in range(3):  # the angle beyond depends on the tension there only a little
+    for _ in range(3):  # the angle beyond depends only weakly on the tension there
         turn = jnp.where(after.present, jnp.abs(angle(after, beyond) - arriving), 0.0)
         beyond = here.tension / ratio_beyond(share, before, turn, jnp.ones_like(share))
     return turn, beyond
 
 
 def missing_along(width: Number, along: Along) -> Edge:
-    """What is missing in the integrals over one cell."""
+    """The residuals of the integrals over one cell: the change of the values less the integrals of the rates."""
     return jax.tree.map(lambda x, rate: x[2] - x[0] - integral(width, rate), along.values, along.rates)
 
 

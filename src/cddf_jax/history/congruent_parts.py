@@ -1,9 +1,9 @@
-"""A traced body put together of parts of equilibria.
+"""A traced body composed of parts that are congruent to parts of equilibria.
 
-From the base to the front of the last motion the body is congruent to the equilibrium of that motion, from there to the
-front of the motion before to the equilibrium of that one, and so on. So the tip lies where the new part ends, and from
-there on as it did before; `Onward` says how that is. Each step needs two equilibria, both from the base to its front:
-its own, and that of the motion at whose end it turned.
+From the base to the front of the last motion, the body is congruent to the equilibrium of that motion. From there to
+the front of the motion before, it is congruent to the equilibrium of the motion before, and so on. So the rest of the
+body beyond the front keeps its shape and is attached to the end of the new part; `Onward` holds what such a rest adds.
+Each step needs two equilibria, both from the base to its front: its own, and that of the motion at whose end it turned.
 """
 
 from functools import partial
@@ -30,12 +30,12 @@ Tree = TypeVar("Tree")
 
 
 class Onward(NamedTuple):
-    """What a part of a body adds, seen from where it begins; every number is finite."""
+    """What a part of a body adds, in the frame at its start; every number is finite."""
 
     heading: Heading
     position: Float[Array, " components"]  # m
     pulled_in: Number  # m, of the tendon
-    stored: Number  # J, in body and tendon
+    stored: Number  # energy in body and tendon, J
     error: Number
     solved: Bool[Array, ""]
     result: RESULTS
@@ -61,7 +61,8 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
     found = solve(cut_at(body, front), tension, direction=direction, nodes=nodes, throw=False)
     outside = jnp.sum(tension * body.tendon_compliance * body.tendon_free_length)
     solved = found._dense.solved
-    contradicted = code_of(found.result) == code_of(RESULTS.direction_contradicted)  # as it travelled from rest
+    # the result compares the direction with the travel from rest, which does not matter here
+    contradicted = code_of(found.result) == code_of(RESULTS.direction_contradicted)
     result = with_words(RESULTS.where(contradicted, RESULTS.successful, found.result))
     tension, heading, position, pulled_in, stored, error = _zero_unless(
         solved,
@@ -78,13 +79,13 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
 
 
 def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> tuple[Number, Slid, Slid]:
-    """The front of a motion, and up to it the equilibria at its end and where it turned.
+    """The front of a motion, and two equilibria up to it: at the end of the motion, and at the turn where it began.
 
     Args:
         body: with one tendon.
         nodes: Gauss nodes in each smooth piece.
-        motion: of the tendon; where it did not turn, the second equilibrium is the first one.
-        refined: of the front, see `front_of`.
+        motion: of the tendon; where it began at rest, the second equilibrium is the first one.
+        refined: for the front, see `front_of`.
     """
     tension, direction, turned_at, from_rest = motion
     turned_at = jnp.where(from_rest, tension, turned_at)
@@ -96,9 +97,9 @@ def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bo
 
 
 def stored_energy(dense: Dense) -> Number:
-    """What body and tendon hold in an equilibrium, J: the integral of E J kappa^2 / 2 + T^2 / (2 E A).
+    """The elastic energy of body and tendon in an equilibrium, J: the integral of E J kappa^2 / 2 + T^2 / (2 E A).
 
-    In space the former is that of all strains.
+    In space the first term is the energy of all strains.
     """
     body, cut, moment = dense.manipulator, dense.panels, dense.nodes.moment
     section = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
@@ -121,7 +122,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
         body: of all steps.
         own: the equilibrium of each motion up to its front.
         other: that of the motion before it, up to the same front; unused where the motion began at rest.
-        turns: what is open after each step.
+        turns: the remembered turns after each step.
     """
     length = jnp.asarray(body.length)
     zero = zero_as((own, length))
@@ -139,7 +140,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
         missed = jnp.abs(own.tension - other.tension) / jnp.where(other.tension > 0, other.tension, 1.0)
         rest = rest._replace(
             error=jnp.maximum(rest.error, jnp.where(own.end < length, missed, 0.0)),
-            solved=rest.solved & end.added.solved,  # whatever is felt must be known
+            solved=rest.solved & end.added.solved,  # all equilibria that enter must be known
             result=_choose(code_of(rest.result) != 0, rest.result, end.added.result),
         )
         rest = _choose(first, nothing, rest)
@@ -158,7 +159,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
 
 
 def _between(start: Onward, end: Onward) -> Onward:
-    """What lies between two places of one equilibrium, seen from the first."""
+    """The part between two cross-sections of one equilibrium, in the frame of the first."""
     back = turned_back(start.heading)
     return Onward(
         turned_on(back, end.heading),
@@ -193,29 +194,29 @@ def _choose(condition: Bool[Array, ""], one: Tree, other: Tree) -> Tree:
 
 
 def pose_of_base(body: Manipulator, zero: Number) -> tuple[Heading, Float[Array, " components"]]:
-    """Heading and position of the base, as numbers like `zero`."""
+    """Heading and position of the base, with precision and devices of `zero`."""
     if body.in_space:
         return jnp.eye(3, dtype=zero.dtype) + zero, jnp.zeros(3) + zero
     return zero, jnp.zeros(2) + zero
 
 
 def turned_on(one: Heading, other: Heading) -> Heading:
-    """The heading `other`, seen in that of `one`."""
+    """The heading `other`, given in the frame of `one`, in the frame of the base."""
     return one + other if one.ndim == 0 else one @ other
 
 
 def turned_back(heading: Heading) -> Heading:
-    """The heading that undoes another."""
+    """The inverse of a heading."""
     return -heading if heading.ndim == 0 else heading.T
 
 
 def tilt_of(heading: Heading) -> Number:
-    """The tip angle, rad: phi, and in space that between the axes of tip and base."""
+    """The tip angle, rad: phi in the plane, the angle between the axes of tip and base in space."""
     return heading if heading.ndim == 0 else jnp.arctan2(length_of(heading[1:, 0]), heading[0, 0])
 
 
 def rotated(vector: Float[Array, "*points components"], heading: Heading) -> Float[Array, "*points components"]:
-    """A vector turned as a heading is."""
+    """A vector, turned by a heading."""
     if heading.ndim > 0:
         return vector @ heading.T
     cosine, sine = cos_sin(heading)

@@ -1,8 +1,8 @@
-"""The base tensions that move the actuator or the tip as they are told.
+"""The base tensions for given displacements of the tendon or given tip angles.
 
-What a motion adds to displacement or tip angle since its turn comes from the part of the body that slides alone. It
-grows all the way, so the turns of what is driven are those of the tension, and each step has one unknown. Just after a
-turn it grows as the square of the change in tension; so the search is for the root of what is wanted.
+The displacement or tip angle that a motion adds since its turn comes only from the part of the body in which the tendon
+slides. It grows throughout the motion. So displacement or angle turns where the tension turns, and each step has one
+unknown. Just after a turn it grows with the square of the change in tension; so the search compares square roots.
 """
 
 from collections.abc import Callable
@@ -19,16 +19,16 @@ from .fronts import Motion
 from .turns import NO_STEP, Stack, Turns, go_on
 
 Number = Float[Array, ""]
-Gain = Callable[[Number, Number], Number]  # of the tensions before and after a motion
+Gain = Callable[[Number, Number], Number]  # what a motion adds, from the tensions before and after it
 DOUBLINGS = 24  # of a tension, until it is large enough
 EVALUATIONS = 60  # at most; most searches take ten
 
 
 class Drive(NamedTuple):
-    """What moves the body as told."""
+    """The base tensions of a path of displacements or tip angles, and whether they exist."""
 
     tension: Float[Array, " steps"]  # N
-    slack: Bool[Array, " steps"]  # the tendon would have to push, and hangs
+    slack: Bool[Array, " steps"]  # the tendon would have to push, and is slack
     unreachable: Bool[Array, " steps"]
 
 
@@ -49,8 +49,8 @@ def driven(
         nodes: Gauss nodes in each smooth piece.
         quantity: "displacement", m, or "tip_angle", rad.
         wanted: its values after each step.
-        stack: what is open before.
-        tensions, values: of the base, N, and of the quantity at the turns of the stack.
+        stack: the remembered turns before the first step.
+        tensions, values: base tension, N, and quantity at the turns of the stack.
         first_step: the number of the first step.
     """
 
@@ -93,7 +93,7 @@ def _gain(
     turned_at: Number,
     tension: Number,
 ) -> Number:
-    """What a motion adds since it turned."""
+    """How much a motion adds to the quantity since it turned."""
     _, own, other = ends_of_motion(body, nodes, Motion(tension, direction, turned_at, from_rest))
     values = own.added.heading, other.added.heading
     outside = 0.0
@@ -106,7 +106,7 @@ def _gain(
 def _tension_for(
     gain: Gain, constant_gain: Gain, turned_at: Number, direction: Number, wanted: Number, first_try: Number
 ) -> tuple[Drive, Number]:
-    """The tension of a motion that adds what is wanted, and what it adds; the search itself has no derivatives."""
+    """The tension of a motion that adds the wanted amount, and what it adds; the search itself has no derivatives."""
     fixed = jax.lax.stop_gradient
     start, aim = fixed(turned_at), fixed(wanted * direction)
     target = jnp.sqrt(jnp.maximum(aim, 0.0))
@@ -130,7 +130,7 @@ def _tension_for(
 
 
 def _first_try(body: Manipulator) -> Number:
-    """A small tension, N: the stiffness of the base over the length and the offset there, by 1000."""
+    """A small tension, N: a thousandth of the stiffness at the base over the length and over the offset there."""
     section = body.cross_section(jnp.zeros_like(jnp.asarray(body.length)))
     return jax.lax.stop_gradient(1e-3 * section.stiffness / (section.offset[0] * jnp.asarray(body.length)))
 
@@ -148,7 +148,7 @@ class _Bracket(NamedTuple):
 def _search(
     function: Callable[[Number], Number], at_zero: Number, first_try: Number, most: Number
 ) -> tuple[Number, Bool[Array, ""]]:
-    """Where a growing function vanishes between 0 and `most`, and whether it does; there by the Illinois rule."""
+    """The zero of a growing function between 0 and `most`, by the Illinois rule; and whether there is one."""
     least = 4 * jnp.finfo(most.dtype).eps
 
     def step(state: _Bracket) -> _Bracket:

@@ -1,10 +1,10 @@
-"""What a path takes at the base and loses to friction.
+"""The work at the base along a path, and the part of it that is lost to friction.
 
-While the base tension goes on in one direction, each place slides from the moment at which the front passes it. So
-the work and the loss of a motion are integrals over the positions of the front, and, once the front is where it stays,
-over the base tension. Both are smooth, and Gauss rules are exact to rounding errors; not so in space, see
-`_motion_in_space`. What a step does follows from the motions between turns: when it passes a turn, it first goes back
-to where that loop began.
+While the base tension goes on in one direction, the tendon slides at a cross-section once the front has passed it. So
+the work and the loss of a motion are integrals over the positions of the front and, once the front rests, over the base
+tension. Both integrands are smooth, and Gauss rules are exact to rounding errors; not so in space, see
+`_motion_in_space`. The work of a step follows from the motions between turns: a step that passes a remembered turn
+first closes the loop that began there.
 """
 
 from functools import partial
@@ -29,13 +29,13 @@ from .turns import NO_STEP, Turns
 
 Number = Float[Array, ""]
 WorkAndLoss = Float[Array, "... 2"]  # J
-REFINEMENTS = 5  # of the tension at which a front passes a place, by Newton's method
+REFINEMENTS = 5  # of the tension at which a front passes an arc length, by Newton's method
 
 
 def work_and_loss(
     body: Manipulator, nodes: int, path: Float[Array, " path"], turns: Turns, front: Float[Array, " path"]
 ) -> WorkAndLoss:
-    """What each step of a path that started at rest takes at the base, and what of that it loses to friction, J."""
+    """The work at the base of each step of a path from rest, and the part of it that is lost to friction, J."""
     from_rest = turns.before == NO_STEP
     turned_at = jnp.where(from_rest, 0.0, path[turns.before])
 
@@ -53,7 +53,7 @@ def work_and_loss(
         return jnp.stack([there, back])
 
     if body.in_space:
-        turned_from = jnp.append(turns.direction[1:] != turns.direction[:-1], False)  # else there is no way back
+        turned_from = jnp.append(turns.direction[1:] != turns.direction[:-1], False)  # else no step goes back from it
         found = jax.lax.map(there_and_back_in_space, (path, turned_at, turns.direction, from_rest, turned_from))
     else:
         found = jax.lax.map(there_and_back, (path, turned_at, turns.direction, front, from_rest))
@@ -62,7 +62,10 @@ def work_and_loss(
 
 
 def _of_step(turns: Turns, there: WorkAndLoss, back: WorkAndLoss, step: Int[Array, ""]) -> WorkAndLoss:
-    """A step closes the loops that it passes, each from where it is in that loop to where the loop began."""
+    """Work and loss of one step, which closes the loops whose turns it passes.
+
+    In each of these loops it goes from where it is in the loop to where the loop began.
+    """
     earlier = jnp.where(step > 0, turns.open[jnp.maximum(step - 1, 0)], NO_STEP)
     slots = jnp.arange(earlier.size)
     alike = (slots % 2 == 0) == (turns.direction[step] > 0)
@@ -83,8 +86,8 @@ def _motion(
     direction: Number,
     from_rest: Bool[Array, ""],
 ) -> WorkAndLoss:
-    """Work and loss of a motion from where it turned, J. Its front ends at `front`, or at the tip and goes on."""
-    if body.tendon_drag is not None:  # from rest, the front is where the drag has used up the tension
+    """Work and loss of a motion since it turned, J. Its front ends at `front`; at the tip, the whole tendon slides."""
+    if body.tendon_drag is not None:  # from rest, the front is where drag has used up the tension
         front = jnp.where(from_rest, jnp.minimum(front, _slack_from(body, nodes, tension, direction)), front)
     part = cut_at(body, jax.lax.stop_gradient(front))
     before = _slide(part, nodes, -direction, jnp.where(from_rest, tension, turned_at))
@@ -99,7 +102,7 @@ def _motion(
     weights, places = jnp.asarray(rule.weights, edges.dtype), jnp.asarray(rule.nodes, edges.dtype)
     even = jax.lax.stop_gradient(passed[:-1, None] + jnp.diff(passed)[:, None] * places).ravel()
     fronts = jax.vmap(partial(_front_at, part, nodes, turned_at, direction, from_rest))(even)
-    moving = jax.vmap(passing)(fronts)  # the same tensions with their derivatives, at places that have none
+    moving = jax.vmap(passing)(fronts)  # the same tensions with derivatives; the fronts are constants
     growth = moving.reshape(-1, nodes) @ jnp.asarray(rule.differentiation, edges.dtype).T
 
     tensions = passed[-1] + (tension - passed[-1]) * places  # the front stays at its end
@@ -113,15 +116,15 @@ def _motion(
 def _motion_in_space(
     body: Manipulator, nodes: int, turned_at: Number, tension: Number, direction: Number, from_rest: Bool[Array, ""]
 ) -> WorkAndLoss:
-    """The same of a motion in space: the work by parts, T x less the integral of x over T; friction has the rest.
+    """The same for a motion in space: the work is T x less the integral of x over T, the loss is the work not stored.
 
-    What is pulled in, x, follows from equilibria. As a function of T it is smooth but where the front comes to the tip,
-    and nearly so where the turning of the tendon has a sharp minimum.
+    The length x that is pulled in follows from equilibria. As a function of T it has a kink where the front reaches the
+    tip, and nearly one where the turning of the tendon has a sharp minimum.
     """
     compliance = jnp.sum(body.tendon_compliance * body.tendon_free_length)
 
     def since_turn(tension: Number) -> WorkAndLoss:
-        """What is pulled in, m, and stored, J."""
+        """The length pulled in, m, and the energy stored, J."""
         _, own, other = ends_of_motion(body, nodes, Motion(tension, direction, turned_at, from_rest), refined=False)
         before = jnp.where(from_rest, 0.0, jnp.stack([other.added.pulled_in, other.added.stored]))
         outside = jnp.stack([tension - turned_at, (tension**2 - turned_at**2) / 2]) * compliance
@@ -139,9 +142,9 @@ def _motion_in_space(
 def _all_slides_at(
     body: Manipulator, nodes: int, turned_at: Number, tension: Number, direction: Number, from_rest: Bool[Array, ""]
 ) -> Number:
-    """The base tension, N, at which the front of a motion comes to the tip; where it does not, that at its end.
+    """The base tension, N, at which the front of a motion reaches the tip; where it does not, the last base tension.
 
-    It has no derivative: the integral does not depend on where it is cut.
+    It has no derivative and needs none, because the integral does not depend on where it is divided.
     """
     body, turned_at, tension = jax.lax.stop_gradient((body, turned_at, tension))
     length = jnp.asarray(body.length)
@@ -184,7 +187,7 @@ def _front_at(
 
 
 def _slack_from(body: Manipulator, nodes: int, tension: Number, direction: Number) -> Number:
-    """Where drag has used up a base tension, m; the tip where it has not."""
+    """The arc length, m, at which drag has used up a base tension; that of the tip where some is left."""
     problem = lay_out(body, tension[None], direction[None], nodes)
     spent = FixedPoint()(problem).nodes.pull.spent
     assert spent is not None
@@ -194,9 +197,9 @@ def _slack_from(body: Manipulator, nodes: int, tension: Number, direction: Numbe
 def _tension_when_passing(
     body: Manipulator, nodes: int, turned_at: Number, direction: Number, arc_length: Number, there: Number
 ) -> Number:
-    """The base tension, N, at which the front of a motion passes a place with a tension."""
+    """The base tension, N, at which the front of a motion passes an arc length; `there` is the tension before, N."""
     double = 2 * turned_at - there
-    # without drag the inverse of the tension has as far to go as on the way of the motion before
+    # without drag, 1/T differs between base and front by as much as along the motion before, with the other sign
     found = jnp.where(double > 0, turned_at * there / jnp.where(double > 0, double, 1.0), there)
     if is_play_of_inverse(body):
         return found
@@ -218,8 +221,8 @@ def _tension_when_passing(
 def _rates(body: Manipulator, nodes: int, direction: Number, tension: Number, arc_length: Number) -> WorkAndLoss:
     """Work and loss per base tension, J/N, while the tendon slides up to an arc length.
 
-    What is pulled in at a place goes through the tension of the base at the base, and of the place there. The
-    friction between has the difference.
+    The length that a cross-section pulls in does work with the base tension at the base, and with the local tension at
+    the cross-section. Friction between the two takes the difference.
     """
     part = cut_at(body, jax.lax.stop_gradient(arc_length))
 

@@ -1,4 +1,4 @@
-"""The front of a motion: the place up to which a tendon slides, and beyond which it rests."""
+"""The front of a motion: the arc length up to which a tendon slides, and beyond which it rests."""
 
 from functools import partial
 from typing import NamedTuple
@@ -20,16 +20,16 @@ from ..statics.solve import solve
 
 Number = Float[Array, ""]
 REFINEMENTS = 3  # by Newton's method
-LEAST = 1e-9  # of the body: a step of rounding errors moves next to nothing
+LEAST = 1e-9  # of the body: the least position of a front, for steps as small as rounding errors
 
 
 class Motion(NamedTuple):
-    """How a tendon got from one turn to where it is."""
+    """The motion of a tendon in one direction, since its last turn."""
 
     tension: Number  # at the base after the motion, N
     direction: Number
-    turned_at: Number  # the tension at the base where the motion turned, N; before, the tendon slid the other way
-    from_rest: Bool[Array, ""]  # the motion did not turn, it is the first one
+    turned_at: Number  # base tension at the turn where the motion began, N; before it the tendon slid the other way
+    from_rest: Bool[Array, ""]  # whether it is the first motion, which began at no turn
 
 
 def cut_at(body: Manipulator, arc_length: Number) -> Manipulator:
@@ -38,22 +38,23 @@ def cut_at(body: Manipulator, arc_length: Number) -> Manipulator:
 
 
 def is_play_of_inverse(body: Manipulator) -> bool:
-    """Whether a tendon turns in proportion to its tension, so that 1/T goes as far each way; static."""
+    """Whether a tendon turns in proportion to its tension, so that 1/T has a play operator with equal sides; static."""
     own_strain = body.extensible or body.rest_curvature is not None
     return body.tendon_drag is None and not body.slanted and not own_strain
 
 
 def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> Number:
-    """Where the tension of a motion meets the one at which it turned, m; the tip where all of the tendon slides.
+    """The arc length, m, where the tension of a motion equals that of the motion before; the tip if all slides.
 
-    It has no derivative, and needs none: nothing that is summed along the body jumps at a front. See
-    `moving_front`.
+    It has no derivative. Integrals along the body need none, because their integrands are continuous at the front. See
+    `moving_front` for the front with its derivative.
 
     Args:
         body: with one tendon.
         nodes: Gauss nodes in each smooth piece.
         motion: of the tendon.
-        refined: whether it has to be right to rounding errors; what is summed along the body is off by its square.
+        refined: whether it must be exact to rounding errors. An error of the front changes integrals along the body by
+            its square only.
     """
     tension, direction, turned_at, from_rest = motion
     body, tension, direction, turned_at = jax.lax.stop_gradient((body, tension, direction, turned_at))
@@ -63,7 +64,7 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     # in T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock
     gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
     front = jnp.clip(first_zero(here.panels, gap[..., 0]), LEAST * length, length)
-    if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front right at once
+    if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
         refine = partial(_nearer, body, nodes, ends)
         found = jax.lax.fori_loop(0, REFINEMENTS, lambda _, front: refine(front), front)
         front = jnp.where(front < length, found, front)
@@ -71,12 +72,12 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
 
 
 def moving_front(body: Manipulator, front: Number, here: Number, there: Number, direction: Number) -> Number:
-    """The same front, m, with its derivative: where two motions meet, and by how much their tensions part there.
+    """The same front, m, with its derivative: the difference of two tensions over the difference of their slopes.
 
     Args:
         body: with one tendon.
         front: from `front_of`.
-        here, there: the tension at the front of a motion and of the one before it, N; with derivatives.
+        here, there: the tensions at the front, of a motion and of the motion before it, N; with derivatives.
         direction: of the motion.
     """
     still, apart = jax.lax.stop_gradient((body, front, here, direction)), here - there
@@ -89,7 +90,7 @@ def moving_front(body: Manipulator, front: Number, here: Number, there: Number, 
 
 
 def _slope_in_plane(body: Manipulator, place: Number, tension: Number, direction: Number) -> Number:
-    """T', N/m, of a tendon that slides at a place with a tension."""
+    """T', N/m, of a tendon that slides, at an arc length and for a tension there."""
     section = planar(guarded_section(body, place))
     kappa = bending.curvature(section, tension[None])
     turning = bending.turning(section, kappa, tension[None], direction[None])
@@ -118,7 +119,7 @@ def _left(tension: Number, pull: Pull) -> Float[Array, "*points"]:
 def _nearer(
     body: Manipulator, nodes: int, ends: tuple[tuple[Number, Number], tuple[Number, Number]], front: Number
 ) -> Number:
-    """A step of Newton's method."""
+    """The front after a step of Newton's method."""
     part = cut_at(body, front)
     if body.in_space:  # one program for both
         both = [jnp.stack(pair) for pair in zip(*ends, strict=True)]
@@ -132,7 +133,7 @@ def _nearer(
 
 def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Number, Number]:
     """T, N, and T', N/m, at the end of a part of the body."""
-    if part.in_space:  # where panels end beside sharp minima of the turning
+    if part.in_space:  # `solve` ends panels at sharp minima of the turning
         value = solve(part, tension, direction=direction, nodes=nodes, throw=False).tip_tension[0]
         return value, _slope_in_space(part, jnp.asarray(part.length), value, direction)
     problem = lay_out(part, tension[None], direction[None], nodes)
@@ -144,7 +145,7 @@ def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction
 
 
 def first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
-    """The first place, m, where polynomials that are positive at the base fall below zero; the tip if none is."""
+    """The first arc length, m, where polynomials that are positive at the base fall below zero; the tip if none."""
     points = with_ends(cut, values[..., None])[..., 0]
     below = (points < 0).ravel()
     first = jnp.argmax(below).astype(jnp.uint32)  # not read from the end

@@ -1,4 +1,4 @@
-"""What `trace` returns: the states through which a manipulator went, step first."""
+"""The result of `trace`: the states of a manipulator after each step of a path; the axis of steps comes first."""
 
 from abc import abstractmethod
 
@@ -13,7 +13,7 @@ from ..statics.equilibrium import RESULTS, nan_unless
 
 
 class States(eqx.Module):
-    """What a method knows of the body after each step; one class for each method."""
+    """The states of the body after each step; one class for each method of tracing."""
 
     manipulator: eqx.AbstractVar[Manipulator]
 
@@ -32,11 +32,11 @@ class States(eqx.Module):
 
     @abstractmethod
     def energies(self) -> "Energies":
-        """What was done, lost and stored."""
+        """Work, friction loss and stored energy after each step."""
 
 
 class Energies(eqx.Module):
-    """Of every step, J; all but the stored energy is summed up since the straight body was at rest."""
+    """The energies after every step, J; work and loss are sums since the straight body was at rest."""
 
     work: Float[Array, " steps"]
     friction_loss: Float[Array, " steps"]
@@ -44,10 +44,10 @@ class Energies(eqx.Module):
 
 
 class History(eqx.Module):
-    """The states through which a manipulator went, step first.
+    """The states of a manipulator after each step of a path; the axis of steps comes first.
 
-    One tendon has its numbers as (steps,), several have theirs as (steps, tendons).
-    NaN where a step failed, and `result` says why.
+    Numbers of one tendon have the shape (steps,), those of several tendons (steps, tendons).
+    They are NaN where a step failed; `result` says why.
     """
 
     base_tension: Float[Array, "steps *tendons"]  # N
@@ -56,7 +56,7 @@ class History(eqx.Module):
     tip_position: Float[Array, "steps components"]  # u(L), m
     tip_frame: Float[Array, "steps 3 3"] | None  # of a body in space: its columns are the axes of the tip
     direction: Float[Array, "steps *tendons"]  # of the sliding tendon: +1 in, -1 out
-    front: Float[Array, "steps *tendons"]  # s, m, up to which the tendon slid last; it rests beyond, if not the tip
+    front: Float[Array, "steps *tendons"]  # s, m, up to which the tendon slid in this step; beyond it the tendon rests
     num_turns: Int[Array, " steps"] | None  # how many turns are still remembered; None with several tendons or loads
     tendon_displacement: Float[Array, "steps *tendons"]  # m, pulled in at the base since the straight body
     error_estimate: Float[Array, " steps"]  # of tip tension (relative), tip position (per length), tip angle (rad)
@@ -64,51 +64,52 @@ class History(eqx.Module):
     _states: States
 
     def sliding(self, arc_length: ArrayLike) -> Float[Array, "steps *tendons_and_points"]:
-        """+1 where the tendon slid in last, -1 where it slid out, 0 where it rests, at arc lengths (m)."""
+        """+1 where the tendon slid in during the step, -1 where it slid out, 0 where it rested, at arc lengths (m)."""
         s = jnp.asarray(arc_length, self.front.dtype)
         found = self._states.sliding(s.ravel())
         return found.reshape(*found.shape[:-1], *s.shape)
 
     @property
     def work(self) -> Float[Array, " steps"]:
-        """What actuators and loads have done since the straight body, J.
+        """The work of actuators and loads since the body was straight, J.
 
-        That is the integral of base tension by tendon displacement, and that of loads by what they move.
+        It is the integral of the base tensions over the tendon displacements, and of the loads over the displacements
+        of the points where they act.
         """
         return self._energies.work
 
     @property
     def friction_loss(self) -> Float[Array, " steps"]:
-        """What friction and drag have taken of that, J.
+        """The part of the work that friction and drag have dissipated, J.
 
-        In the plane from an integral of its own; in space the work less what is stored.
+        In the plane it is an integral of its own; in space it is the work less the stored energy.
         """
         return self._energies.friction_loss
 
     @property
     def stored_energy(self) -> Float[Array, " steps"]:
-        """What the bent body and the stretched tendons hold, J.
+        """The elastic energy of the bent body and the stretched tendons, J.
 
         In the exact kinematics work = stored energy + friction loss. In the published kinematics the moment of a
-        tendon is not quite the one that does its work, and the difference tells how much.
+        tendon is not exactly the derivative of its displacement, so the two sides differ.
         """
         return self._energies.stored_energy
 
     @property
     def _energies(self) -> Energies:
-        known = jnp.cumsum(jnp.isnan(self.tip_angle)) == 0  # after a step that failed a sum is not known
+        known = jnp.cumsum(jnp.isnan(self.tip_angle)) == 0  # after a failed step a sum is not known
         return jax.vmap(nan_unless)(known, self._states.energies())
 
     @property
     def equilibria(self) -> AnyFields:
-        """What varies along the body, after each step, at the base, the Gauss nodes and the tip."""
+        """The fields along the body after each step, at the base, the Gauss nodes and the tip."""
         return self.at(self._states.arc_length)
 
     def at(self, arc_length: ArrayLike) -> AnyFields:
-        """What varies along the body, after each step, as `Equilibrium.at` has it; step first.
+        """The fields along the body after each step, as in `Equilibrium.at`; the axis of steps comes first.
 
         Args:
-            arc_length: s, m, a number or an array of any shape; NaN comes back outside 0 to L.
+            arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L.
         """
         s = jnp.asarray(arc_length, self.front.dtype)
         fields = jax.vmap(nan_unless)(~jnp.isnan(self.tip_angle), self._states.fields(s.ravel()))

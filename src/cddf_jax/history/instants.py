@@ -1,4 +1,4 @@
-"""A body at one instant of a path that is followed in short steps: how it begins, moves on, and what it is then."""
+"""A body at one instant of a path that is followed in short steps: the start, the next instant, and results."""
 
 from functools import partial
 from typing import NamedTuple
@@ -21,35 +21,35 @@ from .cells import Along, Cells, Edge, integral
 from .short_step import Ends, Setting, Step, after_step
 
 Number = Float[Array, ""]
-AT_LIMIT = 1e-3  # how near its friction limit a tendon slides
+AT_LIMIT = 1e-3  # a tendon counts as sliding where |sigma| is above 1 less this
 
 
 class Given(NamedTuple):
-    """What is given at one instant."""
+    """The given numbers at one instant."""
 
     ends: Ends
-    outboard: Float[Array, "P 3 2"]  # N, N, at the starts, middles and ends of the cells
+    outboard: Float[Array, "P 3 2"]  # force N, newtons, at the starts, middles and ends of the cells
 
 
 class Instant(NamedTuple):
-    """A body at one instant, and what it took to get there."""
+    """A body at one instant, with work and loss up to it."""
 
     given: Given
     step: Step
     along: Along  # the cells
-    slid: Float[Array, "P tendons"]  # towards the base in the last short step, m, the mean over a cell
+    slid: Float[Array, "P tendons"]  # slip towards the base in the last short step, m, the mean over a cell
     work: Number  # of actuators and loads since the straight body, J
     friction_loss: Number  # J
 
 
 def at_rest(manipulator: Manipulator, cells: Cells, given: Given, loads: Loads | None) -> Instant:
-    """The body before the first step, whose tendons have no tension: straight, or as loads that stay bend it.
+    """The body before the first step, whose tendons have no tension: straight, or bent by loads that stay.
 
     Args:
         manipulator: the body.
-        cells: of it.
-        given: at that instant.
-        loads: that rest on it, or None.
+        cells: its cells.
+        given: the given numbers at that instant.
+        loads: that act on it before the first step, or None.
     """
     still = given.ends.base_tension
     slips = jnp.zeros((cells.edges.size, still.size), still.dtype)
@@ -69,7 +69,7 @@ def at_rest(manipulator: Manipulator, cells: Cells, given: Given, loads: Loads |
 
 
 def moved(cells: Cells, driven: tuple[int, ...], before: Instant, given: Given) -> Instant:
-    """The body a short step later, some tendons of which are driven by their displacement."""
+    """The body one short step later; `driven` are the tendons whose displacement is given."""
     step = after_step(Setting(cells, given.outboard, driven), given.ends, before.step)
     old, new = before.along, cells.along(given.outboard, step.edges, step.share)
 
@@ -81,7 +81,7 @@ def moved(cells: Cells, driven: tuple[int, ...], before: Instant, given: Given) 
 
     pulled_in = cells.pulled_in(step.edges) - cells.pulled_in(before.step.edges)
     pull = mean(before.step.edges.tension[0], step.edges.tension[0])
-    # the work of N on t, as that of M_ext on kappa after integration by parts: so the ledger closes in each short step
+    # the work of N, integrated by parts as M_ext' dphi: then work = stored + loss holds in each short step
     by_force = -whole(mean(old.rates.moment, new.rates.moment) * (new.values.heading - old.values.heading))
     heading = step.edges.heading[-1] - before.step.edges.heading[-1]
     by_moment = mean(before.given.ends.tip_moment, given.ends.tip_moment) * heading
@@ -100,15 +100,15 @@ def moved(cells: Cells, driven: tuple[int, ...], before: Instant, given: Given) 
 
 
 def _jumps(along: Along, step: Step) -> Float[Array, "P tendons"]:
-    """By how much the tensions change at once where cells start, N."""
+    """The jumps of the tensions at the starts of the cells, N."""
     return along.values.tension[:, 0] - step.edges.tension[:-1]
 
 
-# --- what the body is then -----------------------------------------------------------------------
+# --- results at an instant -----------------------------------------------------------------------
 
 
 class Shape(NamedTuple):
-    """A body along its cells."""
+    """The shape of a body along its cells."""
 
     along: Along  # the cells
     position: Float[Array, "edges 2"]  # u, m
@@ -116,7 +116,7 @@ class Shape(NamedTuple):
 
 
 def shape_of(cells: Cells, instant: Instant) -> Shape:
-    """What is summed up along the body."""
+    """Position and wrap angle, integrated along the body."""
     along = instant.along
 
     def summed(rate: Array, jumps: Array | float = 0.0) -> Array:
@@ -127,7 +127,7 @@ def shape_of(cells: Cells, instant: Instant) -> Shape:
 
 
 def stored_in(cells: Cells, instant: Instant) -> Number:
-    """The energy of bending, and of tendons that stretch, J."""
+    """The energy of bending and of the stretch of the tendons, J."""
     along, edges = instant.along, instant.step.edges
     tension = jnp.where(cells.sections.present, along.values.tension, 0.0)
     stretch = jnp.sum(tension * stretch_rate(cells.stretch, tension, cells.sections), axis=-1)
@@ -161,13 +161,13 @@ def fields_of_instant(
 
 
 def _cubic(place: Number, width: Number, start: Array, end: Array, rate: Array, end_rate: Array) -> Array:
-    """Hermite's polynomial at a place from 0 to 1."""
+    """Hermite's cubic polynomial at a point from 0 to 1 of a cell, from values and rates at its ends."""
     t, u = place, 1 - place
     return u**2 * (1 + 2 * t) * start + t**2 * (1 + 2 * u) * end + width * t * u * (u * rate - t * end_rate)
 
 
 class TipPose(NamedTuple):
-    """What the error is estimated of."""
+    """Tensions and pose of the tip, of which the error is estimated."""
 
     tension: PerTendon
     position: Float[Array, "2"]
@@ -181,7 +181,7 @@ def tip_of(cells: Cells, instant: Instant) -> TipPose:
 
 
 def difference(cells: Cells, tip: TipPose, other: TipPose) -> Number:
-    """By how much two passes differ: tip tension (relative), position (per length), angle (rad); the largest."""
+    """The largest difference of two passes: in tip tension (relative), position (per length) or angle (rad)."""
     return jnp.max(
         jnp.stack(
             [
@@ -194,14 +194,14 @@ def difference(cells: Cells, tip: TipPose, other: TipPose) -> Number:
 
 
 def _tension_scale(cells: Cells, tip: TipPose) -> Number:
-    """What tensions are compared to, N: the largest at the tip, and what drag takes."""
+    """The scale of the tensions, N: the largest at the tip, and the largest loss by drag."""
     drag = cells.sections.drag
     dragged = 0.0 if drag is None else jnp.max(jnp.sum(cells.width[:, None] * drag[:, 1], axis=0))
     return jnp.maximum(jnp.max(tip.tension), 1e-3) + dragged
 
 
 def pushed(cells: Cells, instant: Instant, tip: TipPose) -> Number:
-    """How much a tendon pushes where drag has used up its tension, over what tensions are compared to: it cannot."""
+    """The largest push of a tendon over the tension scale: an error, made where drag has used up the tension."""
     return jnp.maximum(-jnp.min(instant.step.edges.tension), 0.0) / _tension_scale(cells, tip)
 
 
@@ -212,7 +212,7 @@ def crosses(cells: Cells, instant: Instant) -> Bool[Array, ""]:
 
 
 def fronts_of(cells: Cells, share: Float[Array, "steps P tendons"]) -> Float[Array, "steps tendons"]:
-    """Up to where, from the base, each tendon slides one way, m."""
+    """The arc length, m, up to which each tendon slides in one direction from the base."""
     direction = jnp.where(share[:, :1] < 0, -1.0, 1.0)
     slides = share * direction > 1 - AT_LIMIT
     whole = jnp.cumprod(slides, axis=1)

@@ -1,4 +1,4 @@
-"""What a path is given by: tensions or displacements of the tendons and loads, after each step."""
+"""A path as it is given: tensions or displacements of the tendons, and loads, after each step."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, cast
@@ -13,24 +13,24 @@ from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement, TipAngle
 
 Driven = ArrayLike | Displacement | Sequence[ArrayLike | Displacement | Sequence[ArrayLike]]
-NUM_AXES = {"tip_force": 1, "tip_moment": 0, "gravity": 1}  # of loads that stay
+NUM_AXES = {"tip_force": 1, "tip_moment": 0, "gravity": 1}  # without an axis of steps
 
 
 class Path(NamedTuple):
-    """What is given after each step; steps first."""
+    """The given numbers after each step; the axis of steps comes first."""
 
     tension: Float[Array, "steps tendons"]  # N; zero for a tendon that is driven by its displacement
     displacement: Float[Array, "steps tendons"]  # m; zero for a tendon whose tension is given
     loads: Loads | None
-    resting: Loads | None = None  # on the body before the first step; without an axis of steps
+    resting: Loads | None = None  # that act before the first step; without an axis of steps
 
     def under(self, loads: Loads) -> "Path":
-        """The same path, along which loads stay."""
+        """The same path under constant loads."""
         count = self.tension.shape[0]
         return self._replace(loads=jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), loads))
 
     def behind(self, tension: Float[Array, " tendons"]) -> "Path":
-        """The same path with a step before the first, under what rests on the body, or under no loads."""
+        """The same path with one more step before the first, under the loads that act before it, or under none."""
         resting = self.resting
         if resting is None:
             resting = jax.tree.map(lambda x: jnp.zeros_like(x[0]), self.loads)
@@ -46,7 +46,7 @@ def as_numbers(values: object, name: str) -> Array:
     """The values as an array of floating-point numbers.
 
     Raises:
-        ValueError: where they are no numbers, or rows of different lengths.
+        ValueError: where they are not numbers, or rows of different lengths.
     """
     if any(isinstance(x, jax.Array) for x in jax.tree.leaves(values)):
         array = jnp.asarray(cast("ArrayLike", values))
@@ -62,7 +62,7 @@ def as_numbers(values: object, name: str) -> Array:
 
 
 def _has_targets(base_tension: Driven | TipAngle) -> bool:
-    """Whether something else than a tension is given."""
+    """Whether anything other than tensions is given."""
     return any(not _is_numbers(entry) for entry in _entries(base_tension))
 
 
@@ -75,20 +75,20 @@ def _is_numbers(entry: object) -> bool:
 
 
 def _not_per_step(loads: Loads) -> bool:
-    """Whether loads stay as they are."""
+    """Whether the loads have no axis of steps."""
     return all(np.ndim(getattr(loads, name)) == count for name, count in NUM_AXES.items())
 
 
 def given_path(
     manipulator: Manipulator, base_tension: Driven | TipAngle, loads: Loads | Sequence[Loads] | None
 ) -> tuple[Path, tuple[int, ...]]:
-    """The path, and the numbers of the tendons, from 0, that are driven by their displacement.
+    """The path, and the indices, from 0, of the tendons that are driven by their displacement.
 
-    Loads that stay rest on the body before the first step.
+    Loads without an axis of steps act already before the first step.
 
     Raises:
         ValueError: for wrong shapes.
-        TypeError: for what is neither numbers nor `Displacement`.
+        TypeError: for entries that are neither numbers nor `Displacement`.
     """
     tension, displacement, driven = _actuation(manipulator, base_tension)
     along = _loads(loads, tension.shape[0])

@@ -1,8 +1,8 @@
-"""What a single tendon leaves of its history in tension and shape: a play operator with an exact answer.
+"""The history of a single tendon without loads, in tension and shape: a play operator with an exact answer.
 
-Without loads the curvature follows from the tension at the same place. So where the tendon rests the body keeps its
-curvature, and where it slides the tension is that of `solve` with the direction in which it slides. Between the
-fronts of its open turns the body is therefore congruent to a part of one of these equilibria, see `congruent_parts`.
+Without loads the curvature follows from the tension at the same cross-section. So where the tendon rests the body keeps
+its curvature. Where it slides, the tension is that of `solve` with the direction in which it slides. Between the fronts
+of its remembered turns the body is therefore congruent to a part of one of these equilibria, see `congruent_parts`.
 """
 
 from collections.abc import Callable
@@ -46,16 +46,16 @@ from .turns import NO_STEP, Turns, open_turns
 Number = Float[Array, ""]
 Given = TypeVar("Given")
 Found = TypeVar("Found")
-BLOCK = 64  # steps at a time
+BLOCK = 64  # steps that are computed at a time
 
 
 class CongruentStates(States):
-    """Bodies that are put together of parts of equilibria."""
+    """Bodies that are composed of parts of equilibria, see `congruent_parts`."""
 
     manipulator: Manipulator
     nodes: int = eqx.field(static=True)
-    num_steps: int = eqx.field(static=True)  # the last of the path; those before come from an earlier history
-    open_tension: Float[Array, " turns"]  # N, of the turns that are remembered at the end, then the last tension
+    num_steps: int = eqx.field(static=True)  # the last ones of the path; those before come from an earlier history
+    open_tension: Float[Array, " turns"]  # at the turns that are remembered at the end, then the last tension, N
     path: Float[Array, " path"]  # base tensions, N
     turns: Turns  # of the path
     front: Float[Array, " path"]  # m
@@ -80,9 +80,9 @@ class CongruentStates(States):
 
 
 class Before(NamedTuple):
-    """What was before the first step."""
+    """The history before the first step."""
 
-    open_tension: Float[Array, " turns"]  # N, a path that leaves the remembered turns
+    open_tension: Float[Array, " turns"]  # N: a path that leaves the same remembered turns
     work_and_loss: Float[Array, "2"] | None = None  # since rest, J; None for those of that path
 
 
@@ -100,13 +100,13 @@ def congruent_history(
 
     Args:
         manipulator: a body with one tendon.
-        wanted: values of the driven quantity after each step.
-        before: what was before the first step.
+        wanted: values of the given quantity after each step.
+        before: the history before the first step.
         nodes: Gauss nodes in each smooth piece; static.
-        max_turns: how many turns there is room for; static.
-        quantity: what is driven, "base_tension", N, "displacement", m, or "tip_angle", rad; static.
+        max_turns: how many turns can be remembered; static.
+        quantity: "base_tension", N, "displacement", m, or "tip_angle", rad; static.
     """
-    # the masses of a body without loads do nothing, and may lie beyond a front
+    # point masses have no effect without loads, and may lie beyond a front
     body = eqx.tree_at(lambda body: body.point_masses, manipulator, ())
     num_steps = wanted.shape[0]
     given = wanted, before.open_tension, before.work_and_loss
@@ -151,7 +151,7 @@ def congruent_history(
 def _path(
     body: Manipulator, nodes: int, quantity: str, known: Array, wanted: Array, max_turns: int
 ) -> tuple[Float[Array, " path"], Turns, Drive | None]:
-    """Known tensions and those that are wanted or move something as wanted, N; and the turns of the whole path."""
+    """The known base tensions and those of the wanted values, N; the turns of the whole path; how they were found."""
     if quantity == "base_tension":
         path = jnp.concatenate([known, wanted])
         return path, open_turns(path, max_turns)[1], None
@@ -193,7 +193,7 @@ def follow(
 @kept_program
 @eqx.filter_jit
 def _work_and_loss(states: CongruentStates) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
-    """Since rest, J."""
+    """Work and friction loss since rest, J."""
     gains = work_and_loss(states.manipulator, states.nodes, states.path, states.turns, states.front)
     if states.earlier is not None:
         own = jnp.arange(states.path.size) >= states.path.size - states.num_steps
@@ -203,7 +203,7 @@ def _work_and_loss(states: CongruentStates) -> tuple[Float[Array, " steps"], Flo
 
 
 def _in_blocks(function: Callable[[Given], Found], given: Given) -> Found:
-    """`jax.vmap`, of so many steps at a time that memory stays small in a batch of bodies."""
+    """`jax.vmap` over blocks of steps, so that memory stays small in a batch of bodies."""
     count = jax.tree.leaves(given)[0].shape[0]
     if count <= BLOCK:
         return jax.vmap(function)(given)
@@ -216,18 +216,18 @@ def _in_blocks(function: Callable[[Given], Found], given: Given) -> Found:
 
 
 class _Part(NamedTuple):
-    """A part of a traced body, and how the equilibrium that it is part of is turned and moved."""
+    """A part of a traced body, and the rigid motion of the equilibrium to which it belongs."""
 
     start: Number  # s, m
     end: Number
-    branch: Int[Array, ""]  # the step whose equilibrium it is part of
-    turned: Heading
-    moved: Float[Array, " components"]  # m, after it was turned about the base
-    wrapped: Float[Array, " tendons"]  # rad, more than in that equilibrium
+    branch: Int[Array, ""]  # the step to whose equilibrium it belongs
+    turned: Heading  # the rotation about the base
+    moved: Float[Array, " components"]  # the displacement after that rotation, m
+    wrapped: Float[Array, " tendons"]  # the wrap angle less that of the equilibrium, rad
 
 
 class _Body(NamedTuple):
-    """A traced body as far as it is put together."""
+    """The end of a traced body, as far as it is composed."""
 
     end: Number  # s, m
     heading: Heading
@@ -287,7 +287,7 @@ def _fields_at(branches: Dense, parts: _Part, arc_length: Number) -> AnyFields:
 
 
 def _placed(part: _Part, fields: AnyFields) -> AnyFields:
-    """What varies along a part, where it lies in the traced body; of its equilibrium."""
+    """The fields of an equilibrium, moved to where its part lies in the traced body."""
     placed = {
         "position": part.moved + rotated(fields.position, part.turned),
         "wrap_angle": fields.wrap_angle + part.wrapped,

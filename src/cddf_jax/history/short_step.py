@@ -1,9 +1,9 @@
-"""One short step in time of a body whose tendons may slide or rest, solved for all cells at once.
+"""One short step of a body whose tendons may slide or rest, solved for all cells at once.
 
-Within a step each tendon obeys Coulomb's law with the slip of that step: where it moved towards the base its share
-sigma of the friction limit is +1, where it moved away -1, and where it did not move the share is whatever balance
-needs. The law is softened by a length delta, sigma = dw / sqrt(dw^2 + delta^2), which shrinks while Newton's method
-goes on, from a tenth of a millimetre to less than the size of an atom: so the method finds where tendons rest.
+Within a step each tendon obeys Coulomb's law with its slip dw in that step. Where the tendon moved towards the base,
+its share sigma of the friction limit is +1; where it moved away, -1; where it did not move, equilibrium determines the
+share. The law is softened by a length delta, sigma = dw / sqrt(dw^2 + delta^2). Newton's method reduces delta from a
+hundredth to 1e-13 of the largest offset, and so finds where tendons rest.
 """
 
 from functools import partial
@@ -24,18 +24,18 @@ Number = Float[Array, ""]
 PerCell = Float[Array, "*P tendons"]  # of all cells; without their axis of one
 FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
 LAST_SOFTNESS = 1e-13
-SHRINKING = (0.1, 0.3, 0.5)  # of delta in each pass, attempt by attempt
-SETTLED = (np.inf, 1e-2, 1e-4)  # after passes that changed less
-PASSES = (40, 120, 240)  # after which the next attempt begins anew
-LOCATING = 5  # passes with the last delta, after which the place of a front within its cell is held
-TOLERANCE = 1e-10
-PATIENCE = 10  # passes with the last delta, after which changes are those of rounding, see `_tolerance`
-ROUNDING = 1e-8
+SHRINKING = (0.1, 0.3, 0.5)  # factor on delta in a pass, in each of three attempts
+SETTLED = (np.inf, 1e-2, 1e-4)  # delta is reduced after a pass whose change was smaller, in each attempt
+PASSES = (40, 120, 240)  # numbers of passes after which the next attempt starts again
+LOCATING = 5  # passes with the last delta, after which the position of a front within its cell is held
+TOLERANCE = 1e-10  # of the change in a pass
+PATIENCE = 10  # passes with the last delta, after which changes count as rounding, see `_tolerance`
+ROUNDING = 1e-8  # the tolerance then
 LEAST_RATE = 1e-3  # of the largest slip rate: below it a tendon counts as resting where its front is located
 
 
 class Ends(NamedTuple):
-    """What is given at the ends of the body."""
+    """The given numbers at the ends of the body."""
 
     base_tension: PerTendon  # N; a first guess for a tendon that is driven by its displacement
     displacement: PerTendon  # m, pulled in at the base; used for such a tendon only
@@ -55,14 +55,14 @@ class Setting(eqx.Module):
     """A body, its loads, and how it is driven."""
 
     cells: Cells
-    outboard: Float[Array, "P 3 2"]  # N, N, at the starts, middles and ends of the cells
+    outboard: Float[Array, "P 3 2"]  # force N, newtons, at the starts, middles and ends of the cells
     driven: tuple[int, ...] = eqx.field(static=True)  # the tendons whose displacement is given
 
 
 class _Sides(NamedTuple):
-    """How fast the slip of this step changes in the neighbours of each cell, as parts of one.
+    """The slopes of the slip of this step along s in the two neighbours of each cell, scaled to the sum 1.
 
-    Where a front lies within a cell, the slip falls to zero along two straight lines of these two slopes.
+    Where a front lies within a cell, the slip falls to zero along two straight lines with these slopes.
     """
 
     left: PerCell
@@ -70,11 +70,11 @@ class _Sides(NamedTuple):
 
 
 class _Gaps(NamedTuple):
-    """What is missing in the equations."""
+    """The residuals of the equations."""
 
     along: Edge  # the integrals over the cells
     law: PerCell  # Coulomb's law, m
-    driven: Float[Array, " driven"]  # the displacements, m, or the tension of a slack tendon, as a length
+    driven: Float[Array, " driven"]  # the displacements, m; of a slack tendon its tension, scaled to a length
 
 
 class _Change(NamedTuple):
@@ -83,9 +83,9 @@ class _Change(NamedTuple):
 
 
 def after_step(setting: Setting, ends: Ends, before: Step) -> Step:
-    """The body after tensions or displacements at its base, and the loads, have changed a little.
+    """The body after a small change of the tensions or displacements at its base, and of the loads.
 
-    First derivatives are those of the equations, with the places of fronts within their cells held.
+    First derivatives are those of the equations, with the positions of fronts within their cells held.
     """
     return _after_step((setting, ends, before))[0]
 
@@ -124,10 +124,10 @@ def _after_step(given: tuple[Setting, Ends, Step]) -> tuple[Step, _Sides, Number
 
 
 def _tolerance(held: Number) -> Number:
-    """Of the change in a pass, after so many with the last delta.
+    """The tolerance of the change in a pass, after `held` passes with the last delta.
 
-    Where two tendons rest side by side that do not stretch, what they slip is hardly more than the rounding error of a
-    slip. Their shares then jitter, and tensions with them by some 1e-9.
+    Where two tendons that do not stretch both rest, their slip is hardly larger than its rounding error. Their shares
+    then jitter, and with them the tensions by some 1e-9.
     """
     return jnp.where(held < PATIENCE, TOLERANCE, ROUNDING)
 
@@ -157,9 +157,9 @@ def _changed(setting: Setting, ends: Ends, step: Step, change: _Change) -> tuple
     moment_scale = cells.sections.stiffness[0, 0] / cells.edges[-1]
     scale = Edge(jnp.maximum(jnp.max(ends.base_tension), 1e-3), jnp.ones(()), cells.scale, moment_scale)
     parts = jax.tree.map(lambda x, size: largest_size(x) / size, change.edges, scale)
-    # without tension a share has no effect, and rounding may change it for ever
-    felt = (share - step.share) * step.edges.tension[:-1] / scale.tension
-    size = jnp.max(jnp.stack([*parts, 1e-3 * largest_size(felt)]))
+    # without tension a share has no effect, and rounding errors may change it in every pass
+    of_share = (share - step.share) * step.edges.tension[:-1] / scale.tension
+    size = jnp.max(jnp.stack([*parts, 1e-3 * largest_size(of_share)]))
     return step._replace(edges=jax.tree.map(jnp.add, step.edges, change.edges), share=share), size
 
 
@@ -173,12 +173,12 @@ def _with_ends(setting: Setting, step: Step, ends: Ends) -> Step:
 
 
 def _in_cells(edges: Edge) -> tuple[Edge, Edge]:
-    """What holds at the starts and at the ends of the cells."""
+    """The values at the starts and at the ends of the cells."""
     return jax.tree.map(lambda x: x[:-1], edges), jax.tree.map(lambda x: x[1:], edges)
 
 
 def _missing(setting: Setting, step: Step) -> tuple[Edge, PerCell]:
-    """What is missing in the integrals, and the slip rates in the middle of the cells."""
+    """The residuals of the integrals, and the slip rates in the middle of the cells."""
     cells = setting.cells
     along = cells.along(setting.outboard, step.edges, step.share)
     return jax.vmap(missing_along)(cells.width, along), -along.rates.slip[:, 1]
@@ -192,7 +192,7 @@ def _sides(before: Step, rate: PerCell) -> _Sides:
 
 
 def _mismatch(softness: Number, sides: _Sides, share: PerCell, at_start: PerCell, at_end: PerCell) -> PerCell:
-    """What is missing in Coulomb's law, m, along cells at whose ends tendons have slipped in this step."""
+    """The residual of Coulomb's law in each cell, m, from the slips of this step at its ends."""
 
     def size(slip):
         return jnp.sqrt(slip**2 + softness**2)
@@ -204,21 +204,21 @@ def _mismatch(softness: Number, sides: _Sides, share: PerCell, at_start: PerCell
 def _gaps(
     setting: Setting, ends: Ends, before: Step, step: Step, sides: _Sides, softness: Number, along: Edge
 ) -> _Gaps:
-    """What is missing in all equations, of which the integrals are known."""
+    """The residuals of all equations; `along` are those of the integrals."""
     moved = step.edges.slip - before.edges.slip
     law = _mismatch(softness, sides, step.share, moved[:-1], moved[1:])
     return _Gaps(along, law, _driven_gap(setting, ends, step.edges))
 
 
 def _driven_gap(setting: Setting, ends: Ends, edges: Edge) -> Float[Array, " driven"]:
-    """By how much a displacement is missed, m; or, if that is less, the tension of a slack tendon, as a length."""
+    """The displacement less the given one, m; or, if that is less, the tension of a slack tendon as a length."""
     driven = jnp.asarray(setting.driven, int)
     missed = (setting.cells.pulled_in(edges) - ends.displacement)[driven]
     return jnp.minimum(missed, _per_tension(setting) * edges.tension[0, driven])
 
 
 def _per_tension(setting: Setting) -> Number:
-    """A length per tension by which the two are compared, m/N."""
+    """The length per tension, m/N, by which tensions are compared with displacements."""
     sections = setting.cells.sections
     return setting.cells.edges[-1] * jnp.max(sections.offset**2) / sections.stiffness[0, 0]
 
@@ -229,7 +229,7 @@ def _per_tension(setting: Setting) -> Number:
 def _correction(
     setting: Setting, ends: Ends, before: Step, step: Step, sides: _Sides, softness: Number, gaps: _Gaps
 ) -> _Change:
-    """The change of all unknowns that closes the gaps to first order; linear in the gaps."""
+    """The change of all unknowns that makes the residuals zero to first order; linear in the residuals."""
     blocks = _blocks(setting, before, step, sides, softness)
     change, by_tension = _swept(blocks, gaps, setting.cells.scale, setting.driven)
     if not setting.driven:
@@ -280,10 +280,10 @@ def _blocks(setting: Setting, before: Step, step: Step, sides: _Sides, softness:
 
 
 def _swept(blocks: _Blocks, gaps: _Gaps, scale: Number, driven: tuple[int, ...]) -> tuple[_Change, _Change]:
-    """The change that closes the gaps, and that by one newton at the base of each driven tendon.
+    """The change that makes the residuals zero, and the change by one newton at the base of each driven tendon.
 
-    Going outwards, tension and heading at the end of each cell are found as linear functions of slip and moment there;
-    the way back finds all numbers.
+    From the base to the tip, tension and heading at the end of each cell are found as linear functions of slip and
+    moment there. From the tip to the base, all numbers follow.
     """
     missing = jnp.concatenate([*jax.vmap(_flat)(gaps.along), gaps.law / scale], axis=1)
     count = blocks.by_end.shape[2]  # of known, and of sought numbers

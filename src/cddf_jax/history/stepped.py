@@ -1,8 +1,8 @@
-"""Pull and release with several tendons or with loads: short steps in time along a path that is straight in each step.
+"""Pull and release with several tendons or with loads: the path is followed in short steps.
 
-Where tendons act on each other, or loads on the shape, a tendon that rests does not keep its tension, and no closed
-form says what it has. So the path is followed in short steps, and the slip of each tendon is carried along. The error
-is estimated by two more passes, one with half as many cells and one with half as many short steps.
+Where tendons act on each other, or loads on the shape, a resting tendon does not keep its tension, and there is no
+closed form. So each step of the path, which is straight, is divided into short steps, and the slip of each tendon is
+followed. The error is estimated by two more passes, one with half as many cells and one with half as many short steps.
 """
 
 from functools import partial
@@ -45,9 +45,9 @@ from .short_step import Ends
 
 Number = Float[Array, ""]
 ACCURACY = 3e-2  # a step with a larger error estimate is called inaccurate
-SAFETY = 2.0  # by which passes may differ less than the fine one is wrong
-LEAST_ERROR = 1e-5  # what the softened law and the stretch of stiff tendons may leave
-LEAST_SLIP = 1e-6  # of the largest slip of a short step; what moves less rests
+SAFETY = 2.0  # factor on the differences of the passes in the error estimate
+LEAST_ERROR = 1e-5  # the error that the softened law and the stretch of stiff tendons may cause
+LEAST_SLIP = 1e-6  # of the largest slip of a short step; a tendon that slips less rests
 
 
 class Following(NamedTuple):
@@ -62,7 +62,7 @@ class SteppedStates(States):
     """The bodies after all steps of a path."""
 
     manipulator: Manipulator
-    passes: Instant  # the fine pass, and those with rough cells and with rough steps; then step first
+    passes: Instant  # first axis: the fine pass, that with rough cells, that with rough steps; second axis: steps
     loads: Loads  # after the last step
     num_cells: int = eqx.field(static=True)
 
@@ -72,7 +72,7 @@ class SteppedStates(States):
 
     @property
     def instants(self) -> Instant:
-        """Of the fine pass, step first."""
+        """Those of the fine pass; the axis of steps comes first."""
         return jax.tree.map(lambda x: x[0], self.passes)
 
     @property
@@ -82,7 +82,7 @@ class SteppedStates(States):
     def energies(self) -> Energies:
         stored = jax.vmap(partial(stored_in, self.cells))(self.instants)
 
-        # the error of trapezoids falls with the square of their width; what they add to the work is lost
+        # the error of the trapezoidal rule falls with the square of the step; its part of the work counts as lost
         fine, _, rough = self.passes.work
         more = (fine - rough) / 3
         return Energies(fine + more, self.instants.friction_loss + more, stored)
@@ -101,7 +101,7 @@ class SteppedStates(States):
 
 
 class _Rough(NamedTuple):
-    """How a pass differs from the fine one, by whose side it tells the error."""
+    """How a pass differs from the fine one. The difference of their results estimates the error."""
 
     cells: Number  # 1 for half as many, else 0
     steps: Number  # 1 for half as many short steps, else 0
@@ -160,7 +160,7 @@ def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, 
     return Given(Ends(path.tension, path.displacement, jnp.asarray(path.loads.tip_moment)), outboard)
 
 
-# --- what is told of it ---------------------------------------------------------------------------
+# --- the history of a path ------------------------------------------------------------------------
 
 
 @kept_program
@@ -170,9 +170,9 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
 
     Args:
         manipulator: the body.
-        path: what is given after each step.
-        start: the states that the path goes on from; None for rest.
-        kind: how to follow it; static.
+        path: the given numbers after each step.
+        start: the states that the path continues; None for rest.
+        kind: how to follow the path; static.
     """
     wanted, ones = path, jnp.ones_like(path.tension[0])
     manipulator, path, physical = _checked(manipulator, path)
@@ -218,7 +218,7 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
 
 
 def _checked(manipulator: Manipulator, path: Path) -> tuple[Manipulator, Path, Bool[Array, " steps"]]:
-    """Body and path with harmless numbers, and up to which step they were physical."""
+    """Body and path with harmless numbers in place of unphysical ones; whether all steps so far are physical."""
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(manipulator)]))
     usable = jnp.cumprod(_usable(path)) > 0  # up to the first step that is not
     asked, ones = manipulator, jnp.ones_like(path.tension[0])
@@ -242,11 +242,11 @@ class Tips(NamedTuple):
 def tips_along(manipulator: Manipulator, path: Path, kind: Following) -> Tips:
     """The tip along a path from rest, by one pass and without an error estimate; NaN where a step failed.
 
-    Derivatives are differences, in forward mode: those of the equations hold fronts within their cells, and so are
-    right to some per cent only.
+    Derivatives are differences, in forward mode. Those of the equations hold fronts fixed within their cells, and are
+    accurate to a few per cent only.
 
     Args:
-        manipulator, path, kind: as of `stepped_history`.
+        manipulator, path, kind: as in `stepped_history`.
     """
 
     def tips(given: tuple[Manipulator, Path]) -> Tips:
@@ -264,13 +264,13 @@ def tips_along(manipulator: Manipulator, path: Path, kind: Following) -> Tips:
 def angles_along(
     manipulator: Manipulator, base_tension: Array, loads: Loads | None, *, nodes: int, short_steps: int
 ) -> Float[Array, " steps"]:
-    """Tip angles along a path from rest, rad, as `tips_along` has them.
+    """Tip angles along a path from rest, rad, as in `tips_along`.
 
     Args:
         manipulator: the body.
         base_tension: (steps, tendons), N.
-        loads: that rest on the body before the first step, or None.
-        nodes, short_steps: as of `trace`.
+        loads: that act on the body already before the first step, or None.
+        nodes, short_steps: as in `trace`.
     """
     path, _ = given_path(manipulator, base_tension, loads)
     return tips_along(manipulator, path, Following((), 4 * nodes, short_steps)).heading
@@ -313,7 +313,7 @@ def squeezed(history: History) -> History:
 
 
 def after_first(history: History) -> History:
-    """The history without its first step; all of it failed where that one did."""
+    """The history without its first step. Where the first step failed, all steps count as failed."""
 
     def apart(history: History) -> tuple[States, RESULTS]:
         return history._states, history.result
@@ -329,7 +329,7 @@ def after_first(history: History) -> History:
 
 
 def _usable(path: Path) -> Bool[Array, " steps"]:
-    """Whether what is given for each step is physical."""
+    """Whether the given numbers of each step are physical."""
     numbers = [x.reshape(x.shape[0], -1) for x in jax.tree.leaves(path._replace(resting=None))]
     finite = jnp.all(jnp.isfinite(jnp.concatenate(numbers, axis=1)), axis=1)
     return finite & jnp.all(path.tension >= 0, axis=1)

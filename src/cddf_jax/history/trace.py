@@ -23,6 +23,8 @@ from .path import Driven, Path, as_numbers, given_path
 from .play_operator import Before, CongruentStates, congruent_history
 from .stepped import ACCURACY, Following, SteppedStates, after_first, squeezed, stepped_history
 
+BOTH_GIVEN = "trace: before and start both give the history before the first step; leave one of them out"
+
 
 def trace(
     manipulator: Manipulator,
@@ -38,37 +40,36 @@ def trace(
 ) -> History:
     """Pull and release a manipulator, from rest.
 
-    One tendon without loads has an exact answer, in the plane and in space. Several tendons, and loads, are known in
-    the plane; they are followed in short steps with cells of finite length, and `error_estimate` tells how far answers
-    with half as many of either are away.
+    One tendon without loads has an exact answer, in the plane and in space. Several tendons, and loads, are possible in
+    the plane. They are followed in short steps with cells of finite length; `error_estimate` compares with results for
+    half as many steps and for half as many cells.
     Works under jit, vmap, grad and scan. Derivatives are continuous where fronts move; at a turn they are those of the
-    direction in which the step went. With several tendons or loads only first derivatives hold, and 64-bit numbers are
-    needed.
+    direction in which the step went. With several tendons or loads only first derivatives are valid, and 64-bit numbers
+    are needed.
 
     Args:
         manipulator: the body.
-        base_tension: T_base >= 0, N, after each step, in the order in time, (steps,) for one tendon or (steps,
-            tendons); between steps it goes straight from one to the next. Or `Displacement([...])`, m, or, for one
-            tendon in the plane without loads, `TipAngle([...])`, rad, after each step: then the tensions are found.
-            Several tendons may have an entry (steps,) each, of which some are a `Displacement`. A tendon that would
-            have to push hangs
-            without tension until it is taken up; the result of such a step is `slack`, which is no error, and its
-            displacement is that at which the tendon went slack.
-        loads: one `Loads` that rests on the body before the first step and stays, or one for each step (a list, or
-            `Loads` whose numbers have a leading axis of steps), which begin with none; None for none. After `start`
-            they go on from those of that history, and None leaves them as they are.
-        before: the largest base tension, N, that a tendon had before it was released to the first step; "rest" for a
-            body with tendons that never had a tension. Of several tendons, (tendons,), and under loads, it is the step
-            before the first, to which all went straight from rest; loads that change along the path come after it.
-        start: the history of the same body that goes on, in the place of `before`; with its cells, whatever `nodes`.
+        base_tension: T_base >= 0, N, after each step, in the order of time: (steps,) for one tendon, or (steps,
+            tendons). Between two steps the tensions change linearly. `Displacement([...])`, m, after each step is also
+            possible, and for one tendon in the plane without loads `TipAngle([...])`, rad; then the tensions are found.
+            Several tendons may have an entry (steps,) each, some of them a `Displacement`. A tendon that would have to
+            push is slack until it is pulled in again. The result of such a step is `slack`, which is not an error; its
+            displacement is that at which the tendon became slack.
+        loads: one `Loads`, which acts already before the first step and stays; or one for each step (a list, or
+            `Loads` whose numbers have a leading axis of steps), which start from no loads; None for no loads. After
+            `start` they continue from the loads of that history; None then keeps those loads.
+        before: the largest base tension, N, that the tendon had before it was released to the first step; "rest" for
+            tendons that never had a tension. For several tendons, (tendons,), and under loads, it is a step before the
+            first, to which all tensions rise linearly from rest; loads that change along the path come after it.
+        start: the history of the same body that continues, in place of `before`. Its cells are kept, not `nodes`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the body
             is cut into four times as many cells.
-        max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the step is
-            `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
-            Several tendons, and loads, have no such limit.
-        short_steps: into how many each step is divided with several tendons or loads, 2 or more; static. A path of
-            many steps needs fewer.
-        throw: raise where the values are known and a step failed.
+        max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the result of the
+            step is `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
+            With several tendons or loads there is no such limit.
+        short_steps: into how many short steps each step is divided with several tendons or loads, 2 or more; static. A
+            path of many steps needs fewer.
+        throw: raise an error if a step failed, where the values are known.
 
     Raises:
         SolveError: with `throw`, when a step failed; it names the step.
@@ -103,14 +104,14 @@ def trace(
 def _as_known(
     manipulator: Manipulator, base_tension: Driven | TipAngle, loads: Loads | Sequence[Loads] | None
 ) -> Manipulator:
-    """The body, whose tendon has an angle where it is in space; refuse what is not known there."""
+    """The body, with an angle of its tendon where it is in space; refuse what `trace` cannot follow in space."""
     given = loads if isinstance(loads, tuple | list) else [loads]
     if not manipulator.in_space and not any(isinstance(entry, Loads) and entry.in_space for entry in given):
         return manipulator
     if manipulator.num_tendons > 1 or loads is not None:
         raise ValueError(
-            "trace: in space only the history of one tendon without loads is known; leave the rest out, or take solve "
-            "with a direction for each tendon"
+            "trace: in space only one tendon without loads can be followed; leave the other tendons and the loads out, "
+            "or use solve with a direction for each tendon"
         )
     if isinstance(base_tension, TipAngle) or (
         isinstance(base_tension, tuple | list) and any(isinstance(entry, TipAngle) for entry in base_tension)
@@ -120,7 +121,7 @@ def _as_known(
 
 
 def _check_largest(past: Before, start: History | None, quantity: str, values: Array) -> None:
-    """Refuse a largest tension before the first step that is not the largest; where the numbers are known."""
+    """Refuse a `before` that is smaller than the tension of the first step, where the numbers are known."""
     if start is not None or past.open_tension.size == 0 or isinstance(past.open_tension, Tracer):
         return
     largest = float(past.open_tension[0])
@@ -133,12 +134,12 @@ def _check_largest(past: Before, start: History | None, quantity: str, values: A
 
 
 def _check_same_body(manipulator: Manipulator, start: History) -> None:
-    """Refuse a history of another body; where the numbers are known."""
+    """Refuse a history of another body, where the numbers are known."""
     without = [eqx.tree_at(lambda b: b.point_masses, b, ()) for b in (manipulator, start._states.manipulator)]
     (leaves, one), (others, other) = map(jax.tree.flatten, without)
     known = not any(isinstance(x, Tracer) for x in [*leaves, *others])
     if one != other or (known and not all(np.array_equal(a, b) for a, b in zip(leaves, others, strict=True))):
-        raise ValueError("trace: start is the history of another body; trace this one from rest")
+        raise ValueError("trace: start is the history of another body; trace this body from rest")
 
 
 def _in_short_steps(
@@ -155,7 +156,7 @@ def _in_short_steps(
     if earlier is not None:
         path = path.behind(earlier)
     if loads is None and start is not None and isinstance(start._states, SteppedStates):
-        path = path.under(start._states.loads)  # they stay as they are
+        path = path.under(start._states.loads)  # the last loads stay
     check_weight(manipulator, path.loads)
     if path.tension.dtype != jnp.float64:
         raise ValueError(
@@ -175,11 +176,11 @@ def _in_short_steps(
 def _earlier(
     manipulator: Manipulator, before: ArrayLike | Literal["rest"], start: History | None, driven: tuple[int, ...]
 ) -> Float[Array, " tendons"] | None:
-    """The tensions of the step before the first; None where there is none."""
+    """The tensions of the step before the first; None where there is no such step."""
     if isinstance(before, str) and before == "rest":
         return None
     if start is not None:
-        raise ValueError("trace: before and start both tell what was before; leave one of them out")
+        raise ValueError(BOTH_GIVEN)
     if driven:
         raise ValueError("trace: before= needs tensions along the path; give earlier displacements as the first steps")
     count = manipulator.num_tendons
@@ -195,7 +196,7 @@ def _earlier(
 
 
 def _path(given: Driven | TipAngle) -> tuple[str, Float[Array, " steps"]]:
-    """What is driven, and its values."""
+    """The name of the given quantity, and its values."""
     if isinstance(given, tuple | list) and len(given) == 1 and isinstance(given[0], Displacement | TipAngle):
         given = given[0]
     target = isinstance(given, Displacement | TipAngle)
@@ -217,7 +218,7 @@ def _before(before: ArrayLike | Literal["rest"], start: History | None, dtype: j
     if start is None:
         return Before(jnp.zeros(0, dtype) if at_rest else jnp.asarray(before, dtype)[None])
     if not at_rest:
-        raise ValueError("trace: before and start both tell what was before; leave one of them out")
+        raise ValueError(BOTH_GIVEN)
     states = start._states
     assert isinstance(states, CongruentStates)
     return Before(states.open_tension, jnp.stack([start.work[-1], start.friction_loss[-1]]))
@@ -246,23 +247,24 @@ def _in_newton(base_tension: Float[Array, "*tendons"]) -> str:
 
 @tip_compliance.register
 def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, short_steps: int = 16) -> Float[Array, "3"]:
-    """How the pose of the tip (X, Y, phi) follows a push on it after the last step, by its size: m/N, m/N and rad/N.
+    """The change of the tip pose (X, Y, phi) by a push on the tip after the last step, per newton: m/N, m/N and rad/N.
 
-    One-sided, and the mean over the push: friction holds the tendons, which begin to slide at the base, and further
-    out the harder the push is. The base tensions stay. With tendons that do not stretch it goes to zero with the push.
+    It is one-sided, and the mean over the push. Friction holds the tendons; they begin to slide at the base, and slide
+    further out under a harder push. The base tensions stay. With tendons that do not stretch, the compliance goes to
+    zero with the push.
 
     Args:
         history: of `trace`.
-        push: the force (X, Y), N, which comes on top of the loads.
-        short_steps: into how many the push is divided, 2 or more; static.
+        push: the force (X, Y), N, in addition to the loads.
+        short_steps: into how many short steps the push is divided, 2 or more; static.
 
     Raises:
-        ValueError: for a body in space, a push without two components, or of no size, or short_steps below 2.
-        SolveError: where the numbers are known, and the body under the push was not found.
+        ValueError: for a body in space, a push without two components or of 0 N, or short_steps below 2.
+        SolveError: where the numbers are known, and no equilibrium under the push was found.
     """
     if history.tip_frame is not None:
         raise ValueError(
-            "tip_compliance: the history is of a body in space; take tip_compliance(robot, ...), which slides"
+            "tip_compliance: the history is of a body in space; use tip_compliance(robot, ...), where tendons slide"
         )
     if push is None or np.shape(push) != (2,):
         raise ValueError(f"tip_compliance: after a history, push= must have two components (X, Y), N, got {push!r}")
@@ -286,7 +288,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
 
     codes = code_of(after.result)
     if not isinstance(codes, Tracer) and np.ndim(codes) == 1 and np.any(np.isnan(after.tip_angle)):
-        raise SolveError("tip_compliance: no body was found under the push; push less, or raise short_steps=")
+        raise SolveError("tip_compliance: no equilibrium was found under the push; push less, or raise short_steps=")
 
     def pose(history: History) -> Float[Array, "3"]:
         return jnp.append(history.tip_position[-1], history.tip_angle[-1])

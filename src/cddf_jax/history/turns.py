@@ -1,8 +1,9 @@
 """The turns of a path that are still remembered: largest and smallest values that nothing later has passed.
 
-A tendon that is released slides out from the base as far as a front, and rests beyond it: there it has the tension that
-an earlier pull has left. So what it remembers is a stack of extremes, in turn a largest and a smallest one, each within
-those before. An extreme that a later value passes is forgotten, and with it the one after it (Madelung's rules).
+A tendon that is released slides out from the base up to a front, and rests beyond it. There it has the tension that an
+earlier pull has left. So the memory is a stack of extremes, alternately a largest and a smallest value, each within the
+range of those before. An extreme that a later value passes is forgotten, together with the extreme after it (Madelung's
+rules).
 """
 
 from typing import NamedTuple
@@ -14,37 +15,37 @@ from jaxtyping import Array, Bool, Float, Int
 from ..numerics.arrays import zero_as
 
 Number = Float[Array, ""]
-NO_STEP = -1  # in the place of a step
+NO_STEP = -1  # where the number of a step is expected and there is none
 
 
 class Turns(NamedTuple):
-    """What is open after each step; steps are counted from 0. Without the axis of the steps it is that of one."""
+    """The remembered turns after each step; steps are counted from 0. Without the axis of steps, those of one step."""
 
     direction: Float[Array, " steps"]  # +1 where the tendon was pulled, -1 where it was released
     before: Int[Array, " steps"]  # the step at whose value this motion turned; NO_STEP for the pull from rest
-    place: Int[Array, " steps"]  # of this step in the stack
+    place: Int[Array, " steps"]  # the index of this step in the stack
     open: Int[Array, "steps turns"]  # the remembered steps, the oldest first, this one last; then NO_STEP
-    too_many: Bool[Array, " steps"]  # whether there were more turns than there is room for
+    too_many: Bool[Array, " steps"]  # whether there were more turns than `max_turns`
 
 
 class Stack(NamedTuple):
-    """The extremes that are open."""
+    """The extremes that are remembered, or "open"."""
 
-    value: Float[Array, " turns"]  # in turn a largest and a smallest one
+    value: Float[Array, " turns"]  # alternately a largest and a smallest value
     step: Int[Array, " turns"]
     num_open: Int[Array, ""]
     too_many: Bool[Array, ""]
 
 
 def empty_stack(max_turns: int, values: Float[Array, " steps"]) -> Stack:
-    """The stack of a tendon at rest; `values` tells precision and devices."""
+    """The stack of a tendon at rest, with precision and devices of `values`."""
     zero = zero_as(values)
     nothing = jnp.full(max_turns, NO_STEP)
     return Stack(jnp.zeros(max_turns, values.dtype) + zero, nothing, jnp.zeros((), int), zero > 1)
 
 
 def go_on(stack: Stack, value: Number, step: Int[Array, ""]) -> tuple[Stack, Turns]:
-    """Go straight to the value after a step. All values from rest on are such that a pull raises them."""
+    """The stack and the turns after a step to `value`. The values are those of a quantity that a pull raises."""
     max_turns = stack.step.shape[0]
     slots = jnp.arange(max_turns)
     last = jnp.maximum(stack.num_open - 1, 0)
@@ -72,11 +73,11 @@ def open_turns(values: Float[Array, " steps"], max_turns: int) -> tuple[Stack, T
     """Follow a path from rest.
 
     Args:
-        values: after each step; between steps it goes straight from one to the next.
-        max_turns: how many open turns there is room for; static.
+        values: after each step; between two steps the value changes monotonically.
+        max_turns: how many turns can be remembered; static.
 
     Returns:
-        What is open at the end, and the turns of each step.
+        The stack at the end, and the turns after each step.
     """
     values = jax.lax.stop_gradient(values)
 

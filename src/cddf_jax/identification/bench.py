@@ -1,7 +1,8 @@
-"""What a bench shows: a pulley test, and a manipulator whose cells, angle and dimensions are not quite what they read.
+"""The model of a bench: what its instruments read in a pulley test, and on a manipulator.
 
-The parameters of a bench are those of the manipulator and the errors of its instruments and dimensions. A cell
-reads gain * tension + zero; what it reads is counted from a tendon that is already under `pretension`.
+The parameters of a bench are the numbers of the manipulator, and the errors of its instruments and dimensions. A load
+cell reads gain * (tension - pretension) + zero: `pretension` is the tension that a tendon has when its cell is set to
+zero.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,16 +32,16 @@ from ..statics.solve import solve
 from .course import WITHOUT, Course, Shown
 from .parameters import PARAMETERS, PLAIN, TRIALS, BenchSetting, Parameters, turn_of, with_parameters
 
-LANES = 128  # rows are solved in multiples of these: few sizes, so that tables and curves share compiled programs
+LANES = 128  # rows are solved in multiples of this number, so that tables and curves share compiled programs
 FEW = 16  # the same where rows are solved one by one
 
 
 class Evaluation(NamedTuple):
-    """What a bench shows, one row each."""
+    """The readings of a bench and their derivatives, row by row."""
 
     readings: dict[str, np.ndarray]  # by column, (rows,), SI
     derivatives: dict[str, np.ndarray]  # by column, (rows, parameters), in the flat order of the parameters
-    results: RESULTS  # how the solves went
+    results: RESULTS  # how the solves ended
     against: np.ndarray  # (rows, tendons), whether a tendon travels against its direction
 
 
@@ -60,7 +61,7 @@ class Pulley(eqx.Module):
 class AllRows(eqx.Module):
     """A `BenchSetting` as arrays, with the markers of one table."""
 
-    loads: Loads | None = None  # behind those of the rows
+    loads: Loads | None = None  # in addition to those of the rows
     given: Mapping[str, Float[np.ndarray | Array, ""]] = eqx.field(default_factory=dict)  # parameters by name
     marker_names: tuple[str, ...] = eqx.field(default=(), static=True)
     arc_length: Float[np.ndarray | Array, " markers"] = eqx.field(default_factory=lambda: np.zeros(0))  # m
@@ -68,14 +69,14 @@ class AllRows(eqx.Module):
 
     @classmethod
     def of(cls, setting: BenchSetting, markers: Mapping[str, Marker]) -> "AllRows":
-        """With markers by their names."""
+        """The setting with these markers, by their names."""
         places = np.array([float(marker.arc_length) for marker in markers.values()])
         offset = np.array([(*marker.offset, 0.0)[:3] for marker in markers.values()], float).reshape(-1, 3)
         numbers = {name: np.asarray(value, float) for name, value in setting.given.items()}
         return cls(setting.loads, numbers, tuple(markers), places, offset)
 
     def loads_with(self, tip_force: Array | None, parameters: Parameters, *, in_space: bool) -> Loads | None:
-        """The loads of a row, or of steps that are an axis of their tip forces, with gravity where it is turned to."""
+        """All loads of a row, with gravity turned by the parameters; tip forces may have an axis of steps."""
         if self.loads is None:
             return None if tip_force is None else Loads(tip_force=tip_force)
         loads, turn = loads_in_space(self.loads) if in_space else self.loads, turn_of(parameters, "gravity_turn")
@@ -88,7 +89,7 @@ class AllRows(eqx.Module):
         return replace(loads, tip_force=jnp.asarray(loads.tip_force) + jnp.asarray(more))
 
     def markers_on(self, found: Equilibrium) -> Float[Array, "markers components"] | None:
-        """Where the markers are, m; None without markers."""
+        """The positions of the markers, m; None without markers."""
         if not self.marker_names:
             return None
         return marker_positions(found.at(self.arc_length), jnp.asarray(self.offset))
@@ -100,17 +101,17 @@ class Bench(eqx.Module):
     base_tension: Float[np.ndarray | Array, "rows tendons"]  # as read
     direction: tuple[Float[np.ndarray | Array, " rows"] | None, ...]  # one per tendon, None where it is to be found
     tip_force: Float[np.ndarray | Array, "rows components"] | None = None
-    trial: Int[np.ndarray | Array, " rows"] | None = None  # which of the trial deviations holds
+    trial: Int[np.ndarray | Array, " rows"] | None = None  # the index of the trial, for its deviation of friction
     columns: tuple[str, ...] = eqx.field(default=(), static=True)
     name: str = eqx.field(default="", static=True)
     read_in: Mapping[str, Int[np.ndarray | Array, " readings"]] = eqx.field(default_factory=dict)
-    # the rows in which a column was read; a column that is not here was read in all
-    course: Course | None = None  # of rows that know what came before; None where each slides as its direction says
+    # the rows in which a column was read; a column that is not listed here was read in all rows
+    course: Course | None = None  # the paths of rows with a history; None where each row slides as its direction says
     setting: AllRows = eqx.field(default_factory=AllRows)
 
     @property
     def on_one_curve(self) -> bool:
-        """Whether the rows lie on the curve of a body of one tendon, without loads, that is pulled in."""
+        """Whether the rows lie on one curve: that of a body without loads whose only tendon is pulled in."""
         free = self.tip_force is None and self.setting.loads is None
         if not free or self.base_tension.shape[1] > 1:
             return False
@@ -125,12 +126,15 @@ class Bench(eqx.Module):
         return manipulator.in_space or pushed or (loads is not None and loads.in_space)
 
     def one_by_one(self, manipulator: Manipulator) -> bool:
-        """Whether rows are solved in turn: under loads in space all of a batch would wait for the slowest; static."""
+        """Whether rows are solved one after the other; static.
+
+        Under loads in space all rows of a batch would wait for the slowest one.
+        """
         loaded = self.tip_force is not None or self.setting.loads is not None
         return loaded and self.in_space(manipulator)
 
     def shown(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Shown:
-        """The rows in equilibrium: what instruments without errors show of them."""
+        """What instruments without errors show of the rows, each in equilibrium."""
         parameters = {**self.setting.given, **parameters}
         body = with_parameters(manipulator, parameters)
         by_trial = self.trial is not None and TRIALS in parameters
@@ -163,7 +167,7 @@ class Bench(eqx.Module):
         return jax.lax.map(lambda row: one(*row), rows) if self.one_by_one(body) else jax.vmap(one)(*rows)
 
     def readings(self, shown: Shown, columns: Sequence[str], parameters: Parameters) -> dict[str, Array]:
-        """What the instruments of columns read, one per row."""
+        """What the instruments read: for each column one number per row."""
         parameters = {**self.setting.given, **parameters}
         shift, turn = turn_of(parameters, "camera"), turn_of(parameters, "camera_turn")
         if shift is not None or turn is not None:
@@ -255,13 +259,13 @@ class BenchModel(eqx.Module):
 
     @property
     def names(self) -> list[str]:
-        """Of the tables, with a number where two have the same name."""
+        """The names of the tables, with a number where two have the same name."""
         names = [experiment.name for experiment in self.experiments]
         return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
 class Group(NamedTuple):
-    """One column that was read in one table: a group of data with its own noise."""
+    """One measured column of one table: a group of data with its own noise."""
 
     name: str  # of the table, as in `BenchModel.names`
     column: str
@@ -274,7 +278,7 @@ class Group(NamedTuple):
 
     @property
     def there(self) -> np.ndarray:
-        """(rows,), in which rows of the table the column was read."""
+        """(rows,), whether the column was read in a row of the table."""
         return self.table.has(self.column)
 
     @property
@@ -305,7 +309,7 @@ def experiment_of(
         table: a pulley test or rows of the manipulator.
         manipulator: whose tendons the columns must fit.
         first_trial: the number of trials in the tables before.
-        course: of the rows, where they know what came before.
+        course: the paths of the rows, where they have a history.
         setting: what all rows share.
 
     Raises:
@@ -316,7 +320,9 @@ def experiment_of(
     with within(table.name):
         columns = _observed(table, manipulator.num_tendons)
         if twice := [name for name in setting.markers if name in table.markers]:
-            raise InputError(f"the place of the marker {twice[0]!r} is told by its table and once more; leave one out")
+            raise InputError(
+                f"the table gives the position of the marker {twice[0]!r} already; leave it out of the setting"
+            )
         found = markers_of(columns, {**setting.markers, **table.markers}, float(np.asarray(manipulator.length)))
         force = _tip_force(table)
         bench = Bench(
@@ -332,12 +338,14 @@ def experiment_of(
         )
         _check_body(bench, manipulator)
         if course is not None and (found or bench.in_space(manipulator)):
-            raise InputError(f"a history with {'markers' if found else 'a body in space'} is not known yet; {WITHOUT}")
+            raise InputError(
+                f"a history with {'markers' if found else 'a body in space'} is not possible yet; {WITHOUT}"
+            )
     return bench
 
 
 def _check_body(bench: Bench, manipulator: Manipulator) -> None:
-    """That it has a weight where there is gravity, and leaves the plane where columns or loads do."""
+    """Refuse a body without weight under gravity, and a body in the plane for columns or loads in space."""
     check_weight(manipulator, bench.setting.loads)
     if bench.in_space(manipulator):
         with within("loads of three components", ValueError):
@@ -366,7 +374,7 @@ def _observed(table: Measurements, num_tendons: int) -> list[str]:
 
 
 def _tip_force(table: Measurements) -> Float[np.ndarray, "rows components"]:
-    """N; of three components where a column tells the third."""
+    """The tip forces, N; with three components where there is a column of the third."""
     none = np.zeros(len(table))
     axes = "xyz" if "tip_force_z" in table else "xy"
     return np.stack([table.columns.get(f"tip_force_{axis}", none) for axis in axes], axis=1)

@@ -1,6 +1,6 @@
 """Which model explains the data best: information criteria, and the prediction of data that were left out.
 
-Several fits of the same tables, with and without a drag, say, or with and without errors of the cells.
+It compares several fits of the same tables, for instance with and without drag, or with and without errors of cells.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,22 +18,21 @@ ROW_FOLDS = 6  # where there are no trials
 
 @dataclass(frozen=True)
 class Comparison:
-    """One model among others; the lower each of these, the better."""
+    """One model among others. Lower criteria and errors are better."""
 
     name: str  # as it was given
-    num_parameters: int  # with the noise that was estimated
+    num_parameters: int  # including the estimated noise
     AIC: float  # Akaike's criterion
     BIC: float  # Schwarz's criterion
     cross_validation: float  # root mean square of what was left out, in standard deviations of the first fit's noise
     mean_relative_error: float  # of the tip tensions, the measure of Liu et al. (2020)
-    success: bool  # whether the fit ended well
+    success: bool  # whether the fit succeeded
 
 
 def compare(fits: Mapping[str, Fit]) -> list[Comparison]:
-    """Fits of the same tables, the one of least AIC first.
+    """Compare fits of the same tables; the one with the least AIC comes first.
 
-    Cross-validation measures all of them by the noise of the first, so that they can be compared; alone, each is
-    measured by its own.
+    Cross-validation divides the errors of all fits by the noise of the first one, so that they can be compared.
 
     Raises:
         InputError: for fewer than two fits, or fits of different data.
@@ -65,7 +64,8 @@ def cross_validation(fit: Fit, noise: Sequence[Numbers] | None = None) -> float:
 
     Args:
         fit: the model.
-        noise: to measure by, one array for each group of data; the fit's own if not given.
+        noise: standard deviations by which errors are divided, one array for each group of data; None for those of the
+            fit.
 
     Returns:
         Root mean square of the errors of prediction over the noise; NaN where a fit to the others failed.
@@ -82,7 +82,7 @@ def cross_validation(fit: Fit, noise: Sequence[Numbers] | None = None) -> float:
 
 
 def _folds(fit: Fit) -> list[np.ndarray]:
-    """By group of data, which entries each fold leaves out, (folds, entries)."""
+    """For each group of data, whether a fold leaves an entry out, (folds, entries)."""
     marks, clusters = [], fit.clusters
     groups = [clusters[name] for name in fit.evidence.rows]  # in the order of the noise
     with_trials = {table for table, labels in groups if len(np.unique(labels)) < len(labels)}

@@ -1,4 +1,4 @@
-"""The course of a bench: the base tensions of a table in the order in which they were measured, a path for each trial.
+"""The course of a table: its base tensions in the order in which they were measured, as one path for each trial.
 
 Each trial starts from rest, a straight body whose tendon never had a tension, unless its `Past` says otherwise.
 """
@@ -24,10 +24,10 @@ from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS
 from .past import REST, Before, Past, Start, past_of, starts_of
 
-STEPS = 16  # paths are traced in multiples of these: few sizes, so that tables share compiled programs
-FEW_STEPS = 4  # the same of paths that are followed in short steps
-SHORT_STEPS = 4  # of each step of a path without an exact answer
-CELLS = 2  # over the nodes
+STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
+FEW_STEPS = 4  # the same for paths that are followed in short steps
+SHORT_STEPS = 4  # in each step of a path without an exact answer
+CELLS = 2  # number of cells over number of nodes
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
@@ -35,7 +35,7 @@ LoadsWith = Callable[[Float[Array, "*steps 2"] | None], Loads | None]
 
 
 class Shown(NamedTuple):
-    """What instruments without errors show of bodies, rows first."""
+    """What instruments without errors show of bodies; the axis of rows comes first."""
 
     tip_tension: Float[Array, "rows tendons"]
     tip_angle: Float[Array, " rows"]
@@ -58,7 +58,7 @@ class Course(eqx.Module):
     max_turns: int = eqx.field(static=True)
     past: Past | None = None  # None: all trials start from rest
     tip_force: Float[np.ndarray | Array, "trials steps 2"] | None = None  # N
-    force_stays: bool = eqx.field(default=False, static=True)  # whether it rests on the body before the first step
+    force_stays: bool = eqx.field(default=False, static=True)  # whether it is constant, and acts before the first step
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
 
     @property
@@ -69,11 +69,11 @@ class Course(eqx.Module):
 
     @property
     def turns(self) -> bool:
-        """Whether any of the paths comes back, or began with a release."""
+        """Whether any of the paths turns, or began with a release."""
         return self.past is not None or bool(np.any(self._falls))
 
     def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path tendons"]:
-        """The readings, N, behind what was before them."""
+        """The readings of the base tension, N; with a past, its tensions come first."""
         readings = jnp.asarray(self.readings)
         readings = readings[..., None] if readings.ndim == 2 else readings
         if self.past is None:
@@ -82,7 +82,7 @@ class Course(eqx.Module):
 
     @property
     def pulled(self) -> np.ndarray:
-        """(rows,), whether the tension of tendon 1 rose to a row."""
+        """(rows,), whether the tension of tendon 1 rose towards the row."""
         readings = np.asarray(self.readings).reshape(*np.shape(self.readings)[:2], -1)[..., 0]
         stated = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.stated)[:, 0]
         released = [bool(names[0]) for names in self.past.parameters] if self.past is not None else False
@@ -91,27 +91,27 @@ class Course(eqx.Module):
 
     @property
     def before_turns(self) -> np.ndarray:
-        """(rows,), which rows lie before the first turn of their trial."""
+        """(rows,), whether a row lies before the first turn of its trial."""
         falls = self._falls
         first = np.where(np.any(falls, axis=1), np.argmax(falls, axis=1), falls.shape[1])
         return np.asarray(self.step) <= first[np.asarray(self.trial)]
 
     @property
     def past_in_words(self) -> list[str]:
-        """Of each trial, as `Past.in_words`."""
+        """The past of each trial, as in `Past.in_words`."""
         return [REST] * len(self.first_row) if self.past is None else self.past.in_words
 
     def trace(
         self, body: Manipulator, tension: Array, loads_with: LoadsWith, deviation: Array | None, nodes: int
     ) -> Shown:
-        """The rows, each after what came before it.
+        """What the instruments show of the rows, each with the history before it.
 
         Args:
             body: whose tendons are pulled.
             tension: (trials, path, tendons), true base tensions of `path`, N.
-            loads_with: the loads of all rows and a tip force, of one row or of all steps of a path.
+            loads_with: gives all loads for a tip force, of one row or of all steps of a path.
             deviation: (trials,), ln(mu of a trial / mu), or None.
-            nodes: as of `trace`; in short steps there are twice as many cells.
+            nodes: as in `trace`; in short steps there are twice as many cells as nodes.
         """
 
         def one(tension: Array, force: Array | None, deviation: Array | None):
@@ -152,17 +152,17 @@ def course_along(
     *,
     loaded: bool = False,
 ) -> Course:
-    """One path, every step of which is a row.
+    """The course of one path, every step of which is a row.
 
     Args:
         path: base tensions as read, N.
         tip_force: N.
-        before: what the tendon had before, as of `fit`.
-        short_steps: into how many each step is divided where the answer is not exact.
-        loaded: whether there are loads beside the tip forces, as of all rows.
+        before: the tensions before the first step, as in `fit`.
+        short_steps: into how many short steps each step is divided where the answer is not exact.
+        loaded: whether there are loads besides the tip forces, which are the same in all rows.
 
     Raises:
-        InputError: where that is below the first step of a single tendon, or none of this body.
+        InputError: where `before` is below the first step of a single tendon, or is not one of this body.
     """
     exact = path.shape[1] == 1 and not np.any(tip_force) and not loaded
     past = past_of(starts_of([1], before, (), path.shape[1])[0], path[:1], ["step 1"])
@@ -174,7 +174,7 @@ def course_along(
 
 
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
-    """The same paths with so many points along each, every one a row, trial by trial; and these paths, N."""
+    """The same paths with `points` points along each, every point a row, trial by trial; and these paths, N."""
     paths, readings = [], np.asarray(course.readings)
     for k in range(len(readings)):
         steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
@@ -221,7 +221,7 @@ def has_history(table: Measurements, history: bool | None) -> bool:
 
     Args:
         table: any.
-        history: as it was asked for; None: where a column says the order.
+        history: as in `fit`; None: where a column gives the order.
 
     Raises:
         InputError: where rows between others are missing.
@@ -230,8 +230,8 @@ def has_history(table: Measurements, history: bool | None) -> bool:
         return False
     if table.left_out and not table.ordered:
         raise InputError(
-            f"{table.name}: {table.left_out} rows without a reading are left out, and the path from row to row needs "
-            "them; add a column step, with which they stay"
+            f"{table.name}: {table.left_out} rows without a reading are left out, but the path from row to row needs "
+            "them; add a column step, and these rows are kept"
         )
     return True
 
@@ -244,18 +244,18 @@ def course_of(
     *,
     loaded: bool = False,
 ) -> tuple[Course, Steady]:
-    """The rows of a table as steps of paths, and what was done against the jitter of the base cells.
+    """The rows of a table as steps of paths, and the base tensions without the jitter of their cells.
 
     Args:
-        table: of a body with any tendons.
-        noise: standard deviation of a reading of the base tension, N, as of `without_jitter`.
+        table: of a body with any number of tendons.
+        noise: standard deviation of a reading of the base tension, N, as in `without_jitter`.
         starts: how each trial begins; None: from rest.
-        short_steps: into how many each step is divided where the answer is not exact.
-        loaded: whether there are loads beside the tip forces, as of all rows.
+        short_steps: into how many short steps each step is divided where the answer is not exact.
+        loaded: whether there are loads besides the tip forces, which are the same in all rows.
 
     Raises:
-        InputError: for a direction of a single tendon that the order of the rows contradicts, its largest tension
-            before a trial that is below the first row, or a past of other tendons than those of the table.
+        InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
+            tension before a trial that is below that of its first row, or a past of another number of tendons.
     """
     rows, labels = len(table), table.columns.get("trial", np.zeros(len(table))).astype(int)
     pulled = [column for column in table.columns if column.startswith("base_tension")]
@@ -266,8 +266,8 @@ def course_of(
     starts = [Start()] * np.unique(labels).size if starts is None else starts
     for start in (start for start in starts if not start.from_rest and len(start.tension) != len(pulled)):
         raise InputError(
-            f"{table.name}: before is that of {len(start.tension)} tendons, and there are {len(pulled)} columns of "
-            "base tensions"
+            f"{table.name}: before holds tensions of {len(start.tension)} tendons, but there are {len(pulled)} columns "
+            "of base tensions; give one tension for each column"
         )
     for label, start in zip(np.unique(labels), starts, strict=True):
         own = table.order[labels[table.order] == label]
@@ -297,20 +297,20 @@ def num_paths(table: Measurements) -> int:
 
 
 def _together(found: list[Steady], tension: np.ndarray) -> Steady:
-    """What was done in all trials."""
+    """The base tensions of the table, with the noise and the ignored turns of all trials."""
     largest = max(found, key=lambda steady: steady.noise)
     return Steady(tension, largest.noise, largest.least_turn, sum(steady.num_ignored for steady in found))
 
 
 def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, start: Start) -> None:
-    """A direction is a label: the tension must have risen to a row with 1 and fallen to one with -1."""
+    """Compare the column `direction` with the path: the tension must rise to a row with 1, and fall to one with -1."""
     if "direction" not in table:
         return
     stated = start.tension[0] if start.tension else None
     before = np.append(0.0 if stated is None else stated, steady.tension[:-1])
     moved = steady.tension - before
     sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(steady.tension))
-    sure[0] &= not any(start.parameters)  # which tells the way to the first row
+    sure[0] &= not any(start.parameters)  # a fitted tension decides the way to the first row
     wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
     if wrong.size:
         i = int(wrong[0])
@@ -323,7 +323,7 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, sta
 
 
 def _most_open(path: np.ndarray) -> int:
-    """Room for the turns that are remembered at once along a path: 4, 8, 16, ..."""
+    """The largest number of turns that are remembered at once along a path, rounded up to 4, 8, 16, ..."""
     still_open: list[float] = []
     most = 0
     for tension in path.tolist():

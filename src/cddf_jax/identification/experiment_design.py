@@ -1,8 +1,8 @@
-"""`plan`: which measurement next, by the Fisher information that candidates would add to what is known.
+"""`plan`: which measurement to do next, by the Fisher information that each candidate would add.
 
 The expected standard errors are those of the linearised model at the estimate (D- and c-optimal design, as in
 Atkinson, Donev and Tobias, Optimum Experimental Designs, 2007, ch. 10). Where a parameter is not identified yet, the
-estimate is one of many that fit, and the plan is as good as that guess.
+estimate is one of many that fit; the plan is then only as good as that guess.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,12 +36,12 @@ class Candidate:
     """An experiment that could be done.
 
     Args:
-        name: for the table.
-        conditions: columns of a bench or of a pulley test that are set, SI, numbers or lists of one length. With a
-            column `step` they are set in this order, from rest.
+        name: for the report.
+        conditions: columns that are set in an experiment on a manipulator or in a pulley test, SI; numbers, or lists
+            of one length. With a column `step` they are set in this order, from rest.
         noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
-        repeats: how often all of it is done.
-        cost: of all of it, for instance in hours; candidates are ranked by gain per cost.
+        repeats: how often the whole experiment is done.
+        cost: of the whole experiment, for instance in hours; candidates are ranked by gain per cost.
     """
 
     name: str
@@ -67,12 +67,12 @@ def _deviation(noise: float | Noise, reading: np.ndarray | float) -> np.ndarray:
     return np.full(np.shape(reading), noise)
 
 
-Rows = tuple[np.ndarray, tuple[str, ...]]  # of the scaled Jacobian, and warnings
+Rows = tuple[np.ndarray, tuple[str, ...]]  # rows of the scaled Jacobian, and warnings
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate added to what is known."""
+    """A candidate, and what would be determined with it."""
 
     candidate: Candidate
     expected: Determination
@@ -82,12 +82,12 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Plan:
-    """Candidates by what each would add alone, and the few to do in turn."""
+    """All candidates, ranked by what each alone would add; and those to do one after the other."""
 
     criterion: str  # "D" or the name of a parameter
     now: Determination  # what is determined so far
     ranking: tuple[Ranked, ...]  # the best first, by gain per cost
-    chosen: tuple[Ranked, ...]  # in turn: each is the best after those before it; `expected` counts all of them
+    chosen: tuple[Ranked, ...]  # each is the best after those before it; `expected` includes them
 
     def __str__(self) -> str:
         lines = [f"{ranked.candidate.name}: gain {ranked.gain:.4g}" for ranked in self.ranking]
@@ -115,14 +115,14 @@ def plan(
         setting: what all rows share, as in `fit`. A fit has its own.
         criterion: "D" for all parameters together (the volume of their joint interval), or the name of the one
             whose standard error is to become smallest (c-optimal).
-        num: how many to choose in turn.
+        num: how many candidates to choose, one after the other.
         nodes: as in `solve`.
 
     Raises:
         InputError: without candidates, for unknown parameters or an unknown criterion.
     """
     if not candidates:
-        raise InputError("plan: there is no candidate")
+        raise InputError("plan: there are no candidates; give one or more")
     if isinstance(known, Fit):
         if known.trial_effects:
             raise InputError("plan: needs a fit whose friction is the same in every trial; fit without per_trial")
@@ -172,7 +172,7 @@ def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Eviden
 
 
 def _with(evidence: Evidence, rows: np.ndarray) -> Evidence:
-    """The evidence with more rows; what was open is judged anew."""
+    """The evidence with more rows; parameters at a bound or with an open profile are judged again."""
     name = f"candidate {len(evidence.rows)}"
     return replace(
         evidence,
@@ -186,7 +186,7 @@ def _with(evidence: Evidence, rows: np.ndarray) -> Evidence:
 def _rank(
     evidence: Evidence, candidates: Sequence[Candidate], rows: Sequence[Rows], criterion: str
 ) -> list[tuple[Ranked, Evidence]]:
-    """Each candidate with the evidence that it would lead to, the best first."""
+    """Each candidate with the evidence that there would be after it, the best first."""
     before, ranked = _merit(evidence, criterion), []
     for candidate, (more, warnings) in zip(candidates, rows, strict=True):
         after = _with(evidence, more)
@@ -195,7 +195,7 @@ def _rank(
 
 
 def _merit(evidence: Evidence, criterion: str) -> float:
-    """What grows as the data tell more."""
+    """The criterion, as a number that is larger for better data."""
     jacobian = evidence.jacobian
     information = jacobian.T @ jacobian + np.eye(len(evidence.space.names)) / BEFOREHAND**2
     if criterion == "D":
@@ -212,7 +212,7 @@ def _rows(
     size: np.ndarray,
     nodes: int,
 ) -> Rows:
-    """The scaled Jacobian of what a candidate reads, and warnings of rows that have no solution and so tell nothing."""
+    """The scaled Jacobian of the readings of a candidate, and warnings of rows without a solution, which count as 0."""
     warnings: list[str] = []
     if isinstance(experiment, Pulley):
         flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, parameters))
@@ -228,7 +228,7 @@ def _rows(
             count = int(np.sum(codes == code))
             warnings += [f"{count} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if count else []
     deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 without a floor of noise tells nothing
+    with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 whose noise has no floor counts as nothing
         scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]
     rows = np.concatenate(scaled) * np.sqrt(candidate.repeats)
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
@@ -257,9 +257,9 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
     """The usual measurements on a bench, six levels each, with the noise of usual instruments.
 
     Args:
-        manipulator: with two tendons or more, pulling the second one as well is among them.
+        manipulator: the body; with two tendons or more, one candidate also pulls the second tendon.
         tension: the largest base tension, N.
-        setting: of the bench; with loads on all rows no candidate is a release.
+        setting: of the bench; with loads in all rows no candidate is a release.
     """
     levels = tension * np.arange(1, 7) / 6
     cell, angle, place = 0.01 * tension, np.radians(1.0), 1e-3
@@ -277,7 +277,7 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
             {"tip_tension": cell},
         ),
     ]
-    # a history in space is not known, and one without an exact answer takes minutes
+    # a fit cannot follow a history in space, and a history without an exact answer takes minutes
     if manipulator.num_tendons == 1 and not manipulator.in_space and setting.loads is None:
         back = {"base_tension": [*levels, *levels[-2::-1]], "step": np.arange(11)}
         read = {"tip_tension": cell, "tip_angle": angle}

@@ -1,4 +1,4 @@
-"""`fit`: friction, modulus and the errors of the bench from measurements, and what these do not determine."""
+"""`fit`: friction, modulus and the errors of the bench from measurements; and what the data do not determine."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ POSITIVE = (0.0, None)
 
 
 class Alone(Determination):
-    """What one table by itself would have determined."""
+    """What one table alone would determine."""
 
     def __str__(self) -> str:
         return "\n".join(estimates_in_words(self))
@@ -47,27 +47,27 @@ class Alone(Determination):
 
 @dataclass(frozen=True, kw_only=True)
 class Fit(LeastSquaresFit):
-    """Friction, modulus and more from measurements, SI units; parameters that were not free are "fixed"."""
+    """The result of `fit`, in SI units; friction and stiffness have the status "fixed" where they were not free."""
 
     manipulator: Manipulator  # with the estimates; where a parameter is not identified, one of many that fit
     tables: tuple[Measurements, ...]  # the data
-    model: bench.BenchModel  # of the bench: parameters to readings
-    alone: dict[str, Determination]  # what each table by itself, without priors, would have determined
-    trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty unless asked for
-    trial_spread: float  # standard deviation of ln(mu) over trials; 0 where there is none, NaN where not asked for
-    looks: tuple[Look, ...]  # at the solves of each table of the manipulator
+    model: bench.BenchModel  # the bench: from parameters to readings
+    alone: dict[str, Determination]  # what each table alone, without priors, would determine
+    trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty without `per_trial`
+    trial_spread: float  # standard deviation of ln(mu) over trials; 0 if none was found, NaN without `per_trial`
+    looks: tuple[Look, ...]  # how the solves of each table of the manipulator ended
     steadied: dict[str, Steady]  # by table with a history, the base tensions without the jitter of their cell
     setting: BenchSetting  # what all rows share
-    options: dict[str, object]  # the arguments of `fit` beside body and data; with the names of what was free
+    options: dict[str, object]  # the arguments of `fit` besides body and data, and the names of the free parameters
 
     @property
     def verdict(self) -> tuple[str, ...]:
-        """In words: what was determined, what was not, and what measurement would help."""
+        """In words: what the data determine, what they do not determine, and what measurement would help."""
         return tuple(verdict_of(self))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Of tables, statistics and solver, in words."""
+        """Warnings about tables, statistics and solver, in words."""
         return tuple(fit_warnings(self))
 
     @property
@@ -77,19 +77,19 @@ class Fit(LeastSquaresFit):
 
     @property
     def mean_relative_error(self) -> float:
-        """Of the tip tensions, the measure of Liu et al. (2020): mean of |predicted - read| / read; NaN without any."""
+        """The mean of |predicted - read| / read over the tip tensions, as in Liu et al. (2020); NaN without any."""
         pairs = [(self.residuals[g.label], g.observed) for g in self.groups if g.column.startswith("tip_tension")]
         errors = [np.abs(residual[read > 0] / read[read > 0]) for residual, read in pairs]
         return float(np.mean(np.concatenate(errors))) if errors else float("nan")
 
     @property
     def num_estimated(self) -> int:
-        """Parameters and numbers of the noise; of friction that differs between trials the spread alone."""
+        """The number of estimated parameters and noise levels; friction by trial counts as one, its spread."""
         return super().num_estimated - len(self.evidence.random) + bool(self.evidence.random)
 
     @property
     def information_criteria(self) -> dict[str, float]:
-        """AIC and BIC of the Gaussian likelihood, over all that the trials could have been (Laplace's method)."""
+        """AIC and BIC of the Gaussian likelihood, integrated over the deviations of the trials by Laplace's method."""
         random = list(self.evidence.random)
         if not random:
             return super().information_criteria
@@ -112,17 +112,17 @@ class Fit(LeastSquaresFit):
         history: bool = False,
         before: Before = "rest",
     ) -> Prediction:
-        """A reading with its 95 % band.
+        """Predict a reading, with its 95 % band.
 
         Args:
-            column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x", "tip_y", "tip_z" of a body in space, or that
-                of a marker of the data, "x@120mm".
-            base_tension: N, (rows,) where every tendon is pulled alike, or (rows, tendons).
+            column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x", "tip_y", "tip_z" of a body in space, or the
+                column of a marker of the data, "x@120mm".
+            base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
             direction: 1 where tendons slide in and -1 where they slide out, broadcast to (rows, tendons); None where
                 it is to be found, as in `solve`.
             history: whether the base tensions are a path, pulled and released in this order; every turn counts.
-            before: with a history, what the tendons had before: "rest", or base tensions, N, as of `fit`.
+            before: with a history, the tensions before the first row: "rest", or base tensions, N, as in `fit`.
 
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
@@ -132,12 +132,12 @@ class Fit(LeastSquaresFit):
         wanted = predicted_rows(base_tension, tip_force, direction, tendons, setting, **followed)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
-            raise InputError(f"predict: {column!r} is no reading; there are {', '.join(shown.readings)}")
+            raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")
         band = self.band(shown.derivatives[column])
         return Prediction(shown.readings[column], band, beyond_the_data(wanted, self.model))
 
     def _setting(self, column: str) -> bench.AllRows:
-        """Of the first table with that column, or else of the first table of the manipulator."""
+        """The setting of the first table with that column, or else of the first table of the manipulator."""
         found = [one for one in self.model.experiments if isinstance(one, bench.Bench)]
         with_it = [one for one in found if column in one.columns]
         return next((one.setting for one in with_it or found), bench.AllRows())
@@ -148,14 +148,14 @@ class Fit(LeastSquaresFit):
         return next((one.short_steps for one in courses if one is not None and one.short_steps), SHORT_STEPS)
 
     def place(self, group: str, k: int) -> str:
-        """In words, by the row of the file (1, 2, ... where there is none)."""
+        """The place of reading `k` of a group, in words: its row in the file, or its number where there is no file."""
         one = next(one for one in self.groups if one.label == group)
         row = one.table.place(int(np.flatnonzero(one.there)[k]))
         return f"{row}, {one.column}" if one.table.files else f"{row} of {group}"
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Those of any fit, samples of one hold that are no independent readings, readings that their order belies."""
+        """The remarks of any fit; samples of a hold that are not independent; readings that contradict their order."""
         alike = ((label, one.remark) for label, one in self.serial_correlation.items())
         of_order = self._order_remarks if self.success else ()
         return (*super().remarks, *(f"{label}: {remark}" for label, remark in alike if remark), *of_order)
@@ -166,7 +166,7 @@ class Fit(LeastSquaresFit):
 
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:
-        """By group of data, how alike the residuals within holds are: consecutive rows at one level."""
+        """By group of data, the correlation of residuals within holds, which are consecutive rows at one level."""
         spectrum, residual, rows = self.evidence.spectrum, self.standardised_residuals, self.evidence.rows
         taken = {label: float(np.sum(spectrum.leverage(own))) for label, own in rows.items()}
         found = {}
@@ -179,7 +179,7 @@ class Fit(LeastSquaresFit):
 
     @cached_property
     def pull_alone(self) -> Determination | None:
-        """What the rows before the first turn of each trial tell, at this estimate; None without rows behind a turn."""
+        """What the rows before the first turn of each trial determine, at this estimate; None without turns."""
         turned = {
             g.label: g.experiment.course.before_turns[g.there]
             for g in self.groups
@@ -192,7 +192,7 @@ class Fit(LeastSquaresFit):
 
     @cached_property
     def moved_by_steps(self) -> dict[str, float]:
-        """By parameter, how far the short steps of a history move it, over its standard error; {} where none did."""
+        """By parameter, its error by the short steps of a history, over its standard error; {} without short steps."""
         return moved_by_finer_steps(self) if self.success else {}
 
     @property
@@ -227,9 +227,9 @@ def fit(
     `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`, `tip_z` of a body in space, and markers
     (`x@120mm`); `direction`, `tip_force_x`, `tip_force_y`, `tip_force_z`, `trial`, `step` and `time` are optional.
 
-    With a history, the rows of a trial are steps of a path: pulled, released and pulled again. It starts from rest, or
-    as `before` tells. Directions follow from it, and a column `direction` is only compared with it. Without, each row
-    counts as sliding one way along the whole tendon.
+    With a history, the rows of a trial are steps of a path: pulled, released and pulled again. The path starts from
+    rest, or from `before`. Directions follow from the path; a column `direction` is only compared with it. Without a
+    history, the whole tendon slides in one direction in each row.
 
     Args:
         manipulator: the body; its numbers are the start.
@@ -245,25 +245,26 @@ def fit(
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
-            what is not given is estimated, for each column of each table, from the residuals. That of `base_tension`
-            tells which of its turns a history ignores, one number: 0 for none.
-        setting: what all rows share: constant loads such as gravity, places of markers, known numbers of the bench.
-        history: whether rows know what came before them, in the order of the columns `step` or `time`, else in that of
-            the file. None: where a table has one of these columns.
-        before: with a history, what the tendon had before the first row: "rest", or the largest base tension, N, from
-            which it was released to the first row, as the base cell reads it. One for all trials, or a list with one
-            for each, in the order of the tables and of their trials. Of a parameter `before` it is the start. Of
-            several tendons an entry holds the tensions of all, [(60, 20)]; they went straight to these from rest, and
-            then to the first row. One of which nothing is told had what it has in the first row.
-        short_steps: into how many each step of a history is divided with several tendons or loads, 2 or more; the
-            report tells what more of them would change.
-        per_trial: let friction differ from trial to trial, ln(mu) by a Gaussian whose spread is estimated.
+            what is not given is estimated, for each column of each table, from the residuals. The noise of
+            `base_tension`, one number, decides which turns a history ignores; 0 for none.
+        setting: what all rows share: constant loads such as gravity, positions of markers, known numbers of the bench.
+        history: whether each row depends on the rows before it, in the order of the columns `step` or `time`, or else
+            in that of the file. None: yes if the table has one of these columns.
+        before: with a history, the tensions before the first row: "rest", or the largest base tension, N, from which
+            the tendon was released to the first row, as the base cell reads it. One for all trials, or a list with one
+            for each, in the order of the tables and of their trials. For a free parameter `before` it is the start of
+            the search. With several tendons an entry holds the tensions of all, [(60, 20)]; they rose linearly from
+            rest, and then went to those of the first row. A tendon for which nothing is given had the tension of the
+            first row.
+        short_steps: into how many short steps each step of a history is divided with several tendons or loads, 2 or
+            more; the report states the error that they leave.
+        per_trial: let friction differ from trial to trial: ln(mu) has a normal distribution whose spread is estimated.
         loss, starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
 
     Raises:
         InputError: for float32, unknown parameters or columns, tables that do not fit the manipulator, a body whose
-            history is not known, directions that the order of the rows contradicts, `before` below the first row.
+            history cannot be followed, directions that contradict the order of the rows, `before` below the first row.
         TypeError: if the first argument is not a manipulator.
     """
     if not isinstance(manipulator, Manipulator):
@@ -329,7 +330,7 @@ def _courses(
     *,
     loaded: bool,
 ) -> tuple[Mapping[str, ArrayLike | Noise], list[tuple[Course, Steady] | None], dict[str, tuple[float, float]]]:
-    """The noise of what is predicted; by table the course of its rows, None without a history; guesses of pasts."""
+    """The noise of the predicted columns; the course of each table, None without a history; guesses of pasts."""
     predicted = {column: given for column, given in noise.items() if column != "base_tension"}
     own = noise.get("base_tension", np.nan)
     with_history = [has_history(table, history) for table in tables]
@@ -351,14 +352,14 @@ def _courses(
 
 
 def _trials(table: Measurements) -> tuple[str, ...]:
-    """The labels of trials in which the friction may differ; a pulley test has the mean of all."""
+    """The labels of trials in which friction may differ; a pulley test has the mean friction of all trials."""
     return () if "pulling_tension" in table else table.trial_labels
 
 
 def noise_of(
     groups: Sequence[bench.Group], noise: Mapping[str, ArrayLike | Noise]
 ) -> dict[str, ArrayLike | Noise | None]:
-    """By group, the noise of its column as it was given; of one number per row, those of the rows that were read.
+    """By group, the given noise of its column; of one number per row, those of the rows in which the column was read.
 
     Raises:
         InputError: for a column that no table holds.
@@ -384,7 +385,7 @@ def _conclude(
     trial_spread: float,
     options: dict[str, object],
 ) -> Fit:
-    """The fit of a manipulator from the statistics: the estimates in its place, and a look at each table's solves."""
+    """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
     body = model.manipulator
     looks = tuple(looks_at(statistics.parameters, tables, model))
     if statistics.success and (reason := next(filter(None, map(doubt, looks)), "")):

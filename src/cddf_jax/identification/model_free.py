@@ -2,7 +2,7 @@
 
 A tendon at a constant offset, in a body whose curvature keeps its sign, turns by theta_tip = |phi(L)| between base and
 tip (exact kinematics). The capstan law T_tip = T_base exp(-mu theta_tip), Liu et al. (2020), eq. (8), then gives
-mu = ln(T_base / T_tip) / theta_tip from every row alone: no modulus, taper or length enters. It checks a fit of the
+mu = ln(T_base / T_tip) / theta_tip from every row alone, without modulus, taper or length. This checks a fit of the
 full model, and the law itself: mu must not depend on the tension.
 """
 
@@ -18,15 +18,15 @@ from ..measurements.table import Measurements
 from ..measurements.table_warnings import ONE_LEVEL
 
 COLUMNS = ("base_tension", "tip_tension", "tip_angle")
-SIGNIFICANT = 0.05  # p-values below are mentioned as a finding
-LARGEST_Z = 3.0  # of a disagreement that is not mentioned
-SMALLEST_ANGLE = 1e-9  # rad; below it is 0
-LEAST_LEFT = 1e-6  # of the determinant of all rows, without a label; with less its noise cannot be estimated
-FEWEST_TRIALS = 3  # whose scatter can be estimated
+SIGNIFICANT = 0.05  # smaller p-values are reported
+LARGEST_Z = 3.0  # larger disagreements are reported
+SMALLEST_ANGLE = 1e-9  # rad; a smaller angle counts as 0
+LEAST_LEFT = 1e-6  # of the determinant of all rows, without one label; with less the noise cannot be estimated
+FEWEST_TRIALS = 3  # with fewer, the scatter of trials is not estimated
 
 
 class Constancy(NamedTuple):
-    """How mu changes with base tension, and whether by more than chance; NaN where the rows do not tell."""
+    """How mu changes with base tension, and whether by more than chance; NaN where the rows do not determine it."""
 
     slope: float  # 1/N
     standard_error: float
@@ -36,7 +36,7 @@ class Constancy(NamedTuple):
 
     def __str__(self) -> str:
         if not np.isfinite(self.p_value):
-            return "These rows do not tell whether it depends on base tension: measure more rows, at several levels."
+            return "These rows do not show whether it depends on base tension: measure more rows, at several levels."
         numbers = f"slope {self.slope:.2g} +- {self.standard_error:.2g} per N, p = {self.p_value:.2g}"
         if self.p_value >= SIGNIFICANT:
             return f"It does not drift with base tension by more than chance ({numbers})."
@@ -47,7 +47,7 @@ class Constancy(NamedTuple):
 
 
 class Disagreement(NamedTuple):
-    """A fitted mu against the one without a model."""
+    """A fitted mu compared with the one without a model."""
 
     z: float  # their difference over its standard error; positive where the fit is larger
     sentence: str  # empty where |z| is at most 3
@@ -55,18 +55,18 @@ class Disagreement(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelFreeFriction:
-    """mu of every row and of all together. Arrays go by row of the table."""
+    """mu of every row and of all together. Arrays have one entry per row of the table."""
 
     table: Measurements
     estimate: np.ndarray  # NaN where a tension or the angle is 0
     value: float  # pooled
-    standard_error: float  # inf where a single row determines the value, so that its noise cannot be estimated
+    standard_error: float  # inf where one row alone determines the value, so that the noise cannot be estimated
     confidence_interval: tuple[float, float]  # 95 %, t-statistics
     constancy: Constancy
 
     @property
     def verdict(self) -> tuple[str, ...]:
-        """In words: the value, and what speaks for and against one mu in all rows."""
+        """In words: the value, and whether one mu describes all rows."""
         rows, used = len(self.estimate), np.count_nonzero(np.isfinite(self.estimate))
         low, high = self.confidence_interval
         angle, columns = self.table["tip_angle"], self.table.columns.items()
@@ -90,26 +90,26 @@ class ModelFreeFriction:
 
 
 def model_free_friction(table: Measurements, *, in_order: bool | None = None) -> ModelFreeFriction:
-    """The friction coefficient of every row and of all, mu = ln(T_base / T_tip) / theta_tip.
+    """The friction coefficient of every row and of all rows, mu = ln(T_base / T_tip) / theta_tip.
 
-    It reads the tensions of the first tendon. The pooled value is the mean of the rows, weighted by the square of their
+    It uses the tensions of the first tendon. The pooled value is the mean of the rows, weighted by the square of their
     angle, so that a small angle hardly counts. Where `direction` is -1 the tendon slides out and the logarithm changes
-    its sign; beside other tendons it must be stated. The noise is estimated from the scatter of the rows (of the
+    its sign; with several tendons this column is needed. The noise is estimated from the scatter of the rows (or of the
     trials, where there are three or more).
 
     Not checked: exact kinematics, a tendon parallel to the axis, a curvature of one sign, independent errors of the
     rows. An error that all rows share - the gain of a cell, the zero of the camera - is not in the standard error. An
-    error that the rows of a trial share is, where `trial` names three trials or more.
+    error that the rows of a trial share is included, where `trial` names three trials or more.
 
-    Of rows with a history, in the order in which they were measured, those count in which all of the tendon slides in:
-    at the largest base tension so far.
+    Where rows have a history, only those are used in which the whole tendon slides in: those at the largest base
+    tension so far.
 
     Args:
         table: with `base_tension`, `tip_tension` and `tip_angle`.
-        in_order: whether the rows have a history. None: where a column `step` or `time` tells their order.
+        in_order: whether the rows have a history. None: yes if a column `step` or `time` gives their order.
 
     Raises:
-        InputError: for columns that are missing, several tendons without `direction`, a table without any bent row.
+        InputError: for missing columns, several tendons without `direction`, or a table without any bent row.
     """
     for column in COLUMNS:
         if column not in table:
@@ -147,13 +147,13 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
 def disagreement(model_free: ModelFreeFriction, fit_value: float, fit_standard_error: float) -> Disagreement:
     """How far a fitted mu lies from the one without a model, in standard errors of their difference.
 
-    The two count as independent, as they are for a pulley test. From the same rows they err alike, and z is then too
-    small: a disagreement that is found is certain all the more.
+    The two values are treated as independent, which they are if the fit is of a pulley test. From the same rows their
+    errors are alike, and the true |z| is larger than the one returned; so a disagreement that is found is real.
 
     Args:
         model_free: of `model_free_friction`.
         fit_value: the friction coefficient of a fit.
-        fit_standard_error: of it; inf where it is not identified, which disagrees with nothing.
+        fit_standard_error: its standard error; inf where it is not identified, then z is 0.
     """
     difference = fit_value - model_free.value
     error = float(np.hypot(model_free.standard_error, fit_standard_error))
@@ -169,7 +169,7 @@ def disagreement(model_free: ModelFreeFriction, fit_value: float, fit_standard_e
 
 
 def independent_labels(table: Measurements, usable: np.ndarray) -> np.ndarray:
-    """Labels 0, 1, ... of what errs independently: trials where there are enough, rows elsewhere."""
+    """Labels 0, 1, ... of groups with independent errors: the trials if there are enough of them, else the rows."""
     trials = table["trial"][usable] if "trial" in table else np.empty(0)
     if np.unique(trials).size >= FEWEST_TRIALS:
         return np.unique(trials, return_inverse=True)[1]
@@ -177,7 +177,7 @@ def independent_labels(table: Measurements, usable: np.ndarray) -> np.ndarray:
 
 
 def _constancy(base: np.ndarray, angle: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> Constancy:
-    """The slope b of mu = a + b T_base, from the residuals of the pooled value."""
+    """The slope b of mu = a + b T_base, from the residuals of the pooled value, with its test."""
     freedom = int(min(base.size - 2, labels.max()))
     if freedom <= 0 or np.ptp(base) <= ONE_LEVEL * base.max():
         return Constancy(np.nan, np.nan, np.nan, np.nan, freedom)
@@ -190,10 +190,11 @@ def _constancy(base: np.ndarray, angle: np.ndarray, residual: np.ndarray, labels
 
 
 def jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """The covariance of the coefficients of a linear fit, from the changes as each label is left out.
+    """The covariance of the coefficients of a linear fit, from their changes when each label is left out.
 
-    Of single rows HC3, MacKinnon and White (1985), Journal of Econometrics 29, 305; of groups CR3, Bell and McCaffrey
-    (2002), Survey Methodology 28, 169. They hold with few rows, where a bootstrap is too narrow.
+    For single rows this is HC3, MacKinnon and White (1985), Journal of Econometrics 29, 305; for groups it is CR3, Bell
+    and McCaffrey (2002), Survey Methodology 28, 169. Both are valid for few rows, where bootstrap intervals are too
+    narrow.
 
     Args:
         columns: (rows, coefficients).

@@ -1,9 +1,9 @@
 """The gain of the tip cell and the loss of the tendon from a loop of tensions, without a model of the body.
 
-Without loads and with friction that is proportional to the tension, 1/T at the tip is 1/T_base + g where all of the
-tendon slides in and 1/T_base - g where all of it slides out, whatever the body. At equal base tensions the sum of both
-is 2/T_base and exposes the gain of the tip cell over that of the base cell; the difference tells g, which is mu/E times
-the integral of offset over second moment of area.
+Without loads and with friction proportional to the tension, 1/T at the tip is 1/T_base + g where the whole tendon
+slides in, and 1/T_base - g where it slides out, for any body. At equal base tensions the sum of both is 2/T_base, which
+gives the gain of the tip cell over that of the base cell. The difference is 2 g; g is mu/E times the integral of offset
+over second moment of area.
 """
 
 from dataclasses import dataclass
@@ -17,23 +17,23 @@ from ..measurements.table import Measurements
 from .model_free import SIGNIFICANT, independent_labels, jackknife
 
 COLUMNS = ("base_tension", "tip_tension")
-ROUNDS = 20  # until it is known which rows have slid out wholly
+ROUNDS = 20  # at most, to find the rows in which the whole tendon slides out
 LEAST_ROWS = 2  # on either branch
-LEAST_SLACK = 0.1  # of 1/T_base, to which 1/T_tip may fall while gain and loss are sought
+LEAST_SLACK = 0.1  # of 1/T_base: the smallest 1/T_tip during the search for gain and loss
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelFreeLoop:
-    """What both branches of loops tell together."""
+    """Gain and loss from both branches of loops."""
 
     table: Measurements
-    branch: np.ndarray  # (rows,), 1 where all slides in, -1 where all slides out, 0 where a row was not used
+    branch: np.ndarray  # (rows,), 1 where the whole tendon slides in, -1 where it slides out, 0 where a row is unused
     gain: float  # of the tip cell over that of the base cell
     gain_standard_error: float
     loss: float  # g, 1/N: 1/T_tip - 1/T_base of a pull
     loss_standard_error: float
-    zero: float  # N, of the tip cell, where it is to explain what gain and loss leave; neither counts with it
-    zero_p_value: float  # of no zero, two-sided; NaN where the rows do not tell
+    zero: float  # N, of the tip cell, if it is fitted too; gain and loss above are those without it
+    zero_p_value: float  # two-sided, of the test that the zero is 0; NaN where the rows do not determine it
     degrees_of_freedom: int
 
     @property
@@ -44,7 +44,7 @@ class ModelFreeLoop:
 
     @property
     def verdict(self) -> tuple[str, ...]:
-        """In words: gain and loss, and what speaks against them."""
+        """In words: gain and loss, and what contradicts them."""
         low, high = self.gain_interval
         pull, out = (np.count_nonzero(self.branch == way) for way in (1, -1))
         lines = [
@@ -68,11 +68,12 @@ class ModelFreeLoop:
 def model_free_loop(table: Measurements) -> ModelFreeLoop:
     """The gain of the tip cell and the loss of the tendon from a loop of tensions, pulled and released.
 
-    The rows are in the order of the columns `step` or `time`, or of the file, each trial from rest; of the way back
-    those rows count in which all of the tendon slides. The noise of the tip cell is estimated from the scatter.
+    The rows are in the order of the columns `step` or `time`, or of the file; each trial starts from rest. Of the
+    release, only the rows are used in which the whole tendon slides. The noise of the tip cell is estimated from the
+    scatter.
 
-    Not checked: one tendon, no loads, no drag, a tendon parallel to the axis, cells without zeros and pretension. A
-    zero of the tip cell is looked for.
+    Not checked: one tendon, no loads, no drag, a tendon parallel to the axis, cells without zeros and pretension. The
+    result reports a zero of the tip cell.
 
     Args:
         table: with `base_tension` and `tip_tension`.
@@ -94,7 +95,7 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
         if min(counts) < LEAST_ROWS:
             raise InputError(
                 f"{table.name}: {counts[0]} rows of the pull and {counts[1]} rows in which all of the tendon slides "
-                f"out; {LEAST_ROWS} of each are needed: measure further down, or give the order by a column step"
+                f"out; {LEAST_ROWS} of each are needed: release further, or give the order by a column step"
             )
         (gain, loss, _), covariance, freedom = _regression(table, used != 0, used)
         if np.array_equal(used, last):
@@ -115,7 +116,7 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
 
 
 def _has_slid_out(table: Measurements, loss: float) -> np.ndarray:
-    """(rows,), whether the front of the way back has reached the tip."""
+    """(rows,), whether the front of the release has reached the tip."""
     trial = table.columns.get("trial", np.zeros(len(table))).astype(int)
     largest = np.zeros(trial.max() + 1)
     np.maximum.at(largest, trial, table["base_tension"])
@@ -135,7 +136,7 @@ def _regression(
         columns = np.stack([1 / slack, -found[0] * way / slack**2, np.ones(tip.size)], axis=1)[:, :count]
         return columns, tip - found[0] / slack - found[2]
 
-    for _ in range(ROUNDS):  # Gauss and Newton
+    for _ in range(ROUNDS):  # the Gauss-Newton method
         found[:count] += np.linalg.lstsq(*linearised())[0]
     columns, residual = linearised()
     covariance, labels = np.full((3, 3), np.inf), independent_labels(table, rows)

@@ -1,6 +1,6 @@
-"""Whether readings with a history fit the order in which they are said to have been measured.
+"""Whether readings with a history agree with the stated order of the rows.
 
-What creeps drifts from the first row to the last. Rows that were mixed up fit better in another order.
+Residuals drift from the first row to the last if the body creeps. Rows that were mixed up fit better in another order.
 """
 
 from dataclasses import replace
@@ -22,18 +22,18 @@ from .predictions import noise_of_readings
 if TYPE_CHECKING:
     from .fit import Fit
 
-CHANCE = 1e-3  # p-value of residuals that drift
-MOST_STEPS = 512  # of paths, for which other orders are tried
+CHANCE = 1e-3  # smaller p-values of a drift are reported
+MOST_STEPS = 512  # of paths; for more steps other orders are not tried
 LANES = 32  # other orders, at most, that are tried
-HELPS, LEAST_GAIN = 1.0, 14.0  # of the sum of squares over the noise, by one exchange, and by all of them
-MANY_TURNS = 0.3  # of the steps; with more turns the order is compared with orders by chance
-AS_BAD = 0.3  # of the sum of squares of orders by chance
-MAX_TURNS = 16
+HELPS, LEAST_GAIN = 1.0, 14.0  # least decrease of the sum of squares over the noise: by one exchange, by all of them
+MANY_TURNS = 0.3  # of the steps; with more turns the order is compared with random orders
+AS_BAD = 0.3  # of the sum of squares of random orders: above it the order of the rows is doubtful
+MAX_TURNS = 16  # that can be remembered along another order
 SEED = 0
 
 
 def order_remarks(fit: "Fit") -> list[str]:
-    """In words, what speaks against the order of the rows of each table with a history."""
+    """In words, what contradicts the order of the rows of each table with a history."""
     found = []
     for name, table, experiment in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True):
         if isinstance(experiment, Bench) and experiment.course is not None:
@@ -47,10 +47,10 @@ def order_remarks(fit: "Fit") -> list[str]:
 
 
 def _drift(fit: "Fit", group: Group, course: Course) -> str:
-    """Whether the residuals of a group go up or down from the first step to the last, beyond what the fit could take.
+    """Whether the residuals of a group drift from the first step to the last, in words; "" if they do not.
 
     An F test, or with given noise a chi-square test, of two more parameters of the linearised model: an error that
-    grows with the step, and one that grows with the step and the reading.
+    grows with the step, and one that grows with step times reading.
     """
     from scipy.stats import chi2, f as f_distribution
 
@@ -90,14 +90,14 @@ def _drift(fit: "Fit", group: Group, course: Course) -> str:
 
 
 class _Orders(NamedTuple):
-    """Other orders of the same levels."""
+    """Paths and steps for other orders of the same levels."""
 
     readings: np.ndarray  # (orders, trials, steps), N
     step: np.ndarray  # (orders, rows)
 
 
 def _mixed_up(fit: "Fit", table: Measurements, bench: Bench, groups: list[Group]) -> list[str]:
-    """Whether two levels, one after the other, fit better the other way round, or any order fits as well."""
+    """Whether some neighbouring levels fit better when they are exchanged, or random orders fit as well; in words."""
     course = bench.course
     assert course is not None
     squares = np.zeros(len(table))
@@ -123,17 +123,17 @@ def _mixed_up(fit: "Fit", table: Measurements, bench: Bench, groups: list[Group]
     moves = np.sign(np.diff(course.readings, axis=1))
     turns = np.sum(moves[:, 1:] * moves[:, :-1] < 0)
     if turns > MANY_TURNS * np.sum(moves != 0):
-        by_chance = _sums_of_squares(fit, bench, groups, _by_chance(course))
-        if now > AS_BAD * np.nanmedian(by_chance):
+        random = _sums_of_squares(fit, bench, groups, _random_orders(course))
+        if now > AS_BAD * np.nanmedian(random):
             found = [
-                f"{table.name}: the rows fit hardly better in their order than in one by chance; check the columns "
+                f"{table.name}: the rows fit hardly better in their order than in a random order; check the columns "
                 "step and time"
             ]
     return found
 
 
 def _apart(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The first of those that share a level."""
+    """The pairs without those that share a level with an earlier pair."""
     kept: list[tuple[int, int]] = []
     for trial, step in pairs:
         if not any(trial == other and abs(step - first) < 2 for other, first in kept):
@@ -142,7 +142,7 @@ def _apart(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _suspects(course: Course, squares: np.ndarray) -> list[tuple[int, int]]:
-    """Trial and first step of pairs of levels, those with the largest residuals first."""
+    """Trial and first step of pairs of neighbouring levels, those with the largest residuals first."""
     trials, steps = course.readings.shape
     by_step = np.zeros((trials, steps))
     np.add.at(by_step, (course.trial, course.step), squares)
@@ -154,7 +154,7 @@ def _suspects(course: Course, squares: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _exchanged(course: Course, every: list[list[tuple[int, int]]]) -> _Orders:
-    """For each list of pairs, all rows with the two levels of each pair exchanged; other orders are as measured."""
+    """For each list of pairs, the paths with the two levels of each pair exchanged; unused lanes are as measured."""
     readings, step = (np.repeat(np.asarray(x)[None], LANES, axis=0) for x in (course.readings, course.step))
     for lane, pairs in enumerate(every):
         for trial, first in pairs:
@@ -167,8 +167,8 @@ def _exchanged(course: Course, every: list[list[tuple[int, int]]]) -> _Orders:
     return _Orders(readings, step)
 
 
-def _by_chance(course: Course) -> _Orders:
-    """All levels of each trial in orders by chance."""
+def _random_orders(course: Course) -> _Orders:
+    """All levels of each trial in random orders."""
     rng = np.random.default_rng(SEED)
     readings, step = (np.repeat(np.asarray(x)[None], LANES, axis=0) for x in (course.readings, course.step))
     for lane in range(LANES):
@@ -183,7 +183,7 @@ def _by_chance(course: Course) -> _Orders:
 
 
 def _sums_of_squares(fit: "Fit", bench: Bench, groups: list[Group], orders: _Orders) -> np.ndarray:
-    """(orders,), of the residuals over the noise, at the estimate; NaN where there is no solution."""
+    """(orders,), sums of squares of the residuals over the noise, at the estimate; NaN where there is no solution."""
     plain = replace(bench, name="", read_in={})
     body, parameters = fit.model.manipulator, jax.tree.map(np.asarray, fit.parameters)
     read = _read_in_orders(plain, body, parameters, orders.readings, orders.step, fit.model.nodes)
@@ -204,7 +204,7 @@ def _read_in_orders(
     step: Int[np.ndarray | Array, "orders rows"],
     nodes: int,
 ) -> dict[str, Array]:
-    """(orders, rows), what the instruments read in other orders."""
+    """What the instruments would read in other orders, (orders, rows), by column."""
     course = bench.course
     assert course is not None
 

@@ -1,7 +1,7 @@
-"""The parameters of a fit: what they are, where a search for them starts, and the body that has them.
+"""The parameters of a fit: their names and units, where the search starts, and the body with given parameters.
 
-They are the numbers of the manipulator, and the errors of the instruments and dimensions of its bench. What is known of
-a bench is given by its setting.
+They are the numbers of the manipulator, and the errors of the instruments and dimensions of its bench. Known numbers of
+a bench are given by its setting.
 """
 
 import re
@@ -25,16 +25,16 @@ from .past import PARAMETER, is_past
 
 TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
 
-Parameters = Mapping[str, ArrayLike]  # numbers by name; that of TRIALS is one for each trial
+Parameters = Mapping[str, ArrayLike]  # numbers by name; TRIALS has one for each trial
 
 
 class Parameter(NamedTuple):
-    """What may be fitted."""
+    """A parameter that can be fitted."""
 
     name: str
-    start: float | None  # None: the manipulator's own
+    start: float | None  # usual value, where the search starts; None: the manipulator's own value
     positive: bool
-    scale: float  # a size that matters, where the parameter may be 0; SI
+    scale: float  # a size that matters, for a parameter that may be 0; SI
 
     @property
     def dimension(self) -> Dimension:
@@ -52,35 +52,35 @@ PARAMETERS = {
         Parameter("shear_factor", 1.0, True, 1.0),
         Parameter("length", None, True, 1.0),
         Parameter("drag", 1.0, True, 1.0),
-        Parameter("outer_radius_error", 0.0, False, 1e-4),  # true less stated, all along the body
+        Parameter("outer_radius_error", 0.0, False, 1e-4),  # true less stated radius, the same along the whole body
         Parameter("tendon_offset_error", 0.0, False, 1e-4),
         Parameter("base_gain", 1.0, True, 0.02),
         Parameter("tip_gain", 1.0, True, 0.02),
         Parameter("base_zero", 0.0, False, 0.5),
         Parameter("tip_zero", 0.0, False, 0.5),
-        Parameter("pretension", 1.0, True, 0.5),  # of every tendon, not read by the cells
+        Parameter("pretension", 1.0, True, 0.5),  # of every tendon; the cells read 0 there
         Parameter("angle_zero", 0.0, False, 0.02),
-        Parameter("tendon_angle_error", 0.0, False, 0.02),  # of a body in space, all tendons alike
-        *(Parameter(f"camera_{axis}", 0.0, False, 1e-3) for axis in "xyz"),  # where positions are counted from
-        *(Parameter(f"camera_turn_{axis}", 0.0, False, 0.02) for axis in "xyz"),  # as `markers.seen` takes it
-        *(Parameter(f"gravity_turn_{axis}", 0.0, False, 0.02) for axis in "xyz"),  # axis times angle
+        Parameter("tendon_angle_error", 0.0, False, 0.02),  # of a body in space, the same for all tendons
+        *(Parameter(f"camera_{axis}", 0.0, False, 1e-3) for axis in "xyz"),  # the origin of measured positions
+        *(Parameter(f"camera_turn_{axis}", 0.0, False, 0.02) for axis in "xyz"),  # rotation, see `markers.seen`
+        *(Parameter(f"gravity_turn_{axis}", 0.0, False, 0.02) for axis in "xyz"),  # rotation: axis times angle
         Parameter(PARAMETER, 1.0, True, 0.5),  # the largest base tension before the first row, as read
     )
 }
-TURNS_OUT = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn") for axis in "xy")
-OF_SPACE = ("poissons_ratio", "tendon_angle_error", "camera_z", *TURNS_OUT)
+OUT_OF_PLANE = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn") for axis in "xy")
+OF_SPACE = ("poissons_ratio", "tendon_angle_error", "camera_z", *OUT_OF_PLANE)
 OF_STRETCH = ("axial_factor", "shear_factor")
 _OF_BODY = {field.name for field in fields(Manipulator)}
 
 
 def stiffness_parameter(manipulator: Manipulator) -> str:
-    """The parameter of stiffness: the modulus where that is one number, else the factor on the stiffness."""
+    """The name of the parameter of stiffness: the modulus if it is one number, else the factor on the stiffness."""
     modulus = manipulator.youngs_modulus
     return "stiffness_factor" if modulus is None or callable(modulus) else "youngs_modulus"
 
 
 def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) -> tuple[str, ...]:
-    """The names that were asked for, or else those of friction and stiffness.
+    """The names of the free parameters; those of friction and stiffness for None.
 
     Raises:
         InputError: for an unknown name, or a parameter that this body does not have.
@@ -96,14 +96,14 @@ def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) 
         (OF_STRETCH, manipulator.extensible, "that stretches; make it extensible"),
     ):
         if lacking := [name for name in names if name in kinds and not has]:
-            raise InputError(f"{lacking[0]} matters to a body {remedy}, or do not fit it")
+            raise InputError(f"{lacking[0]} has an effect only on a body {remedy}, or do not fit this parameter")
     if "outer_radius_error" in names and not manipulator.stiffened_by_radii:
         raise InputError("outer_radius_error changes nothing where bending_stiffness is given; fit stiffness_factor")
     return names
 
 
 def starting_value(manipulator: Manipulator, name: str, given: Mapping[str, float] | None = None) -> float:
-    """Where the search for a parameter starts: as given, or else at the manipulator's own or its usual value."""
+    """Where the search for a parameter starts: at the given value, or else at the manipulator's or the usual one."""
     start = parameter_named(name).start
     if given and name in given:
         return float(given[name])
@@ -112,7 +112,7 @@ def starting_value(manipulator: Manipulator, name: str, given: Mapping[str, floa
 
 
 def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipulator:
-    """The manipulator with its numbers replaced and its dimensions corrected; other parameters are not its own."""
+    """The manipulator with these numbers and corrected dimensions; parameters of the bench are ignored."""
     names = tuple(name for name in parameters if hasattr(manipulator, name))
     numbers = [parameters[name] for name in names]
     body = eqx.tree_at(lambda m: [getattr(m, n) for n in names], manipulator, numbers, is_leaf=lambda x: x is None)
@@ -131,7 +131,7 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
 
 
 def turn_of(parameters: Parameters, name: str) -> Float[Array, " 3"] | None:
-    """The three numbers of a turn or shift; None where none of them is known to differ from 0."""
+    """The three components of a rotation or shift; None where none of them is a parameter."""
     own = [f"{name}_{axis}" for axis in "xyz"]
     if not any(one in parameters for one in own):
         return None
@@ -144,10 +144,10 @@ class BenchSetting:
 
     Args:
         loads: constant ones, such as gravity, in the fixed frame at the base; tip forces of the rows are added.
-        markers: by the name that columns have behind the @: `x@head` is the first coordinate of markers["head"]. A
-            column such as `x@120mm` needs none here.
-        given: numbers of the bench by the names of their parameters, SI units, where they differ from their usual
-            values: a known `tip_gain`, or the pose of the camera. Where one of them is fitted, its search starts there.
+        markers: by the name after the @ in the columns: `x@head` is the first coordinate of markers["head"]. A column
+            such as `x@120mm` needs no entry here.
+        given: known numbers of the bench by the names of their parameters, SI units: for instance `tip_gain`, or the
+            pose of the camera. If such a parameter is fitted, its search starts there.
     """
 
     loads: Loads | None = None
@@ -157,7 +157,9 @@ class BenchSetting:
     def __post_init__(self):
         for name, value in self.given.items():
             if parameter_named(name).name in _OF_BODY or is_past(name):
-                raise InputError(f"given: {name} is no number of the bench; give it with the manipulator or the trials")
+                raise InputError(
+                    f"given: {name} does not belong to the bench; give it with the manipulator or the trials"
+                )
             if not np.isfinite(value):
                 raise InputError(f"given: {name} must be finite, got {value!r}")
         for name, marker in self.markers.items():
@@ -166,7 +168,7 @@ class BenchSetting:
 
     @property
     def in_words(self) -> list[str]:
-        """What is told, a line each."""
+        """The setting in words, one line for each entry."""
         lines = [f"{name} = {shown(value, parameter_named(name).dimension)}" for name, value in self.given.items()]
         if self.loads is not None:
             force, moment, gravity = (
@@ -186,9 +188,9 @@ PLAIN = BenchSetting()
 
 
 def unit_of(name: str) -> str:
-    """The SI unit of a parameter, of a product of powers of some, such as "1/Pa", or of a sum of two.
+    """The SI unit of a parameter, of a product of powers of parameters, or of a sum of two; for instance "1/Pa".
 
-    "1" for a plain number, such as the friction of a trial over that of all; "" for an unknown name.
+    It is "1" for a plain number, and "" for an unknown name.
     """
     name = re.split(" [+-] ", name)[0]
     above, below = [], []
@@ -204,7 +206,7 @@ def unit_of(name: str) -> str:
 
 
 def parameter_named(name: str) -> Parameter:
-    """What a parameter is; `tip_gain_2` is that of the cell of tendon 2, `before_2` that of trial 2.
+    """The parameter of this name; `tip_gain_2` is `tip_gain` of tendon 2, `before_2` is `before` of trial 2.
 
     Raises:
         InputError: for an unknown name.
@@ -214,5 +216,5 @@ def parameter_named(name: str) -> Parameter:
         name = stem
     name = PARAMETER if is_past(name) else name
     if name not in PARAMETERS:
-        raise InputError(f"{name!r} is no parameter that can be fitted; there are {', '.join(PARAMETERS)}")
+        raise InputError(f"{name!r} is not a parameter that can be fitted; there are {', '.join(PARAMETERS)}")
     return PARAMETERS[name]

@@ -1,7 +1,8 @@
-"""What the tendons had before the first row of their trial: nothing, stated base tensions, or some to be fitted.
+"""The base tensions before the first row of a trial: none (rest), stated ones, or ones that are fitted.
 
-A tension is what the base cell would have read. For one tendon it is the largest one, from which it was released to the
-first row. Several tendons went straight from rest to the tensions before, and from these to the first row.
+They are what the base cells would have read. For one tendon it is the largest tension, from which it was released to
+the first row. The tensions of several tendons rose linearly from rest to those before, and went from these to the first
+row.
 """
 
 import re
@@ -20,7 +21,7 @@ from ..units import shown
 
 PARAMETER = "before"  # of tendon 1 in all trials
 REST: Literal["rest"] = "rest"
-LEAST_ABOVE = 1.02  # of the first reading, from where the search for a tension starts
+LEAST_ABOVE = 1.02  # times the first reading: the least tension at which a search starts
 
 One = float | Literal["rest"] | Sequence[float]
 Before = One | Sequence[One]
@@ -29,8 +30,8 @@ Before = One | Sequence[One]
 class Start(NamedTuple):
     """How a trial begins, by tendon; empty for rest."""
 
-    tension: tuple[float | None, ...] = ()  # N, as read; None for what is as in the first row, or to be found
-    parameters: tuple[str, ...] = ()  # which are fitted; "" where none is
+    tension: tuple[float | None, ...] = ()  # N, as read; None for that of the first row, or for one to be fitted
+    parameters: tuple[str, ...] = ()  # the parameters that are fitted; "" where none is
 
     @property
     def from_rest(self) -> bool:
@@ -38,7 +39,7 @@ class Start(NamedTuple):
 
 
 class Past(eqx.Module):
-    """What the tendons had before the first row of each trial of a table."""
+    """The base tensions before the first row of each trial of a table."""
 
     stated: Float[np.ndarray | Array, "trials tendons"]  # N, as read; 0 where the trial began at rest
     parameters: tuple[tuple[str, ...], ...] = eqx.field(
@@ -46,7 +47,7 @@ class Past(eqx.Module):
     )  # of each trial and tendon; "" where none is fitted
 
     def tension(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials tendons"]:
-        """As read, N."""
+        """The tensions before the first rows, as read, N."""
         rows = zip(self.parameters, jnp.asarray(self.stated), strict=True)
         return jnp.stack(
             [jnp.stack([jnp.asarray(parameters.get(*one)) for one in zip(*row, strict=True)]) for row in rows]
@@ -54,7 +55,7 @@ class Past(eqx.Module):
 
     @property
     def in_words(self) -> list[str]:
-        """Of each trial, "rest", "80 N", "60 N and 20 N", or "fitted (before)" with the name of the parameter."""
+        """For each trial "rest", "80 N", "60 N and 20 N", or "fitted (before)" with the name of the parameter."""
         return [
             " and ".join(
                 f"fitted ({name})" if name else shown(tension, "force") for name, tension in zip(*row, strict=True)
@@ -71,7 +72,7 @@ def is_past(name: str) -> bool:
 
 
 def _place(name: str) -> tuple[int, int | None] | None:
-    """The tendon, 1, 2, ..., and the trial, 1, 2, ... or None for all, of a parameter; None for another one."""
+    """The tendon, 1, 2, ..., and the trial, 1, 2, ... or None for all, of a parameter; None for other parameters."""
     found = re.fullmatch(rf"{PARAMETER}(?:_tendon_([1-9]\d*))?(?:_(\d+))?", name)
     if not found:
         return None
@@ -83,14 +84,14 @@ def starts_of(counts: Sequence[int], before: Before, free: Collection[str], tend
     """How each trial begins, by table.
 
     Args:
-        counts: of the trials of each table, 0 for a table without a history.
-        before: as of `fit`.
+        counts: numbers of trials, by table; 0 for a table without a history.
+        before: as in `fit`.
         free: the parameters that are fitted.
-        tendons: of the body.
+        tendons: the number of tendons.
 
     Raises:
-        InputError: for what is neither rest nor a tension of each tendon, another number of entries than trials, or the
-            parameter of a trial or tendon that is not there.
+        InputError: for an entry that is neither "rest" nor one tension per tendon, another number of entries than
+            trials, or the parameter of a trial or tendon that does not exist.
     """
     total, listed = sum(counts), not isinstance(before, str) and np.ndim(_ragged(before)) > 0
     fitted = {place: name for name in free if (place := _place(name))}
@@ -102,9 +103,9 @@ def starts_of(counts: Sequence[int], before: Before, free: Collection[str], tend
         raise InputError(f"before must hold one entry for each of the {total} trials, got {len(entries)}")
     for (tendon, trial), name in fitted.items():
         if trial is not None and not 1 <= trial <= total:
-            raise InputError(f"{name} is that of trial {trial}, and there are {total} with a history")
+            raise InputError(f"{name} belongs to trial {trial}, but only {total} have a history; fit one of these")
         if tendon > tendons:
-            raise InputError(f"{name} is that of tendon {tendon}, and the body has {tendons}")
+            raise InputError(f"{name} belongs to tendon {tendon}, but the body has {tendons}; fit one of these")
     starts = [
         _start(entry, k, fitted, tendons, listed) for k, entry in enumerate(entries if listed else entries * total, 1)
     ]
@@ -113,12 +114,12 @@ def starts_of(counts: Sequence[int], before: Before, free: Collection[str], tend
 
 
 def _ragged(before: Before) -> np.ndarray:
-    """As an array of what is in it, be it of several lengths."""
+    """An array whose shape shows whether there is one entry or a list; entries may have different lengths."""
     return np.array(before, object) if np.isscalar(before) else np.empty(len(cast("Sequence[One]", before)))
 
 
 def _checked(entry: One, tendons: int) -> tuple[float, ...]:
-    """One number for each tendon; none for rest."""
+    """The entry as one number for each tendon; empty for rest."""
     if isinstance(entry, str) and entry == REST:
         return ()
     try:
@@ -136,7 +137,7 @@ def _checked(entry: One, tendons: int) -> tuple[float, ...]:
 def _start(
     entry: tuple[float, ...], number: int, fitted: Mapping[tuple[int, int | None], str], tendons: int, listed: bool
 ) -> Start:
-    """Of trial 1, 2, ...; a trial that is said to begin at rest does so, unless a tension of its own is fitted."""
+    """How trial `number`, from 1, begins. One listed as "rest" begins at rest, unless it has a parameter of its own."""
 
     def parameter(tendon: int) -> str:
         common = "" if listed and not entry else fitted.get((tendon, None), "")
@@ -146,12 +147,12 @@ def _start(
 
 
 def past_of(starts: Sequence[Start], first: Float[np.ndarray, "trials tendons"], places: Sequence[str]) -> Past | None:
-    """What was before the trials of a table; None where all began at rest.
+    """The tensions before the trials of a table; None where all began at rest.
 
     Args:
-        starts: of the trials.
+        starts: how the trials begin.
         first: their first readings, N.
-        places: of these rows, in words.
+        places: of these rows, in words for messages.
 
     Raises:
         InputError: where the largest tension of a single tendon is smaller than that of the first row.
@@ -162,12 +163,12 @@ def past_of(starts: Sequence[Start], first: Float[np.ndarray, "trials tendons"],
     for i, (start, place) in enumerate(zip(starts, places, strict=True)):
         if start.from_rest:
             continue
-        told = np.array(start.tension, float)
-        stated[i] = np.where(np.isnan(told), first[i], told)
-        if told.size == 1 and told[0] < first[i, 0]:
+        given = np.array(start.tension, float)
+        stated[i] = np.where(np.isnan(given), first[i], given)
+        if given.size == 1 and given[0] < first[i, 0]:
             raise InputError(
                 f"{place}: before must be the largest base tension up to this row, {first[i, 0]:.6g} N or more, got "
-                f"{told[0]:.6g} N"
+                f"{given[0]:.6g} N"
             )
     return Past(stated, tuple(start.parameters for start in starts))
 
@@ -177,9 +178,9 @@ def first_guesses(
 ) -> dict[str, tuple[float, float]]:
     """By parameter, where the search starts, and the lower bound, N.
 
-    Once a release has reached the tip, nothing is left of the tension before it. So the search starts where the release
-    to the first row has reached about half of the body. A single tendon had at least what it has in the first row; of
-    several each may have had less.
+    Once a release has reached the tip, the tension before it has no effect any more. So the search starts at a tension
+    from which the release to the first row reaches about half of the body. A single tendon had at least the tension of
+    the first row; with several tendons each may have had less.
 
     Args:
         manipulator: the body.
@@ -201,7 +202,11 @@ def first_guesses(
 
 
 def _half_released(manipulator: Manipulator, row: Float[np.ndarray, " tendons"], tendon: int) -> float:
-    """T / T_tip says what friction takes one way; a release has to overcome it twice."""
+    """A base tension from which the release to the first row ends about in the middle of the body, N.
+
+    With q = T_base / T_tip, a release reaches the tip when the base tension has fallen by about the factor q^2. So the
+    start is q times the first reading.
+    """
     reading = float(row[tendon])
     if reading <= 0:
         return 1.0

@@ -1,6 +1,7 @@
-"""What a fitted model predicts: at given base tensions and tip forces, and for the rows of its tables with residuals.
+"""Predictions of a fitted model: at given base tensions and tip forces, and for the rows of its tables.
 
-Which predictions lie beyond the data, and how far finer steps along a history would move the estimates.
+Also: which predictions lie beyond the data, how far finer steps along a history would move the estimates, and whether
+residuals have a normal distribution.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ from .past import REST, Before
 if TYPE_CHECKING:
     from .fit import Fit
 
-SPANNED = 1e-9  # of a largest condition: rows this close to the data count as inside
+SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
 SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds
 GRID = 100  # points of a curve
 
@@ -36,7 +37,7 @@ class Prediction(NamedTuple):
     """The fitted model at some base tensions."""
 
     value: np.ndarray
-    half_width: np.ndarray  # of the 95 % band that the uncertainty of the parameters makes
+    half_width: np.ndarray  # of the 95 % band, from the uncertainty of the parameters
     extrapolated: np.ndarray  # True beyond the base tensions or tip forces of the data
 
 
@@ -51,7 +52,7 @@ def predicted_rows(
     before: Before = REST,
     short_steps: int = SHORT_STEPS,
 ) -> Bench:
-    """The rows to predict at; arguments as of `Fit.predict`, and what all rows share.
+    """The rows to predict; arguments as in `Fit.predict`, and the setting that all rows share.
 
     Raises:
         InputError: for numbers that are not finite, tensions below 0, shapes that do not fit, a history with stated
@@ -74,8 +75,8 @@ def predicted_rows(
     except ValueError:
         got = ", ".join(str(np.shape(given)) for given in (base_tension, tip_force, *stated.values()))
         raise InputError(
-            f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), in space of three "
-            f"components, and direction that fits; got {got}"
+            f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), in space (3,) or "
+            f"(rows, 3), and direction of a shape that fits; got {got}"
         ) from None
     if before != REST and not history:
         raise InputError("predict: before is used with a history only; give history=True")
@@ -89,7 +90,7 @@ def predicted_rows(
 
 
 def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
-    """Which rows lie outside what the data span, of any tendon's base tension or any component of the tip force."""
+    """Which rows lie outside the range of the data, in any base tension or any component of the tip force."""
 
     def conditions(bench: Bench) -> np.ndarray:
         force = np.zeros((len(bench.base_tension), 3))
@@ -108,10 +109,11 @@ def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
 
 
 def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
-    """By parameter, how far short steps and cells move its estimate, over its standard error.
+    """By parameter, the error of its estimate by short steps and cells, over its standard error.
 
-    By the linearised fit to the difference that half the steps and half the cells make, twice: the error falls in
-    proportion. Empty where every answer is exact; NaN where the finer one has no solution.
+    The prediction is repeated with steps and cells half as long. The error is proportional to their length, so it is
+    twice the difference; the linearised fit gives the change of the estimates. Empty where every answer is exact; NaN
+    where the finer one has no solution.
     """
     body, nodes, spectrum = fit.model.manipulator, fit.model.nodes, fit.evidence.spectrum
     parameters, moved = jax.tree.map(np.asarray, fit.parameters), np.zeros(len(fit.names))
@@ -133,7 +135,7 @@ def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
 
 
 def noise_of_readings(fit: "Fit", group: Group) -> np.ndarray:
-    """(readings,), standard deviations."""
+    """(readings,), the standard deviations of the noise."""
     problem = fit.minimum.problem
     return np.ravel(problem.data.noise[problem.groups.index(group.label)])
 
@@ -180,19 +182,19 @@ def normality(fit: "Fit") -> dict[str, Normality]:
 
 
 def normality_of(residual: np.ndarray) -> Normality:
-    """The test of Shapiro and Wilk; not of few, very many, equal or infinite residuals."""
+    """The test of Shapiro and Wilk; NaN for too few, too many, equal or infinite residuals."""
     from scipy.stats import shapiro
 
     low, high = SHAPIRO_ROWS
-    fit_for_it = low <= residual.size <= high and np.all(np.isfinite(residual)) and np.ptp(residual) > 0
-    return Normality(residual.size, float(shapiro(residual).pvalue) if fit_for_it else float("nan"))
+    applies = low <= residual.size <= high and np.all(np.isfinite(residual)) and np.ptp(residual) > 0
+    return Normality(residual.size, float(shapiro(residual).pvalue) if applies else float("nan"))
 
 
 # --- the model beside the rows -------------------------------------------------------------------
 
 
 class ModelCurve(NamedTuple):
-    """The fitted model over a grid, SI units: base tension, or wrap angle (then pulling tension per weight)."""
+    """The fitted model over a grid of base tensions, or of wrap angles (then it is pulling tension per weight); SI."""
 
     grid: np.ndarray
     value: np.ndarray
@@ -200,7 +202,7 @@ class ModelCurve(NamedTuple):
 
 
 def model_curve(fit: "Fit", group: Group) -> ModelCurve | None:
-    """The model over all base tensions (wrap angles) of a table; None where no single curve holds its rows."""
+    """The model over the base tensions (wrap angles) of a table; None where its rows do not lie on a single curve."""
     rows, experiment = group.table, group.experiment
     if isinstance(experiment, Bench) and not experiment.on_one_curve:
         return None
@@ -216,7 +218,7 @@ def model_curve(fit: "Fit", group: Group) -> ModelCurve | None:
 
 
 def model_loops(fit: "Fit", group: Group) -> list[ModelCurve]:
-    """The model along the path of each trial, in its order; [] where it does not come back, or has no exact answer."""
+    """The model along the path of each trial, in its order; [] where no path turns, or there is no exact answer."""
     bench = group.experiment
     course = bench.course if isinstance(bench, Bench) and not bench.on_one_curve else None
     if not isinstance(bench, Bench) or course is None or course.short_steps is not None:
@@ -233,7 +235,7 @@ def model_loops(fit: "Fit", group: Group) -> list[ModelCurve]:
 
 
 def half_width(fit: "Fit", group: Group) -> np.ndarray:
-    """Of the 95 % intervals of the predictions for what was read of the manipulator, SI."""
+    """The half-widths of the 95 % intervals of the predictions for the readings of a group, SI."""
     assert isinstance(group.experiment, Bench)
     shown = group.experiment.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
     return fit.band(shown.derivatives[group.column][group.there])

@@ -1,4 +1,4 @@
-"""Friction that differs from trial to trial: its spread by restricted likelihood."""
+"""Friction that differs from trial to trial: its spread, estimated by restricted likelihood."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -24,11 +24,11 @@ def fit_trials(
     scales: Mapping[str, float],
     starts: int | None,
 ) -> tuple[LeastSquaresFit, float]:
-    """Random effects: a spread over trials, the fit that it makes, the likeliest spread there, and so on.
+    """Random effects, by iteration: the fit for a spread over trials, then the likeliest spread at that fit, and so on.
 
     Args:
         search: `least_squares_fit` of the bench and its data.
-        count: of trials.
+        count: the number of trials.
         start, priors, scales, starts: as `least_squares_fit` takes them.
 
     Returns:
@@ -55,9 +55,9 @@ def fit_trials(
 
 
 def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> float:
-    """By the restricted likelihood of the model made linear at the estimate.
+    """The spread with the largest restricted likelihood of the model, linearised at the estimate.
 
-    Patterson and Thompson (1971), Biometrika 58, 545; Harville (1977), JASA 72, 320, in its mixed-model equations.
+    Patterson and Thompson (1971), Biometrika 58, 545; by the mixed-model equations of Harville (1977), JASA 72, 320.
     """
     from scipy.optimize import minimize_scalar
 

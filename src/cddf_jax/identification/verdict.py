@@ -1,4 +1,4 @@
-"""What a fit says in words: what was determined and what was not, why it is to be doubted, and what deserves a look."""
+"""The result of a fit in words: what the data determine and what not, why the fit is doubtful, and warnings."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,11 +20,11 @@ from .past import is_past
 if TYPE_CHECKING:
     from .fit import Fit
 
-LARGEST_FRICTION = 2.0  # beyond it a warning
-INCOMPRESSIBLE = 0.5  # Poisson's ratio of a material that keeps its volume, the largest there is
+LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
+INCOMPRESSIBLE = 0.5  # Poisson's ratio of an isotropic material that keeps its volume, the largest possible one
 CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
-LARGEST_MOVE = 0.5  # standard errors, by which short steps may move an estimate in silence
-MOST = 0.5  # part of a table's rows; with more of them without a solution, the fit describes another body
+LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
+MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
 OUTSIDE = {  # results of rows without a solution, by their names in messages
     "not physical": RESULTS.unphysical,
     "locked": RESULTS.locked,
@@ -36,7 +36,7 @@ OUTSIDE = {  # results of rows without a solution, by their names in messages
 
 
 class Look(NamedTuple):
-    """How the solves of a table's rows went at the estimate."""
+    """How the solves of a table's rows ended, at the estimate."""
 
     name: str
     table: Measurements
@@ -44,7 +44,7 @@ class Look(NamedTuple):
     contradicted: np.ndarray  # (rows,), whether a tendon travels against its direction, which the table did not state
 
     def rows(self, *codes: RESULTS) -> np.ndarray:
-        """The rows whose solve ended so, 0, 1, ...; `table.place` tells where each is in the file."""
+        """The rows, from 0, whose solve ended with one of these results; `table.place` gives their rows in the file."""
         return np.flatnonzero(np.any([np.asarray(self.results == code) for code in codes], axis=0))
 
 
@@ -53,13 +53,13 @@ def looks_at(parameters: Parameters, tables: Sequence[Measurements], model: Benc
     for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
         if isinstance(experiment, Bench):
             shown = experiment.evaluate(model.manipulator, parameters, model.nodes)
-            found = [way is None for way in experiment.direction]  # a direction that the table states is believed
+            found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
             contradicted = np.asarray(shown.results == RESULTS.direction_contradicted)
             yield Look(name, table, shown.results, contradicted & np.any(shown.against[:, found], axis=1))
 
 
 def doubt(look: Look) -> str:
-    """Why these rows cannot have determined a parameter; "" where they can."""
+    """Why these rows cannot determine parameters; "" where they can."""
     if len(look.rows(RESULTS.successful)) == len(look.table):
         return ""
     rows, count = look.rows(*OUTSIDE.values()), len(look.table)
@@ -80,21 +80,21 @@ def doubt(look: Look) -> str:
 
 
 def fit_warnings(fit: "Fit") -> list[str]:
-    """What the tables, the statistics and the solver have to say at the estimate."""
+    """Warnings about the tables, the statistics and the solver, at the estimate."""
     found = [f"{table.name}: {warning}" for table, own in _warnings_of_tables(fit) for warning in own]
     found += [
         f"{name}: base_tension jitters by {one.noise:.2g} N (standard deviation), and {one.num_ignored} of its turns "
-        f"of {one.least_turn:.2g} N or less are taken for noise; where they are none, give the noise of base_tension"
+        f"of {one.least_turn:.2g} N or less are taken for noise; if they are real, give the noise of base_tension"
         for name, one in fit.steadied.items()
         if one.num_ignored
     ]
     found += [
-        f"{name} is moved by {part:.2g} of its standard error by the short steps of the history; give more short_steps"
+        f"the short steps of the history move {name} by {part:.2g} of its standard error; give more short_steps"
         for name, part in fit.moved_by_steps.items()
         if not part <= LARGEST_MOVE
     ]
     found += repeated_tables(fit.tables)
-    if fit.manipulator.kinematics == "published" and _tell_of_shape(fit.tables):
+    if fit.manipulator.kinematics == "published" and _hold_shape(fit.tables):
         found.append(
             "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
             "use the exact one for a real body"
@@ -110,7 +110,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
     if fit.confidence_interval.get("poissons_ratio", (0.0, 0.0))[0] > INCOMPRESSIBLE:
         found.append(
             f"poissons_ratio = {fit.value['poissons_ratio']:.3g} is above 0.5, which no uniform material has: the body "
-            "is softer in torsion or shear than its bending tells"
+            "is softer in torsion or shear than its bending stiffness suggests"
         )
     for look in fit.looks:
         for code in NOTEWORTHY:
@@ -142,7 +142,7 @@ def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
         by_trial = "trial" in table and TRIALS not in fit.parameters
         lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
         if lost and of_shape(group.column) and isinstance(experiment, Bench):
-            # what the body would show with the parameters that it was given with
+            # the readings with the parameters from which the search started
             start = {n: v if n.startswith(TRIALS) else starting_value(body, n) for n, v in fit.parameters.items()}
             shown_at_start = experiment.evaluate(body, start, nodes).readings[group.column][group.there]
             if np.sum(observed * shown_at_start) < 0:
@@ -155,7 +155,7 @@ def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
 def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
     """Whether means over trials differ, by an analysis of variance."""
     groups = [residual[trial == label] for label in np.unique(trial)]
-    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * size  # what is left is rounding
+    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * size  # residuals are rounding errors
     if exact or len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
         return False
     from scipy.stats import f_oneway
@@ -164,13 +164,13 @@ def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
 
 
 def shown_unit(name: str) -> tuple[float, str]:
-    """The factor from SI to the unit in which engineers write a parameter, and that unit behind a space."""
+    """The factor from SI to the unit that engineers use for a parameter, and that unit after a space."""
     scale, unit = preferred(parameter_named(name).dimension)
     return scale, f" {unit}" if unit else ""
 
 
 def parameter_shown(found: Determination, name: str) -> tuple[float, float, float, float, str]:
-    """Value, standard error and interval of a parameter in the unit in which engineers write it, and that unit."""
+    """Value, standard error and interval of a parameter in the unit that engineers use, and that unit."""
     scale, unit = shown_unit(name)
     numbers = found.value[name], found.standard_error[name], *found.confidence_interval[name]
     value, error, low, high = (scale * number for number in numbers)
@@ -186,7 +186,7 @@ def error_in_words(known: Determination, name: str) -> str:
 
 
 def verdict_of(fit: "Fit") -> list[str]:
-    """What was determined, what was not, and what measurement would help."""
+    """What the data determine, what they do not determine, and what measurement would help."""
     lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
     lines += estimates_in_words(fit, fit.bounded_above)
     if TRIALS in fit.parameters:
@@ -196,7 +196,7 @@ def verdict_of(fit: "Fit") -> list[str]:
 
 
 def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) -> list[str]:
-    """A line for each parameter and combination, in the unit in which engineers write it."""
+    """A line for each parameter and combination, in the unit that engineers use."""
     lines = []
     for name, status in found.status.items():
         if name.startswith(TRIALS):
@@ -218,13 +218,13 @@ def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) 
     return lines
 
 
-def _tell_of_shape(tables: Sequence[Measurements]) -> bool:
+def _hold_shape(tables: Sequence[Measurements]) -> bool:
     """Whether the tables hold tip angles or positions."""
     return any(of_shape(column) for table in tables for column in table.columns)
 
 
 def _advice(fit: "Fit", lost: set[str]) -> str:
-    """What would separate the parameters that these data leave together."""
+    """What measurement would separate the parameters that these data do not separate."""
     if pasts := sorted(filter(is_past, lost)):
         return (
             f"The data do not determine {', '.join(pasts)}: a tension before the first row has an effect only if the "
@@ -232,10 +232,10 @@ def _advice(fit: "Fit", lost: set[str]) -> str:
         )
     if fit.sums:
         return (
-            f"The data do not determine {', '.join(sorted(lost))}. Some act alike: only the sums and differences above "
-            "are told. Give one parameter of each, or a prior on it."
+            f"The data do not determine {', '.join(sorted(lost))}. Some have the same effect: only the sums and "
+            "differences above are determined. Fix one parameter of each, or give it a prior."
         )
-    if _tell_of_shape(fit.tables):
+    if _hold_shape(fit.tables):
         return (
             f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "
             "the warnings. A pulley test or a prior would help."

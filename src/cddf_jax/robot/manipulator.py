@@ -119,7 +119,7 @@ class Manipulator(eqx.Module):
         stiffness_factor: multiplies the stiffness, -; None for 1. A fit estimates it for a body without a single
             modulus.
         poissons_ratio: nu of the material, -; the shear modulus is E / (2 (1 + nu)). It matters in space. No material
-            has more than 0.5. A fit may find more, of a body that is softer in torsion than its bending tells.
+            has more than 0.5. A fit may find more, for a body that is softer in torsion than its bending suggests.
         extensible: whether the axis stretches and shears.
         axial_factor, shear_factor: of an extensible body: they multiply its axial and its shear stiffness as well, -;
             None for 1. A fit can estimate them, if these stiffnesses do not follow from that of bending.
