@@ -223,7 +223,7 @@ def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: s
     if pixels:
         example += ", converted by the scale of the camera"
     elif dimension == "force" and base == _in_si("kg")[1]:
-        example += "; a mass is no force: did you mean gf or kgf, its weight?"
+        example += "; a mass is not a force: did you mean gf or kgf, its weight?"
     unknown = f" with the unknown unit {unit!r}" if unit and base is None else ""
     raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")
 

@@ -298,7 +298,7 @@ REFUSED = {
         lambda t: t.replace("outer_radius =", "length ="),
         "only outer_radius, inner_radius, tendons.0.offset and",
     ),
-    "no such number": (lambda t: t.replace("outer_radius = { taper = true,", "colour = {"), "'colour' is no number"),
+    "no such number": (lambda t: t.replace("outer_radius = { taper = true,", "colour = {"), "'colour' is not a number"),
     "a number instead of a table": (
         lambda t: t.replace('{ taper = true, bounds = ["8 mm", "25 mm"] }', "3"),
         'free outer_radius: write { bounds = ["8 mm", "25 mm"] }',

@@ -158,7 +158,11 @@ def test_a_design_of_a_pair_tells_how_right_its_width_is():
             cddf.LoadCase((40.0, 20.0), loop=((5.0, 20.0), (75.0, 30.0))),
             "the base tension of the load case, 40, 20 N, must lie inside its loop, 5, 20 to 75, 30 N",
         ),
-        (paper_body(), cddf.LoadCase(AT, loop=((5.0, 20.0), (75.0, 30.0))), "is that of 2 tendons, the body has 1"),
+        (
+            paper_body(),
+            cddf.LoadCase(AT, loop=((5.0, 20.0), (75.0, 30.0))),
+            "has tensions of 2 tendons, but the body has 1",
+        ),
     ],
 )
 def test_what_has_no_width(body, case, message):

@@ -149,7 +149,7 @@ def test_what_is_no_objective(objective, message):
 
 @pytest.mark.parametrize("kind", [cddf.Least, cddf.Most, cddf.Even, cddf.Near, quantity_named, cddf.Limit])
 def test_an_unknown_quantity_is_told_which_there_are(kind):
-    said = refused("'weight' is no quantity of a body; there are ", kind, "weight")
+    said = refused("'weight' is not a quantity of a body; there are ", kind, "weight")
     assert all(name in said for name in BODY_QUANTITIES)
 
 

@@ -453,7 +453,7 @@ def test_too_few_steps_are_a_failure():
         ({"scales": {"c": 1.0}}, r"scale of 'c': needs a number > 0 and a parameter that is fitted"),
         ({"priors": {"c": Uniform(0.0, 1.0)}}, "(prior|bounds) for 'c'"),
         ({"priors": {"a": Uniform(3.0, 4.0)}}, "a starts at 1, which is not inside its bounds 3 to 4"),
-        ({"priors": {"a": Uniform(2.0, 0.0)}}, "prior for a: 2 to 0 is no range; write the lower first"),
+        ({"priors": {"a": Uniform(2.0, 0.0)}}, "prior for a: 2 to 0 is not a range; give the lower number first"),
         ({"loss": "tukey"}, "loss 'tukey' is not known; there are linear, soft_l1, huber, cauchy"),
         ({"starts": 0}, "starts must be a whole number of 1 or more, got 0"),
         ({"starts": 2.5}, r"starts must be a whole number of 1 or more, got 2\.5"),

@@ -111,7 +111,7 @@ def quantity_named(name: QuantityName) -> BodyQuantity:
     if name not in BODY_QUANTITIES:
         close = get_close_matches(name, BODY_QUANTITIES, 1)
         remedy = f"did you mean {close[0]}?" if close else f"there are {', '.join(BODY_QUANTITIES)}"
-        raise InputError(f"design: {name!r} is no quantity of a body; {remedy}")
+        raise InputError(f"design: {name!r} is not a quantity of a body; {remedy}")
     return BODY_QUANTITIES[name]
 
 
@@ -137,7 +137,7 @@ class OfQuantity(eqx.Module):
 def check_fits(name: str, wanted: ArrayLike, value: Array) -> None:
     """Refuse a wanted value whose shape does not fit the quantity."""
     if jnp.shape(wanted) not in ((), jnp.shape(value)):
-        raise InputError(f"design: {name} has shape {jnp.shape(value)}, and {jnp.shape(wanted)} was asked of it")
+        raise InputError(f"design: {name} has shape {jnp.shape(value)}, but the wanted value has {jnp.shape(wanted)}")
 
 
 # --- of the body alone ---------------------------------------------------------------------------

@@ -102,7 +102,7 @@ class LoadCase(eqx.Module):
         count = manipulator.num_tendons
         if np.ndim(self.loop) == 2 and np.shape(self.loop)[1] != count:
             raise InputError(
-                f"design: the loop of {own} is that of {np.shape(self.loop)[1]} tendons, the body has {count}"
+                f"design: the loop of {own} has tensions of {np.shape(self.loop)[1]} tendons, but the body has {count}"
             )
         if count > 1 or self.loads is not None:
             _check_digits(own)

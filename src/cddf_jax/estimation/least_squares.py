@@ -227,7 +227,7 @@ def least_squares_fit(
             'fits need double precision: call jax.config.update("jax_enable_x64", True) before anything else'
         )
     if not jax.tree.leaves(start):
-        raise InputError("there is no parameter to fit")
+        raise InputError("start: there is no parameter to fit; give one or more")
     if starts is not None and (isinstance(starts, bool) or not isinstance(starts, int) or starts < 1):
         raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
     if loss not in LOSSES:

@@ -178,7 +178,7 @@ def _per_group(sigma: PyTree, names: tuple[str, ...], observed: PyTree) -> list[
         for name in sigma:
             if name not in names:
                 raise InputError(
-                    f"sigma is given for {name!r}, which is no group of data; there are {', '.join(names)}"
+                    f"sigma is given for {name!r}, which is not a group of data; there are {', '.join(names)}"
                 )
         return [sigma.get(name) for name in names]
     if isinstance(sigma, Mapping | list | tuple):

@@ -79,7 +79,7 @@ def bounds_of(
         if isinstance(prior := priors.get(name), Uniform):
             if not prior.low < prior.high:
                 raise InputError(
-                    f"prior for {name}: {prior.low:g} to {prior.high:g} is no range; write the lower first"
+                    f"prior for {name}: {prior.low:g} to {prior.high:g} is not a range; give the lower number first"
                 )
             lower[i], upper[i] = max(lower[i], prior.low), min(upper[i], prior.high)
         if not lower[i] < start[i] < upper[i]:

@@ -120,7 +120,7 @@ def _figure_in_space(design: Design) -> Figure:
             panel = draw.place_in(figure, left, bottom, 1.0, 1.2)
             _draw_before_and_after(design, quantity, panel)
             if np.max(np.abs(panel.get_ylim())) < NOTHING:
-                panel.set_ylim(-1.0, 1.0)  # rounding is no shape
+                panel.set_ylim(-1.0, 1.0)  # differences by rounding are not drawn
         figure.legend(*panel.get_legend_handles_labels(), loc="upper right", ncols=2)
     return figure
 

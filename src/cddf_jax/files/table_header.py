@@ -24,7 +24,7 @@ class Kind(NamedTuple):
     example: str  # of a header
     meant: Callable[[str], str | None] = lambda name: name  # the column that a name in a file means; None: left out
     labels: Collection[str] = ()  # columns of text
-    optional: Collection[str] = ()  # columns that are left out where a cell is no number; they need no unit
+    optional: Collection[str] = ()  # columns that are left out where a cell is not a number; they need no unit
     gaps: Callable[[str], bool] = lambda column: False  # whether cells of a column may be empty, which gives NaN
     words: Callable[[str], Mapping[str, str]] = lambda column: {}  # by word, the number that it stands for in a column
     objection: Callable[[str], str] = lambda name: ""  # the error for an unknown column; "" if it is ignored

@@ -15,7 +15,7 @@ from .columns import ORDER, is_reading
 from .table import Measurements
 
 SAME_LEVEL = 0.01  # of the largest of a column: levels that differ by less are one, if the data show no other noise
-NO_STEP = 5e-4  # of the largest: a smaller change is no step
+NO_STEP = 5e-4  # of the largest: a smaller change is not a step
 CLEAR_GAP = 3.0  # between the largest change within holds and the smallest step from hold to hold
 LARGEST_NOISE = 0.05  # of the largest: larger changes are steps, whatever the gaps
 STEP = 5.0  # standard deviations from the mean of a hold

@@ -136,7 +136,7 @@ def _decoded(key: str, data: bytes) -> Entry:
     """
     digest, _, rest = data.removeprefix(MAGIC).partition(b"\n")
     if not data.startswith(MAGIC) or hashlib.sha256(rest).hexdigest().encode() != digest:
-        raise ValueError("damaged, or no program of cddf_jax")
+        raise ValueError("damaged, or not a program of cddf_jax")
     line, _, content = rest.partition(b"\n")
     about = json.loads(line)
     if about.pop("key") != key or about.pop("size") != len(content):

@@ -210,7 +210,7 @@ def _bootstrap_section(report: Report) -> list[str]:
 
 
 def _shown_bootstrap(bootstrap: Bootstrap, name: str) -> tuple[float, float, float, float, str]:
-    """Standard error, interval and bias of a parameter in the unit in which engineers write it, and that unit."""
+    """Standard error, interval and bias of a parameter in the unit that engineers use, and that unit."""
     scale, unit = shown_unit(name)
     low, high = bootstrap.confidence_interval[name]
     return scale * bootstrap.standard_error[name], scale * low, scale * high, scale * bootstrap.bias[name], unit

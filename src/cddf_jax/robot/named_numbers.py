@@ -167,7 +167,7 @@ def _unknown(name: str, places: Mapping[str, Place]) -> str:
         remedy = f"did you mean {close[0]!r}?"
     else:
         remedy = f"known are {', '.join(known)}"
-    return f"{name!r} is no number of a case; {remedy}"
+    return f"{name!r} is not a number of the body, its tensions or its loads; {remedy}"
 
 
 def _counted(name: str) -> str:

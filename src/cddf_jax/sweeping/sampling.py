@@ -36,7 +36,7 @@ def sobol(ranges: Ranges, count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """As `latin_hypercube`, by a scrambled Sobol sequence; `count` is a power of 2, which keeps its balance.
 
     Raises:
-        InputError: also when `count` is no power of 2.
+        InputError: also when `count` is not a power of 2.
     """
     if count < 1 or count & (count - 1):
         raise InputError(f"sobol: count must be a power of 2 such as {2 ** max(count, 1).bit_length()}, got {count}")
