@@ -212,7 +212,7 @@ def test_a_direction_is_compared_with_the_order():
 def test_where_the_history_is_not_known():
     gap = {"base_tension": [10.0, 60.0, 20.0], "tip_tension": [9.0, np.nan, 22.0]}
     with pytest.raises(
-        InputError, match="1 rows without a reading are left out, and the path from row to row needs them"
+        InputError, match="1 rows without a reading are left out, but the path from row to row needs them"
     ):
         cddf.fit(BODY, Measurements.from_columns("bench", **gap), history=True)
     with pytest.raises(InputError, match="noise of base_tension is used with a history only"):
