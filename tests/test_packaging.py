@@ -95,7 +95,7 @@ def test_the_wheel_works_with_what_it_declares_alone(built, tmp_path):
 
 
 def test_the_wheel_works_in_a_clean_environment(built, tmp_path):
-    """Installed as a user does, with whatever it declares."""
+    """Installed as by a user, with all packages that it declares."""
     home = tmp_path / "clean"
     venv.create(home, with_pip=True)
     python = home / "bin" / "python"

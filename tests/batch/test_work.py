@@ -317,7 +317,7 @@ def test_a_store_of_another_sweep_is_refused(stored, other):
     assert before == sorted(file.stat().st_mtime_ns for file in stored.rglob("*"))
 
 
-def test_a_function_as_a_profile_is_told_by_its_values(tmp_path):
+def test_a_function_as_a_profile_is_identified_by_its_values(tmp_path):
     def body(tip):
         return replace(paper_body(), outer_radius=lambda s: 0.020 + (tip - 0.020) * s / 0.14)
 
@@ -362,7 +362,7 @@ def test_too_little_memory_is_said_before_anything_is_solved(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_memory_stays_bounded_whatever_the_size(tmp_path):
+def test_memory_is_bounded_for_any_size(tmp_path):
     """28 chunks of 50,000 solves, 216 MB, in a process that may take 120 MB more than two of them have taken."""
     asked = {"solves": 1_400_000, "outputs": ["tip_tension", "curvature"], "limit": 120_000_000}
     told = ended(start(compiler="", out=str(tmp_path / "s.zarr"), **asked)).split()

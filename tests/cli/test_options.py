@@ -220,7 +220,7 @@ def of_given(texts):
     return read_setting(None, None, None, None, texts)
 
 
-def test_what_is_told_of_a_bench():
+def test_the_setting_of_a_bench():
     setting = read_setting(
         None, None, "0, -9.81 m/s^2", ["head=1, 11 mm at 8 cm"], ["camera_turn_z=90 deg", "tip_gain_2=1.03"]
     )

@@ -148,7 +148,7 @@ def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, mo
     assert run(*arguments)[1].startswith("20 solves, all there already: 20 successful\n")
 
 
-def test_what_fails_is_counted_and_told(run):
+def test_failed_solves_are_counted_and_reported(run):
     """In the exact kinematics fibres cross at the base from E J / d^2 = 1733 N on; a tendon cannot push."""
     axes = ("--over", "base_tension=-5 N,10 N,3 kN", "--kinematics", "exact", "--output", "tip_tension,curvature")
     code, text, error = run(PAPER, *axes, "--out", "folder", "--csv", "folder/table.csv")

@@ -687,7 +687,7 @@ def test_uncertain_cases_have_the_means_and_the_covariance_of_the_fit():
     assert [float(case.numbers["youngs_modulus"]) for case in again] == draws[:, 1].tolist()
 
 
-def test_a_fit_that_does_not_tell_is_refused():
+def test_a_fit_that_does_not_determine_the_body_is_refused():
     with pytest.raises(InputError, match="does not determine youngs_modulus; measure more"):
         cddf.uncertain_cases(cddf.LoadCase(T), a_fit(youngs_modulus=NOT_IDENTIFIED))
     assert len(cddf.uncertain_cases(cddf.LoadCase(T), a_fit(youngs_modulus=PRIOR_ONLY), num=2)) == 2

@@ -44,7 +44,7 @@ def closed(g, mu, low=LOW, at=AT, high=HIGH):
 
 
 def of_angle(angle, mu):
-    """The width where a pull to the middle tension bends the tip so far: whatever the body."""
+    """The width where a pull to the middle tension bends the tip by a given angle: the same for all bodies."""
     return closed(np.expm1(mu * angle) / AT, mu)
 
 
@@ -123,7 +123,7 @@ def test_the_width_in_short_steps_has_the_closed_form():
 
 
 @pytest.mark.slow
-def test_a_design_of_a_pair_tells_how_right_its_width_is():
+def test_a_design_of_a_pair_reports_the_error_of_its_width():
     """A stiff body bends little, so that the modulus ends at its upper bound; there the width is that of a trace."""
     pair = paper_body("exact", num_tendons=2)
     case = cddf.LoadCase((40.0, 20.0), direction=(1, -1), loop=(10.0, 70.0))

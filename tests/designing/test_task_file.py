@@ -68,7 +68,7 @@ def test_what_cannot_be_free(changes, message):
         ({"outer_radius": (0.015, 0.03)}, "'outer_radius' starts at 0.013, outside its bounds 0.015 to 0.03; widen"),
     ],
 )
-def test_bounds_that_are_none(bounds, message):
+def test_invalid_bounds(bounds, message):
     refused_design(message, bounds=bounds)
 
 
@@ -95,7 +95,7 @@ def test_a_profile_of_an_unknown_kind():
     )
 
 
-def test_bounds_that_nobody_gave():
+def test_default_bounds():
     """A tenth of the start, and ten times it; scaled from 0 at the lower bound in units of the start."""
     from cddf_jax.robot.named_numbers import Case
 
@@ -148,7 +148,7 @@ def test_what_is_no_objective(objective, message):
 
 
 @pytest.mark.parametrize("kind", [cddf.Least, cddf.Most, cddf.Even, cddf.Near, quantity_named, cddf.Limit])
-def test_an_unknown_quantity_is_told_which_there_are(kind):
+def test_an_unknown_quantity_is_answered_with_the_known_ones(kind):
     said = refused("'weight' is not a quantity of a body; there are ", kind, "weight")
     assert all(name in said for name in BODY_QUANTITIES)
 

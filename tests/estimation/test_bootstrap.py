@@ -89,7 +89,7 @@ def test_what_only_a_prior_holds_scatters_by_it(kind):
     assert error == pytest.approx(0.1, rel=4 / np.sqrt(2 * 1000))  # four standard errors of a spread
 
 
-def test_what_is_told(known):
+def test_the_numbers_of_a_bootstrap(known):
     """All by definition, from the estimates; more than one chunk of them."""
     found = known.bootstrap(replicates=260, seed=4)
     assert found.estimates.shape == (260, 2)
@@ -174,7 +174,7 @@ def test_how_often_drawn_noise_holds_the_truth():
     assert told._replace(noise_freedom=np.inf).remark == ""
 
 
-def test_the_fewest_cases_are_told(known):
+def test_the_number_of_cases(known):
     found = known.bootstrap("cases", 2, clusters={"data": ("trial", TRIALS)})
     assert found.num_cases == 3
     assert known.bootstrap("cases", 2).num_cases == 30

@@ -129,7 +129,7 @@ def test_units_do_not_matter(unit):
     assert fit.status["b"] == "identified"
 
 
-def test_no_data_left_to_tell_the_noise():
+def test_too_few_data_to_estimate_the_noise():
     """Two points on a line of two parameters: it passes through both, and nothing says how well."""
     fit = least_squares_fit(lambda p: p["a"] + p["b"] * X[:2], START, NOISY[:2])
     assert fit.degrees_of_freedom == 0
@@ -274,7 +274,7 @@ def test_a_sum_of_parameters():
 
 
 @pytest.mark.parametrize(("sign", "name"), [(1.0, "p0 + p1"), (-1.0, "p0 - p1"), (0.5, "p0 + 0.5 p1")])
-def test_a_sum_of_errors_is_told(sign, name):
+def test_a_sum_of_errors_is_reported(sign, name):
     """Of two parameters that may be 0, as a size tells; the closed form is that of one slope."""
     fit = least_squares_fit(
         lambda p: (p["p0"] + sign * p["p1"]) * X,
@@ -411,7 +411,7 @@ def test_information_criteria(noise, spread, count, rel, request):
 
 
 @pytest.mark.parametrize("sigma", [None, SIGMA])
-def test_a_model_without_a_number_is_a_failure_that_says_so(sigma):
+def test_a_model_without_a_number_is_reported_as_a_failure(sigma):
     fit = least_squares_fit(without_a_number, {"a": -1.0}, NOISY, sigma)
     assert not fit.success
     assert "no number" in fit.result

@@ -71,7 +71,7 @@ def test_honest_noise_has_hardly_ever_an_outlier(sigma):
     assert sum(bool(fit.remarks) for fit in alarms) <= stats.binom.ppf(0.999, 200, 0.01)
 
 
-def test_data_met_exactly_tell_no_noise():
+def test_data_without_residuals_show_no_noise():
     fit = least_squares_fit(line, START, DESIGN @ [2.0, 0.5])
     assert fit.remarks == (
         "data is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise",
@@ -108,7 +108,7 @@ def test_few_degrees_of_freedom_are_named():
 
 
 @pytest.mark.parametrize("shift", [-0.3, 0.3])
-def test_what_is_not_told_from_its_bound_has_a_limit_above(shift):
+def test_a_parameter_near_its_bound_has_an_upper_limit(shift):
     """A slope of shift standard errors, at least 0: at most itself (or 0) and 1.96 standard errors."""
     error = SIGMA * np.sqrt(COVARIANCE[1, 1])
     data = NOISY - (B_HAT - shift * error) * X
@@ -120,7 +120,7 @@ def test_what_is_not_told_from_its_bound_has_a_limit_above(shift):
     assert shift > 0 or fit.value["b"] == 0
 
 
-def test_residuals_that_grow_are_told():
+def test_residuals_that_grow_are_reported():
     """Noise of 1 % and of one size, the same draws; a line from 1 to 31."""
     x, draws = np.linspace(0.0, 3.0, 40), np.random.default_rng(5).normal(size=40)
     truth = 1.0 + 10.0 * x

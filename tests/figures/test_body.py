@@ -127,7 +127,7 @@ def test_arrows_point_as_the_loads_do(figure, equilibrium):
     np.testing.assert_allclose(np.linalg.norm(drawn["m"] - tip, axis=-1), np.hypot(x0, y0), rtol=1e-9)
 
 
-def test_the_legend_tells_the_loads_and_covers_nothing(figure):
+def test_the_legend_states_the_loads_and_covers_nothing(figure):
     told = marks(figure)
     assert list(told) == ["$F$ = 0.0539 N", "$m$ = 0.004 N m", "$g$ = 9.81 m/s$^2$"]  # |F| = sqrt(0.02^2 + 0.05^2)
     for mark, vector in zip([*told.values()][::2], (LOADS.tip_force, LOADS.gravity), strict=True):

@@ -1,4 +1,4 @@
-"""Displacement and tip angle as what is driven, against a closed form and against traces of their tensions."""
+"""Paths of displacements and of tip angles, against a closed form and against traces of their tensions."""
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ PATH = [75.0, 40.0, 60.0, 50.0, 30.0, 80.0, 10.0]
 def test_a_little_back_from_a_pull():
     """The closed form with the front inside: y_b/y_0 = (2 - K + 2 sqrt(1 - K)) / K, K = exp(mu phi) y_0 / (y_0 + g).
 
-    Then further than the tendon can push, and taken up again: it hangs, and loses nothing.
+    Then further back than the tendon can push, and pulled in again: it is slack meanwhile, and loses nothing.
     """
     path = [TOP, TOP - 1e-4, TOP - 5e-4, TOP - 2e-3, -1e-3, -2e-3, 3e-3]
     history = cddf.trace(BODY, cddf.Displacement(path))

@@ -26,7 +26,7 @@ def residual(history):
 
 
 def test_a_loop_of_the_paper():
-    """What is lost so far as an independent derivation tells it; the pull by W = (d / mu) [T - ln(1 + g T) / g]."""
+    """The losses are those of an independent derivation; the pull by W = (d / mu) [T - ln(1 + g T) / g]."""
     history = cddf.trace(paper_body("exact"), LOOP)
     lost = [59.726, 60.423, 70.931, 96.029, 99.290, 99.331, 121.449, 159.057]
     np.testing.assert_allclose(1e3 * history.friction_loss, lost, atol=6e-4)

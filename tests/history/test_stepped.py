@@ -74,7 +74,7 @@ def test_stretch_of_antagonists():
 
 @pytest.mark.slow
 def test_what_came_before_is_the_step_before_the_first(pair):
-    """The same path, whose first step is not told."""
+    """The same path, whose first step is not in the result."""
     found = cddf.trace(PAIR, PATH[1:], before=PATH[0])
     for name in ("tip_tension", "tip_angle", "front", "tendon_displacement", "work", "friction_loss", "error_estimate"):
         np.testing.assert_allclose(getattr(found, name), np.asarray(getattr(pair, name))[1:], rtol=1e-9, err_msg=name)
@@ -94,7 +94,7 @@ def test_tendons_that_slide_one_way_are_as_in_solve(pair):
         np.testing.assert_allclose(one, other, atol=1e-5 * np.max(np.abs(other)), err_msg=name)
 
 
-def test_ledger_closes(pair):
+def test_work_is_stored_or_lost(pair):
     missed = np.asarray(pair.work - pair.stored_energy - pair.friction_loss)
     np.testing.assert_allclose(missed, 0.0, atol=2e-9 * float(pair.work[0]))
 
@@ -240,7 +240,7 @@ def test_drag_uses_up_the_first_tensions_from_rest(drag):
 
 
 @pytest.mark.slow
-def test_a_tendon_that_drag_would_make_push_is_told():
+def test_a_tendon_that_would_push_by_drag_is_reported():
     """Both are let go: drag would have one of them push the body back, and a tendon hangs then, which is not known."""
     history = cddf.trace(paper_body("exact", num_tendons=2, drag=60.0), [[20.0, 0.0], [0.0, 0.0]], throw=False)
     assert codes(history.result)[1] == code(RESULTS.inaccurate)
@@ -249,7 +249,7 @@ def test_a_tendon_that_drag_would_make_push_is_told():
 
 
 @pytest.mark.slow
-def test_displacements_drive_and_a_slack_tendon_hangs():
+def test_displacements_of_tendons_one_of_which_is_slack():
     # section 2: from 75 N back by 0.5 and 2 mm, then slack, then taken up; the other tendon has no tension
     start = float(cddf.solve(ONE, 75.0).tendon_displacement[0])
     wanted = start - np.array([0.0, 0.5e-3, 2e-3, start + 3e-3, start - 8e-3])

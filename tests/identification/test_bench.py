@@ -77,7 +77,7 @@ def test_what_the_cells_read(paper):
 
 @pytest.mark.slow
 def test_the_base_cell_and_pretension(paper):
-    """base_gain scales what the model is told; a base cell that reads 2 % too much looks like less tension."""
+    """base_gain scales the given base tensions; where the base cell reads 2 % too much, the true tension is smaller."""
     table = readings(2)
     told = dict(table.columns) | {"base_tension": 1.02 * table["base_tension"] + 0.5}
     table = Measurements.from_columns("bench", **told)
@@ -132,7 +132,7 @@ def test_friction_that_differs_from_trial_to_trial(paper):
     assert pooled.standard_error["friction_coefficient"] < 0.2 * found.standard_error["friction_coefficient"]
     assert any("trial to trial" in line for line in found.verdict)
 
-    # t-statistics with 5 degrees of freedom, as six trials tell a spread; what tells the modulus are the rows
+    # t-statistics with 5 degrees of freedom, because six trials determine the spread; the rows determine the modulus
     def quantile(name):
         low, high = found.confidence_interval[name]
         return (high - low) / 2 / found.standard_error[name]

@@ -49,7 +49,7 @@ def test_a_plan_as_a_table(planned):
     assert str(planned).splitlines()[1].startswith(planned.ranking[0].candidate.name)
 
 
-def test_tensions_tell_the_ratio_alone(planned):
+def test_tensions_determine_only_the_ratio(planned):
     told = ranked(planned, "tensions").expected
     assert set(told.status.values()) == {"not identified"}
     information = tensions_by_hand().T @ tensions_by_hand()
@@ -60,7 +60,7 @@ def test_tensions_tell_the_ratio_alone(planned):
     assert ranked(planned, "tensions").gain == pytest.approx(gain, rel=1e-6)
 
 
-def test_a_pulley_test_tells_the_friction_alone(planned):
+def test_a_pulley_test_determines_only_the_friction(planned):
     told = ranked(planned, "pulley").expected
     wraps = np.array([1.0, 2.0, 3.0])
     expected = 0.5 / np.sqrt(np.sum((10.0 * wraps * np.exp(MU * wraps)) ** 2))
@@ -68,7 +68,7 @@ def test_a_pulley_test_tells_the_friction_alone(planned):
     assert told.status == {"friction_coefficient": "identified", "youngs_modulus": "not identified"}
 
 
-def test_positions_tell_both(planned):
+def test_positions_determine_both(planned):
     """design.md section 4: with 1 mm and 1 N over 6 levels mu to about 3 %, E to about 1 %."""
     told = ranked(planned, "positions").expected
     assert told.standard_error["friction_coefficient"] / MU == pytest.approx(0.03, abs=0.005)
@@ -89,7 +89,7 @@ def test_the_ranking_and_the_choice(planned):
     assert gains == sorted(gains, reverse=True)
     assert planned.ranking[0].candidate is POSITIONS
     assert planned.chosen[0].candidate is POSITIONS
-    # two in turn tell more than the first alone
+    # two candidates determine more than the first alone
     first, second = (r.expected.standard_error for r in planned.chosen)
     assert all(second[name] <= first[name] for name in first)
 
@@ -133,7 +133,7 @@ def test_a_prior_counts():
     assert told.standard_error["youngs_modulus"] / E == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_candidate_beyond_the_model_says_so():
+def test_a_candidate_beyond_the_model_has_a_warning():
     """At 4000 N the exact body is bent beyond d kappa = 1 at its base, where T d^2 > E J."""
     beyond = Candidate("far", {"base_tension": [40.0, 4000.0]}, {"tip_angle": 0.01})
     plan = cddf.plan(paper_body("exact"), [beyond], num=1)

@@ -67,7 +67,7 @@ def assert_true(fit, sigmas=4):
 
 
 def assert_exact(body, table):
-    """Data without noise bring the truth back, and their stated directions are believed."""
+    """A fit to data without noise finds the true values; stated directions are not doubted."""
     fit = cddf.fit(body, table)
     assert fit.success, fit.result
     assert fit.status == dict.fromkeys(BOTH, "identified")
@@ -196,7 +196,7 @@ def test_prior_on_the_modulus(ratio_by_scipy):
     assert fit.value["friction_coefficient"] == pytest.approx(1.4e6 * value, rel=1e-6)  # mu = m E
     relative = np.hypot(1e5 / 1.4e6, error / value)  # of a product of two independent numbers
     assert fit.standard_error["friction_coefficient"] == pytest.approx(relative * 1.4e6 * value, rel=1e-3)
-    # and the table alone, without it, has told only the ratio
+    # and the table alone, without the prior, determines only the ratio
     (alone,) = fit.alone.values()
     assert set(alone.status.values()) == {"not identified"}
     assert list(alone.combinations) == [RATIO]
@@ -207,7 +207,7 @@ def test_slanted_tendon_in_practice():
     """Of an offset from 12 to 9 mm the two are separate in theory and not in practice, design.md section 4.
 
     With 0.3 N of noise on 3 x 4 pairs chi-square changes by less than 1 from mu = 0.06 to mu = 1 when E follows:
-    no interval of the likelihood closes, whatever the curvature at the minimum says.
+    no interval of the likelihood closes, although the curvature at the minimum suggests one.
     """
     plain = paper_plain("exact", offsets=[straight(0.012, 0.009, 0.14)], slopes=[constant(-0.003 / 0.14)])
     base = np.array([20.0, 40.0, 60.0, 80.0])
@@ -280,7 +280,7 @@ def test_band_of_a_prediction(paper_route):
     assert prediction.extrapolated.tolist() == [True, False, False, False, True]
 
 
-def test_what_cannot_be_told_apart_can_still_be_predicted(tensions_only, ratio_by_scipy):
+def test_predictions_need_only_the_identified_ratio(tensions_only, ratio_by_scipy):
     """The band of the tip tension needs only the ratio: t se |dT_tip/dm|."""
     base, (value, error) = np.array([20.0, 80.0]), ratio_by_scipy
     slope = base**2 * COMPLIANCE / (1 + value * base * COMPLIANCE) ** 2
@@ -294,7 +294,7 @@ def pulley_alone():
 
 
 def test_a_prediction_that_the_data_do_not_hold_has_no_band(pulley_alone):
-    """A pulley test knows no modulus, and so no tip tension of the manipulator."""
+    """A pulley test does not determine the modulus, and so no tip tension of the manipulator."""
     prediction = pulley_alone.predict("tip_tension", [20.0, 80.0])
     assert np.all(np.isinf(prediction.half_width))
     assert np.all(prediction.extrapolated)
@@ -311,7 +311,7 @@ def test_a_prediction_that_the_data_do_not_hold_has_no_band(pulley_alone):
         (("tip_angle", [10.0, 20.0], [1.0, 2.0, 3.0, 4.0]), r"tip_force \(2,\) or \(rows, 2\)"),
     ],
 )
-def test_conditions_that_are_none(pulley_alone, arguments, message):
+def test_invalid_conditions(pulley_alone, arguments, message):
     with pytest.raises(InputError, match=f"^predict: .*{message}"):
         pulley_alone.predict(*arguments)
 
@@ -330,7 +330,7 @@ def test_pulley_alone_gives_the_friction(pulley_alone):
     assert "A pulley test determines the friction alone." in pulley_alone.verdict[-1]
 
 
-def test_tables_of_one_name_are_told_apart():
+def test_tables_of_one_name_are_distinguished():
     fit = cddf.fit(PAPER, [PULLEY, PULLEY])
     assert list(fit.alone) == ["pulley_simulated.csv (1)", "pulley_simulated.csv (2)"]
     assert set(fit.noise) == {f"pulley_simulated.csv ({i}): pulling_tension" for i in (1, 2)}
@@ -419,7 +419,7 @@ def test_a_tendon_that_slides_out(tip_angle):
         tip_tension=closed_form(base, direction=direction),
         tip_angle=wrap(base, direction=direction),
     )
-    # measured from the straight body the tendon is in, not out: that tells nothing of a row that was measured
+    # counted from the straight body the tendon is pulled in, not out: that is no objection to a measured row
     assert_exact(paper_body("exact", friction_coefficient=0.3, youngs_modulus=1e6), table)
 
 
@@ -449,7 +449,7 @@ def test_what_most_rows_contradict_is_not_identified(tip_angle):
 
 
 @pytest.mark.slow
-def test_an_outlier_is_told_by_its_row(tip_angle):
+def test_an_outlier_is_reported_with_its_row(tip_angle):
     """Rows of the file: a comment, a head, then data, so that the seventh line holds the fifth reading.
 
     The distance is that of a fit to all other rows, made anew, from the scatter that they have about it.
@@ -472,7 +472,7 @@ def test_an_outlier_is_told_by_its_row(tip_angle):
     assert remark.startswith(f"row 7 of {tip_angle.name}: tip_angle lies {distance:.0f} standard deviations off")
 
 
-def test_a_wrong_sign_and_a_wrong_unit_are_told():
+def test_a_wrong_sign_and_a_wrong_unit_are_reported():
     """Angles of the closed form, exact kinematics: with the other sign, and as radians taken for degrees."""
     noise = {"tip_tension": 0.1, "tip_angle": 0.005}
     turned = bench(tip_tension=closed_form(LEVELS), tip_angle=-wrap(LEVELS))
@@ -485,7 +485,7 @@ def test_a_wrong_sign_and_a_wrong_unit_are_told():
     assert any("check the units of the tables" in warning for warning in fit.warnings)
 
 
-def test_trials_that_differ_are_told():
+def test_trials_that_differ_are_reported():
     """Three trials whose friction differs by 20 %, from closed forms with 0.1 N of noise."""
     pulls, rng = np.tile(LEVELS, 3), np.random.default_rng(3)
     tip = np.concatenate([closed_form(LEVELS, mu) for mu in (0.34, 0.42, 0.5)]) + 0.1 * rng.normal(size=pulls.size)

@@ -75,7 +75,7 @@ def test_what_cannot_be_read(columns, setting, words):
         cddf.fit(in_plane(), table, setting=setting)
 
 
-def test_a_place_that_is_told_twice(tmp_path):
+def test_a_marker_position_that_is_given_twice(tmp_path):
     (tmp_path / "bench.csv").write_text("base_tension [N]\n10\n")
     (tmp_path / "markers.csv").write_text("row,marker,arc_length [mm],x [mm]\n1,head,80,79\n")
     (table,) = cddf.read_tables([tmp_path / "bench.csv", tmp_path / "markers.csv"])
@@ -86,7 +86,7 @@ def test_a_place_that_is_told_twice(tmp_path):
 @pytest.mark.parametrize(
     ("given", "words"), [({"youngs_modulus": 1e6}, "does not belong to the bench"), ({"tip_gain": np.nan}, "finite")]
 )
-def test_what_cannot_be_given(given, words):
+def test_given_numbers_that_are_refused(given, words):
     with pytest.raises(InputError, match=words):
         cddf.BenchSetting(given=given)
 
@@ -100,7 +100,7 @@ def test_a_setting_in_words():
     ]
 
 
-def test_what_turns_out_of_the_plane():
+def test_a_rotation_out_of_the_plane_needs_a_body_in_space():
     table = cddf.Measurements.from_columns("bench", base_tension=[10.0], tip_x=[0.13])
     with pytest.raises(InputError, match="camera_turn_x has an effect only on a body in space"):
         cddf.fit(in_plane(), table, ["camera_turn_x"])
@@ -117,7 +117,7 @@ def test_what_turns_out_of_the_plane():
         (winding(), "shear_factor", "shear_factor has an effect only on a body that stretches; make it extensible"),
     ],
 )
-def test_stiffnesses_that_the_body_has_not(body, name, words):
+def test_stiffnesses_that_have_no_effect_on_the_body(body, name, words):
     table = cddf.Measurements.from_columns("bench", base_tension=[10.0], tip_x=[0.13])
     with pytest.raises(InputError, match=words):
         cddf.fit(body, table, [name])
@@ -126,7 +126,7 @@ def test_stiffnesses_that_the_body_has_not(body, name, words):
 @pytest.mark.slow
 @pytest.mark.parametrize("turns", [0.5, 0.0])
 def test_torsion_and_stretch_apart_from_bending(turns, tmp_path):
-    """What was put in comes back of a helix, which twists; a straight tendon alone does not twist: nothing is told.
+    """A fit finds the true values for a helix, which twists. A straight tendon does not twist and determines neither.
 
     The helix is softer in torsion than any material, and its file holds what was fitted.
     """

@@ -1,4 +1,4 @@
-"""Fits of tables that come back: against closed forms of one loop, and standard errors derived independently.
+"""Fits of tables with pull and release: against closed forms of one loop, and standard errors derived independently.
 
 On the paper's body in the exact kinematics 1/T at the tip is a play of 1/T_base, clipped at 1/T_base -+ g with
 g = (mu/E) int d/J; the tip angle has a closed form too.
@@ -101,7 +101,7 @@ def test_standard_errors_of_one_column(column, free, combination, pull, whole):
         np.testing.assert_allclose(errors, expected, rtol=0.05)
 
 
-def test_tensions_of_a_loop_tell_the_ratio_alone():
+def test_tensions_of_a_loop_determine_only_the_ratio():
     found = cddf.fit(BODY, table(columns=["tip_tension"]), ALL, noise={"tip_tension": CELL})
     assert found.status["friction_coefficient"] == found.status["youngs_modulus"] == "not identified"
     assert list(found.combinations) == ["friction_coefficient / youngs_modulus"]
@@ -154,7 +154,7 @@ def test_a_fit_of_a_loop_is_drawn_as_a_loop(fitted):
 
 
 @pytest.mark.slow
-def test_tables_without_the_order_are_told(fitted):
+def test_a_loop_without_its_order_has_a_warning(fitted):
     """The same rows, pulled from rest each: an error of many standard errors, and a warning with the remedy."""
     without = cddf.fit(BODY, table(), history=False)
     assert any("give history=True (--history)" in warning for warning in without.warnings)
@@ -209,7 +209,7 @@ def test_a_direction_is_compared_with_the_order():
         course_of(table(direction=way))
 
 
-def test_where_the_history_is_not_known():
+def test_a_history_that_cannot_be_followed():
     gap = {"base_tension": [10.0, 60.0, 20.0], "tip_tension": [9.0, np.nan, 22.0]}
     with pytest.raises(
         InputError, match="1 rows without a reading are left out, but the path from row to row needs them"
@@ -221,7 +221,7 @@ def test_where_the_history_is_not_known():
         cddf.fit(BODY, table(), noise={"base_tension": -1.0})
 
 
-def test_time_orders_too_and_trials_apart():
+def test_the_order_of_rows_by_trial_step_and_time():
     """By step, then by time, trial by trial; without either as the file has them."""
     columns = {"base_tension": [1.0, 2, 3, 4], "tip_tension": [1.0, 2, 3, 4]}
     order = Measurements.from_columns("bench", **columns, time=[3, 1, 2, 0], trial=["a", "b", "a", "b"]).order
@@ -231,7 +231,7 @@ def test_time_orders_too_and_trials_apart():
     np.testing.assert_array_equal(Measurements.from_columns("bench", **columns).order, range(4))
 
 
-def test_a_row_without_a_reading_is_a_step_all_the_same():
+def test_a_row_without_a_reading_is_still_a_step():
     """60 N were not read, but turned the tendon: the path of three steps stays, and one reading is missing."""
     columns = {"base_tension": [10.0, 60.0, 20.0], "tip_tension": [9.0, np.nan, 22.0], "step": [1, 2, 3]}
     gap = Measurements.from_columns("bench", **columns)
@@ -282,7 +282,7 @@ def test_slopes_by_what_was_before():
 
 @pytest.mark.slow
 def test_what_was_before_is_found():
-    """Without noise the truth comes back, whatever friction it started from; stated, it is as good as known."""
+    """Without noise the true values are found from any start of the friction; a stated tension counts as known."""
     free = ("friction_coefficient", "youngs_modulus", "before")
     start = eqx.tree_at(lambda body: body.friction_coefficient, BODY, 0.35)
     found = cddf.fit(start, released(), free, noise=NOISE)
@@ -367,7 +367,7 @@ def test_a_first_row_may_be_a_release():
         ({"before": 60.0, "history": False}, "fit: before is used with a history only"),
     ],
 )
-def test_what_cannot_have_been_before(given, message):
+def test_an_invalid_past_is_refused(given, message):
     with pytest.raises(InputError, match=message):
         cddf.fit(BODY, released(), **given)
 
@@ -379,7 +379,7 @@ PULLS = np.concatenate([np.linspace(10, 70, 10), np.linspace(64, 4, 10)])
 
 
 def pair_table(**more):
-    """A path of a tendon against another, nothing read that counts."""
+    """A path of a tendon against another; the readings do not matter."""
     columns = {"base_tension": PULLS, "base_tension_2": np.full(20, 20.0), "tip_angle": np.zeros(20)}
     return Measurements.from_columns("pair", step=range(20), **columns | more)
 
@@ -408,7 +408,7 @@ def test_the_course_of_several_tendons():
 
 
 def test_what_came_before_several_tendons():
-    """Of each trial and tendon; what is not told is as in the first row, a trial from rest begins without tension."""
+    """By trial and tendon. A tension that is not given is that of the first row; a trial from rest begins with none."""
     trials = pair_table(trial=np.repeat([1, 2], 10))
     starts = starts_of([2], ["rest", (60.0, 5.0)], ["before_2", "before_tendon_2_1"], 2)[0]
     assert starts == [Start((None, None), ("", "before_tendon_2_1")), Start((60.0, 5.0), ("before_2", ""))]
@@ -568,7 +568,7 @@ def test_samples_of_a_hold_are_no_turns(deviation):
     assert found.num_ignored > 400
 
 
-def test_a_play_rectifies_jitter_and_holds_do_not():
+def test_jitter_biases_a_play_and_means_of_holds_do_not():
     """The largest of 50 readings lies 2.25 standard deviations above their mean, and the tip keeps it."""
     rng, deviation, raw, steady = np.random.default_rng(4), 0.3, [], []
     g = MU / E * COMPLIANCE
@@ -613,7 +613,7 @@ def test_a_small_turn_counts_where_it_is_stated():
 # --- report and plan -------------------------------------------------------------------------------
 
 
-def test_the_report_tells_what_the_way_back_told(fitted):
+def test_the_report_shows_what_the_release_adds(fitted):
     report = make_report(fitted, with_profiles=False)
     text = fit_as_markdown(report)
     assert "## What the way back adds" in text

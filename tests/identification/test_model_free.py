@@ -146,7 +146,7 @@ def test_the_slope_and_its_error_against_monte_carlo(replicates):
     assert np.mean([each.constancy.standard_error for each in replicates]) == pytest.approx(slopes.std(), rel=0.07)
 
 
-# --- rows that tell little -----------------------------------------------------------------------
+# --- rows that determine little ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("row", [(20.0, 20.1, 0.0), (20.0, 20.1, 1e-300), (20.0, 0.0, 0.3), (0.0, 0.1, 0.001)])
@@ -180,7 +180,7 @@ def test_tips_above_the_base_throughout_give_a_negative_value():
     assert found.confidence_interval[0] < 0 < found.confidence_interval[1]
 
 
-def test_one_row_tells_the_value_but_not_its_own_noise():
+def test_one_row_determines_the_value_but_not_its_noise():
     table = table_of(BASE[:1], ANGLE[:1])
     found = model_free_friction(table)
     assert found.value == pytest.approx(MU)
@@ -198,7 +198,7 @@ def test_one_row_that_outweighs_all_others_is_alone():
     assert found.verdict[-1].startswith("A single row determines it")
 
 
-def test_at_one_level_no_drift_can_be_told():
+def test_one_level_cannot_show_a_drift():
     """The base cell's noise would make one: it moves base tension and estimate together."""
     level = np.full(12, 50.0)
     table = table_of(level, np.full(12, 0.9), noise=NOISE, rng=np.random.default_rng(12))

@@ -1,4 +1,4 @@
-"""When the rows of a table cannot have told a parameter, from the results of their solves."""
+"""When the rows of a table cannot determine parameters, from the results of their solves."""
 
 from types import SimpleNamespace
 
@@ -48,7 +48,7 @@ def test_stated_directions_are_believed_tendon_by_tendon(stated, expected, monke
     assert (doubt(found) == "") == (not expected)
 
 
-def test_a_direction_that_nobody_stated_is_not_believed():
+def test_a_contradicted_direction_that_is_not_stated_is_doubted():
     told = doubt(look(direction_contradicted=1))
     assert told.startswith(
         "tendons travel against the direction that was found for them in 1 of 10 rows of bench (the first is row 3)"

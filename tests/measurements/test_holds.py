@@ -1,4 +1,4 @@
-"""Holds and repeats told apart, and how many independent readings the samples of a hold are, against closed forms."""
+"""Holds and repeats are distinguished; how many independent readings the samples of a hold are, by closed forms."""
 
 import numpy as np
 import pytest
@@ -97,7 +97,7 @@ def test_rows_that_are_the_same_count_once():
     assert found.num_effective == pytest.approx(8, rel=1e-9)
 
 
-def test_without_holds_nothing_is_told():
+def test_without_holds_nothing_is_reported():
     found = serial_correlation(np.random.default_rng(5).normal(size=20), np.arange(20))
     assert (found.num_effective, found.alarming) == (20, False)
     assert np.isnan(found.lag_one)
@@ -146,7 +146,7 @@ def test_the_spread_of_holds_is_noise_where_a_reading_is_missing():
 def test_intervals_of_averaged_holds_hold_the_truth(lag_one, low, high):
     """400 lines through 8 holds of 50 rows, by closed forms: t-intervals of the slope, of all rows and of the means.
 
-    Where rows are alike those of all rows hold the truth too seldom; those of the means in 95 %, whatever the rows.
+    Where rows are alike, intervals from all rows hold the true value too seldom; intervals from means do in 95 %.
     """
     rng, rows = np.random.default_rng(6), np.repeat(LEVELS, 50)
     noise = autoregressive((400, 8, 50), lag_one, rng)
@@ -164,7 +164,7 @@ def test_intervals_of_averaged_holds_hold_the_truth(lag_one, low, high):
     assert held["means"] == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 400))
 
 
-def test_a_fit_tells_of_holds():
+def test_a_fit_reports_holds():
     """A pulley test of five weights, 30 samples each: in the first lines of the report, and no more once averaged."""
     weight = np.repeat([2.0, 5.0, 10.0, 15.0, 20.0], 30)
     noise = 0.1 * autoregressive((5, 30), 0.9, np.random.default_rng(7)).ravel()

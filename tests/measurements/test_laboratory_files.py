@@ -193,14 +193,14 @@ def test_spreadsheets_that_are_refused(tmp_path):
         read(tmp_path, spreadsheet(A=[]), name="bench.xlsx")
 
 
-def test_whoever_lacks_the_reader_of_spreadsheets_is_told(tmp_path, monkeypatch):
+def test_a_missing_reader_of_spreadsheets_is_named(tmp_path, monkeypatch):
     content = spreadsheet(Run=[["base_tension [N]"], [5]])
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     with pytest.raises(InputError, match=r"bench.xlsx: this needs openpyxl; .*pip install 'cddf-jax\[excel\]'"):
         read(tmp_path, content, name="bench.xlsx")
 
 
-def test_other_tables_refuse_columns_that_are_none(tmp_path):
+def test_unknown_columns_of_other_tables(tmp_path):
     """A kind of table says itself what it does with other columns."""
     kind = Kind(lambda column: "length", "places", "x [mm]", meant=lambda name: name if name == "x" else None)
     assert read_table(write(tmp_path, "x [mm], y [mm]\n1, 2\n"), kind).unused == ("y [mm]",)
@@ -226,7 +226,7 @@ def test_files_of_the_same_columns_are_trials(tmp_path):
         read_tables([paths[0], write(tmp_path, again.replace("4.81", "x").replace("5,", "\n5,", 1), "run_2.csv")])
 
 
-def test_files_of_one_name_are_told_apart(tmp_path):
+def test_files_of_one_name_are_distinguished(tmp_path):
     paths = []
     for folder in ("monday", "tuesday"):
         (tmp_path / folder).mkdir()

@@ -93,7 +93,7 @@ def test_random_bodies_exact_with_converging_offset(draw):
     """No closed form: SciPy alone, by the angle of the tendon (bodies.py).
 
     Nearer to d kappa = 1 a slanted tendon comes to a cusp, which 16 nodes do not resolve; in bodies as wide
-    as they are long they just miss 1e-8. There the error estimate must own up to what is missing.
+    as they are long they just miss 1e-8. There the error estimate must report the missing digits.
     """
     offset, length = draw.offset, draw.length
     plain = plain_of(draw, "published")
@@ -111,7 +111,7 @@ def test_random_bodies_exact_with_converging_offset(draw):
 
 @one_kinematics_at_once
 def test_no_false_alarm(kinematics):
-    """What is solved to the accuracy above is not to be called inaccurate; 200 bodies, seed 0."""
+    """A solve with the accuracy above must not be called inaccurate; 200 bodies, seed 0."""
     result = jax.vmap(solve_draw[kinematics])(stack(random_draws(kinematics, 200, seed=0))).result
     assert codes(result).count(code(cddf.RESULTS.inaccurate)) == 0
     assert codes(result) == [code(cddf.RESULTS.successful)] * 200

@@ -1,4 +1,4 @@
-"""How fast the error falls with the nodes, and that the solver knows what it does not know."""
+"""How fast the error falls with the number of nodes, and whether the error estimate is large enough."""
 
 import jax
 import jax.numpy as jnp
@@ -90,7 +90,7 @@ def test_the_estimate_is_not_below_the_error(kinematics, nodes):
 
 @one_kinematics_at_once
 def test_what_is_called_successful_is_accurate(kinematics):
-    """With too few nodes on purpose: no lane may be wrong by more than 1e-5 and say nothing."""
+    """With too few nodes on purpose: no lane may be wrong by more than 1e-5 and called successful."""
     draws = random_draws(kinematics, 64, seed=6)
     solutions = solver_with(kinematics, 6)(stack(draws))
     successful = np.asarray(solutions.result == cddf.RESULTS.successful)

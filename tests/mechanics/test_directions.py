@@ -1,4 +1,4 @@
-"""Directions that nobody states: each tendon slides as it travels.
+"""Directions that are not stated: each tendon slides as it travels.
 
 Expected values: `solve` with every choice of stated directions, of which the one that no travel contradicts is meant;
 that `solve` with stated directions is right is held by `test_reference`.
@@ -147,7 +147,7 @@ def test_stated_directions_win():
 
 
 def test_a_single_tendon_slides_in():
-    """Whatever loads there are, which are not asked."""
+    """Under any loads: its direction does not depend on them."""
     assert stated_directions(None, 1) == stated_directions([None], 1) == 1.0
     np.testing.assert_array_equal(cddf.solve(paper_body("exact"), 5.0, direction=[None]).direction, [1])
 

@@ -111,7 +111,7 @@ def compare(solution, reference, tolerance=1e-8):
 @pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
 @pytest.mark.parametrize("base_tension", [75.0, 10.0, 0.0])
 @one_kinematics_at_once
-def test_drag_alone_takes_the_same_from_every_length(kinematics, base_tension, direction):
+def test_drag_alone_lowers_the_tension_linearly(kinematics, base_tension, direction):
     """T = max(T_base - direction w s, 0), zero from s = T_base / w; kappa = T d / (E J + T d^2 where published)."""
     body = replace(EXACT if kinematics == "exact" else PUBLISHED, friction_coefficient=0.0)
     solution = cddf.solve(body, base_tension, direction=direction, throw=False)
@@ -324,8 +324,8 @@ def test_a_batch_is_a_loop():
 # --- without drag --------------------------------------------------------------------------------
 
 
-def test_without_drag_there_is_nothing_of_it():
-    """None leaves nothing of it in what is compiled; zero gives the closed form of SciPy, design.md section 3."""
+def test_without_drag_the_program_and_the_closed_form_are_those_without_it():
+    """drag=None compiles no term of it; drag=0 gives the closed form of design.md section 3, by SciPy."""
     body = paper_body("exact")
     assert body.tendon_drag is None
     assert body.cross_section(0.1).drag is None
@@ -371,7 +371,7 @@ def test_the_energy_of_both_frictions_balances(direction, closes):
 # --- refusals and files --------------------------------------------------------------------------
 
 
-def test_what_knows_no_drag_says_so():
+def test_methods_without_drag_refuse_it():
     with pytest.raises(ValueError, match="closed_form_tension holds without drag only; use solve, or drag=None"):
         cddf.closed_form_tension(EXACT, 75.0, 0.1)
     with pytest.raises(ValueError, match="knows no drag; use FixedPoint, or drag=None"):

@@ -1,4 +1,4 @@
-"""The friction law's functions tell one law: T' of `tension_rate` is that of T = (T_base - c) / r."""
+"""All functions of the friction law state the same law: T' of `tension_rate` is that of T = (T_base - c) / r."""
 
 import jax
 import jax.numpy as jnp

@@ -118,7 +118,7 @@ def test_antagonists_of_changing_advantage(kinematics, case, direction):
         # one shape for every case
         at = fields_at(solution, jnp.asarray(np.resize(reference.turning_points, 2)))
         np.testing.assert_allclose(at.curvature, 0.0, atol=1e-6 * np.max(np.abs(reference.curvature)))
-    # nobody sees the panels: the nodes are those of a body without a sign change, 16 Gauss nodes between base and tip
+    # the fields do not show the panels: their nodes are those of a body without a sign change, 16 between base and tip
     x = np.concatenate([[-1.0], np.polynomial.legendre.leggauss(16)[0], [1.0]])
     np.testing.assert_allclose(solution.arc_length, LENGTH * (x + 1) / 2, rtol=1e-12, atol=1e-16)
     along = fields_at(solution, solution.arc_length)

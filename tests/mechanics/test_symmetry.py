@@ -1,4 +1,4 @@
-"""What must hold whatever the numbers: mirror images, units, and the limit without friction."""
+"""Properties that hold for all numbers: mirror images, units, and the limit without friction."""
 
 import equinox as eqx
 import jax
@@ -44,8 +44,8 @@ def test_the_other_side_gives_the_mirror_image(kinematics):
 
 
 @pytest.mark.slow
-def test_an_anchor_at_the_tip_is_none():
-    """Where a tendon ends at s = L nobody turns."""
+def test_an_anchor_at_the_tip_is_as_no_anchor():
+    """A tendon that ends at s = L causes no turn there."""
     body = two_slanted_tendons()
     there = tuple(cddf.Tendon(tendon.offset, tendon.side, end=body.length) for tendon in body.tendons)
     anchored = cddf.solve(eqx.tree_at(lambda body: body.tendons, body, there), (60.0, 15.0), direction=(+1, -1))
@@ -128,7 +128,7 @@ def test_equal_pulls_on_both_sides_keep_a_body_straight():
     np.testing.assert_allclose(solution.tip_tension, 30.0, rtol=ROUNDING)
 
 
-def test_a_longer_stretch_of_nothing_changes_nothing():
+def test_a_passive_end_does_not_change_the_rest():
     """A body whose tendon ends before the tip goes on straight: u(L) = u(end) + (L - end) t."""
     tendon = cddf.Tendon(0.010, end=0.10)
     body = cddf.Manipulator(0.14, cddf.Linear(0.020, 0.013, 0.14), 0.007, (tendon,), 1.4e6, 0.42)

@@ -109,7 +109,7 @@ def test_rosen_suzuki_with_its_multipliers():
 
 
 def test_the_multipliers_of_a_known_optimum():
-    """Those of HS 43 at the point itself, without a search; and that another point is told from an optimum."""
+    """Those of HS 43 at the point itself, without a search; and another point is not taken for an optimum."""
     problem, nowhere = rosen_suzuki(), on_both_sides(4)
     known = optimality(problem(np.array([0.0, 1.0, 2.0, -1.0])), *nowhere)
     assert known.inequality == pytest.approx([1, 0, 2], abs=1e-12)
@@ -135,7 +135,7 @@ def hs_100() -> Written:
 
 
 def test_hock_schittkowski_100():
-    """HS 100: f = 680.6300573 at the point below, with the first and the last limit used up."""
+    """HS 100: f = 680.6300573 at the point below, with the first and the last limit active."""
     found = minimise_constrained(hs_100(), np.array([1.0, 2.0, 0.0, 4.0, 0.0, 1.0, 1.0]), *on_both_sides(7))
     best = [2.330499, 1.951372, -0.4775414, 4.365726, -0.6244870, 1.038131, 1.594227]
     assert found.point.objective == pytest.approx(680.6300573, rel=1e-9)
@@ -193,7 +193,7 @@ def test_it_begins_again_where_a_run_ends_early(monkeypatch):
     assert alone.optimality.residual > TOLERANCE
 
 
-def test_a_bound_and_a_limit_that_are_used_up():
+def test_an_active_bound_and_an_active_limit():
     """Exponentials with x1 at most 1, where it stays, and sum x at least 1 as an inequality: one unknown fewer."""
     weights = np.geomspace(0.1, 10.0, 8)
     problem = Written(lambda x: weights @ jnp.exp(x), lambda x: [jnp.sum(x) - 1.0])
@@ -234,7 +234,7 @@ def test_the_least_violation_of_a_line_and_a_disc():
     assert stuck.point.violation >= least - 1e-9  # no point breaks them less
 
 
-def test_a_limit_that_is_kept_while_others_give_way():
+def test_a_rigid_limit_while_others_are_relaxed():
     """The disc kept as it is: the line is missed by 3 - 2, at (1, 1)."""
     found = least_violation(crossed(), np.array([0.5, 0.0]), *on_both_sides(2), rigid=1)
     assert found.point.objective == pytest.approx(1.0, rel=1e-7)
@@ -268,9 +268,9 @@ def test_relaxed_limits_have_the_derivatives_of_their_values():
     )
 
 
-def test_a_bound_and_a_limit_at_one_place_share_their_price():
-    """The least x with x >= 0 twice, as a bound and as a limit: any shares of 1 meet the conditions, giving way of one
-    is worth nothing. Behind them 2 y with y >= 0, whose bound alone holds it, at the price 2."""
+def test_a_bound_and_a_limit_at_one_point_share_their_multiplier():
+    """The least x with x >= 0 twice, as a bound and as a limit: any two multipliers with the sum 1 meet the conditions,
+    and relaxing only one of them gains nothing. The term 2 y with y >= 0 has one bound, with the multiplier 2."""
     problem = Written(lambda x: x[0] + 2 * x[1], lambda x: (x[0],))
     held = optimality(problem(np.zeros(2)), *on_both_sides(2, 0.0, np.inf))
     assert held.residual < TOLERANCE

@@ -8,7 +8,7 @@ from cddf_jax.numerics.differences import with_differences
 
 
 def power(given):
-    """Of the part behind the decimal point; JAX is told that it does not depend on x."""
+    """A power of the fraction x - floor(x), whose derivative with respect to x JAX takes for zero."""
     x, exponent = given
     return jax.lax.stop_gradient(x - jnp.floor(x)) ** exponent
 
@@ -28,7 +28,7 @@ def test_slopes_of_numbers_of_very_different_sizes():
     assert not np.any(jax.jvp(of, (x, n), (jnp.zeros(2), jnp.asarray(0.0)))[1])
 
 
-def test_what_jax_does_not_see_is_seen():
+def test_a_derivative_that_jax_takes_for_zero():
     """The fraction of x, squared: a slope of 2 (x - floor x), which JAX takes for zero."""
     given = jnp.asarray(3.25), jnp.asarray(2.0)
     blind = jax.jacfwd(lambda x: power((x, given[1])))(given[0])

@@ -107,7 +107,7 @@ def test_a_singular_lane_has_a_finite_derivative_and_harms_no_other():
     assert_allclose(slopes[1], 1 / 12, rtol=1e-14)
 
 
-def test_a_fixed_point_that_does_not_settle_says_so_and_stays_where_it_started():
+def test_a_fixed_point_that_does_not_settle_reports_it_and_keeps_its_start():
     answer = fixed_point(Partial(lambda a, y: -a * y, 2.0), jnp.array(3.0), tolerance=1e-12, max_passes=20)
     assert not answer.converged
     assert answer.value == 3.0

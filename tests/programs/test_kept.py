@@ -97,7 +97,7 @@ def test_it_is_said_that_one_is_made():
         lambda: raised({"x": jnp.ones_like(1.0, shape=2)}),  # a weak type
     ],
 )
-def test_whatever_differs_makes_a_new_program(other):
+def test_any_difference_makes_a_new_program(other):
     raised(x(1.0, 2.0))
     next_process()
     other()

@@ -99,7 +99,7 @@ def test_the_papers_numbers(row, name, paper, difference):
     assert row(name)["difference"] == pytest.approx(difference, abs=5e-5)
 
 
-def test_what_cannot_be_compared_says_so(row, reproduced):
+def test_what_cannot_be_compared_is_reported(row, reproduced):
     error = row("mean_error")
     assert error["paper"] == 0.1466
     assert "measured" in error["note"]

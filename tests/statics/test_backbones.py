@@ -212,7 +212,7 @@ def test_validate_names_what_is_wrong(case):
     assert message in refused(robot(numbers).validate)
 
 
-def test_what_needs_radii_says_so_and_what_does_not_works():
+def test_a_body_without_radii():
     body = robot().validate()
     assert "the body has no radii" in refused(lambda: body.area(0.1))
     task = {"free": ("bending_stiffness",), "bounds": {"bending_stiffness": (0.01, 0.03)}, "cases": cddf.LoadCase(1.0)}
@@ -426,7 +426,7 @@ def test_a_factor_on_the_stiffness_is_fitted_where_there_is_no_modulus(tmp_path)
 
 
 @pytest.mark.slow
-def test_tensions_tell_friction_over_the_factor(tmp_path):
+def test_tensions_determine_friction_over_the_factor(tmp_path):
     fit = cddf.fit(robot(Numbers(factor=None)), bench_of("tip_tension [N]", tmp_path))
     assert set(fit.status.values()) == {"not identified"}
     value, error = fit.combinations["friction_coefficient / stiffness_factor"]

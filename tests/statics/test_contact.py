@@ -81,7 +81,7 @@ def test_the_strain_of_a_cone_is_largest_at_its_tip():
 
 
 def test_the_strain_of_a_step_is_that_of_its_thick_side():
-    """One curvature of a soft thick piece and a stiff thin one: E J is that of the bore; the radius tells."""
+    """One curvature of a soft thick piece and a stiff thin one: E J is that of the bore; the radius decides."""
     second_moment = 1e-12
     radius = (0.004, 0.006)
     bores = [(r**4 - 4 / np.pi * second_moment) ** 0.25 for r in radius]

@@ -41,7 +41,7 @@ def test_a_poissons_ratio_that_no_material_has(ratio, count):
     assert cddf.solve(body, 40.0).remarks == ()  # in the plane nothing depends on it
 
 
-def test_numbers_to_be_doubted_say_so():
+def test_doubtful_numbers_have_a_warning():
     """Offset times curvature is above 1 at the tip, as in test_results, and the body is rolled up, 783 degrees."""
     crossing = cddf.solve(paper_body("exact", youngs_modulus=3e5, friction_coefficient=0.05), 200.0, throw=False)
     *_, error, doubt, contact = str(crossing).splitlines()

@@ -523,7 +523,7 @@ def test_loads_of_the_wrong_shape():
 
 
 @pytest.mark.parametrize("loads", [5, (0.0, -1.0), {"tip_force": (0.0, -1.0)}, cddf.Loads], ids=repr)
-def test_loads_that_are_none(loads):
+def test_loads_of_the_wrong_type(loads):
     message = refused(TypeError, lambda: cddf.solve(opposed(), 60.0, loads))
     assert re.match(r"solve: loads must be a Loads, as in Loads\(tip_force=\(0.0, -1.0\)\), got ", message)
 
@@ -537,7 +537,7 @@ def test_batched_loads_want_vmap():
     assert "loads.tip_moment must have shape () or (3,), got (4,)" in message
 
 
-def test_unphysical_loads_are_said_so():
+def test_unphysical_loads_are_reported():
     for loads in (cddf.Loads(tip_force=(np.nan, 0.0)), cddf.Loads(gravity=(0.0, np.inf))):
         with pytest.raises(cddf.SolveError, match="not physical"):
             cddf.solve(opposed(), 60.0, loads)

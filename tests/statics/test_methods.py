@@ -145,7 +145,7 @@ def test_one_pass_is_enough_where_it_does_not_depend_on_the_guess(case):
 
 
 @pytest.mark.parametrize(("direction", "friction", "expected"), [(+1, 1e200, "not_converged"), (-1, 2.0, "locked")])
-def test_one_pass_that_leads_nowhere_is_told(direction, friction, expected):
+def test_one_pass_without_a_solution_is_reported(direction, friction, expected):
     """The ratio overflows, or falls below zero; the lane beside them is that of a solve alone, slopes and all."""
     modulus = jnp.asarray([1e-200 if expected == "not_converged" else 1e5, 1.4e6])
 

@@ -281,6 +281,6 @@ def test_plain_functions_are_profiles():
 
 
 @pytest.mark.parametrize("method", ["literal", cddf.FixedPoint])
-def test_a_method_that_is_none_is_named(method):
+def test_an_invalid_method_is_named(method):
     with pytest.raises(TypeError, match="method must be one such as FixedPoint"):
         cddf.solve(paper_body(), 75.0, method=method)

@@ -97,7 +97,7 @@ def test_the_least_tensions_that_reach_a_place_or_come_nearest(reached):
     np.testing.assert_allclose(reached.base_tension[:2], np.stack([LEAST, LEAST + 1.5]), rtol=1e-9, atol=1e-9)
 
 
-def test_what_is_missed_and_the_rank_are_told(reached):
+def test_the_miss_and_the_rank_are_reported(reached):
     for i, lane in enumerate(LANES[:4]):
         np.testing.assert_allclose(reached.target_miss[i], tip_of(lane.tension) - lane.place, atol=1e-9)
     assert np.all(np.isnan(reached.target_miss[4:]))

@@ -1,4 +1,4 @@
-"""Sweeps: the closed form, one solve at a time, and whatever is wrong with an axis is said by name."""
+"""Sweeps: against the closed form and against single solves; errors of an axis name the axis."""
 
 from dataclasses import replace
 
@@ -76,7 +76,7 @@ def test_it_is_labelled(grid):
     assert units["tip_tension_by_friction_coefficient"] == "N"
     assert units["tip_position_by_youngs_modulus"] == "m/Pa"
     assert units["curvature_by_youngs_modulus"] == "1/m/Pa"
-    assert units["height"] is None  # nobody knows what a function returns
+    assert units["height"] is None  # the unit of a function is not known
 
 
 def test_observables_are_functions_of_the_equilibrium(grid):
@@ -406,7 +406,7 @@ def test_single_precision():
     assert np.max(np.abs(single.tip_tension[:, 0] - double)) > 0
 
 
-def test_float64_where_jax_has_none_is_refused():
+def test_float64_without_x64_is_refused():
     with jax.enable_x64(False), pytest.raises(cddf.InputError, match="jax_enable_x64"):
         cddf.sweep(paper_body(), {"base_tension": TENSIONS}, precision="float64")
 
