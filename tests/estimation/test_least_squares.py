@@ -444,7 +444,10 @@ def test_too_few_steps_are_a_failure():
         ({"observed": np.where(X > 2.9, np.nan, NOISY)}, "data: entry 30 is not finite; leave it out"),
         ({"observed": np.zeros(0)}, "there are no data to fit"),
         ({"observed": {}}, "there are no data to fit"),
-        ({"observed": {"fine": NOISY}, "sigma": {"rough": 0.3}}, "sigma is given for 'rough', which is no group of da"),
+        (
+            {"observed": {"fine": NOISY}, "sigma": {"rough": 0.3}},
+            "sigma is given for 'rough', which is not a group of da",
+        ),
         ({"observed": NOISY[:4]}, r"predict gives arrays of \[30\] numbers where the data have \[4\]"),
         ({"start": {"a": np.nan, "b": 1.0}}, "a starts at nan"),
         ({"scales": {"a": 0.0}}, r"scale of 'a': needs a number > 0"),
