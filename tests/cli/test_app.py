@@ -47,13 +47,15 @@ def test_help_shows_units_in_brackets(cddf_command):
     assert "[[candidate]]" in cddf_command("plan", "--help")[1]
 
 
-def test_help_imports_nothing_heavy():
+@pytest.mark.parametrize("command", ["solve", "sweep"])
+def test_help_imports_nothing_heavy(command):
     script = (
-        "import sys; sys.argv = ['cddf', 'solve', '--help']\n"
+        f"import sys; sys.argv = ['cddf', '{command}', '--help']\n"
         "from cddf_jax.cli.app import main\n"
         "try: main()\n"
         "except SystemExit as ended: assert ended.code == 0\n"
         "heavy = {'jax', 'jaxlib', 'equinox', 'optimistix', 'scipy', 'numpy', 'matplotlib', 'pint', 'xarray'}\n"
+        "heavy |= {'zarr', 'pandas'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

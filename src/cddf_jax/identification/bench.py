@@ -30,7 +30,7 @@ from ..robot.validation import check_weight
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.solve import solve
 from .course import WITHOUT, Course, Shown
-from .parameters import PARAMETERS, PLAIN, TRIALS, BenchSetting, Parameters, turn_of, with_parameters
+from .parameters import PARAMETERS, PLAIN, TRIALS, BenchSetting, Parameters, turn_of, with_deviation, with_parameters
 
 LANES = 128  # rows are solved in multiples of this number, so that tables and curves share compiled programs
 FEW = 16  # the same where rows are solved one by one
@@ -147,12 +147,9 @@ class Bench(eqx.Module):
         tension, in_space = _true_tension(parameters, jnp.asarray(self.base_tension)), self.in_space(body)
 
         def one(tension, direction, force, deviation):
-            there = body
-            if deviation is not None:
-                mu = jnp.asarray(body.friction_coefficient) * jnp.exp(deviation)
-                there = eqx.tree_at(lambda m: m.friction_coefficient, body, mu)
             loads = self.setting.loads_with(force, parameters, in_space=in_space)
-            found = solve(there, tension, loads, direction=direction, nodes=nodes, throw=False)
+            here = with_deviation(body, deviation)
+            found = solve(here, tension, loads, direction=direction, nodes=nodes, throw=False)
             return Shown(
                 found.tip_tension,
                 found.tip_angle,

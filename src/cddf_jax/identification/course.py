@@ -22,6 +22,7 @@ from ..measurements.table import Measurements
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS
+from .parameters import with_deviation
 from .past import REST, Before, Past, Start, past_of, starts_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
@@ -115,13 +116,10 @@ class Course(eqx.Module):
         """
 
         def one(tension: Array, force: Array | None, deviation: Array | None):
-            there = body
-            if deviation is not None:
-                mu = jnp.asarray(body.friction_coefficient) * jnp.exp(deviation)
-                there = eqx.tree_at(lambda m: m.friction_coefficient, body, mu)
+            here = with_deviation(body, deviation)
             if self.short_steps is not None:
-                return self._in_short_steps(there, tension, force, loads_with, nodes)
-            found = trace(there, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
+                return self._in_short_steps(here, tension, force, loads_with, nodes)
+            found = trace(here, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
             return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.result
 
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)

@@ -130,6 +130,14 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
     return body
 
 
+def with_deviation(manipulator: Manipulator, deviation: Float[Array, ""] | None) -> Manipulator:
+    """The manipulator with the friction of one trial; `deviation` is ln(mu of the trial / mu), or None."""
+    if deviation is None:
+        return manipulator
+    mu = jnp.asarray(manipulator.friction_coefficient) * jnp.exp(deviation)
+    return eqx.tree_at(lambda m: m.friction_coefficient, manipulator, mu)
+
+
 def turn_of(parameters: Parameters, name: str) -> Float[Array, " 3"] | None:
     """The three components of a rotation or shift; None where none of them is a parameter."""
     own = [f"{name}_{axis}" for axis in "xyz"]
