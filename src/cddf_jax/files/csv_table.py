@@ -1,6 +1,6 @@
 """Tables with units in the header or in a row below it: a file becomes columns of SI numbers, and columns become CSV.
 
-`table_source` tells which separators, decimal marks, encodings and spreadsheets are understood.
+`table_source` lists the separators, decimal marks, encodings and spreadsheets that can be read.
 """
 
 import csv
@@ -96,7 +96,7 @@ def _read(
     rows: Iterator[Row], headings: Sequence[Heading], kind: Kind, source: Source, missing: tuple[str, ...]
 ) -> Table:
     """The columns, each converted as a whole."""
-    at, cells = _split(rows, headings)
+    at, cells = _cells_by_column(rows, headings)
     if not at:
         raise InputError(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
@@ -109,10 +109,10 @@ def _read(
     ]
     unit_of = {heading.column: heading.unit for heading in headings}
     used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
-    said: dict[str, str] = {}
-    texts = {column: _in_numbers(own, kind.words(column), said) for column, own in used.items()}
+    words_read: dict[str, str] = {}
+    texts = {column: _replace_words(own, kind.words(column), words_read) for column, own in used.items()}
     if source.decimal_commas:
-        texts |= _with_points({column: own for column, own in texts.items() if column not in kind.labels}, at)
+        texts |= _replace_commas({column: own for column, own in texts.items() if column not in kind.labels}, at)
     columns = {
         column: _labels(column, at, own) if column in kind.labels else _numbers(column, at, own, unit_of[column], kind)
         for column, own in texts.items()
@@ -122,22 +122,22 @@ def _read(
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
         if heading.column is None and (heading.text or any(text.strip() for text in own))
     )
-    read_as = (*source.read_as, *_done(headings, unused, said))
+    read_as = (*source.read_as, *_reading_notes(headings, unused, words_read))
     return Table(columns, at, source.notes, read_as, unused, missing)
 
 
-def _done(headings: Sequence[Heading], unused: Sequence[str], said: Mapping[str, str]) -> Iterator[str]:
-    """How the header and words in the rows were understood, in words."""
+def _reading_notes(headings: Sequence[Heading], unused: Sequence[str], words_read: Mapping[str, str]) -> Iterator[str]:
+    """How header and rows were read, where that is not obvious: renamed and unused columns, words read as numbers."""
     renamed = [h for h in headings if h.column is not None and h.name != h.column]
     if renamed:
         yield "read as: " + ", ".join(f"{h.text!r} {h.column}" + (f" [{h.unit}]" if h.unit else "") for h in renamed)
     if unused:
         yield f"columns that are not used: {', '.join(map(short, unused))}"
-    if said:
-        yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in said.items())
+    if words_read:
+        yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in words_read.items())
 
 
-def _split(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[list[int], list[list[str]]]:
+def _cells_by_column(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[list[int], list[list[str]]]:
     """The line number of every row, and the text of its cells by column."""
     width = len(headings)
     needed = max((i for i, heading in enumerate(headings, 1) if heading.column is not None), default=0)
@@ -163,15 +163,15 @@ def _labels(column: str, rows: Sequence[int], texts: Sequence[str]) -> np.ndarra
     return np.array(labels)
 
 
-def _in_numbers(texts: list[str], words: Mapping[str, str], said: dict[str, str]) -> list[str]:
-    """The texts with numbers in place of words; `said` collects these words."""
+def _replace_words(texts: list[str], words: Mapping[str, str], words_read: dict[str, str]) -> list[str]:
+    """The texts with numbers in place of words; the words are added to `words_read`."""
     if not words:
         return texts
-    said |= {text.strip(): words[text.strip().lower()] for text in texts if text.strip().lower() in words}
+    words_read |= {text.strip(): words[text.strip().lower()] for text in texts if text.strip().lower() in words}
     return [words.get(text.strip().lower(), text) for text in texts]
 
 
-def _with_points(columns: Mapping[str, list[str]], rows: Sequence[int]) -> dict[str, list[str]]:
+def _replace_commas(columns: Mapping[str, list[str]], rows: Sequence[int]) -> dict[str, list[str]]:
     """The texts with points in place of decimal commas; a file with both marks is refused."""
     cells = [(row, column, text) for column, texts in columns.items() for row, text in zip(rows, texts, strict=True)]
     comma, point = (
@@ -185,7 +185,7 @@ def _with_points(columns: Mapping[str, list[str]], rows: Sequence[int]) -> dict[
 
 
 def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str | None, kind: Kind) -> np.ndarray:
-    """A column of text as SI numbers."""
+    """A column of texts as numbers in SI units."""
     if kind.gaps(column):
         texts = ["nan" if text.strip().lower() in _MISSING else text for text in texts]
     try:
