@@ -452,7 +452,7 @@ def test_too_few_steps_are_a_failure():
         ({"start": {"a": np.nan, "b": 1.0}}, "a starts at nan"),
         ({"scales": {"a": 0.0}}, r"scale of 'a': needs a number > 0"),
         ({"scales": {"a": np.nan}}, r"scale of 'a': needs a number > 0"),
-        ({"start": {}}, "there is no parameter to fit"),
+        ({"start": {}}, "start: there is no parameter to fit"),
         ({"scales": {"c": 1.0}}, r"scale of 'c': needs a number > 0 and a parameter that is fitted"),
         ({"priors": {"c": Uniform(0.0, 1.0)}}, "(prior|bounds) for 'c'"),
         ({"priors": {"a": Uniform(3.0, 4.0)}}, "a starts at 1, which is not inside its bounds 3 to 4"),
