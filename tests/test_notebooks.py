@@ -62,7 +62,7 @@ def runs(monkeypatch):
     return module, runs, png
 
 
-def test_pictures_are_drawn_anew_where_something_changed(runs, tmp_path, monkeypatch):
+def test_pictures_are_redrawn_where_something_changed(runs, tmp_path, monkeypatch):
     module, ran, png = runs
     module.run_notebooks(tmp_path)
     assert ran == [path.stem for path in NOTEBOOKS]

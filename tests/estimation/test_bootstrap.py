@@ -1,4 +1,4 @@
-"""Refits to data drawn anew, against closed forms and loops over NumPy's least squares."""
+"""Refits to newly drawn data, against closed forms and loops over NumPy's least squares."""
 
 from itertools import combinations_with_replacement, product
 
@@ -77,7 +77,7 @@ def test_parametric_takes_the_estimated_noise():
 
 
 def test_a_prior_is_one_more_reading():
-    """The conjugate posterior covariance; were the prior not drawn anew, it would be left out of the scatter."""
+    """The conjugate posterior covariance; if the prior were not drawn too, the scatter would lack it."""
     fit = least_squares_fit(line, START, NOISY, SIGMA, priors={"b": (0.5, 0.01)})
     agree_within_simulation(fit.bootstrap(replicates=2000, seed=12).covariance, posterior_with(0.5, 0.01)[1], 2000)
 

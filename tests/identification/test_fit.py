@@ -452,7 +452,7 @@ def test_what_most_rows_contradict_is_not_identified(tip_angle):
 def test_an_outlier_is_reported_with_its_row(tip_angle):
     """Rows of the file: a comment, a head, then data, so that the seventh line holds the fifth reading.
 
-    The distance is that of a fit to all other rows, made anew, from the scatter that they have about it.
+    The distance is that from a new fit to all other rows, over the scatter that they have about it.
     """
     rng, base = np.random.default_rng(2), np.tile(np.linspace(5.0, 40.0, 12), 2)
     tip, angle = closed_form(base) + 0.05 * rng.normal(size=24), wrap(base) + 0.002 * rng.normal(size=24)

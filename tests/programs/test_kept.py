@@ -191,7 +191,7 @@ def test_results_can_go_to_another_device():
 
 
 @pytest.mark.parametrize("spoil", ["bit", "half", "empty", "other", "text"])
-def test_a_spoilt_entry_is_made_anew(spoil, recwarn):
+def test_a_spoilt_entry_is_made_again(spoil, recwarn):
     raised(x(1.0))
     (entry,) = folder.entries()
     whole = entry.read_bytes()
@@ -210,7 +210,7 @@ def test_a_spoilt_entry_is_made_anew(spoil, recwarn):
 
 
 @pytest.mark.parametrize("case", ["executable", "about", "answer", "outputs"])
-def test_an_entry_that_cannot_be_used_is_made_anew(case):
+def test_an_entry_that_cannot_be_used_is_made_again(case):
     raised(x(1.0))
     (path,) = folder.entries()
     whole = folder.read(path.stem)

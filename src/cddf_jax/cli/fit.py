@@ -76,7 +76,7 @@ def fit(
     per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
     average_holds: options.AverageHolds = False,
     bootstrap: Annotated[
-        int, typer.Option(help="Number of refits to data drawn anew, such as 200; 0 for none.", min=0)
+        int, typer.Option(help="Number of refits to newly drawn data, such as 200; 0 for none.", min=0)
     ] = 0,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,

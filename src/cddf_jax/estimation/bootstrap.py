@@ -1,4 +1,4 @@
-"""Refits to data drawn anew: how an estimate would scatter, without the linearisation of the model.
+"""Refits to newly drawn data: how an estimate would scatter, without the linearisation of the model.
 
 "parametric" draws new noise about the fitted model; "cases" draws whole cases (rows, or trials where there are
 trials) from the data with replacement. With few cases its intervals are too narrow: `coverage` says how much.
@@ -32,7 +32,7 @@ Path = str | PathLike[str]
 
 
 class Bootstrap(NamedTuple):
-    """Estimates from data drawn anew. All statistics are NaN where fewer than two refits ended at a minimum."""
+    """Estimates from newly drawn data. All statistics are NaN where fewer than two refits ended at a minimum."""
 
     kind: str  # "parametric" or "cases"
     names: tuple[str, ...]  # of the parameters

@@ -115,9 +115,9 @@ class LeastSquaresFit(Determination):
         seed: int = 0,
         out: Path | None = None,
     ) -> Bootstrap:
-        """Draw data anew and fit them, starting at the estimate, with the same weights of the data.
+        """Draw new data and fit them, starting at the estimate, with the same weights of the data.
 
-        A prior counts as one more reading and is drawn anew too; under a robust loss it is kept.
+        A prior counts as one more reading and is drawn too; under a robust loss it is kept.
 
         Args:
             kind: "parametric" or "cases".

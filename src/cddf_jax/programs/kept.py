@@ -1,7 +1,7 @@
 """`kept_program`: a compiled function whose programs the next process finds on the disk.
 
 With traced values, under a user's jit, vmap or grad, it is the plain compiled function. So it is if a function or a
-class of the user takes part. If keeping is switched off, the same programs are made anew in every process.
+class of the user takes part. If keeping is switched off, every process makes its programs again.
 """
 
 import hashlib
@@ -184,7 +184,7 @@ def _found(key: str, question: Question) -> Call | None:
         leaves, structure = jax.tree.flatten(rebuild(entry.about["answer"]), is_leaf=lambda x: isinstance(x, Place))
         return Call(loaded(entry.content, interface), structure, tuple(leaves))
     except (UnavailableError, NotDescribedError, AttributeError, ImportError, KeyError, TypeError) as error:
-        LOG.debug("%s is made anew: %s", key, error)
+        LOG.debug("%s is made again: %s", key, error)
         return None
 
 

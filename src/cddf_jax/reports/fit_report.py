@@ -196,7 +196,11 @@ def _bootstrap_section(report: Report) -> list[str]:
     lines = []
     head = ("parameter", "standard error", "95 % interval", "bias")
     for bootstrap in report.bootstraps:
-        drawn = "new noise about the model" if bootstrap.kind == "parametric" else "trials, or else rows, drawn anew"
+        drawn = (
+            "new noise about the model"
+            if bootstrap.kind == "parametric"
+            else "trials, or else rows, drawn with replacement"
+        )
         lost = f", {bootstrap.num_failed} of them failed" if bootstrap.num_failed else ""
         count = len(bootstrap.estimates) + bootstrap.num_failed
         lines += [f"{bootstrap.kind.capitalize()} ({drawn}): {count} refits{lost}, seed {bootstrap.seed}.", ""]
