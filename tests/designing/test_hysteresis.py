@@ -19,7 +19,6 @@ from cddf_jax.errors import InputError
 
 L, OFFSET, MU = (PAPER[name] for name in ("length", "tendon_offset", "friction_coefficient"))
 LOW, AT, HIGH = 5.0, 40.0, 75.0
-CASE = cddf.LoadCase(AT, loop=(LOW, HIGH))
 TASK = """
 robot = "robot.toml"
 nodes = 8

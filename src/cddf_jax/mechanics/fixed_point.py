@@ -78,7 +78,7 @@ def truncation_error(problem: Problem, solution: Solution[AnyState]) -> Number:
     sections = jax.vmap(jax.vmap(lambda s: guarded_section(problem.manipulator, s)))(places)
     state = jax.tree.map(lambda a, b: cut.resample(a, b, fractions), solution.starts, solution.nodes)
     rates_of = _shape_rates_in_space if problem.in_space else _shape_rates_in_plane
-    turning, axis, turned, moment_rate = rates_of(problem, solution, sections, state, fractions)
+    turning, axis, turned, moment_rate = rates_of(problem, sections, state, fractions)
     growth = ratio_rate(problem.direction, sections, turning, state.ratio) / solution.tip.ratio
     spending, scale = spent_rate(problem.direction, sections, state.ratio), spent_scale(problem, solution.tip.pull)
     spent = [] if spending is None or scale is None else [spending / scale]
@@ -89,7 +89,7 @@ def truncation_error(problem: Problem, solution: Solution[AnyState]) -> Number:
 
 
 def _shape_rates_in_plane(
-    problem: Problem, solution: Solution[AnyState], sections: AnySection, state: AnyState, _: np.ndarray
+    problem: Problem, sections: AnySection, state: AnyState, _: np.ndarray
 ) -> tuple[Array, Array, Array, Array]:
     """Turning of the tendons, t, phi' and M_ext' at other places of the panels, in the plane."""
     tension = tension_of(sections, problem.base_tension, state.pull)
@@ -102,7 +102,7 @@ def _shape_rates_in_plane(
 
 
 def _shape_rates_in_space(
-    problem: Problem, solution: Solution[AnyState], sections: AnySection, state: AnyState, fractions: np.ndarray
+    problem: Problem, sections: AnySection, state: AnyState, fractions: np.ndarray
 ) -> tuple[Array, Array, Array, Array]:
     """The same in space. The derivative of the quaternion is doubled, because half an angle stands in it."""
     cut, strain = problem.panels, strain_along(sections, problem.base_tension, state)
