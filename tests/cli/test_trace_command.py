@@ -202,6 +202,4 @@ def test_a_step_that_fails(fails, robot):
     zigzag = [level for i in range(9) for level in (90 - i, i)]  # ever smaller: each turn is still remembered
     said = fails("trace", robot, "--path", f"{zigzag}".strip("[]") + " N", "--out", "folder", code=1)
     assert said.startswith("step 17, on the way to 82 N, at 12.")
-    assert said.endswith(
-        "More turns of the base tension are still remembered than there is room for. Raise max_turns=."
-    )
+    assert said.endswith("More turns of the base tension have to be remembered than max_turns. Raise max_turns=.")

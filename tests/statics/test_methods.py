@@ -202,7 +202,7 @@ def test_a_looser_tolerance_takes_fewer_passes():
 
 
 def test_literal_iteration_refuses_finite_turns():
-    with pytest.raises(ValueError, match="LiteralIteration does not know tendons that turn by a finite angle"):
+    with pytest.raises(ValueError, match="LiteralIteration is not possible for tendons that turn by a finite angle"):
         cddf.solve(pair(KINKED), (40.0, 10.0), method=cddf.LiteralIteration())
 
 

@@ -376,7 +376,7 @@ def test_antagonists_that_do_not_stretch_leave_their_tensions_open():
     """Parallel tendons on a midline that does not stretch: d phi and -d phi, for all tensions."""
     body = soft_pair(RIGID, 0.0)
     assert solved_pair(body, (0.005, -0.005), throw=False).result == R.undetermined
-    with pytest.raises(cddf.SolveError, match="Other base tensions give what is wanted just as well"):
+    with pytest.raises(cddf.SolveError, match="Other base tensions reach the targets just as well"):
         solved_pair(body, (0.005, -0.005))
     assert solved_pair(body, (0.005, -0.004), throw=False).result != R.successful
 

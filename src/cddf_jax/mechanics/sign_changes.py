@@ -1,12 +1,13 @@
-"""Places where a tendon's turning changes its sign, or the tendon goes slack: T' has a kink, and a panel must end.
+"""Arc lengths where a tendon's turning changes its sign, or the tendon becomes slack: T' has a kink, so a panel ends.
 
 In the published kinematics and for tendons parallel to the axis all tendons turn with the body, and
 what changes sign is the curvature; in the exact kinematics a slanted tendon has a turning of its own.
 A tendon goes slack where drag has used up its base tension.
 
 In space the turning of a tendon has no sign, and mostly it does not vanish; but it may have a minimum so sharp that it
-is nearly a kink. There panels end as well. Without loads and drag, tendons that all follow the axis have none: their
-wrap angle obeys theta'' = P'(theta) / 2 over s / (E J), where P, the square of the moment, is smooth in theta.
+is nearly a kink. There panels end as well. Without loads and drag, tendons that are all parallel to the axis have no
+such minimum: their wrap angle obeys theta'' = P'(theta) / 2 over s / (E J), where P, the square of the moment, is
+smooth in theta.
 """
 
 from collections.abc import Callable
@@ -47,7 +48,7 @@ REFINEMENTS = 5  # by the Illinois rule
 def only_if(needed: Bool[Array, ""], compute: Callable[[Number], Values], otherwise: Values) -> Values:
     """The result of `compute` where it is needed, and `otherwise` elsewhere.
 
-    Nothing is computed where no lane of a batch needs it: this is a loop of one turn or none, while `lax.cond` would
+    Nothing is computed where no lane of a batch needs it. This is a loop of one pass or none, because `lax.cond` would
     always compute for the whole batch. There are no derivatives in reverse mode.
 
     Args:
@@ -71,7 +72,7 @@ class Splits(NamedTuple):
 
 
 def num_splits(manipulator: Manipulator, loads: Loads | None) -> int:
-    """For how many sign changes there is room; for a body in space, for the panels around one sharp minimum."""
+    """How many sign changes can be located; for a body in space, how many panel ends around one sharp minimum."""
     if manipulator.in_space:
         # tendons that all follow the axis, where neither drag nor stretch moves the moment towards zero
         parallel = not manipulator.slanted and manipulator.rest_curvature is None
@@ -98,9 +99,9 @@ Turning = Float[Array, "P p owners"]
 
 
 def signed_turning(problem: Problem, state: AnyState) -> Turning:
-    """What may change sign, at the nodes, 1/m: kappa, or psi' of every tendon.
+    """The quantities whose sign changes matter, at the nodes, 1/m: kappa, or psi' of every tendon.
 
-    And with drag what it leaves of the base tension of every tendon, over the moment scale.
+    With drag also the base tension that it leaves to every tendon, over the moment scale.
 
     Args:
         problem: the body.
@@ -139,10 +140,11 @@ def with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:
 
 
 def _around_sharpest_minimum(problem: Problem, state: AnyState) -> Splits:
-    """Three places: the minimum of the turning of a tendon that is nearest to a kink, and one on either side of it.
+    """Three arc lengths: the minimum of the turning of a tendon that is nearest to a kink, and one on either side.
 
-    Near its minimum the turning is the size of a vector c that goes past zero at a distance: like the root of
-    c'^2 ((s - s0)^2 + apart^2). The panels beside it are so short that apart is no small part of their length.
+    Near its minimum the turning is the length of a vector c that passes zero at a distance: about the square root of
+    c'^2 ((s - s0)^2 + apart^2). The panels beside the minimum are short compared with the body, but not much longer
+    than apart.
     """
     cut, nodes = problem.panels, problem.nodes
     if state.strain is None:
@@ -169,9 +171,9 @@ def _around_sharpest_minimum(problem: Problem, state: AnyState) -> Splits:
 
 
 def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tuple[Bool[Array, ""], Number]:
-    """Whether there is turning of both signs, and how small it may be to have one.
+    """Whether there is turning of both signs, and the least turning, 1/m, that counts as having a sign.
 
-    That is measured by what one tendon alone or the largest turning would make of the curvature, 1/m.
+    The latter is relative to the curvature that one tendon alone would cause, or to the largest turning.
     """
     alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
     ahead, back = largest_of_each(turning, -turning)

@@ -1,4 +1,4 @@
-"""The implicit function theorem, for a fixed point and a few unknowns, by whatever method they were found."""
+"""The implicit function theorem, for a fixed point and a few unknowns that any method has found."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -21,7 +21,7 @@ Step = Callable[[Tree, Unknowns], tuple[Tree, Unknowns]]
 
 
 def implicit(step: Step[Tree], values: Tree, root: Unknowns) -> tuple[Tree, Unknowns]:
-    """The same values and unknowns, with the derivatives that the equations give them.
+    """The same values and unknowns, with the derivatives that follow from the equations.
 
     The equations are values = step(values, unknowns)[0], a fixed point, and step(values, unknowns)[1] = 0. The
     derivatives hold in both modes and to any order. Linear passes solve the fixed point; the Jacobian of the
@@ -29,8 +29,8 @@ def implicit(step: Step[Tree], values: Tree, root: Unknowns) -> tuple[Tree, Unkn
     so that the derivative is finite. Where nothing is differentiated, `step` is not evaluated.
 
     Args:
-        step: (values, unknowns) -> (better values, residual), a pytree as `jax.tree_util.Partial` makes it: derivatives
-            are by its leaves, and whatever else it closes over must be constant.
+        step: (values, unknowns) -> (better values, residual), a pytree as `jax.tree_util.Partial` makes it. Derivatives
+            are with respect to its leaves; everything else that it closes over must be constant.
         values: of the fixed point; without derivatives of their own.
         root: where the residual is zero; without derivatives of its own.
     """
@@ -135,7 +135,7 @@ def round_off(dtype: jnp.dtype) -> float:
 
 
 def slope_along(function: Callable[[Tree], Result], given: Tree, direction: PyTree) -> Result:
-    """The derivative of function(given) along a direction, as the rules of `equinox.filter_custom_jvp` get it.
+    """The derivative of function(given) along a direction, in the form that `equinox.filter_custom_jvp` passes it.
 
     Args:
         function: of one pytree.

@@ -1,4 +1,4 @@
-"""A fixed point with implicit derivatives that is at home in jit, vmap, scan and shard_map."""
+"""A fixed point with implicit derivatives, which works in jit, vmap, scan and shard_map."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
@@ -16,7 +16,7 @@ Scalar = Float[Array, ""]
 
 
 class FixedPointResult(NamedTuple):
-    """What the passes lead to."""
+    """The result of the passes."""
 
     value: PyTree  # as the start
     num_passes: Scalar
@@ -41,8 +41,8 @@ def fixed_point(
     derivatives are then those of the linearisation at `start`, which are finite if those of `update` are.
 
     Args:
-        update: the map, a pytree as `jax.tree_util.Partial` makes it. Derivatives are by its leaves; whatever else it
-            closes over must be constant.
+        update: the map, a pytree as `jax.tree_util.Partial` makes it. Derivatives are with respect to its leaves;
+            everything else that it closes over must be constant.
         start: first guess, without derivatives.
         tolerance: the passes stop when the last change was no larger.
         max_passes: the largest number of passes.

@@ -1,1 +1,1 @@
-"""The equilibrium: which directions, loads and targets it meets, and what follows from it."""
+"""The equilibrium of a manipulator for given tensions, loads and targets, and what follows from it."""

@@ -1,7 +1,7 @@
-"""What `solve` is given: checked on the host, and made arrays of one precision.
+"""The arguments of `solve`: checked on the host, and converted to arrays of one precision.
 
-Wrong types and shapes raise here. Numbers without a physical meaning do not, as they may be traced: `harmless` replaces
-them, and `is_physical` tells of them in the result.
+Wrong types and shapes raise an error here. Numbers without a physical meaning do not, because they may be traced:
+`harmless` replaces them, and `is_physical` decides whether the result reports them.
 """
 
 from functools import cache
@@ -28,7 +28,7 @@ GivenDirections = Number | tuple[Number | None, ...]
 
 
 def check_nodes(nodes: object) -> None:
-    """Refuse what is not a number of nodes.
+    """Check a number of nodes.
 
     Raises:
         ValueError: unless it is a whole number of 4 or more.
@@ -38,7 +38,7 @@ def check_nodes(nodes: object) -> None:
 
 
 def split_actuation(manipulator: Manipulator, actuation: Actuation) -> tuple[PyTree, Targets]:
-    """The given tensions, zero in the place of targets, and the targets, None in the place of tensions."""
+    """The given tensions, with zero in place of targets; and the targets, with None in place of tensions."""
     count = manipulator.num_tendons
     if isinstance(actuation, TipPosition):
         return 0.0, (actuation,)
@@ -66,7 +66,7 @@ def _is_target(entry: object) -> TypeGuard[Target]:
 
 
 def checked_loads(loads: Loads | None) -> Loads | None:
-    """The loads, whose type and shapes are right."""
+    """The loads, after a check of their type and shapes."""
     if loads is None:
         return None
     if not isinstance(loads, Loads):
@@ -81,10 +81,10 @@ def checked_loads(loads: Loads | None) -> Loads | None:
 
 
 def check_place(manipulator: Manipulator, targets: Targets) -> None:
-    """Refuse a place of the tip, or limits of its tensions, of wrong shape.
+    """Refuse a `TipPosition` whose value or limits of tensions have a wrong shape.
 
     Raises:
-        ValueError: says what is given and what is wanted.
+        ValueError: says what is given and what is needed.
     """
     for target in targets:
         if not isinstance(target, TipPosition):
@@ -102,16 +102,16 @@ def check_place(manipulator: Manipulator, targets: Targets) -> None:
 
 
 def check_in_space(method: Method, targets: Targets) -> None:
-    """Refuse what is known in the plane alone.
+    """Refuse methods and targets that exist in the plane only.
 
     Raises:
-        ValueError: names it, and what to take.
+        ValueError: names it, and what to use.
     """
     if not isinstance(method, FixedPoint):
-        raise ValueError(f"solve: {type(method).__name__} is a method for the plane; take FixedPoint() in space")
+        raise ValueError(f"solve: {type(method).__name__} is a method for the plane; use FixedPoint() in space")
     for target in targets:
         if isinstance(target, CurvatureAt | TipStiffness):
-            raise ValueError(f"solve: {type(target).__name__} is a target in the plane; in space take another target")
+            raise ValueError(f"solve: {type(target).__name__} is a target in the plane; in space use another target")
 
 
 def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Directions) -> tuple[PyTree, PyTree]:
@@ -125,7 +125,7 @@ def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Direct
     def checked(name: str, value: PyTree, shapes=((), (count,))):
         traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
         value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision)
-        value = value.astype(value.dtype)  # a weakly typed number would be compiled for anew
+        value = value.astype(value.dtype)  # a weakly typed number would be compiled for again
         if value.shape not in shapes:
             raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got shape {value.shape}")
         return value
@@ -182,7 +182,7 @@ def one_precision(
 def harmless(
     manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, others: Tree
 ) -> tuple[Manipulator, PerTendon, PerTendon, Tree]:
-    """Replace numbers that would spoil, through 0 * NaN, the derivatives of other lanes of a batch."""
+    """Replace numbers that would make derivatives of other lanes of a batch NaN, by 0 * NaN."""
 
     def finite(tree, stand_in):
         arrays, rest = eqx.partition(tree, eqx.is_inexact_array)

@@ -14,28 +14,30 @@ from ..programs.kept import kept_program
 from .equilibrium import Dense, Equilibrium
 
 STATIONS = 401
-TURNS = np.pi / 2  # a body whose headings differ by less: pi R apart, the axis has gone on by pi R cos(pi/4) > 2 R
-PROJECTIONS, NEAR = 60, 1e-4  # of points on two cylinders; of their radii, what counts as touching
-FLAT = 1e-9  # of the length: what overlaps by less only touches
+# if headings differ by less, cross-sections pi R apart along the axis are pi R cos(pi/4) > 2 R apart in space
+TURNS = np.pi / 2
+PROJECTIONS, NEAR = 60, 1e-4  # of points on two cylinders; distance over the sum of radii that counts as touching
+FLAT = 1e-9  # of the length: a smaller overlap counts as touching
 
 
 class Contact(NamedTuple):
     """Two arc lengths of a body whose cross-sections touch."""
 
-    arc_length: float  # m, of the place that is nearer to the base
-    other: float  # m, of the other
-    distance: float  # m, between the neutral axis here and there
+    arc_length: float  # m, of the cross-section that is nearer to the base
+    other: float  # m, of the other one
+    distance: float  # m, between the two points of the neutral axis
 
 
 def self_contact(equilibrium: Equilibrium) -> Contact | None:
     """Where the wall of a bent body touches or overlaps another part of itself; None where it does not.
 
     A body in the plane is the strip u(s) +- R_outer(s) n(s). It is cut into quadrilaterals at 401 arc lengths and at
-    its joints, and two of them count that share a point and lie farther apart along the body than pi times the larger
-    of their radii. Nearer ones share a point where the bend is sharper than the radius, R kappa > 1, only.
+    its joints. Two of them touch if they share a point and are farther apart along the body than pi times the larger
+    of their radii. Nearer ones share a point only where the bend is sharper than the radius, R kappa > 1.
     A body in space is a row of cylinders between the same arc lengths.
-    A tube bent to a full circle, 2 pi, touches itself with its ends. Of several places that touch, it is the pair
-    whose neutral axes are nearest to each other for its radii. Clamp, tendons and disks are not looked at.
+    A tube bent to a full circle, 2 pi, touches itself with its ends. If several pairs touch, the result is the pair
+    with the smallest distance of the neutral axis over the sum of the radii. Clamp, tendons and disks are not
+    considered.
 
     Args:
         equilibrium: one solve, on the host; a body without an outer radius or without a solution has no contact.
@@ -68,7 +70,7 @@ def self_contact(equilibrium: Equilibrium) -> Contact | None:
 
 
 def _comes_round(equilibrium: Equilibrium) -> bool:
-    """Whether the body turns far enough to meet itself; False where it is not known."""
+    """Whether the body turns far enough to touch itself; False where the headings are NaN."""
     if not equilibrium.in_space:
         return bool(np.ptp(equilibrium.heading) >= TURNS)
     tangent = np.asarray(equilibrium.frame)[:, :, 0]
@@ -88,7 +90,7 @@ def _stations(length: float, joints: np.ndarray) -> np.ndarray:
 
 
 def _far_pairs(s: np.ndarray, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of pieces that are far apart along the body, and whose axes are near enough to be looked at."""
+    """Pairs of pieces that are far apart along the body, and whose axes are near enough to touch."""
     reach = np.maximum(radius[:-1], radius[1:]) + np.diff(s)  # of a piece from its first neutral point
     i, j = np.triu_indices(len(reach), 1)
     apart = s[j] - s[i + 1]
@@ -98,7 +100,7 @@ def _far_pairs(s: np.ndarray, position: np.ndarray, radius: np.ndarray) -> tuple
 
 
 def _cylinders_touch(position: np.ndarray, radius: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """Whether pieces i and j of a tube share a point: projections on each in turn lead to the points that are nearest.
+    """Whether pieces i and j of a tube share a point; alternating projections find their nearest points.
 
     Args:
         position: of the axis (stations, 3), m.

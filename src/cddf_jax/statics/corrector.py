@@ -1,8 +1,8 @@
 """One pass towards the equilibrium of a body, with its slopes, and a Newton step of the moment at the base.
 
 Without loads a pass improves the values at the nodes. Under dead loads the body is an initial-value problem once
-M_ext(0) is given, and M_ext(L) = m is one equation for M_ext(0). A `Trial` is brought to its root: each pass improves
-the values at the nodes, and Newton's method M_ext(0).
+M_ext(0) is given, and M_ext(L) = m is the equation for M_ext(0). In each pass of a `Trial` the values at the nodes are
+improved, and Newton's method improves M_ext(0).
 """
 
 from typing import NamedTuple, TypeVar
@@ -31,8 +31,8 @@ from ..numerics.arrays import largest, largest_size, relative_size, varying_as, 
 from ..numerics.implicit import solve_small
 from ..numerics.rotations import cross, small_turn
 
-ROUGH = 1e-3  # relative tolerance of the states on the way
-STEADY = 1e-2  # relative tolerance of the slopes on the way
+ROUGH = 1e-3  # relative tolerance of the states along the path of the loads
+STEADY = 1e-2  # relative tolerance of the slopes along the path of the loads
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
@@ -63,10 +63,10 @@ class Trial(NamedTuple):
     moment: Moment | None  # M_ext(0) over its scale; None without loads
     heading: Headings | None  # likewise
     slopes: Slopes | None  # likewise
-    strain: Array | None  # about the elastic one; None where it has a closed form
+    strain: Array | None  # the elastic strain, approximately; None where it has a closed form
     near: Flag  # near enough to the equilibrium to take the next step from here
     settled: Flag  # in equilibrium
-    locked: Flag  # a tendon locks: its r passes below zero, and stays there
+    locked: Flag  # a tendon locks: its r has become negative and stays so
     lost: Flag  # locked, no longer finite, or too many passes
     sane: Flag  # whether the first pass was finite
     num_passes: Number
@@ -87,9 +87,10 @@ class Trial(NamedTuple):
 
     @property
     def _stable_in_space(self) -> Flag:
-        """Turns Y of the cross-sections by M_ext(0), and M_ext(L) by M_ext(0): no eigenvalue has become negative.
+        """Whether no eigenvalue has become negative, of two matrices of derivatives.
 
-        Each is judged by the three invariants, which also tell two eigenvalues that became negative together.
+        These are the turns of the cross-sections by M_ext(0), and M_ext(L) by the turn of the tip. The three invariants
+        decide. They also show two eigenvalues that became negative together.
         """
         assert self.heading is not None
         assert self.slopes is not None
@@ -105,9 +106,9 @@ class Trial(NamedTuple):
     def leverage(self) -> Number:
         """The factor by which local errors along the body grow in the equilibrium; 1 without loads.
 
-        A local error leaves a residual moment at the tip. A change of M_ext(0) removes it, and turns the whole body.
-        Where an error grows exponentially along the body, one made in the middle grows by the square root of the
-        factor of one made at the base.
+        A local error causes a residual moment at the tip. A change of M_ext(0) removes it, and turns the whole body.
+        Where errors grow exponentially along the body, an error in the middle grows by the square root of the factor
+        for an error at the base.
         """
         if self.slopes is None:
             return jnp.ones_like(self.change)
@@ -128,7 +129,7 @@ class LoadedBody(NamedTuple):
         return eqx.tree_at(lambda problem: problem.base_tension, here, pull * here.base_tension)
 
     def correct(self, trial: Trial, fraction: Number, by_loads: Flag) -> Trial:
-        """One pass with its slopes, then one Newton step of M_ext(0), along whose slopes everything else follows.
+        """One pass with its slopes, then one Newton step of M_ext(0); all other values change by their slopes.
 
         Args:
             trial: to be corrected.
@@ -160,7 +161,8 @@ class LoadedBody(NamedTuple):
         )
         slopes = Slopes(*slopes)
         newton, off = _newton(trial.moment, residual, slopes)
-        rough = (solution.residual > magnitude(residual)) & ~solution.converged  # the residual may be that of the pass
+        # where the pass is less accurate than the residual is large, the residual may be an error of the pass
+        rough = (solution.residual > magnitude(residual)) & ~solution.converged
         correction = jnp.where(rough, 0.0, newton)
         sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(slopes.residual - trial.slopes.residual, slopes.residual)
@@ -200,13 +202,13 @@ class LoadedBody(NamedTuple):
         )
 
     def state(self, trial: Trial, fraction: Number) -> PassState:
-        """At the nodes."""
+        """The state at the nodes."""
         problem = self.problem if trial.moment is None else self.at(trial.moment, fraction, jnp.ones_like(trial.change))
         state = state_at_nodes(problem, trial.nodal, trial.strain)
         return state if trial.heading is None or problem.in_space else state._replace(heading=trial.heading.nodes)
 
     def travel(self, trial: Trial, fraction: Number) -> PerTendon:
-        """How far tendons slide in, m; under loads the rate at which they do while all base tensions rise together."""
+        """How far tendons slide in, m; under loads the rate of that while all base tensions rise in proportion, m."""
 
         def displacement(guess: Nodal, moment: Moment, pull: Number) -> PerTendon:
             here = self.at(moment, fraction, pull)
@@ -229,25 +231,25 @@ def by_moment(slopes: Tree) -> Tree:
 
 
 def along_moment(slopes: Array, change: Moment) -> Array:
-    """What a change of M_ext(0), over its scale, makes of numbers with these slopes."""
+    """The change of numbers with these slopes by a change of M_ext(0), over its scale."""
     return change * slopes[0] if change.ndim == 0 else jnp.tensordot(change, slopes[:-1], 1)
 
 
 def moment_for(residual_slopes: Float[Array, "slopes *components"], change: Moment) -> Moment:
-    """The change of M_ext(0) that changes the residual moment at the tip so."""
+    """The change of M_ext(0) that causes a given change of the residual moment at the tip."""
     if change.ndim == 0:
         return change / residual_slopes[0]
     return solve_small(residual_slopes[:-1].T, change)[0]
 
 
 def moment_that_follows(residual_slopes: Float[Array, "slopes *components"]) -> Moment:
-    """How M_ext(0) follows the loads or the tensions, for M_ext(L) to stay m."""
+    """The derivative of M_ext(0) with respect to the loads or the tensions at which M_ext(L) stays m."""
     still = magnitude(residual_slopes[-1]) == 0
     return jnp.where(still, 0.0, -moment_for(residual_slopes, residual_slopes[-1]))
 
 
 def steepness(residual_slopes: Float[Array, "slopes *components"]) -> Number:
-    """By how much the residual moment at the tip changes at least with M_ext(0); about, where it has components."""
+    """The least rate at which the residual moment at the tip changes with M_ext(0); approximate in space."""
     slope = by_moment(residual_slopes)
     if slope.ndim == 0:
         return jnp.abs(slope)
@@ -292,7 +294,7 @@ def moment_left_at_tip(problem: Problem, solution: Solution[AnyState]) -> Moment
 
 
 def start_from(guess: Nodal, strain: Array | None, zero: Number) -> Trial:
-    """A trial that knows nothing but a guess of the values at the nodes; 0 under shard_map varies as all numbers do."""
+    """A trial from a guess of the values at the nodes; `zero` varies over the same devices as all numbers."""
     (guess, strain), false, true = varying_as((guess, strain), zero), zero > 0, zero == 0
     heading = slopes = moment = None
     if guess.moment is not None:

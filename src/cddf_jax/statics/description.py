@@ -1,4 +1,4 @@
-"""What `print` shows of an equilibrium: numbers with units, in a few lines."""
+"""The text that `print` shows for an equilibrium: numbers with units, in a few lines."""
 
 from collections.abc import Sequence
 
@@ -10,14 +10,14 @@ from ..units import shown
 from .contact import self_contact
 from .equilibrium import RESULTS, Dense, Equilibrium, ended_as, on_host
 
-_FAR_TOO_MUCH = 10.0  # offset * curvature, which no change of a body explains, but another unit does
+_FAR_TOO_MUCH = 10.0  # offset * curvature; a larger value is probably due to a wrong unit
 _RATIO_OF_MATERIALS = 0.5  # the largest Poisson's ratio of an isotropic material
-# results whose numbers are kept and may be wrong; `remarks_on` tells of further ones
+# results whose numbers are kept and may be wrong; `remarks_on` adds further warnings
 _DOUBTED = (RESULTS.crossing, RESULTS.inaccurate, RESULTS.slack, RESULTS.unreachable, RESULTS.undetermined)
 
 
 def equilibrium_in_words(equilibrium: Equilibrium) -> str:
-    """The answer of one solve; of a batch or under jit the names and shapes of what it holds."""
+    """The results of one solve; for a batch or under jit the names and shapes of the fields."""
     if not is_single(equilibrium):
         return eqx.tree_pformat(equilibrium)
     equilibrium = on_host(equilibrium)
@@ -46,14 +46,14 @@ def tendon_lines(equilibrium: Equilibrium, pulled: Sequence[str]) -> list[str]:
 
     Args:
         equilibrium: one solve.
-        pulled: the first words on each tendon, about its base tension; may be empty.
+        pulled: the first words about each tendon, for its base tension; may be empty.
     """
     lines = []
     for i, travel in enumerate(equilibrium.tendon_displacement):
         base, tip, loss = equilibrium.base_tension[i], equilibrium.tip_tension[i], equilibrium.tension_loss[i]
         tension = f"tip tension {tip:.4f} N, loss {100 * loss:.2f} %" if base > 0 else "no tension"
-        told = ", ".join([part for part in (pulled[i], tension) if part])
-        lines.append(f"tendon {i + 1}: {told}, pulled in {1e3 * travel:.3f} mm")
+        words = ", ".join([part for part in (pulled[i], tension) if part])
+        lines.append(f"tendon {i + 1}: {words}, pulled in {1e3 * travel:.3f} mm")
     return lines
 
 
@@ -84,14 +84,14 @@ def remarks_on(equilibrium: Equilibrium) -> tuple[str, ...]:
     if not np.isfinite(equilibrium.tip_angle):
         return ()
     equilibrium = on_host(equilibrium)
-    told = [] if equilibrium.stable else [RESULTS[RESULTS.unstable]]
+    found = [] if equilibrium.stable else [RESULTS[RESULTS.unstable]]
     wrong = [str(i) for i, contradicted in enumerate(equilibrium.direction_contradicted, 1) if contradicted]
-    told += [f"tendon {i}: {RESULTS[RESULTS.direction_contradicted]}" for i in wrong]
-    return *told, *_on_material(equilibrium), *wall_remarks(equilibrium)
+    found += [f"tendon {i}: {RESULTS[RESULTS.direction_contradicted]}" for i in wrong]
+    return *found, *_on_material(equilibrium), *wall_remarks(equilibrium)
 
 
 def wall_remarks(equilibrium: Equilibrium) -> list[str]:
-    """On a wall that is strained too much or touches itself; none where there is no solution."""
+    """Remarks on a wall that is strained too much or touches itself; none where there is no solution."""
     return [*_on_strain(equilibrium), *_on_contact(equilibrium)]
 
 

@@ -1,4 +1,4 @@
-"""What a solve returns: the equilibrium, its fields along the body, and the code that says how it went."""
+"""The result of a solve: the equilibrium, its fields along the body, and the code that says how the solve ended."""
 
 from typing import TypeVar
 
@@ -22,7 +22,7 @@ from ..robot.profiles import Number
 
 PerTendon = Float[Array, " tendons"]
 Tree = TypeVar("Tree")
-FRACTIONS = np.linspace(0.0, 1.0, 129)  # of every smooth piece of the body, at which its strain is looked at
+FRACTIONS = np.linspace(0.0, 1.0, 129)  # of every panel, at which the strain of the wall is computed
 
 
 class RESULTS(eqx.Enumeration):
@@ -32,7 +32,7 @@ class RESULTS(eqx.Enumeration):
     direction_contradicted = (
         "A tendon travels against its direction, so its friction has the wrong sign. Where the direction was stated, "
         "flip it or leave it out: +1 slides in at the base, -1 slides out. Where it was found, both directions are "
-        "contradicted: part of the tendon sticks, and the model cannot tell its tension."
+        "contradicted: part of the tendon sticks, and the model does not determine its tension."
     )
     inaccurate = "The error estimate exceeds 1e-5: the body is too rough for its nodes. Raise nodes=."
     crossing = (
@@ -41,7 +41,7 @@ class RESULTS(eqx.Enumeration):
     )
     not_converged = "The iteration did not settle. Raise nodes= or max_passes, or lower tension and loads."
     unstable = (
-        "The equilibrium is unstable: the smallest eigenvalue of its tangent is not positive, and no body stays there. "
+        "The equilibrium is unstable: the smallest eigenvalue of its tangent is not positive, and a body leaves it. "
         "Lower the loads."
     )
     load_limit = (
@@ -50,22 +50,22 @@ class RESULTS(eqx.Enumeration):
     )
     slack = "A tendon would have to push to give its displacement; the answer is that of a tendon without tension."
     unreachable = (
-        "No base tension between slack and crossing fibres gives what is wanted; the answer is the nearest found. "
+        "No base tension between slack and crossing fibres reaches the target; the answer is the nearest one found. "
         "Change the target."
     )
     undetermined = (
-        "Other base tensions give what is wanted just as well: antagonists that do not stretch, say. "
-        "Give one of the tensions, or ask for something else."
+        "Other base tensions reach the targets just as well, for instance of antagonists that do not stretch. "
+        "Give one of the tensions, or another target."
     )
     locked = (
         "A tendon that slides out locks: its tension grows without bound before the tip. "
         "Lower its base tension, friction or wrap."
     )
-    too_many_turns = "More turns of the base tension are still remembered than there is room for. Raise max_turns=."
+    too_many_turns = "More turns of the base tension have to be remembered than max_turns. Raise max_turns=."
     unphysical = (
         "The body or its load is not physical (NaN, negative tension, modulus, friction or drag, a wall of no "
         "thickness, a direction other than +1 or -1, a place off the body). Give tensions of 0 or more; "
-        "manipulator.validate() tells what is wrong with a body."
+        "manipulator.validate() names what is wrong with a body."
     )
 
 
@@ -74,7 +74,7 @@ class RESULTS(eqx.Enumeration):
 
 
 class Result(type(RESULTS.successful)):  # pyright: ignore[reportGeneralTypeIssues, reportUntypedBaseClass]
-    """A member of `RESULTS`, or one for each lane of a batch; its text is its words, or how many lanes ended how."""
+    """A member of `RESULTS`, or one for each lane of a batch. Its text is its words, or counts lanes by result."""
 
     def __str__(self) -> str:
         if isinstance(self._value, Tracer) or np.ndim(self._value) == 0:
@@ -182,9 +182,10 @@ class Equilibrium(eqx.Module):
 
     @property
     def peak_strain(self) -> Float[Array, ""]:
-        """The largest bending strain |R_outer kappa| of the wall, a fraction, to 1e-4 of it; NaN where a solve failed.
+        """The largest strain |R_outer kappa| of the wall, a fraction, to 1e-4 of it; NaN where a solve failed.
 
-        Computed on access. It is the strain of the wall that the profiles describe, without notches.
+        On an axis that stretches the magnitude of its stretch is added. Computed on access. It is the strain of the
+        wall that the profiles describe, without notches.
 
         Raises:
             InputError: for a body without an outer radius.
@@ -233,7 +234,7 @@ class Equilibrium(eqx.Module):
         """The same fields anywhere along the body.
 
         Args:
-            arc_length: s, m, a number or an array of any shape; NaN comes back outside 0 to L.
+            arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L.
         """
         s = jnp.asarray(arc_length, self.arc_length.dtype)
         fields = jax.vmap(self._dense)(s.ravel())
@@ -287,7 +288,7 @@ class Dense(eqx.Module):
         states = jax.tree.map(lambda a, b: cut.resample(a, b, FRACTIONS), self.starts, self.nodes)
         states = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
         strain = jnp.abs(jax.vmap(self._strain)(within.ravel(), states))
-        same = 64 * float(jnp.finfo(strain.dtype).eps)  # along an even bend: the place is the first
+        same = 64 * float(jnp.finfo(strain.dtype).eps)  # where the strain is constant, the first point counts
         most = jnp.argmax(strain >= (1 - same) * jnp.max(strain))
         return nan_unless(self.solved, (strain[most], places.ravel()[most]))
 
@@ -312,15 +313,15 @@ def fields_on(equilibrium: Equilibrium, arc_length: ArrayLike) -> AnyFields:
 
 
 def ended_as(equilibrium: Equilibrium, *results: RESULTS) -> bool:
-    """Whether one solve, whose numbers are known, ended in one of some ways."""
+    """Whether one solve, whose numbers are known, ended with one of these results."""
     return int(code_of(equilibrium.result)) in [int(code_of(result)) for result in results]
 
 
 def on_host(equilibrium: Equilibrium) -> Equilibrium:
-    """The same in NumPy arrays, of which words are made without a program for every operation."""
+    """The same in NumPy arrays, from which texts are made without a compiled program for every operation."""
     return jax.tree.map(np.asarray, equilibrium)
 
 
 def nan_unless(good: Bool[Array, ""], tree: Tree) -> Tree:
-    """NaN where a solve failed, so that no number is mistaken for a result; derivatives by other lanes stay finite."""
+    """NaN where a solve failed, so that no number is mistaken for a result; derivatives of other lanes stay finite."""
     return jax.tree.map(lambda x: jnp.where(good, x, jnp.nan), tree)

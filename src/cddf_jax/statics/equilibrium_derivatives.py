@@ -1,4 +1,4 @@
-"""A body in equilibrium, with derivatives through all that had to be found for it."""
+"""A body in equilibrium, with its derivatives by the implicit function theorem."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,9 +28,9 @@ class Balance(NamedTuple):
 
     problem: Problem
     solution: Solution[State]
-    load_path: LoadPath  # how the loads were put on
-    travel: PerTendon  # by which tendons slide in as all tensions rise in proportion, m; without loads: slid in
-    leverage: Number  # by which errors made along the body grow; 1 without loads
+    load_path: LoadPath  # the end of the path of the loads
+    travel: PerTendon  # the length pulled in, m; under loads its rate while all tensions rise in proportion
+    leverage: Number  # the factor by which errors along the body grow; 1 without loads
 
 
 def missing_moment(problem: Problem, solution: Solution[AnyState]) -> Float[Array, " equations"]:
@@ -68,11 +68,11 @@ class System(eqx.Module):
 
     @property
     def strain(self) -> Array | None:
-        """About the elastic strain at the nodes; None where it has a closed form."""
+        """The elastic strain at the nodes, approximately; None where it has a closed form."""
         return None if self.settled.trial is None else self.settled.trial.strain
 
     def root(self) -> Unknowns:
-        """The unknowns as they were found."""
+        """The unknowns that were found."""
         load_path, splits = self.settled.load_path, self.settled.splits
         moment = [] if self.setup.loads is None else [jnp.atleast_1d(load_path.base_moment)]
         return jnp.concatenate([*[self.base_tension[i, None] for i in self.unknown], *moment, splits.arc_length])
@@ -98,10 +98,10 @@ class System(eqx.Module):
     def step(
         self, values: Nodal | None, unknowns: Unknowns
     ) -> tuple[tuple[Nodal | None, Unknowns], tuple[Problem, Solution[AnyState]]]:
-        """The same, and what they were read from.
+        """Better values and the residual; and the problem and the solution from which they follow.
 
         The residual: the equations of the targets, the residual moment at the tip, the turning at the sign changes.
-        Without values the method solves from scratch, and has derivatives of its own.
+        Without values the method solves the whole problem, with derivatives of its own.
         """
         problem, method = self.problem(unknowns), self.setup.method
         improve = method.finish if self.whole else method.improve
@@ -119,7 +119,7 @@ def balance(
     equations: Equations = no_equations,
     whole: bool = False,
 ) -> Balance:
-    """Solve once more with all that was found, now with its derivatives.
+    """Solve once more with all values that were found, now with derivatives.
 
     Args:
         setup: the manipulator and its loads.
@@ -154,7 +154,7 @@ def balance(
 
 
 def _from_scratch(system: System) -> Balance:
-    """For a body without loads and sign changes, where nothing was searched for but tensions."""
+    """The same for a body without loads and sign changes, where only tensions were searched for."""
     found, root = system.settled.load_path, system.root()
     problem = system.problem(implicit(system, None, root)[1] if system.unknown else root)
     solution = system.setup.method(problem)
@@ -165,9 +165,9 @@ def _from_scratch(system: System) -> Balance:
 
 
 def inside_of_bend(problem: Problem, solution: Solution[State]) -> Float[Array, " points"]:
-    """Sigma d kappa at base, nodes and tip, the largest of all tendons that reach there.
+    """The largest sigma d kappa of all tendons that are present, at base, nodes and tip.
 
-    In space by how much the fibre at a tendon is shorter than the axis at rest.
+    In space it is by how much the fibre at a tendon is shorter than the axis at rest.
     """
 
     def inside(section: AnySection, state: AnyState) -> Number:

@@ -1,6 +1,6 @@
-"""What has to be found before one pass solves a body: directions, the moment at the base, and sign changes.
+"""The search for directions, the moment at the base, and sign changes. With these, one pass solves a body.
 
-Without derivatives: `balance` gives the result its derivatives, as implicit functions.
+The search has no derivatives: `balance` gives them to the result, by the implicit function theorem.
 """
 
 from collections.abc import Callable
@@ -38,18 +38,18 @@ from .corrector import Flag, LoadedBody, Trial, start_from
 from .load_path import LoadPath, follow_loads
 
 MAX_ROUNDS = 6
-MAX_MOVES = 12  # of panels that follow the sign changes from pass to pass; then MAX_ROUNDS more of settled bodies
+MAX_MOVES = 12  # moves of the panels from pass to pass; then MAX_ROUNDS more, each from a settled body
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
-FAR = 1e-3  # of the length: values at the nodes of panels that move less follow to second order in how far
-NEAR_MINIMUM = 1e-5  # of the length, likewise for a sharp minimum in space
-SETTLED = 1e-7  # of the length: a kink that lies so far off the end of a panel costs 1e-14
+FAR = 1e-3  # of the length: where panels move less, the values at their nodes follow to second order
+NEAR_MINIMUM = 1e-5  # of the length: panels may end so far from a sharp minimum in space
+SETTLED = 1e-7  # of the length: panels may end so far from a kink, at the cost of an error of 1e-14
 
 
 class Setup(eqx.Module):
-    """A manipulator, its loads, and how it is to be solved."""
+    """A manipulator, its loads, and the settings of the solve."""
 
     manipulator: Manipulator
-    direction: PerTendon  # any where it is to be found
+    direction: PerTendon  # any number for a tendon whose direction is to be found
     loads: Loads | None
     method: Method
     nodes: int = eqx.field(static=True)
@@ -72,7 +72,7 @@ class Settled(NamedTuple):
     load_path: LoadPath
     splits: Splits
     trial: Trial | None  # the values at the nodes; None where nothing has to be found
-    travel: PerTendon | None  # by which directions are judged, m; likewise
+    travel: PerTendon | None  # with which directions are compared, m; None likewise
 
 
 def needs_search(setup: Setup) -> bool:
@@ -112,7 +112,7 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
 
 
 def first_guess(values: Nodal) -> Nodal:
-    """Neither friction nor loads, in the shape of some values."""
+    """The values at the nodes without friction and loads, in the shape of `values`."""
     moment = None if values.moment is None else jnp.zeros_like(values.moment)
     frame = None if values.frame is None else jnp.zeros_like(values.frame) + identity_as(values.frame)
     return Nodal(jnp.ones_like(values.ratio), moment, frame)
@@ -123,7 +123,7 @@ def _cut(setup: Setup, splits: Splits) -> Panels:
 
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
-    """Directions that are not stated, base moment, and sign changes until they stay where they are. No derivatives."""
+    """Find the directions that are not stated, the base moment, and the sign changes; without derivatives."""
     start = unsettled(setup, base_tension)
     if start.trial is None:
         return start
@@ -149,9 +149,9 @@ class _Following(NamedTuple):
 
 
 def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
-    """With the directions of the setup: along the path of the loads, then with panels that follow the sign changes.
+    """Find the rest for the directions of the setup: along the path of the loads, then with panels at sign changes.
 
-    On the path the panels end where the body is not smooth, and nowhere else.
+    Along the path the panels end only where the body is not smooth.
     """
     blank = unsettled(setup, base_tension)
     assert blank.trial is not None
@@ -179,11 +179,11 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
 
 
 def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number, state: _Following) -> _Following:
-    """Make one pass unless the body has settled, locate the sign changes, and move the panels there if it is time.
+    """Make one pass unless the body has settled, locate the sign changes, and decide whether to move the panels there.
 
-    At the end of a path of loads they move before the first pass: on panels that do not end there it would be in vain.
-    Panels follow at once where the passes are calm. Where sign changes come and go, the panels follow only from one
-    settled body to the next.
+    At the end of a path of loads they move before the first pass, which on other panels would be wasted.
+    Panels move at once where a pass changes little. Where sign changes appear and disappear, the panels move only after
+    the body has settled.
     """
     ends, num_moves = state.ends, state.num_moves
     problem = setup.lay_out(base_tension, ends)

@@ -1,4 +1,4 @@
-"""The paper's algorithm as it stands, as a method of `solve` and step by step. Liu et al. (2020), section III."""
+"""The algorithm of Liu et al. (2020), section III, as published: as a method of `solve`, and step by step."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -41,9 +41,9 @@ class LiteralIteration(eqx.Module):
     only where T d^2 < E J all along the body.
 
     Args:
-        tip_tolerance: e_tip,th, m. The error estimate holds the last motion over the length, which falls short of
+        tip_tolerance: e_tip,th, m. The error estimate contains the last motion over the length, which is smaller than
             the error where the map contracts slowly.
-        max_updates: it stops here at the latest.
+        max_updates: the largest number of updates.
     """
 
     tip_tolerance: float = eqx.field(default=1e-4, static=True)
@@ -52,7 +52,7 @@ class LiteralIteration(eqx.Module):
 
     def __call__(self, problem: Problem) -> Solution[State]:
         if problem.loads is not None:
-            raise ValueError("LiteralIteration is the paper's and knows no loads; use FixedPoint")
+            raise ValueError("LiteralIteration is the paper's algorithm and has no loads; use FixedPoint")
         _refuse_drag(problem.manipulator)
         cut = problem.panels
 
@@ -90,7 +90,7 @@ class LiteralIteration(eqx.Module):
 
 def _refuse_drag(manipulator: Manipulator) -> None:
     if manipulator.tendon_drag is not None:
-        raise ValueError("LiteralIteration is the paper's and knows no drag; use FixedPoint, or drag=None")
+        raise ValueError("LiteralIteration is the paper's algorithm and has no drag; use FixedPoint, or drag=None")
 
 
 def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
@@ -113,7 +113,7 @@ def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tupl
     """The wrap angle theta at edges and nodes for a given shape, eq. (8). Its kappa' is that of the shape."""
     if problem.joints is not None:
         raise ValueError(
-            "LiteralIteration does not know tendons that turn by a finite angle between two pieces of the body; "
+            "LiteralIteration is not possible for tendons that turn by a finite angle between two pieces of the body; "
             "use FixedPoint"
         )
     t = jax.vmap(jax.vmap(bending.tangent))(planar(problem.nodes), curvature)
@@ -122,7 +122,7 @@ def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tupl
 
 
 def literal_update(problem: Problem, curvature: Float[Array, "P p"]) -> Float[Array, "P p"]:
-    """One update of the paper's algorithm: eq. (14) at the last shape, its double integral done by parts."""
+    """One update of the paper's algorithm: eq. (14) at the last shape, with its double integral integrated by parts."""
     _, wrap = literal_wrap_angle(problem, curvature)
     section = planar(problem.nodes)
     tension = problem.base_tension * jnp.exp(-problem.direction * section.friction_coefficient * wrap)
@@ -132,18 +132,18 @@ def literal_update(problem: Problem, curvature: Float[Array, "P p"]) -> Float[Ar
 
 
 class IterationHistory(eqx.Module):
-    """Iterate 0 is the frictionless start, iterate k the shape after k updates.
+    """The shapes of the iteration: iterate 0 is the frictionless start, iterate k the shape after k updates.
 
-    Every iterate up to the last allowed is there; `num_updates` says where the paper would have stopped.
+    It holds all iterates, also those after `num_updates`, where the paper's algorithm stops.
     """
 
     arc_length: Float[Array, " points"]  # s, m: 0, the nodes, L
     curvature: Float[Array, "iterates nodes"]  # kappa, 1/m, at the nodes
     position: Float[Array, "iterates points 2"]  # u, m
-    tip_tension: Float[Array, "iterates tendons"]  # N, that goes with the shape by eq. (8)
+    tip_tension: Float[Array, "iterates tendons"]  # N, for the shape by eq. (8)
     tip_error: Float[Array, " updates"]  # e_tip, m: how far update k + 1 moved the tip, eq. (18)
     tip_tolerance: float = eqx.field(static=True)  # e_tip,th, m
-    num_updates: Int[Array, ""]  # updates until e_tip < e_tip,th; all of them if that never came
+    num_updates: Int[Array, ""]  # updates until e_tip < e_tip,th; all updates if it stayed larger
     converged: Bool[Array, ""]  # whether e_tip fell below e_tip,th
 
 
@@ -162,7 +162,7 @@ def iteration_history(
         base_tension, nodes: as in `solve`.
         direction: as in `solve`; where it is to be found, it is that of the equilibrium.
         tip_tolerance: e_tip,th, m.
-        max_updates: how many updates are made, whatever the threshold.
+        max_updates: how many updates are made, also after e_tip has fallen below the threshold.
     """
     check_nodes(nodes)
     _refuse_drag(manipulator)

@@ -1,7 +1,7 @@
 """The path of equilibria from the unloaded body to the loaded one.
 
-Where a loaded body has several equilibria, the one that is meant lies on the path along which the tensions act first,
-and then all loads grow together from 0 to 1. `follow_loads` walks along it in steps of the load fraction: an Euler
+Where a loaded body has several equilibria, the solution is the one on the path along which the tensions act first, and
+then all loads grow together from 0 to 1. `follow_loads` follows this path in steps of the load fraction: an Euler
 prediction, then a `Trial` that is corrected.
 """
 
@@ -16,11 +16,11 @@ from ..mechanics.sign_changes import only_if
 from ..numerics.arrays import computed_once, largest_size, largest_sizes
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
 
-LARGEST_TURN = 1.0  # rad, by which one step along the path may turn any cross-section
-FIRST_TURN = 0.5  # rad, by which the first one should, as nobody knows yet by how much it will miss
-LARGEST_MISS = 0.2  # rad, by which any cross-section may miss its predicted heading
+LARGEST_TURN = 1.0  # rad: the largest turn of a cross-section in one step along the path
+FIRST_TURN = 0.5  # rad: what the first step aims at, since no prediction was compared yet
+LARGEST_MISS = 0.2  # rad: the largest difference of a heading from its prediction
 LEAST_STEP = 1e-5  # of the loads
-CRITICAL_STEP = 1e-4  # of the loads: where stability changes in a longer step, it may have reached another branch
+CRITICAL_STEP = 1e-4  # of the loads: a longer step in which stability changes may have reached another branch
 MAX_TRIES = 200
 MAX_SETTLING = 16  # passes of one try, and once more at the full loads; before the sign changes they need not settle
 
@@ -29,7 +29,7 @@ class LoadPath(NamedTuple):
     """The end of the path of equilibria."""
 
     base_moment: Moment  # M_ext(0) over the problem's moment scale
-    fraction: Number  # of the loads, up to which there is an equilibrium; 1 unless the path ended
+    fraction: Number  # of the loads, up to which an equilibrium was found; 1 unless the path ended before
     num_steps: Number  # steps of the loads
     converged: Flag
     stable: Flag  # the smallest eigenvalue of the tangent is positive
@@ -78,11 +78,11 @@ def _bends_both_ways(trial: Trial) -> Flag:
 
 
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
-    """Walk along the path of equilibria until all loads act.
+    """Follow the path of equilibria until all loads act.
 
-    Each step is an Euler step that is corrected. It is taken back and shortened where a few passes do not bring
-    the trial near to an equilibrium, where the body turns or misses its prediction by more than is allowed on one path,
-    or where the stability changes in a step that is not small.
+    Each step is an Euler step that is corrected. It is taken back and shortened in three cases: a few passes do not
+    bring the trial near to an equilibrium; the body turns too far or differs too much from the prediction; or the
+    stability changes in a step that is not small.
 
     Args:
         body: its problem is that under its full loads.
@@ -204,7 +204,7 @@ def _decide(walk: _Walk) -> _Walk:
 
 
 def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_path: Flag, first: Flag) -> Number:
-    """The next step to try, of the loads: by how much the last one missed its prediction, and how fast the body turns.
+    """The next step to try, of the loads, from the miss of the last prediction and the rate at which the body turns.
 
     Args:
         step: the last one.
@@ -223,7 +223,7 @@ def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_p
 
 
 def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
-    """The next trial, by an Euler step along the path; the slopes of the last trial are about right for it."""
+    """The next trial, by an Euler step along the path; it takes over the slopes of the last trial."""
     assert trial.slopes is not None
     slopes = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.slopes.nodal)
     false = trial.lost & False
@@ -238,5 +238,5 @@ def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
 
 
 def _counted_anew(trial: Trial) -> Trial:
-    """The trial with all its passes before it."""
+    """The trial with its count of passes set to zero."""
     return trial._replace(lost=trial.lost & False, num_passes=0.0 * trial.num_passes, change=0.0 * trial.num_passes)

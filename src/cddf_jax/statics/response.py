@@ -1,7 +1,7 @@
-"""How an equilibrium answers to changes: compliance and Jacobian of the tip, and the energy balance of a pull.
+"""How an equilibrium responds to changes: compliance and Jacobian of the tip, and the energy balance of a pull.
 
-The Jacobian is by every number of the body, the tensions and the loads. The energy balance tells where the work goes
-that is done on the tendons while they are pulled.
+The Jacobian is with respect to every number of the body, the tensions and the loads. The energy balance divides the
+work of pulling into elastic energy, friction loss and work on the loads.
 """
 
 from functools import singledispatch
@@ -54,17 +54,17 @@ def tip_compliance(
     method: Method = FixedPoint(),
     nodes: int = 16,
 ) -> Float[Array, "pose wrench"]:
-    """The compliance C of the tip: how its pose (X, Y, phi) follows a force and a moment on it (F_X, F_Y, m).
+    """The compliance C of the tip: the derivative of its pose (X, Y, phi) by a force and a moment on it (F_X, F_Y, m).
 
     In space it is 6 x 6: position and rotation about X, Y, Z by force and moment, (X, Y, Z) each.
 
-    In m/N, and where one of the two is an angle or a moment 1/N, where both are rad/(N m). The tendons are held as
-    they are given: by constant base tensions, or by a constant `Displacement`.
+    Units: m/N; 1/N for an angle by a force and for a position by a moment; rad/(N m) for an angle by a moment. The
+    tendons are held as they are given: by constant base tensions, or by a constant `Displacement`.
 
     It is the compliance of the sliding branch that `direction` states. A real tendon sticks before it slides: under
-    a small disturbance friction holds it, and the tip is stiffer than this. That is `tip_compliance(history, push=...)`
-    after `trace`: the pose (X, Y, phi) over a push (F_X, F_Y), N, by its size; one-sided.
-    At constant tensions C is symmetric without friction, and with friction it is not.
+    a small disturbance friction holds it, and the tip is stiffer than this. For that use
+    `tip_compliance(history, push=...)` after `trace`: the change of the pose (X, Y, phi) per newton of a push.
+    At constant tensions C is symmetric without friction, and not symmetric with friction.
 
     Args:
         manipulator, base_tension, loads, direction, method, nodes: as in `solve`.
@@ -84,12 +84,12 @@ def tip_compliance(
 class TipJacobian(eqx.Module):
     """Derivatives of the tip's pose (X, Y, phi), SI; in space of position and rotation about X, Y, Z.
 
-    Trees like the arguments of `solve`, with a leading axis of 3, in space 6, on every number; NaN where `solve` would
-    raise.
+    They have the structure of the arguments of `solve`, where every number has a leading axis of 3, in space of 6. They
+    are NaN where `solve` would raise an error.
     """
 
     manipulator: Manipulator  # e.g. `.manipulator.youngs_modulus`, (3,): m/Pa, m/Pa, rad/Pa
-    base_tension: PyTree  # (3, tendons) or (3,), as they were given: m/N, m/N, rad/N; of a target by its value
+    base_tension: PyTree  # (3, tendons) or (3,), as they were given: m/N, m/N, rad/N; for a target, by its value
     loads: Loads | None  # e.g. `.loads.gravity`, (3, 2)
 
 
@@ -148,13 +148,13 @@ class EnergyBalance(eqx.Module):
 
     actuation_work: Float[Array, " tendons"]  # of the base tensions over their travel
     elastic_energy: Float[Array, ""]  # gained by the body in bending and by the tendons in stretching
-    friction_loss: Float[Array, " tendons"]  # of friction over the sliding; not negative where `direction` holds
+    friction_loss: Float[Array, " tendons"]  # of friction over the sliding; not negative where `direction` is right
     load_work: Float[Array, ""]  # done against the dead loads: weights lifted
     result: RESULTS  # of the solve at the full tensions
 
     @property
     def residual(self) -> Number:
-        """What is left over, J: zero in the exact kinematics, not in the published one."""
+        """The actuation work less the other terms, J: zero in the exact kinematics, not in the published one."""
         gains = jnp.sum(self.friction_loss, axis=-1) + self.elastic_energy + self.load_work
         return jnp.sum(self.actuation_work, axis=-1) - gains
 
@@ -172,18 +172,18 @@ def energy_balance(
 ) -> EnergyBalance:
     """Work and energy while all base tensions rise together from 0 to their end, under constant dead loads.
 
-    Without loads the pull starts from the straight body, with loads from the one that hangs in them. In the exact
-    kinematics the work of the base tensions is found again as elastic energy, friction loss and work on the loads. The
+    Without loads the pull starts from the straight body, with loads from the body that the loads bend. In the exact
+    kinematics the work of the base tensions is the sum of elastic energy, friction loss and work on the loads. The
     published kinematics are not consistent with virtual work (arm d q, travel the integral of d kappa), so
-    `residual` stays: 5 % of the work at 75 N on the paper's body.
+    `residual` is not zero: 5 % of the work at 75 N on the paper's body.
 
     Args:
         manipulator, base_tension, loads, direction, method, nodes, throw: as in `solve`.
-        num_steps: Gauss points along the pull. Where the curvature changes sign on the way, or drag leaves a tendon
-            slack at first, the balance closes more slowly with them.
+        num_steps: Gauss points along the pull. Where the curvature changes sign during the pull, or drag leaves a
+            tendon slack at first, the residual falls more slowly with their number.
     """
     if manipulator.in_space or (loads is not None and loads.in_space):
-        raise InputError("energy_balance: the body is in space, and only bodies in the plane are known here")
+        raise InputError("energy_balance: the body is in space; this works for bodies in the plane only")
     end = solve(manipulator, base_tension, loads, direction=direction, method=method, nodes=nodes, throw=throw)
     manipulator, tension, direction, loads = one_precision(manipulator, end.base_tension, end._dense.direction, loads)
     return _energy_balance(Setup(manipulator, direction, loads, method, nodes), tension, end.result, num_steps)
@@ -208,14 +208,14 @@ def _energy_balance(setup: Setup, base_tension: PerTendon, result: RESULTS, num_
 
 
 class _Stage(NamedTuple):
-    """One equilibrium on the way."""
+    """One equilibrium during the pull."""
 
     displacement: PerTendon
     elastic_energy: Number
     load_energy: Number  # potential of the dead loads
     arc_length: Float[Array, "P p"]  # of the nodes, which move with the sign changes
-    slide: Float[Array, "P p tendons"]  # inwards through each cross-section since the straight body, m
-    reel: Float[Array, "P p tendons"]  # -slide', by which slide grows towards the base
+    slide: Float[Array, "P p tendons"]  # of the tendon towards the base, at each cross-section, m
+    reel: Float[Array, "P p tendons"]  # -slide', the rate at which slide grows towards the base
     slide_at_starts: Float[Array, "P tendons"]
     friction: Float[Array, "P p tendons"]  # -T', N/m
     drop: Float[Array, "P tendons"]  # of the tension where a tendon turns by a finite angle, N
@@ -269,6 +269,6 @@ def _load_energy(problem: Problem, solution: Solution[State]) -> Number:
 def _dissipation(stage: _Stage, rate: _Stage) -> PerTendon:
     """Friction force times sliding, per unit of the pull, J."""
     weights = jnp.asarray(gauss_rule(stage.friction.shape[1]).weights, stage.friction.dtype)
-    sliding = rate.slide + stage.reel * rate.arc_length[..., None]  # at a place that stays
+    sliding = rate.slide + stage.reel * rate.arc_length[..., None]  # at a fixed arc length
     along = jax.vmap(lambda w, f: w * (weights @ f))(stage.width, stage.friction * sliding)
     return jnp.sum(along + stage.drop * rate.slide_at_starts, axis=0)

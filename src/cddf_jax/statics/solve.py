@@ -72,26 +72,25 @@ def solve(
 
     Args:
         manipulator: the body and its tendons.
-        base_tension: T_base >= 0, N, a number for all tendons or one per tendon. In place of a number may stand
-            what is to be reached, and its tension is found: `Displacement`, `TipAngle`, `TipTension`,
-            `CurvatureAt`, `TotalTension`, `TipStiffness`; as many targets as unknown tensions. A `TipPosition` stands
-            for all base tensions.
+        base_tension: T_base >= 0, N, a number for all tendons or one per tendon. A target may take the place of a
+            number; the tension is then found: `Displacement`, `TipAngle`, `TipTension`, `CurvatureAt`, `TotalTension`,
+            `TipStiffness`; as many targets as unknown tensions. A `TipPosition` takes the place of all base tensions.
         loads: dead loads on the tip and gravity; None for none.
         direction: +1 for a tendon that slides in at the base (pulled, as in the paper), -1 for one that
-            slides out; a number, or one per tendon. None, for all or in the place of one tendon, for the direction
-            of its travel: the length pulled in since the straight body, under loads the rate of that while all
-            tensions rise in proportion. A single tendon has +1. Derivatives hold the directions that were found.
+            slides out; a number, or one per tendon. None, for all tendons or for one, means the direction of its
+            travel: of the length pulled in since the straight body, under loads of its rate while all tensions rise
+            in proportion. A single tendon then has +1. Derivatives keep the directions that were found.
         method: `FixedPoint()` or, without loads, `LiteralIteration()`.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. The default is accurate to
             1e-8 of the tip tension and 1e-7 of the length.
-        space: solve a body of the plane in space as well. So it is anyway where a tendon has an angle, where loads have
-            three components, and where the body is extensible or has a curvature at rest.
+        space: solve a body of the plane in space. Bodies are always solved in space where a tendon has an angle, where
+            loads have three components, and where the body is extensible or has a curvature at rest.
         throw: raise where the values are known and the solve failed. Where they are traced, under jit or
             vmap, nothing is raised; look at `result`.
 
-    Where loads leave several equilibria, it is the one on the path along which the tensions act first and then
-    all loads grow together from 0 to 1. `num_load_steps` counts the steps, `stable` judges the end, and where the
-    path ends early (`load_limit`) `load_fraction` says where.
+    Where there are several equilibria under the loads, the result is the one on the path along which the tensions act
+    first and then all loads grow together from 0 to 1. `num_load_steps` counts the steps, `stable` is that of the end,
+    and where the path ends early (`load_limit`) `load_fraction` says where.
 
     A lane that fails has NaN for its numbers and 0 for its derivatives: the derivative of a sum over a batch stays
     finite.
@@ -101,10 +100,10 @@ def solve(
     Derivatives are one-sided where the curvature is zero along a stretch of the body (no tension and no load, or
     antagonists that cancel): friction acts on |kappa|, whose slope there is taken as that of kappa > 0. Isolated
     changes of sign are located and are harmless to derivatives of any order.
-    A tendon that slides in and whose tension drag has used up is slack from there on: it has no tension and no
-    friction, and follows the body. Its tip tension is 0, and so are the derivatives of that.
-    Of the body only what makes the numbers meaningless is checked here (finite, a stiffness, friction, drag and
-    offsets not negative); walls, anchors, knots and jumps are checked by `manipulator.validate()`.
+    Where drag has used up the tension of a tendon that slides in, the tendon is slack: it has no tension and no
+    friction, and follows the body. Its tip tension is 0, and so are the derivatives of the tip tension.
+    Of the body only numbers that would make the results meaningless are checked here (finite; stiffness above 0;
+    friction, drag and offsets not negative); walls, anchors, knots and jumps are checked by `manipulator.validate()`.
 
     Raises:
         SolveError: with `throw`, when the result is neither successful nor `direction_contradicted`.
@@ -227,7 +226,7 @@ def _solve(
 
 
 def _fraction_left(problem: Problem, solution: Solution[State]) -> PerTendon | float:
-    """What drag leaves of the base tension, over it; 1 where there is no base tension."""
+    """The part of the base tension that drag leaves, as a fraction; 1 where there is no base tension."""
     if problem.base.drag is None:
         return 1.0
     pulled = problem.base_tension > 0
@@ -242,7 +241,7 @@ def _equilibrium(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Bala
     return equilibrate(setup, given), Found(miss=jnp.zeros_like(given), reached=true, slack=~true, determined=true)
 
 
-# --- what is reported along the body -------------------------------------------------------------
+# --- fields along the body -----------------------------------------------------------------------
 
 
 def _along(setup: Setup, balance: Balance, dense: Dense) -> AnyFields:

@@ -1,4 +1,4 @@
-"""Targets: what may stand in place of a base tension, whose value is then found so that the target is reached."""
+"""Targets: they take the place of a base tension, which is then found so that the target is reached."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -26,7 +26,7 @@ from ..robot.profiles import Scalar, as_number
 from .equilibrium_derivatives import missing_moment
 from .equilibrium_search import Setup
 
-FARTHEST = 100.0  # of the tension at which d kappa would come near 1: no target is looked for beyond
+FARTHEST = 100.0  # times the tension at which d kappa would come near 1: the search ends there
 
 
 @runtime_checkable
@@ -46,15 +46,15 @@ class Target(Protocol):
 
 
 class TipPosition(eqx.Module):
-    """The place of the tip, which stands for all base tensions: those of the least sum that bring the tip there.
+    """The position of the tip, in place of all base tensions. The tensions that reach it with the least sum are found.
 
-    Where no tensions do, the answer is the nearest place that was found. The search is local, from several starts: of a
-    body that bends far it may miss tensions that come nearer.
+    If no tensions reach it, the answer is the nearest position that was found. The search is local, from several
+    starts: for a body that bends far it may miss tensions that come nearer.
 
     Args:
         value: (x, y) of the tip, m, or (x, y, z) in space.
-        minimum_tension: N, 0 or more, for all tendons or one each: no tendon gets less.
-        maximum_tension: N, likewise; None for no limit.
+        minimum_tension: the least tension, N, 0 or more, for all tendons or one each.
+        maximum_tension: the largest tension, N, likewise; None for no limit.
     """
 
     quantity: ClassVar[str] = "tip_position"
@@ -63,7 +63,7 @@ class TipPosition(eqx.Module):
     maximum_tension: Any = eqx.field(default=None, converter=lambda x: None if x is None else as_number(x))
 
     def misses(self, setup: Setup, _: Problem, solution: Solution[AnyState]) -> Float[Array, " components"]:
-        """The tip's place less the wanted one, over the length."""
+        """The tip's position less the wanted one, over the length."""
         assert isinstance(solution.tip, State)
         return (solution.tip.position - self.value) / jnp.asarray(setup.manipulator.length)
 
@@ -75,7 +75,7 @@ class TipPosition(eqx.Module):
         return least, jnp.zeros_like(like) + jnp.asarray(self.maximum_tension, like.dtype) / scale
 
     def on_the_side(self, setup: Setup) -> PerTendon:
-        """How much each tendon bends the body towards the place, as its arm at the base tells; from 0.1 to 1.1."""
+        """How much each tendon bends the body towards the position, estimated from its arm at the base; 0.1 to 1.1."""
         aside = jnp.asarray(self.value)[1:]
         arms = setup.manipulator.arms(jnp.zeros_like(aside[0]))[:, 1 : 1 + aside.size]
         size = jnp.linalg.norm(arms, axis=1) * jnp.linalg.norm(aside)
@@ -86,7 +86,7 @@ Actuation = ArrayLike | Target | TipPosition | Sequence[ArrayLike | Target]  # f
 
 
 class Displacement(eqx.Module):
-    """Length of this tendon pulled in at its actuator since the straight body, m, as a micrometer sets it."""
+    """The length of this tendon pulled in at its actuator since the straight body, m, as set by a micrometer."""
 
     quantity: ClassVar[str] = "displacement"
     value: Scalar = eqx.field(converter=as_number)

@@ -1,4 +1,4 @@
-"""The base tensions with which targets are reached, or the nearest to them that tendons can give."""
+"""The search for base tensions that reach targets, or come nearest to them."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,13 +17,13 @@ from .equilibrium_search import Settled, Setup, settle, unsettled
 from .targets import FARTHEST, Displacement, Target, TipAngle, TipPosition, bending_tension
 
 START = 0.05  # of the tension at which d kappa would come near 1
-OTHER_STARTS = (0.0, 0.5, 5.0)  # where there is no equilibrium at the start
+OTHER_STARTS = (0.0, 0.5, 5.0)  # if there is no equilibrium at the first start
 MAX_EVALUATIONS = 200
 REACHED = 1e-9  # of the size of a target
 LEAST_MOVE = 1e-11, 1e-7  # relative change of the tensions below which the search ends: undamped, damped
 WELL_DETERMINED = 1e-8  # smallest pivot over the largest
-MAX_ROUNDS = 60  # in which the sum of the tensions is lowered
-LEAST_GAIN = 1e-10  # relative change of the sum at which that ends
+MAX_ROUNDS = 60  # of searches that lower the sum of the tensions
+LEAST_GAIN = 1e-10  # relative decrease of the sum; the rounds end at a smaller one
 SAME_EFFECT = 1e-6  # of the largest slope: a change of the tensions that moves the tip by less has no effect
 ALIKE = 1e-6  # relative: two misses that count as the same
 LEFT = 0.1  # of a tension after one step, where slopes vanish without tension: the tip angle in space
@@ -39,18 +39,19 @@ class Found(NamedTuple):
     miss: Float[Array, " targets"]  # reached less wanted, in the unit of the target; 0 where a tension was given
     reached: Bool[Array, ""]
     slack: Bool[Array, ""]  # a tendon would have to push to give its displacement
-    determined: Bool[Array, ""]  # no other tensions nearby do the same
-    rank: Int[Array, ""] | None = None  # of the derivative of the tip's place by all tensions
+    determined: Bool[Array, ""]  # whether no other tensions nearby do the same
+    rank: Int[Array, ""] | None = None  # of the derivative of the tip's position by all tensions
 
 
 class _Aim(NamedTuple):
-    """What a search is for."""
+    """The targets of a search, and its limits."""
 
     evaluate: Callable[[Tensions], "_TensionTrial"]
     least: Tensions
     most: Tensions
-    pulled: Flags | None  # displacements, whose tendons may be let go; None where targets do not belong to tendons
-    left: float = 0.0  # of a tension after one step, at least
+    # which targets are displacements, whose tendons may become slack; None where targets do not belong to tendons
+    pulled: Flags | None
+    left: float = 0.0  # the least part of a tension that is left after one step
 
 
 class _TensionTrial(NamedTuple):
@@ -67,7 +68,7 @@ class _TensionSearch(NamedTuple):
     damping: Number
     num_evaluations: Number
     improved: Bool[Array, ""]
-    slack: Flags  # tendons that were let go, since they would have to push
+    slack: Flags  # tendons that were set slack, since they would have to push
     ended: Bool[Array, ""]
 
 
@@ -80,7 +81,7 @@ def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Fo
     Args:
         setup: the manipulator and its loads.
         given: T_base, N; where there is a target the entry is not used.
-        targets: what is to be reached.
+        targets: one per tendon, None where the tension is given; or a single `TipPosition`.
     """
     if isinstance(targets[0], TipPosition):
         return _reach_place(setup, given, targets[0])
@@ -129,7 +130,7 @@ def _equations(
     problem: Problem,
     solution: Solution[AnyState],
 ) -> Float[Array, " unknowns"]:
-    """The residuals: the misses of the targets; for a tension that could not follow its target, how far it moved."""
+    """The residuals: the misses of the targets; where a target is not reached, the change of the tension instead."""
     tension = problem.base_tension[jnp.asarray(list(wanted))] / scale
     return jnp.where(free, _misses(setup, wanted, problem, solution), tension - found)
 
@@ -156,7 +157,7 @@ def _num_moments(setup: Setup) -> int:
 def _evaluation(
     setup: Setup, given: PerTendon, unknown: tuple[int, ...], misses: Equations, scale: Number, whole: bool
 ) -> Callable[[Tensions], _TensionTrial]:
-    """Solves for tensions, and tells what they miss, with the slopes of that."""
+    """A function that solves for given tensions, and returns the misses of the targets with their slopes."""
     count, loaded = len(unknown), _num_moments(setup)
 
     def evaluate(tension: Tensions) -> _TensionTrial:
@@ -186,7 +187,7 @@ def _evaluation(
 
 
 def _nothing(setup: Setup, given: PerTendon, start: Tensions, targets: int) -> _TensionTrial:
-    """What a search begins with: no equilibrium, at any cost."""
+    """The first "best" trial of a search: no equilibrium, with infinite cost."""
     blank = unsettled(setup, given)
     zero = blank.load_path.num_steps + zero_as(start)
     # all of it varies over the devices of shard_map; an empty array would not, were it chosen by `where`
@@ -197,16 +198,16 @@ def _nothing(setup: Setup, given: PerTendon, start: Tensions, targets: int) -> _
 
 
 def _search(aim: _Aim, nothing: _TensionTrial, start: Tensions, held: Flags) -> tuple[_TensionTrial, Flags]:
-    """Levenberg-Marquardt between the limits; every trial is an equilibrium of its own.
+    """The Levenberg-Marquardt method between the limits; every trial is an equilibrium of its own.
 
     Args:
-        aim: what to look for.
-        nothing: no trial yet.
-        start: where to begin.
-        held: tensions that stay as they are at the start.
+        aim: the targets and limits.
+        nothing: from `_nothing`.
+        start: the first tensions.
+        held: tensions that keep their value at the start.
 
     Returns:
-        The best trial, and the tendons that were let go.
+        The best trial, and the tendons that were set slack.
     """
     zero = zero_as(nothing)
     state = _TensionSearch(
@@ -225,15 +226,15 @@ def _search(aim: _Aim, nothing: _TensionTrial, start: Tensions, held: Flags) -> 
 
 
 def _counted(aim: _Aim, residual: Array, slack: Flags) -> Array:
-    """The residual without the targets of tendons that were let go."""
+    """The residual without the targets of tendons that were set slack."""
     return residual if aim.pulled is None else jnp.where(slack, 0.0, residual)
 
 
 def _judge(aim: _Aim, held: Flags, trial: _TensionTrial, state: _TensionSearch) -> _TensionSearch:
-    """Keep the better one, and choose where to look next.
+    """Keep the better trial, and choose the next tensions.
 
-    Where the search would end with a tendon that has to push to give its displacement, that tendon is let go,
-    and the search goes on for the others.
+    Where the search would end with a tendon that has to push to give its displacement, that tendon is set slack, and
+    the search goes on for the others.
     """
 
     def cost(trial: _TensionTrial) -> Number:
@@ -277,11 +278,11 @@ def _step(aim: _Aim, held: Flags, best: _TensionTrial, damping: Number, slack: F
     return jnp.clip(tension + step * free, least, aim.most)
 
 
-# --- a place of the tip ---------------------------------------------------------------------------
+# --- a position of the tip ------------------------------------------------------------------------
 
 
 def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[Balance, Found]:
-    """The equilibrium whose tip is at a place, or the nearest to it, with the least sum of tensions."""
+    """The equilibrium whose tip is at a position, or nearest to it, with the least sum of tensions."""
     frozen_setup, frozen_given, frozen = without_derivative((setup, given, target))
     scale = bending_tension(frozen_setup)
     unknown, whole = tuple(range(given.size)), True
@@ -314,9 +315,9 @@ def _place_equations(
     problem: Problem,
     solution: Solution[AnyState],
 ) -> Tensions:
-    """One for each tension: those at a limit stay there, the others follow the place by the least change.
+    """One equation for each tension: tensions at a limit stay there, the others follow the position by least change.
 
-    Their derivative by the tensions is the identity.
+    The derivative of the equations by the tensions is the identity.
     """
     least, most = target.limits(scale, problem.base_tension)
     limit = jnp.where(found <= least, least, jnp.where(found >= most, most, found))
@@ -325,13 +326,13 @@ def _place_equations(
 
 
 class _Rounds(NamedTuple):
-    """Searches one after the other, each from where the last best one leads."""
+    """Searches one after the other; each starts from the best trial so far, changed so that the sum falls."""
 
     kept: _TensionTrial
     start: Tensions
     held: Flags
     length: Number  # of the last change of the tensions along which the tip stays
-    longest: Number  # that may be tried
+    longest: Number  # the largest length that may be tried
     num_rounds: Number
     over: Bool[Array, ""]
 
@@ -339,8 +340,9 @@ class _Rounds(NamedTuple):
 def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition) -> _TensionTrial:
     """The tensions with the least miss, and of these with the least sum.
 
-    The first search starts with the tendons on the side of the place, the second with all alike. Each further one
-    starts farther along a change of the tensions that keeps the tip and lowers their sum, and brings the tip back.
+    The first search starts with tension in the tendons on the side of the position, the second with equal tensions.
+    Each further search starts after a change of the tensions that keeps the tip to first order and lowers their sum,
+    and brings the tip back.
     """
     alike = jnp.clip(START + zero_as(target, given) + jnp.zeros_like(given), aim.least, aim.most)
     nothing = _nothing(setup, given, alike, jnp.size(target.value))
@@ -368,7 +370,7 @@ def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition)
 
 
 def _better(found: _TensionTrial, kept: _TensionTrial) -> tuple[_TensionTrial, Bool[Array, ""]]:
-    """The one that misses less; where both miss as much, that of the lower sum. And whether it is the first."""
+    """The trial that misses less; where both miss equally, that of the lower sum. And whether it is the first one."""
     enough = _tolerance(found.cost) ** 2
     nearer = (found.cost < (1 - ALIKE) * kept.cost) & (kept.cost > enough)
     as_near = found.cost <= jnp.maximum((1 + ALIKE) * kept.cost, enough)
@@ -379,8 +381,8 @@ def _better(found: _TensionTrial, kept: _TensionTrial) -> tuple[_TensionTrial, B
 def _downwards(aim: _Aim, trial: _TensionTrial) -> tuple[Tensions, Number]:
     """The change of the tensions along which the tip stays and their sum falls, and by how much it falls.
 
-    Tensions at a limit stay there, until nothing else lowers the sum; then one is let go (gradient projection, Rosen,
-    J. Soc. Indust. Appl. Math. 8, 1960).
+    Tensions at a limit stay there until nothing else lowers the sum; then one of them is released (gradient projection,
+    Rosen, J. Soc. Indust. Appl. Math. 8, 1960).
     """
     low, high = trial.tension <= aim.least, trial.tension >= aim.most
     change, price = _without_effect(trial.jacobian, ~(low | high))
@@ -391,9 +393,9 @@ def _downwards(aim: _Aim, trial: _TensionTrial) -> tuple[Tensions, Number]:
 
 
 def _without_effect(jacobian: Float[Array, "components unknowns"], free: Flags) -> tuple[Tensions, Tensions]:
-    """The steepest fall of the sum of the free tensions at which the tip stays.
+    """The change of the free tensions that lowers their sum fastest while the tip stays; and the price of each tension.
 
-    And the price of each tension: by how much the sum changes with it, while the free ones keep the tip.
+    The price is the change of the sum with this tension, while the free tensions keep the tip.
     """
     used = jacobian * free
     normal = used @ used.T
@@ -408,7 +410,7 @@ def _same_effect(number: Array) -> float:
 
 
 def _pushed(aim: _Aim, tension: Tensions, change: Tensions, longest: Number) -> tuple[Tensions, Number]:
-    """The tensions after a change that ends at the first limit, or earlier; and its length."""
+    """The tensions after a change up to the first limit, or up to `longest`; and its length."""
     limit = jnp.where(change < 0, aim.least, aim.most)
     moves = change != 0
     room = jnp.where(moves, (limit - tension) / jnp.where(moves, change, 1.0), jnp.inf)
