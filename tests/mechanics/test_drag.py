@@ -374,9 +374,9 @@ def test_the_energy_of_both_frictions_balances(direction, closes):
 def test_methods_without_drag_refuse_it():
     with pytest.raises(ValueError, match="closed_form_tension holds without drag only; use solve, or drag=None"):
         cddf.closed_form_tension(EXACT, 75.0, 0.1)
-    with pytest.raises(ValueError, match="knows no drag; use FixedPoint, or drag=None"):
+    with pytest.raises(ValueError, match="has no drag; use FixedPoint, or drag=None"):
         cddf.iteration_history(EXACT, 75.0)
-    with pytest.raises(ValueError, match="knows no drag; use FixedPoint, or drag=None"):
+    with pytest.raises(ValueError, match="has no drag; use FixedPoint, or drag=None"):
         cddf.solve(PUBLISHED, 75.0, method=cddf.LiteralIteration())
 
 

@@ -132,7 +132,7 @@ def test_the_energy_balance_lifts_the_masses():
     assert balance.load_work > 0.2 * balance.actuation_work[0]
 
 
-# --- the same body, told in another way -------------------------------------------------------------
+# --- the same body, described in another way --------------------------------------------------------
 
 
 def tip_tension(body: cddf.Manipulator) -> np.ndarray:
@@ -282,7 +282,7 @@ def test_the_explorer_offers_no_taper_that_bends_nothing():
     assert given.case(given.start).manipulator.outer_radius is given.manipulator.outer_radius
 
 
-def test_the_strain_of_no_wall_is_refused():
+def test_the_strain_without_a_wall_is_refused():
     message = "peak_strain: the body has no outer_radius; give it both radii"
     assert message in refused(lambda: cddf.sweep(robot(), {"base_tension": [1.0]}, outputs=["peak_strain"]))
 

@@ -28,7 +28,7 @@ def bent(angle, body=ROD):
 
 
 @pytest.mark.parametrize("angle", [60.0, 350.0, 359.9])
-def test_a_tube_that_has_not_come_round_is_clear_of_itself(angle):
+def test_a_tube_bent_less_than_a_circle_does_not_touch_itself(angle):
     assert cddf.self_contact(bent(angle)) is None
 
 
@@ -45,7 +45,7 @@ def test_a_tube_touches_itself_from_a_full_circle_on(angle):
 @pytest.mark.slow
 @pytest.mark.parametrize(("angle", "touches"), [(350.0, False), (365.0, True)])
 def test_the_same_tube_in_space(angle, touches):
-    """Bent to a circle in a plane that lies askew, 0.7 rad about the axis: it meets itself as in the plane."""
+    """Bent to a circle in an inclined plane, 0.7 rad about the axis: it touches itself as in the plane."""
     body = replace(ROD, tendons=(cddf.Tendon(OFFSET, angle=0.7),))
     assert (cddf.self_contact(bent(angle, body)) is not None) == touches
 

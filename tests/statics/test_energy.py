@@ -52,7 +52,7 @@ def pair(heights, other, end):
 
 
 def parallel_tendons(axial_stiffness=1e30, free_length=0.0, friction_coefficient=MU):
-    """Two that may stretch, by nothing that counts unless it is said; one compiled program for all of them."""
+    """Two tendons that stretch, by a negligible amount unless stated; one compiled program for all of them."""
     tendons = (cddf.Tendon(d, side, axial_stiffness=axial_stiffness, free_length=free_length) for side in (+1, -1))
     body = paper_body("exact", density=1100.0, friction_coefficient=friction_coefficient)
     return replace(body, tendons=tuple(tendons))
@@ -72,7 +72,7 @@ EXACT = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXACT)
 def test_the_balance_closes_in_the_exact_kinematics(name):
-    """Virtual work, design.md section 2: what the tendons do is stored, rubbed off, or lifts the loads."""
+    """Virtual work, design.md section 2: the work of the tendons is stored, lost to friction, or lifts the loads."""
     body, tension, loads, direction = EXACT[name]
     balance = cddf.energy_balance(body, tension, loads, direction=direction)
     assert left_over(balance) < CLOSES
@@ -99,7 +99,7 @@ def test_without_friction_nothing_is_lost():
     assert left_over(balance) < CLOSES
 
 
-def test_the_published_kinematics_leave_something_over():
+def test_the_published_kinematics_have_a_residual():
     """Arm d (1 - d kappa), travel int d kappa: not consistent with virtual work (design.md section 2)."""
     balance = cddf.energy_balance(paper_body("published"), 75.0)
     assert 0.03 < left_over(balance) < 0.07

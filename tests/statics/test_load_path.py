@@ -150,7 +150,7 @@ HARD = {
 
 @pytest.mark.parametrize("case", HARD)
 def test_the_end_of_the_path(case):
-    """The equilibrium that small steps of a caller reach, told from others by its tip angle; then the reference."""
+    """The equilibrium that a caller reaches in small steps, identified by its tip angle; then the reference."""
     tension, times, degrees, steps, angle = HARD[case]
     loads, plain = pressed(times, degrees), paper_plain("exact")
     solution = solved(loads, tension)

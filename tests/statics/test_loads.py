@@ -1,4 +1,4 @@
-"""Dead loads on the tip and gravity, against SciPy (loaded_bodies.py), textbooks, and themselves."""
+"""Dead loads on the tip and gravity, against SciPy (loaded_bodies.py), textbooks, and by symmetry and scaling."""
 
 import re
 from functools import lru_cache
@@ -264,7 +264,7 @@ def test_loads_of_zero_are_no_loads():
 
 
 def test_the_mirror_image():
-    """Tendons change places, and Y turns over."""
+    """The tendons change sides, and Y changes its sign."""
     one, other = solved_pair(), solved_pair(mirrored, (15.0, 60.0), (-1, +1))
     np.testing.assert_allclose(other.position, one.position * np.array([1, -1]), atol=SETTLED)
     np.testing.assert_allclose(other.curvature, -one.curvature, rtol=SETTLED, atol=SETTLED)
@@ -338,14 +338,14 @@ def test_marching_agrees():
     assert largest_difference(solution, opposed_reference(), paper_plain("exact")) < 1e-6
 
 
-def test_the_papers_iteration_knows_no_loads():
-    with pytest.raises(ValueError, match="knows no loads; use FixedPoint"):
+def test_the_papers_iteration_refuses_loads():
+    with pytest.raises(ValueError, match="has no loads; use FixedPoint"):
         cddf.solve(opposed(), 60.0, cddf.Loads(*OPPOSING), method=cddf.LiteralIteration())
 
 
 @pytest.mark.slow
 def test_single_precision():
-    """Within 1e-4: what float32 leaves of a boundary-value problem."""
+    """Within 1e-4, the accuracy of float32 in a boundary-value problem."""
     body, loads = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (opposed(), cddf.Loads(*OPPOSING)))
     solution = cddf.solve(body, jnp.float32(60.0), loads)
     assert solution.result == R.successful
@@ -354,7 +354,7 @@ def test_single_precision():
 
 
 def test_components_may_be_traced_one_by_one():
-    """Under jit, with a traced number beside plain ones."""
+    """Under jit, with a traced number among plain ones."""
     loads = jax.jit(lambda force: cddf.Loads((0.5, force), -0.05, (1.0, -9.81)))(np.float64(-4.0))
     solution = cddf.solve(opposed(), 60.0, loads)
     np.testing.assert_allclose(solution.tip_position, opposed_reference().tip_position, atol=AGREES)

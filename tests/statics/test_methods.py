@@ -1,4 +1,4 @@
-"""The methods are checks on one another."""
+"""The methods compared with each other."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -128,7 +128,7 @@ SWEPT = {
 
 
 @pytest.mark.parametrize("case", SWEPT)
-def test_one_pass_is_enough_where_it_does_not_depend_on_the_guess(case):
+def test_one_pass_is_enough_where_its_result_does_not_depend_on_the_guess(case):
     body, loads, expected = SWEPT[case]
     tension = jnp.linspace(75.0, 40.0, body.num_tendons)
     shape = (1, 16, body.num_tendons)

@@ -1,4 +1,4 @@
-"""The size of the programs that JAX compiles: operations do not depend on the machine, and people wait for them."""
+"""The size of the programs that JAX compiles, in operations: it does not depend on the machine, and costs waiting."""
 
 import importlib
 

@@ -1,4 +1,4 @@
-"""What comes back: codes, messages, fields anywhere along the body, displacements, and what is refused."""
+"""The results of a solve: codes, messages, fields anywhere along the body, displacements; and input that is refused."""
 
 from functools import partial
 
@@ -256,7 +256,7 @@ def of_notched_body(place, width):
 
 @pytest.mark.parametrize("width", [1e-3, 1.5e-3, 3e-3])
 def test_a_notch_between_the_nodes_is_seen(width):
-    """Wherever it lies: no body whose tension misses the closed form by 1e-5 may pass for successful.
+    """At any arc length: no body whose tension differs from the closed form by 1e-5 may be called successful.
 
     The oracle is the closed form over 60 panels of Gauss nodes, 960 in all.
     """

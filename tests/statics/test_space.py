@@ -115,7 +115,7 @@ def about_the_axis(vector, angle):
 
 
 @pytest.mark.slow
-def test_all_of_it_may_be_turned_about_the_axis():
+def test_a_body_and_its_loads_may_be_turned_about_the_axis():
     tendons = (0.3, cddf.Linear(1.2, 2.9, LENGTH))
     force, by = np.array([0.1, -0.2, 0.3]), 0.9
     one = cddf.solve(in_space(*map(at_angle, tendons)), (30.0, 10.0), cddf.Loads(tip_force=tuple(force)))
@@ -273,7 +273,7 @@ def test_an_axis_that_stretches_is_shortened_by_its_tendons():
     np.testing.assert_allclose(found.tip_position, (LENGTH - shorter, 0.0, 0.0), atol=1e-10)
 
 
-def test_what_space_does_not_know_is_refused():
+def test_what_is_not_possible_in_space_is_refused():
     with pytest.raises(ValueError, match="published kinematics are those of the plane"):
         in_space(at_angle(0.0), kinematics="published")
     with pytest.raises(ValueError, match="needs torsional_stiffness"):

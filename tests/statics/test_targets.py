@@ -1,4 +1,4 @@
-"""What may stand in place of a tension: displacements and targets, against closed forms and SciPy.
+"""Targets in place of tensions: displacements and others, against closed forms and SciPy.
 
 The closed form of design.md section 3, with G(s) = int_0^s d/J ds and constant d in the exact kinematics, inverted:
 T(s) = T_base / (1 + a T_base), a = mu G / E; phi(L) = ln(1 + a T_base) / mu; pulled length = d phi(L).
@@ -96,7 +96,7 @@ def lanes_of(name):
 
 
 class ByAngle(NamedTuple):
-    """All that is asked of lanes that shall reach an angle; `slope`: of the sum of their tensions, reverse mode."""
+    """The results of lanes that reach an angle; `slope` is that of the sum of their tensions, in reverse mode."""
 
     found: Any
     forward: Any  # derivatives of the tensions by the angles

@@ -1,4 +1,4 @@
-"""A place of the tip in the place of base tensions: reached, nearest, least sum, limits, derivatives.
+"""A position of the tip instead of base tensions: reached, nearest, least sum, limits, derivatives.
 
 Parallel tendons of one friction that all slide in keep the ratio of their tensions, so that they pull as one with
 the moment M = |sum of T d e^(i angle)|. On an even body, eq. (13) with a = mu M / (E J): the heading after s is

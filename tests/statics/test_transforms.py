@@ -127,7 +127,7 @@ def batch_with(failure):
 
 
 def without_failure():
-    """Two lanes twice over would be another shape: the failing lane becomes a copy of the first, then taken off."""
+    """Without it the shape would differ: the failing lane becomes a copy of the first one, whose part is subtracted."""
     bodies = stack([NEIGHBOURS[0][0], NEIGHBOURS[0][0], NEIGHBOURS[1][0]])
     tensions = jnp.array([NEIGHBOURS[0][1], NEIGHBOURS[0][1], NEIGHBOURS[1][1]])
     first = stack([NEIGHBOURS[0][0]] * 3), jnp.full(3, NEIGHBOURS[0][1])
