@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from cddf_jax.mechanics import bending
-from cddf_jax.mechanics.fixed_point import ACCURACY
 from cddf_jax.mechanics.friction import Pull, ratio_rate, spent_rate
 from cddf_jax.mechanics.problem import (
     Nodal,
@@ -29,6 +28,7 @@ from cddf_jax.mechanics.problem import (
     tension_of,
     turn_at_joint,
 )
+from cddf_jax.mechanics.truncation_error import ACCURACY
 from cddf_jax.numerics.arrays import zero_as
 
 

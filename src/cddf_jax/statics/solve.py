@@ -12,10 +12,11 @@ from jaxtyping import Array, Float
 from ..errors import SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
 from ..mechanics.fields import AnyFields, fields_at, planar_fields, tendons_first
-from ..mechanics.fixed_point import ACCURACY, FixedPoint, truncation_error
+from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import unspent
 from ..mechanics.problem import Method, Problem, Solution, State, guarded_section, line_up
 from ..mechanics.tendon_displacement import tendon_displacement
+from ..mechanics.truncation_error import ACCURACY, truncation_error
 from ..numerics.arrays import largest, zero_as
 from ..numerics.quadrature import panels
 from ..numerics.rotations import as_matrix, tilt
