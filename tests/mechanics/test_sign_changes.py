@@ -1,5 +1,6 @@
 """Where curvature or a tendon's turning changes sign: located, and nothing lost there (see loaded_bodies.py)."""
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -125,6 +126,19 @@ def test_antagonists_of_changing_advantage(kinematics, case, direction):
     for name in ("curvature", "heading", "position", "tension", "wrap_angle", "friction_force"):
         ours, theirs = getattr(solution, name), getattr(along, name)
         np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.max(np.abs(theirs)), err_msg=name)
+
+
+@pytest.mark.parametrize(("pulls", "direction"), [((60.0, 62.0), (+1, -1)), ((62.0, 66.0), (-1, +1))], ids=str)
+def test_parallel_antagonists_near_balance_have_no_sign_change(pulls, direction):
+    """Strong friction brings their moments together but not past each other; SciPy's reference knows no panels."""
+    offsets, friction = (Offset(0.010, 0.010), Offset(0.0095, 0.0095)), 2.0
+    body = manipulator("exact", cddf.Constant(0.010), cddf.Constant(0.0095), friction=friction)
+    solution = cddf.solve(body, pulls, direction=direction, throw=False)
+    straight = replace(plain("exact", *offsets, friction=friction), slopes=None)
+    reference = loaded_reference(straight, pulls, direction=direction)
+    assert len(reference.turning_points) == 0
+    assert largest_difference(solution, reference, straight) < AGREES
+    assert solution._dense.panels.edges.shape == (2,)  # one panel, from base to tip
 
 
 def test_what_one_panel_across_the_kink_would_cost():
