@@ -9,7 +9,6 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
-from cddf_jax.explorer.past import why_no_loop
 from cddf_jax.explorer.space import SpacePlot, body_rows, floor_rows, load_rows, tendon_rows
 from cddf_jax.explorer.words import numbers_html
 from cddf_jax.figures.geometry import Drawn, SpatialBody, stations
@@ -112,7 +111,6 @@ def test_a_force_out_of_the_plane_is_that_of_the_table():
     assert picture.equilibrium.tip_tension[0] == pytest.approx(29.537997, abs=6e-7)
     expected = [132.04836657, 36.77433798, 4.08358246]
     np.testing.assert_allclose(1e3 * picture.equilibrium.tip_position, expected, atol=1e-6)
-    assert why_no_loop(case, (75.0, 40.0)).startswith("The past is not remembered here: that is for one tendon in the")
 
 
 @pytest.mark.slow

@@ -1,13 +1,16 @@
-"""What the explorer remembers of the base tension, against hysteresis.md section 2 and the play operator in NumPy."""
+"""What the explorer remembers of the sliders, against the play operator in NumPy and what is said of each case."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from bodies import paper_body
+from moves import FIRST, FORCE, FORGET, MODULUS, SECOND, past_of
+from places import DATA
 
+import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
-from cddf_jax.explorer.past import NUM_LEGS, densely, gone_on, loop, remembered, why_no_loop
-from cddf_jax.explorer.plots import BodyPlot, TensionPlots
-from cddf_jax.explorer.words import loop_html
+from cddf_jax.explorer.past import NUM_LEGS, SetPoint, corners, gone_on, remembered, why_no_loop
 from cddf_jax.measurements.table import Measurements
 
 G = np.linspace(0.0, 9e-3, 50)  # the widths of the plays along the paper's body, 1/N
@@ -28,19 +31,29 @@ def moved(*path):
     return turns
 
 
+def tensions_of(past):
+    return [point.tension for point in past.points]
+
+
 @pytest.fixture(scope="module")
-def explored():
+def one():
     return Exploration(paper_body("exact"))
 
 
 @pytest.fixture(scope="module")
-def case(explored):
-    return explored.case(explored.start)
+def pair():
+    return Exploration(paper_body("exact", num_tendons=2))
 
 
 @pytest.fixture(scope="module")
-def found(case, explored):
-    return loop(case, moved(75.0, 60.0, 40.0), explored.arc_length)
+def three():
+    return Exploration(cddf.read_manipulator(DATA / "three_tendons_made_up.toml"))
+
+
+@pytest.fixture(scope="module")
+def turned():
+    """The paper's body, whose tendon has an angle."""
+    return Exploration(replace(paper_body("exact"), tendons=(cddf.Tendon(0.010, angle=0.5),)))
 
 
 def test_only_the_turns_are_kept():
@@ -61,57 +74,83 @@ def test_closed_loops_may_be_left_out():
         np.testing.assert_allclose(after(remembered(turns)), after(path), rtol=1e-14)
 
 
-def test_the_path_has_one_length_and_meets_all_turns():
-    for turns in ((75.0,), (75.0, 40.0, 60.0)):
-        path = densely(turns)
-        assert path.shape == densely(tuple(range(1, NUM_LEGS + 1))).shape
-        assert path[-1] == turns[-1]
-        assert set(turns) <= set(path.tolist())
+def test_every_move_is_a_step_of_the_path(pair):
+    past = past_of(pair, {SECOND: 20.0}, {FIRST: 60.0}, {FORCE: -0.1}, {FORCE: -0.1})
+    assert tensions_of(past) == [(75.0, 0.0), (75.0, 20.0), (60.0, 20.0), (60.0, 20.0)]
+    assert [any(point.load) for point in past.points] == [False, False, False, True]
+    assert past.tendon == 0  # the tension that moved last, a load apart
+    assert past_of(pair, {FIRST: 60.0}, {SECOND: 20.0}).tendon == 1
+    assert tensions_of(past_of(pair, {SECOND: 20.0}, {FIRST: 60.0}, FORGET)) == [(60.0, 20.0)]
 
 
-def test_the_loop_is_that_of_the_table(found):
-    """40 N on the way back from 75 N: tip tension, angle and front to the digits of the table."""
-    assert found.message == ""
-    assert found.base_tension[0] == 75.0
-    assert found.tip_tension[-1] == pytest.approx(45.122927, abs=6e-7)
-    assert np.degrees(found.tip_angle[-1]) == pytest.approx(56.053731, abs=6e-7)
-    assert 1e3 * found.front == pytest.approx(115.089, abs=6e-4)
-    text = loop_html(found)
-    assert [f">{number}<" in text for number in ("45.1229", "56.054", "115.09")] == [True] * 3
+def test_another_body_forgets_the_past_of_several_tendons(pair):
+    past = past_of(pair, {SECOND: 20.0}, {FIRST: 60.0}, {MODULUS: 1.5})
+    assert tensions_of(past) == [(60.0, 20.0)]
+    said = why_no_loop(pair.manipulator, past)
+    assert said.startswith("The body has changed: its past was forgotten. ")
+    again = past_of(pair, {SECOND: 20.0}, {MODULUS: 1.5}, {FIRST: 60.0})
+    assert not again.body_changed
+    assert "has changed" not in why_no_loop(pair.manipulator, past_of(pair, {MODULUS: 1.5}))  # nothing was forgotten
 
 
-def test_the_loop_is_drawn_and_taken_away(found, explored):
-    tension, body = TensionPlots(1), BodyPlot(explored.manipulator, explored.arc_length)
-    figures = (*tension.figures.values(), body.figure)
-    for plot in (tension, body):
-        plot.show_loop(found)
-    assert [fig.select_one({"name": "past"}).visible for fig in figures] == [True] * 3
-    np.testing.assert_allclose(tension.loops["tension"].data["value"], found.tip_tension)
-    np.testing.assert_allclose(tension.points["angle"]["past"].data["value"], [56.053731], atol=6e-7)
-    # the heading of the last piece of the axis is the tip angle, up to half a step of the grid
-    (x, y) = (np.diff(body.sources["past"].data[name])[-1] for name in "xy")
-    assert np.degrees(np.arctan2(y, x)) == pytest.approx(56.05, abs=0.5)
-    for plot in (tension, body):
-        plot.show_loop(None)
-    assert [fig.select_one({"name": "past"}).visible for fig in figures] == [False] * 3
+def test_another_body_with_one_tendon_keeps_the_turns(one):
+    past = past_of(one, {FIRST: 40.0}, {MODULUS: 1.5})
+    assert past.turns == (75.0, 40.0)
+    under_load = past_of(one, {FORCE: -0.1}, {FIRST: 40.0}, {MODULUS: 1.5})
+    assert under_load.body_changed
+    assert tensions_of(under_load) == [(40.0,)]
+
+
+def test_what_lies_on_the_way_is_no_corner(pair):
+    past = past_of(pair, {SECOND: 10.0}, {SECOND: 20.0}, {FIRST: 70.0}, {FIRST: 60.0}, {FIRST: 65.0}, {FORCE: -0.1})
+    tensions = [point.tension for point in corners(past.points)]
+    assert tensions == [(75.0, 0.0), (75.0, 20.0), (60.0, 20.0), (65.0, 20.0), (65.0, 20.0)]
+    # the first part begins at rest, under the loads of the first point
+    pulled = [SetPoint((tension, 0.0), (1.0,)) for tension in (40.0, 75.0)]
+    assert corners(pulled) == pulled[1:]
+
+
+def test_before_a_load_one_tendon_is_known_by_its_turns(one):
+    """75, 40, 60, 50, 30 N: the loop of 60 and 50 N has closed."""
+    past = past_of(one, {FIRST: 40.0}, {FIRST: 60.0}, {FIRST: 50.0}, {FIRST: 30.0}, {FORCE: -0.1})
+    assert [point.tension for point in corners(past.points)] == [(75.0,), (30.0,), (30.0,)]
+
+
+def test_where_there_is_no_loop_the_reason_is_said(one, pair):
+    assert why_no_loop(one.manipulator, past_of(one)) == "Drag the base tension back, and the loop appears here."
+    assert why_no_loop(one.manipulator, past_of(one, {FIRST: 40.0})) == ""
+    assert why_no_loop(one.manipulator, past_of(one, {FORCE: -0.1})) == ""
+    said = why_no_loop(pair.manipulator, past_of(pair))
+    assert said.startswith("The past begins here: all tendons were pulled together from rest to what is set.")
+    assert why_no_loop(pair.manipulator, past_of(pair, {SECOND: 20.0})) == ""
+    zigzag = [{FIRST: 50 + side * (20 - 0.5 * i)} for i in range(NUM_LEGS) for side in (1, -1)]
+    said = why_no_loop(one.manipulator, past_of(one, *zigzag))
+    assert said == f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."
+
+
+def test_what_trace_refuses_in_space_is_said(three, turned):
+    """`trace` follows one tendon without loads in space."""
+    said = why_no_loop(three.manipulator, past_of(three, {FIRST: 30.0}))
+    assert said.startswith("The past is not remembered here: the friction of several tendons in space")
+    with pytest.raises(ValueError, match="in space only the history of one tendon without loads is known"):
+        cddf.trace(three.manipulator, [[30.0, 0.0, 0.0]])
+    loaded = past_of(turned, {FIRST: 40.0}, {"tip_force.2": 0.5})
+    assert why_no_loop(turned.manipulator, loaded).startswith(
+        "The past is not remembered here: in space it is known with"
+    )
+    with pytest.raises(ValueError, match="in space only the history of one tendon without loads is known"):
+        cddf.trace(turned.manipulator, [40.0], cddf.Loads((0.0, 0.0, 0.5)))
+    # it begins when the load is taken away
+    unloaded = past_of(turned, {FIRST: 40.0}, {"tip_force.2": 0.5}, {"tip_force.2": 0.0})
+    assert tensions_of(unloaded) == [(40.0,)]
+    assert why_no_loop(turned.manipulator, past_of(turned, {FIRST: 40.0})) == ""
 
 
 def test_rows_of_a_measured_loop_know_their_past():
-    """Tip tensions on the way back to the digits of the table."""
+    """hysteresis.md section 2: tip tensions on the way back to the digits of the table."""
     base, tip = [75.0, 60.0, 40.0, 20.0], [45.122927, 45.122927, 45.122927, 24.288558]
     table = Measurements.from_columns("loop", base_tension=base, tip_tension=tip, step=[1, 2, 3, 4])
     body = paper_body("exact")
     ((rows, model),) = Exploration(body, (table,)).in_rows(body)
     assert rows is table
     np.testing.assert_allclose(model["tip_tension"], tip, atol=6e-7)
-
-
-def test_where_there_is_no_loop_the_reason_is_said(case, explored):
-    pair = Exploration(paper_body("exact", num_tendons=2))
-    loaded = explored.case(explored.start._replace(numbers={**explored.start.numbers, "tip_moment": 0.1}))
-    zigzag = moved(*(50 + side * (20 - 0.5 * i) for i in range(NUM_LEGS) for side in (1, -1)))
-    assert why_no_loop(case, (75.0,)) == "Drag the base tension back, and the loop appears here."
-    assert why_no_loop(case, (75.0, 40.0)) == ""
-    for other in (pair.case(pair.start), loaded):
-        assert "for one tendon without loads" in why_no_loop(other, (75.0, 40.0))
-    assert why_no_loop(case, zigzag) == f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."

@@ -95,6 +95,12 @@ def _loads(body: Manipulator, s: np.ndarray) -> list[Control]:
     ]
 
 
+def tensions_and_loads(controls: Sequence[Control]) -> tuple[list[Control], list[Control]]:
+    """The controls of what moves a given body."""
+    tensions = [control for control in controls if control.quantity.name == "base_tension"]
+    return tensions, [control for control in controls if control.quantity.name in LOADS]
+
+
 def load_components(body: Manipulator) -> dict[str, dict[str, str]]:
     """Names and axes of the components of each load; a moment in the plane has one and no axis."""
     axes = "XYZ" if body.in_space else "XY"

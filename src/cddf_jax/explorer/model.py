@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..errors import InputError
 from ..figures.geometry import lines_along, stations
@@ -30,7 +30,7 @@ from ..statics.description import result_in_words, wall_remarks
 from ..statics.equilibrium import RESULTS, Equilibrium, ended_as
 from ..statics.solve import solve
 from ..statics.targets import TipAngle
-from .controls import FITTED, RADII, Control, controls_of, in_si, load_components
+from .controls import FITTED, RADII, Control, controls_of, in_si, load_components, tensions_and_loads
 
 GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
 NUM_PULLS = 17  # on the curve over the base tension
@@ -75,8 +75,9 @@ class Picture(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """The answer over the base tension of tendon 1, with everything else as set; NaN where no solve is good. SI."""
+    """The answer over the base tension of one tendon, with everything else as set; NaN where no solve is good. SI."""
 
+    tendon: int  # from 0
     base_tension: np.ndarray
     tip_tension: np.ndarray
     tip_angle: np.ndarray
@@ -144,11 +145,17 @@ class Exploration:
             base, tip = (number[name] for name in RADII)
             wall = tapered(body.outer_radius, base, tip, body.length)
             body = replace(body, outer_radius=wall).validate(offsets_outside_wall=self.offsets_outside_wall)
-        given = {kind: [number.get(name, 0.0) for name in names] for kind, names in load_components(body).items()}
-        parts = {kind: values if len(values) > 1 else values[0] for kind, values in given.items()}
-        loads = Loads(**parts) if any(map(any, given.values())) else None
+        loaded = any(number[control.name] for control in tensions_and_loads(self.controls)[1])
+        loads = self.loads(settings.numbers) if loaded else None
         pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
         return Case(body, pulls, loads, as_directions(settings.direction))
+
+    def loads(self, numbers: Mapping[str, float]) -> Loads:
+        """The loads among the numbers of the controls."""
+        number = {c.name: in_si(numbers[c.name], c.quantity) for c in tensions_and_loads(self.controls)[1]}
+        components = load_components(self.manipulator)
+        given = {kind: np.array([number.get(name, 0.0) for name in names]) for kind, names in components.items()}
+        return Loads(**{kind: values if values.size > 1 else values[0] for kind, values in given.items()})
 
     # --- answers ---------------------------------------------------------------------------------
 
@@ -161,10 +168,10 @@ class Exploration:
         """The equilibrium of a case; look at `good` before it is shown."""
         return Picture(case, *jax.tree.map(np.asarray, _solved(case, self.arc_length)))
 
-    def curve(self, case: Case) -> Curve:
-        """Tip tension and tip angle over the whole range of the first tension."""
-        pulls = np.linspace(0.0, self.controls[0].high, NUM_PULLS)
-        return Curve(pulls, *map(np.asarray, _over_tension(case, pulls)))
+    def curve(self, case: Case, tendon: int = 0) -> Curve:
+        """Tip tension and tip angle over the whole range of the tension of a tendon, which counts from 0."""
+        pulls = np.linspace(0.0, self.controls[tendon].high, NUM_PULLS)
+        return Curve(tendon, pulls, *map(np.asarray, _over_tension(case, np.asarray(tendon), pulls)))
 
     def in_rows(self, body: Manipulator) -> list[tuple[Measurements, dict[str, np.ndarray]]]:
         """Tables for which no single curve holds, and by column the readings of a body in their rows.
@@ -237,11 +244,11 @@ def _solve(case: Case) -> Equilibrium:
 
 @kept_program
 @eqx.filter_jit
-def _over_tension(case: Case, pulls: Float[ArrayLike, " pulls"]) -> tuple[Array, Array]:
+def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike, " pulls"]) -> tuple[Array, Array]:
     def at(pull):
-        pulled = eqx.tree_at(lambda c: c.base_tension, case, jnp.asarray(case.base_tension).at[0].set(pull))
+        pulled = eqx.tree_at(lambda c: c.base_tension, case, jnp.asarray(case.base_tension).at[tendon].set(pull))
         equilibrium = _solve(pulled)
-        return _where_good(equilibrium, (equilibrium.tip_tension[0], equilibrium.tip_angle))
+        return _where_good(equilibrium, (equilibrium.tip_tension[jnp.asarray(tendon)], equilibrium.tip_angle))
 
     return jax.vmap(at)(pulls)
 

@@ -1,34 +1,134 @@
-"""The past of the base tension: where it turned, and the state in which it leaves a single tendon without loads."""
+"""The past of the sliders: how tensions and loads have moved since the straight body. No mechanics here."""
 
 from collections.abc import Sequence
-from itertools import pairwise
+from functools import reduce
+from itertools import takewhile
 from typing import NamedTuple
 
-import equinox as eqx
-import numpy as np
-from jaxtyping import Array, ArrayLike, Float
-
-from ..history.trace import trace
-from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case
-from ..statics.equilibrium import RESULTS, code_of, result_of
+from .controls import Control, tensions_and_loads
+from .model import Settings
 
-NUM_LEGS = 12  # parts of the path from turn to turn, the first one from rest
-NUM_POINTS = 12  # of each part in the figures
+NUM_LEGS = 12  # turns of one tendon without loads that are remembered at once
+SEVERAL_IN_SPACE = (
+    "The past is not remembered here: the friction of several tendons in space is known only for a pull from rest."
+)
+LOADED_IN_SPACE = (
+    "The past is not remembered here: in space it is known without loads only. It begins when all loads are zero."
+)
+BODY_CHANGED = "The body has changed: its past was forgotten."
+STRAIGHT_PULL = "The past begins here: all tendons were pulled together from rest to what is set."
 
 Turns = tuple[float, ...]  # tensions, N, at which the tension turned since rest, the present one last
 
 
-class Loop(NamedTuple):
-    """The path since the first turn of the base tension, step first, and the present state; NumPy, SI."""
+class SetPoint(NamedTuple):
+    """Tensions and loads, in the units of their controls and in their order."""
 
-    base_tension: np.ndarray
-    tip_tension: np.ndarray
-    tip_angle: np.ndarray
-    front: float  # m, up to which the tendon slid last
-    position: np.ndarray  # (points, 2) of the body now
-    message: str  # why there is no answer; else empty
+    tension: tuple[float, ...]
+    load: tuple[float, ...]
+
+    @property
+    def alone(self) -> bool:
+        """Whether there is one tendon without loads."""
+        return len(self.tension) == 1 and not any(self.load)
+
+    @property
+    def at_rest(self) -> "SetPoint":
+        """The same loads on the body without tensions."""
+        return SetPoint((0.0,) * len(self.tension), self.load)
+
+
+class PastMoves(NamedTuple):
+    """How tensions and loads have moved: straight from rest to the first point, and on from each to the next."""
+
+    body: tuple[object, ...] = ()  # all else that is set
+    points: tuple[SetPoint, ...] = ()  # the present one last
+    tendon: int = 0  # whose tension moved last, from 0
+    body_changed: bool = False  # and made it forget what was before
+
+    @property
+    def by_turns(self) -> bool:
+        """Whether one tendon moved without loads, so that the turns of its tension tell everything."""
+        return all(point.alone for point in self.points)
+
+    @property
+    def turns(self) -> Turns:
+        """Of the tension of one tendon."""
+        return reduce(gone_on, (point.tension[0] for point in self.points), ())
+
+    def goes_on_from(self, earlier: "PastMoves") -> bool:
+        """Whether this is the same path, or the same and more."""
+        return self.body == earlier.body and self.points[: len(earlier.points)] == earlier.points
+
+
+def after_move(past: PastMoves, manipulator: Manipulator, controls: Sequence[Control], settings: Settings) -> PastMoves:
+    """The past after the sliders were moved.
+
+    A load is a step of the path. Another body forgets it, unless the turns of the tension tell everything.
+    """
+    tensions, loads = ([control.name for control in kind] for kind in tensions_and_loads(controls))
+    point = SetPoint(*(tuple(settings.numbers[name] for name in names) for names in (tensions, loads)))
+    others = (number for name, number in settings.numbers.items() if name not in {*tensions, *loads})
+    body = (settings.kinematics, *others)
+    if not past.points:
+        return past._replace(body=body, points=(point,), body_changed=False)
+    last = past.points[-1]
+    if body != past.body and not past.by_turns:
+        past = past._replace(points=(point,), body_changed=past.body_changed or len(past.points) > 1)
+    elif why_not(manipulator, point) or why_not(manipulator, last):
+        past = past._replace(points=(point,), body_changed=False)
+    elif point != last:
+        past = past._replace(points=(*past.points, point), body_changed=False)
+    moved = [i for i, pair in enumerate(zip(last.tension, point.tension, strict=True)) if pair[0] != pair[1]]
+    return past._replace(body=body, tendon=moved[0] if moved else past.tendon)
+
+
+def why_not(manipulator: Manipulator, point: SetPoint) -> str:
+    """The reason in one line why the past is not known at a point; empty if it is."""
+    if not manipulator.in_space:
+        return ""
+    if manipulator.num_tendons > 1:
+        return SEVERAL_IN_SPACE
+    return LOADED_IN_SPACE if any(point.load) else ""
+
+
+def why_no_loop(manipulator: Manipulator, past: PastMoves) -> str:
+    """The reason in one line; empty if there is a loop."""
+    if reason := why_not(manipulator, past.points[-1]):
+        return reason
+    turns = past.turns if past.by_turns else ()
+    if len(turns) > NUM_LEGS:
+        return f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."
+    if len(turns or corners(past.points)) > 1:
+        return ""
+    text = "Drag the base tension back, and the loop appears here."
+    if manipulator.num_tendons > 1:
+        text = f"{STRAIGHT_PULL} Drag a base tension back, and its loop appears here."
+    return f"{BODY_CHANGED} " * past.body_changed + text
+
+
+def corners(points: Sequence[SetPoint]) -> list[SetPoint]:
+    """The points without those that lie on the way of one slider, and without closed loops of one tendon alone."""
+    alone = tuple(takewhile(lambda point: point.alone, points))
+    found = [points[0]._replace(tension=(tension,)) for tension in remembered(PastMoves(points=alone).turns)]
+    for point in points[len(alone) :]:
+        if found and _goes_straight_on(found[-2] if len(found) > 1 else found[0].at_rest, found[-1], point):
+            found.pop()
+        found.append(point)
+    return found
+
+
+def _goes_straight_on(before: SetPoint, last: SetPoint, point: SetPoint) -> bool:
+    """Whether one number alone moves, and goes on in its direction."""
+    first, then = (_changes(*ends) for ends in ((before, last), (last, point)))
+    return len(first) == 1 and first.keys() == then.keys() and all(first[i] * then[i] > 0 for i in first)
+
+
+def _changes(start: SetPoint, end: SetPoint) -> dict[int, float]:
+    """By how much each number changes that does."""
+    pairs = enumerate(zip((*start.tension, *start.load), (*end.tension, *end.load), strict=True))
+    return {i: b - a for i, (a, b) in pairs if a != b}
 
 
 def gone_on(turns: Turns, tension: float) -> Turns:
@@ -50,47 +150,3 @@ def remembered(turns: Turns) -> Turns:
             del found[-2:]
         found.append(tension)
     return tuple(found)
-
-
-def why_no_loop(case: Case, turns: Turns) -> str:
-    """The reason in one line; empty if there is a loop."""
-    if case.in_space:
-        return "The past is not remembered here: that is for one tendon in the plane; cddf trace follows one in space."
-    if case.manipulator.num_tendons > 1 or case.loads is not None:
-        return "The past is not remembered here: that is for one tendon without loads."
-    if len(turns) > NUM_LEGS:
-        return f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."
-    return "" if len(turns) > 1 else "Drag the base tension back, and the loop appears here."
-
-
-def loop(case: Case, turns: Turns, arc_length: Float[ArrayLike, " points"]) -> Loop:
-    """The loop of a case along its turns.
-
-    Args:
-        case: one tendon, without loads; its tension is not used.
-        turns: N, two or more, and at most `NUM_LEGS`.
-        arc_length: m, places of the body that is drawn.
-    """
-    path = densely(turns)
-    tension, angle, front, position, result = map(np.asarray, _traced(case.manipulator, path, arc_length))
-    words = RESULTS[result_of(int(result))] if np.isnan(angle[-1]) else ""
-    since = slice(-NUM_POINTS * (len(turns) - 1) - 1, None)  # the first turn
-    return Loop(path[since], tension[since], angle[since], float(front), position, words)
-
-
-def densely(turns: Sequence[float]) -> np.ndarray:
-    """The path from rest with points between turns; it always has the same length, so that one program serves all."""
-    ends = [0.0] * (NUM_LEGS + 1 - len(turns)) + list(turns)
-    legs = [np.linspace(a, b, NUM_POINTS + 1)[1:] for a, b in pairwise(ends)]
-    return np.concatenate(legs)
-
-
-@kept_program
-@eqx.filter_jit
-def _traced(
-    body: Manipulator, path: Float[ArrayLike, " steps"], arc_length: Float[ArrayLike, " points"]
-) -> tuple[Array, ...]:
-    """Tip tension and angle along the path, and at its end the front, the positions and the code of the result."""
-    history = trace(body, path, max_turns=NUM_LEGS + 1, throw=False)
-    position = history.at(arc_length).position[-1]
-    return history.tip_tension, history.tip_angle, history.front[-1], position, code_of(history.result)[-1]

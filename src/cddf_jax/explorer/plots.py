@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalHead, VeeHead
 from bokeh.plotting import figure
 from jaxtyping import ArrayLike
@@ -18,18 +19,19 @@ from ..figures.geometry import (
     tip_moment_line,
 )
 from ..figures.looks import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
-from ..measurements.readings import kind_of, tendon_number
+from ..measurements.readings import kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.fields import in_the_plane
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
+from .loop import Loop
 from .model import Curve, Picture
-from .past import Loop
 
 Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
 Columns: TypeAlias = dict[str, Any]  # of a source: arrays and lists by name
+Told: TypeAlias = tuple[Measurements, Mapping[str, np.ndarray]]  # a table, and columns of its rows
 Points: TypeAlias = tuple[np.ndarray, np.ndarray, str]  # places, values and one colour
 
 NUM_ARROWS = 11  # along each tendon
@@ -46,6 +48,7 @@ MARKS: dict[str, Look] = {  # of readings, and of the model in their rows
     "rows": {"size": 7, "marker": "x", "legend_label": "model at the data"},
 }
 NONE = np.zeros((0, 2))  # points
+NOTHING_PULLED: Columns = {name: [0.0] for name in ("base", "tension", "angle")}
 NO_POINTS: Columns = {"base": [], "value": [], "color": []}
 
 
@@ -149,7 +152,7 @@ class BodyPlot:
     def show_loop(self, loop: Loop | None) -> None:
         """The axis of the body with its past; None for nothing."""
         if loop is not None:
-            self.sources["past"].data = _xy(1e3 * loop.position)
+            self.sources["past"].data = _xy(1e3 * np.asarray(loop.state.position))
         show_named(self.figure, "past", loop is not None)
 
     def _show_body(self, body: Body, tendons: list[np.ndarray]) -> None:
@@ -228,31 +231,32 @@ class AlongPlots:
 class TensionPlots:
     """Tip tension and tip angle over base tension: model, present state, data, and the model in their rows.
 
-    Tip tensions are drawn over the base tension of the same tendon, the rest over that of tendon 1.
+    Tip tensions are drawn over the base tension of the same tendon; the angle, the model and the loop belong to the
+    tendon whose tension moved last.
     """
 
     def __init__(self, num_tendons: int):
         self.looks = [tendon_look(i)["line_color"] if num_tendons > 1 else BLACK for i in range(num_tendons)]
-        which = "" if num_tendons == 1 else " of tendon 1"
-        at_rest: Columns = {name: [0.0] for name in ("base", "tension", "angle")}
-        self.curve = ColumnDataSource(at_rest)
-        labels = {
-            "tension": ("Base tension (N)", "Tip tension (N)", f"model{which.replace('of', 'for')}"),
-            "angle": (f"Base tension{which} (N)", "Tip angle (deg)", "model"),
-        }
+        self.tendon = 0  # whose tension moved last
+        self.curve = ColumnDataSource(NOTHING_PULLED)
+        labels = {"tension": "Tip tension (N)", "angle": "Tip angle (deg)"}
         self.points = {
             name: {kind: ColumnDataSource(NO_POINTS) for kind in ("data", "rows", "now", "past")} for name in labels
         }
+        self.told: dict[str, Sequence[Told]] = {"data": (), "rows": ()}
         self.loops = {name: ColumnDataSource({"base": [0.0], "value": [0.0]}) for name in labels}
-        self.figures = {name: bare_figure(x, y, height=255, name=f"tip_{name}") for name, (x, y, _) in labels.items()}
+        self.figures = {
+            name: bare_figure("Base tension (N)", y, height=255, name=f"tip_{name}") for name, y in labels.items()
+        }
         free = {"color": GREY, "line_dash": "dotted", "legend_label": "without loss"}
         self.figures["tension"].line("base", "base", source=self.curve, **free)
-        for name, (_, _, model) in labels.items():
-            self._draw(self.figures[name], name, model)
+        for name in labels:
+            self._draw(self.figures[name], name)
+        self._name_tendon()
 
-    def _draw(self, fig: Plot, name: str, model: str) -> None:
+    def _draw(self, fig: Plot, name: str) -> None:
         points = self.points[name]
-        fig.line("base", name, source=self.curve, line_width=2, color=BLUE, legend_label=model)
+        fig.line("base", name, source=self.curve, line_width=2, color=BLUE, legend_label="model", name="model")
         look: Look = {"line_width": 2, "color": PURPLE, "line_dash": [6, 3], "legend_label": "with its past"}
         fig.line("base", "value", source=self.loops[name], name="loop", **look)
         marks = {
@@ -266,8 +270,28 @@ class TensionPlots:
         for kind in ("data", "rows", "loop", "past"):
             show_named(fig, kind, False)
 
-    def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
+    def follow(self, tendon: int) -> None:
+        """Draw over the tension of a tendon, which counts from 0, what belongs to that which moved last."""
+        if tendon == self.tendon:
+            return
+        self.tendon, self.curve.data = tendon, NOTHING_PULLED
+        self._name_tendon()
+        self.show_loop(None)
+        for kind, tables in self.told.items():
+            self.show_points(kind, tables)
+
+    def _name_tendon(self) -> None:
+        if len(self.looks) == 1:
+            return
+        self.figures["angle"].xaxis.axis_label = f"Base tension of tendon {self.tendon + 1} (N)"
+        for fig in self.figures.values():
+            (item,) = (item for item in fig.legend[0].items if item.renderers[0].name == "model")
+            item.label = value(f"model for tendon {self.tendon + 1}")
+
+    def show_points(self, kind: str, tables: Sequence[Told]) -> None:
         """Columns of tables over the base tension: readings for the kind "data", the model in their rows for "rows"."""
+        self.told[kind] = tables
+        over = of_tendons("base_tension", len(self.looks))[self.tendon]
         found: dict[str, list[Points]] = {name: [] for name in self.points}
         for table, columns in tables:
             for column, values in columns.items():
@@ -275,35 +299,42 @@ class TensionPlots:
                     base = table[column.replace("tip_tension", "base_tension")]
                     found["tension"].append((base, values, self.looks[tendon_number(column) - 1]))
                 elif column == "tip_angle":
-                    found["angle"].append((table["base_tension"], np.degrees(values), BLACK))
+                    found["angle"].append((table[over], np.degrees(values), BLACK))
         for name, parts in found.items():
             self.points[name][kind].data = _points(parts)
             show_named(self.figures[name], kind, bool(parts))
 
     def show_loop(self, loop: Loop | None) -> None:
-        """The loop of the base tension and the present state with its past; None for nothing."""
-        for name, fig in self.figures.items():
-            if loop is not None:
-                values = loop.tip_tension if name == "tension" else np.degrees(loop.tip_angle)
-                self.loops[name].data = {"base": loop.base_tension, "value": values}
-                self.points[name]["past"].data = _points([(loop.base_tension[-1:], values[-1:], BLACK)])
+        """The loop of the tension that moved last, and the present state with its past; None for nothing."""
+        if loop is not None:
+            base, tip, angle = loop.over_tension
+            self.loops["tension"].data = {"base": base, "value": tip}
+            self.loops["angle"].data = {"base": base, "value": np.degrees(angle)}
+            now = loop.rows.base_tension[-1], loop.rows.tip_tension[-1]
+            self.points["tension"]["past"].data = _points([(*now, BLACK)])
+            self.points["angle"]["past"].data = _points([(base[-1:], np.degrees(angle[-1:]), BLACK)])
+        for fig in self.figures.values():
             for kind in ("loop", "past"):
                 show_named(fig, kind, loop is not None)
 
     def show_now(self, picture: Picture) -> None:
         """The present state, as the sliders are set."""
-        found = picture.equilibrium
+        found, i = picture.equilibrium, self.tendon
         now = {
             "tension": (found.base_tension, found.tip_tension, BLACK),
-            "angle": (found.base_tension[:1], np.degrees([found.tip_angle]), BLACK),
+            "angle": (found.base_tension[i : i + 1], np.degrees([found.tip_angle]), BLACK),
         }
         for name, part in now.items():
             self.points[name]["now"].data = _points([part])
 
     def show_curve(self, curve: Curve) -> None:
-        """The model over the whole range."""
+        """The model over the whole range of the tension that moved last."""
+        if curve.tendon != self.tendon:
+            return  # another one has moved meanwhile
         angle = np.degrees(curve.tip_angle)
         self.curve.data = {"base": curve.base_tension, "tension": curve.tip_tension, "angle": angle}
+        rises = not angle[-1] < angle[0]
+        self.figures["angle"].legend[0].location = "top_left" if rises else "top_right"  # beside the curve
 
 
 def _points(parts: Sequence[Points]) -> Columns:

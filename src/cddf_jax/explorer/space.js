@@ -72,7 +72,7 @@ export default ({space, azimuth, elevation, center, ...seen}) => {
   show("tube", () => pieces(rings, flat), lines)
   show("cap", () => drawn(faces ? of("ring").slice(-1) : []), lines)
   show("hidden", () => parts.hidden, lines)
-  show("over", () => [...parts.over, ...drawn(of("load", plate == "over" && "plate"))], lines)
+  show("over", () => [...parts.over, ...drawn(of("past", "load", plate == "over" && "plate"))], lines)
   show("ends", () => drawn(of("end")), points)
   show("names", () => drawn(of("name")), points)
   for (const kind of ["data", "rows"]) {

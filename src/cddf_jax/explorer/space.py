@@ -11,12 +11,12 @@ from bokeh.models import ColumnDataSource, CustomJS, Slider
 from ..figures.geometry import AZIMUTH, ELEVATION, Drawn, drawn
 from ..figures.looks import BLACK, GREY, PALE, PURPLE
 from ..measurements.markers import marker_column
-from ..measurements.table import Measurements
 from ..mechanics.fields import SpatialFields
 from ..robot.manipulator import Manipulator
 from ..units import round_number
+from .loop import Loop
 from .model import Picture
-from .plots import MARKS, Columns, Look, Plot, bare_figure, look_of_legend, show_named, tendon_look
+from .plots import MARKS, Columns, Look, Plot, Told, bare_figure, look_of_legend, show_named, tendon_look
 
 DRAW, TURN = (Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8") for name in ("space", "turn"))
 # by plane: azimuth and elevation, deg, from where it is seen, and the coordinates to the right and up
@@ -80,6 +80,7 @@ class SpacePlot:
         self.figure.title.text = f"drag to turn; squares of {square:g} mm"
         self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
         self.now: list[Row] = []  # of the picture
+        self.past: list[Row] = []  # the axis with its past
         self.places: dict[str, list[Row]] = {"data": [], "rows": []}
         self.extents: list[ColumnDataSource] = []  # of each figure, two corners that set its scale
         self.middle = (0.5 * self.length, 0.0, -0.1 * self.length)
@@ -88,7 +89,7 @@ class SpacePlot:
         _draw_body(self.figure, seen, 12)
         self.figure.text("x", "y", source=seen["names"], **_words(12))
         self._draw_places(seen)
-        self._draw_legend()
+        self._draw_legend(one=manipulator.num_tendons == 1)
         self.views: list[Plot] = []
         for plane, (around, up, _) in PLANES.items():
             x, y = (f"{axis} (mm)" for axis in plane)
@@ -122,15 +123,18 @@ class SpacePlot:
         fig.multi_line("xs", "ys", source=seen["floor"], line_color="color", line_width="width")
         fig.text("x", "y", source=seen["ticks"], **_words(11))
 
-    def _draw_legend(self) -> None:
+    def _draw_legend(self, one: bool) -> None:
         """The legend, with entries for what is drawn without one."""
         tendon = tendon_look(0) | {"line_width": 2}
-        rest: Look = {"line_color": GREY, "line_dash": "dotted"}
-        for words, look in {"straight": rest, "tendon": tendon, "hidden": tendon | {"line_alpha": HIDDEN}}.items():
+        looks = {"straight": {"line_color": GREY, "line_dash": "dotted"}, "tendon": tendon}
+        looks |= {"hidden": tendon | {"line_alpha": HIDDEN}}
+        if one:
+            looks |= {"with its past": {"line_color": PURPLE, "line_dash": [6, 3], "line_width": 2}}
+        for words, look in looks.items():
             self.figure.line([np.nan], [np.nan], legend_label=words, **look)
         legend = self.figure.legend[0]
         look_of_legend(self.figure)
-        legend.orientation, legend.ncols, legend.spacing, legend.margin = "horizontal", 3, 12, 0
+        legend.orientation, legend.ncols, legend.spacing, legend.margin = "horizontal", len(looks), 12, 0
         self.figure.add_layout(legend, "above")
 
     def _draw_places(self, seen: dict[str, ColumnDataSource]) -> None:
@@ -154,7 +158,14 @@ class SpacePlot:
         self.now = [*body_rows(what), *tendon_rows(what), *load_rows(what)]
         self._send()
 
-    def show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
+    def show_loop(self, loop: Loop | None) -> None:
+        """The axis of the body with its past; None for nothing."""
+        past = [] if loop is None else [Row("past", 1e3 * np.asarray(loop.state.position), PURPLE, (6, 3), 2.0)]
+        if past or self.past:
+            self.past = past
+            self._send()
+
+    def show_points(self, kind: str, tables: Sequence[Told]) -> None:
         """Positions of the tip and of markers with three coordinates: the readings for "data", the model for "rows"."""
         told = [Row(kind, place) for _, columns in tables for place in places_told(columns)]
         if told or self.places[kind]:
@@ -165,7 +176,8 @@ class SpacePlot:
     def _send(self) -> None:
         """Send everything at once to the browser, as soon as there is a picture."""
         if self.now:
-            self.space.data = columns_of_rows([*self.floor, *self.now, *self.places["data"], *self.places["rows"]])
+            places = (*self.places["data"], *self.places["rows"])
+            self.space.data = columns_of_rows([*self.floor, *self.now, *self.past, *places])
 
 
 def places_told(columns: Mapping[str, np.ndarray]) -> list[np.ndarray]:

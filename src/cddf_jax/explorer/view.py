@@ -2,7 +2,7 @@
 
 import io
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
@@ -15,21 +15,21 @@ import panel as pn
 from ..errors import InputError, SolveError
 from ..estimation.determination import IDENTIFIED
 from ..identification.fit import Fit
-from ..measurements.table import Measurements
 from ..quantities import QUANTITIES
 from ..reports.export import fields_csv
 from ..reports.fit_report import fit_in_words
 from ..reports.fit_results import make_report
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
-from ..robot.named_numbers import Case
-from .controls import LOADS, from_si, rounded
-from .model import Exploration, Picture, Settings
+from .controls import from_si, rounded
+from .loop import Loop
+from .model import Curve, Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
-from .past import Loop, Turns, gone_on, loop, why_no_loop
-from .plots import AlongPlots, BodyPlot, TensionPlots
+from .past import PastMoves
+from .past_part import PastPart
+from .plots import AlongPlots, BodyPlot, TensionPlots, Told
 from .space import SpacePlot
-from .words import lines_html, loop_html, numbers_html, tapers_html
+from .words import lines_html, numbers_html, tapers_html
 
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 COMPILED: set[tuple[object, int]] = set()  # structures of cases with the number of arc lengths
@@ -39,11 +39,11 @@ Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "err
 
 
 class Threads(ExitStack):
-    """Three threads, so that quick work never waits for long work such as compiling."""
+    """Four threads, so that quick work never waits for long work such as compiling."""
 
     def __init__(self):
         super().__init__()
-        self.pictures, self.comparisons, self.fits = each = [ThreadPoolExecutor(1) for _ in range(3)]
+        self.pictures, self.pasts, self.comparisons, self.fits = each = [ThreadPoolExecutor(1) for _ in range(4)]
         for threads in each:
             self.callback(threads.shutdown, cancel_futures=True)
 
@@ -61,7 +61,7 @@ class ExplorerView:
         self.settings: Settings = exploration.start
         self.picture: Picture | None = None
         self.fitted: Fit | None = None
-        self.turns: Turns = ()
+        self.memory = PastPart(exploration, self.change)
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
         self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
@@ -78,10 +78,11 @@ class ExplorerView:
             "body": [plot(self.body.figure), *turned],
             "numbers": [self.numbers],
             "along": [grid(*map(plot, (*views, *self.along.figures.values())), least=230)],
-            "tension": [column(tension, self.past, *([] if body.in_space else [self.forget_button]))],
+            "past": self.memory.parts,
             "what_if": [self.what_if],
         }
         self.drawn = {name: column(*part) for name, part in parts.items()}
+        self.drawn["tension"] = column(tension, self.drawn["past"])
         self.closed = False
         pn.state.on_session_destroyed(lambda _: self.close())
         pn.state.onload(self.change)
@@ -104,13 +105,11 @@ class ExplorerView:
         angle = 45.0 if body.in_space else 45.0 * body.tendons[0].side  # in space it has no sign
         self.angle = pn.widgets.FloatInput(name="Tip angle asked for (deg)", value=angle, step=5.0, width=180)
         self.reset = pn.widgets.Button(name="Back to the file's numbers", on_click=lambda _: self._start_again())
-        self.forget_button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
         for widget in (*self.sliders.values(), *self.directions, self.kinematics, self.angle):
             widget.param.watch(lambda _: self.change(), "value")
 
     def _make_words(self) -> None:
-        names = ("numbers", "past", "what-if", "verdict")
-        self.numbers, self.past, self.what_if, self.verdict = map(words, names)
+        self.numbers, self.what_if, self.verdict = map(words, ("numbers", "what-if", "verdict"))
         self.fit_button = pn.widgets.Button(
             name="Fit friction and modulus", button_type="primary", on_click=lambda _: self.start_fit()
         )
@@ -177,12 +176,7 @@ class ExplorerView:
     def _start_again(self) -> None:
         """Go back to the numbers of the file, without a past."""
         self.move_to(self.exploration.start)
-        self.forget()
-
-    def forget(self) -> None:
-        """Start again with a pull from rest to the tension that is set."""
-        self.turns = ()
-        self.change()
+        self.memory.forget()
 
     def change(self) -> None:
         """Solve for the present positions of the sliders."""
@@ -190,9 +184,8 @@ class ExplorerView:
         directions = tuple(widget.value or None for widget in self.directions)
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
-        loaded = any(numbers[control.name] for control in self.exploration.controls if control.quantity.name in LOADS)
-        self.turns = gone_on(() if loaded or self.several else self.turns, numbers["base_tension_1"])
-        wanted = self.settings, float(self.angle.value or 0.0), self.turns
+        past = self.memory.after_move(self.settings)
+        wanted = self.settings, float(self.angle.value or 0.0), past
         self.threads.pictures.submit(self._guarded, self._draw, *wanted)
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
@@ -207,24 +200,23 @@ class ExplorerView:
             logging.getLogger(__name__).exception("explorer")
             self._on_page(self._refuse, f"{type(error).__name__}: {error}")
 
-    def _draw(self, settings: Settings, angle: float, turns: Turns) -> None:
+    def _draw(self, settings: Settings, angle: float, past: PastMoves) -> None:
         """Make the picture, and then start on another thread what takes longer."""
         case = self.exploration.case(settings)
         kind = jax.tree.structure(case), self.exploration.arc_length.size
         if kind not in COMPILED:
             self._on_page(self.say, COMPILING, "busy")
         picture = self.exploration.picture(case)
-        self._on_page(self._show, settings, picture)
+        self._on_page(self._show, settings, picture, past.tendon)
         if picture.good:
-            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, turns)
+            self.threads.pasts.submit(self._guarded, self._remember, settings, picture, past)
+            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, past.tendon)
         COMPILED.add(kind)
 
-    def _compare(self, settings: Settings, angle: float, picture: Picture, turns: Turns) -> None:
-        curve = self.exploration.curve(picture.case)
-        self._on_page(self.tension.show_curve, curve)
+    def _compare(self, settings: Settings, angle: float, picture: Picture, tendon: int) -> None:
+        curve = self.exploration.curve(picture.case, tendon)
         rows = self.exploration.in_rows(picture.case.manipulator)
-        self._on_page(self._show_points, "rows", rows)
-        self._remember(settings, picture.case, turns)
+        self._on_page(self._show_model, settings, curve, rows)
         text = "The bending stiffness of this body is given: another taper would not change how it bends."
         if self.exploration.manipulator.stiffened_by_radii:
             tapers = self.exploration.tapers(settings, np.radians(angle))
@@ -232,33 +224,35 @@ class ExplorerView:
         self._on_page(setattr, self.what_if, "object", text)
         self._on_page(self._done, settings, ["what_if"])
 
-    def _show_points(self, kind: str, tables: Sequence[tuple[Measurements, Mapping[str, np.ndarray]]]) -> None:
+    def _show_points(self, kind: str, tables: Sequence[Told]) -> None:
         """Readings, or what the body shows in their rows."""
         self.tension.show_points(kind, tables)
         if isinstance(self.body, SpacePlot):
             self.body.show_points(kind, tables)
 
-    def _remember(self, settings: Settings, case: Case, turns: Turns) -> None:
-        """Show the loop of the base tension, or why there is none."""
-        found, text = None, why_no_loop(case, turns)
-        if not text:
-            found = loop(case, turns, self.exploration.arc_length)
-            text = loop_html(found)
-        self._on_page(self._show_loop, settings, None if found is None or found.message else found, text)
-
-    def _show_loop(self, settings: Settings, found: Loop | None, text: str) -> None:
-        if isinstance(self.body, BodyPlot):
-            self.tension.show_loop(found)
-            self.body.show_loop(found)
-        self.past.object = text
+    def _show_model(self, settings: Settings, curve: Curve, rows: Sequence[Told]) -> None:
+        self.tension.show_curve(curve)
+        self._show_points("rows", rows)
         self._done(settings, ["tension"])
+
+    def _remember(self, settings: Settings, picture: Picture, past: PastMoves) -> None:
+        """Show the loop of the tension that is moved, or why there is none."""
+        say = partial(self._on_page, setattr, self.memory.text, "object")
+        if (found := self.memory.found(picture.case.manipulator, past, say)) is not None:
+            self._on_page(self._show_loop, settings, *found)
+
+    def _show_loop(self, settings: Settings, loop: Loop | None, text: str) -> None:
+        self.tension.show_loop(loop)
+        self.body.show_loop(loop)
+        self.memory.text.object = text
+        self._done(settings, ["past"])
 
     def _on_page(self, function: Callable[..., None], *arguments: object) -> None:
         """Call a function on the thread of the page; all its changes are sent together."""
         if not self.closed:
             self.document.add_next_tick_callback(partial(_held, function, *arguments))
 
-    def _show(self, settings: Settings, picture: Picture) -> None:
+    def _show(self, settings: Settings, picture: Picture, tendon: int) -> None:
         if not picture.good:
             self._refuse(picture.message)
             return
@@ -267,6 +261,7 @@ class ExplorerView:
         self._done(settings, ["body", "numbers", "along"])
         self.body.show(picture)
         self.along.show(picture)
+        self.tension.follow(tendon)
         self.tension.show_now(picture)
         self.numbers.object = numbers_html(picture)
         self.say(picture.message, "error")
