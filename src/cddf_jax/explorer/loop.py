@@ -121,11 +121,12 @@ class Follower:
 
     def _by_turns(self, body: Manipulator, past: PastMoves) -> tuple[Rows, EndState]:
         known = self.parts if self.parts_of == past.body else {}
-        ends = [past.turns[: i + 1] for i in range(len(past.turns))]
+        last = past.turns
+        ends = [last[: i + 1] for i in range(len(last))]
         self.parts = {turns: known.get(turns) or self._part(body, turns) for turns in ends}
         self.parts_of = past.body
         pull, *rest = (rows for rows, _ in self.parts.values())
-        return _joined([_last(pull), *rest]), self.parts[ends[-1]][1]
+        return _joined([_last(pull), *rest]), self.parts[last][1]
 
     def _part(self, body: Manipulator, turns: Turns) -> tuple[Rows, EndState]:
         """The path from the turn before the last to the last one, or to the first one from rest."""
