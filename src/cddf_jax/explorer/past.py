@@ -49,7 +49,7 @@ class PastMoves(NamedTuple):
 
     @property
     def by_turns(self) -> bool:
-        """Whether one tendon moved without loads, so that the turns of its tension tell everything."""
+        """Whether one tendon moved without loads, so that the turns of its tension are enough."""
         return all(point.alone for point in self.points)
 
     @property
@@ -65,7 +65,7 @@ class PastMoves(NamedTuple):
 def after_move(past: PastMoves, manipulator: Manipulator, controls: Sequence[Control], settings: Settings) -> PastMoves:
     """The past after the sliders were moved.
 
-    A load is a step of the path. Another body forgets it, unless the turns of the tension tell everything.
+    A load is a step of the path. Another body forgets it, unless the turns of the tension are enough.
     """
     tensions, loads = ([control.name for control in kind] for kind in tensions_and_loads(controls))
     point = SetPoint(*(tuple(settings.numbers[name] for name in names) for names in (tensions, loads)))
