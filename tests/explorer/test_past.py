@@ -132,13 +132,13 @@ def test_what_trace_refuses_in_space_is_said(three, turned):
     """`trace` follows one tendon without loads in space."""
     said = why_no_loop(three.manipulator, past_of(three, {FIRST: 30.0}))
     assert said.startswith("The past is not remembered here: the friction of several tendons in space")
-    with pytest.raises(ValueError, match="in space only the history of one tendon without loads is known"):
+    with pytest.raises(ValueError, match="in space only one tendon without loads can be followed"):
         cddf.trace(three.manipulator, [[30.0, 0.0, 0.0]])
     loaded = past_of(turned, {FIRST: 40.0}, {"tip_force.2": 0.5})
     assert why_no_loop(turned.manipulator, loaded).startswith(
         "The past is not remembered here: in space it is known with"
     )
-    with pytest.raises(ValueError, match="in space only the history of one tendon without loads is known"):
+    with pytest.raises(ValueError, match="in space only one tendon without loads can be followed"):
         cddf.trace(turned.manipulator, [40.0], cddf.Loads((0.0, 0.0, 0.5)))
     # it begins when the load is taken away
     unloaded = past_of(turned, {FIRST: 40.0}, {"tip_force.2": 0.5}, {"tip_force.2": 0.0})
