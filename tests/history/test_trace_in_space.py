@@ -283,7 +283,11 @@ def test_what_is_refused(tendons, path, loads):
         youngs_modulus=MODULUS,
         friction_coefficient=MU,
     )
-    words = "in space give base tensions" if isinstance(path, cddf.TipAngle) else "only the history of one tendon"
+    words = (
+        "in space give base tensions"
+        if isinstance(path, cddf.TipAngle)
+        else "only one tendon without loads can be followed"
+    )
     with pytest.raises(ValueError, match=words):
         cddf.trace(robot, path, loads)
 

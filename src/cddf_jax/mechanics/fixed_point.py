@@ -47,7 +47,7 @@ from .problem import (
     wrench_of,
 )
 
-LAST_GAIN = 64.0  # at most: by which the pass that is not made would have brought the answer nearer
+LAST_GAIN = 64.0  # times the tolerance: with a larger change another pass is made, also where passes converge fast
 _ratio_rates = at_nodes(ratio_rate, (None, 0, 0, 0))
 
 
@@ -137,7 +137,7 @@ class FixedPoint(eqx.Module):
         better, guess = without_derivative((along.nodes.values, guess))  # their change needs no derivative
         change = relative_size(jax.tree.map(problem.panels.without_empty, minus(better, guess)), better)
         positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
-        # the next change would be this one times change / before, by which passes converge
+        # passes converge by the factor change / before, so the next change would be this one times that factor
         least = self._tolerance(problem)
         still = (change * change <= least * jnp.maximum(before, change)) & (change <= LAST_GAIN * least)
         return along, _solution(

@@ -3,8 +3,8 @@
 In the published kinematics and for tendons parallel to the axis all tendons turn with the body, and
 what changes sign is the curvature; in the exact kinematics a slanted tendon has a turning of its own.
 A tendon goes slack where drag has used up its base tension.
-Without loads and drag, tendons parallel to the axis have no sign changes: their moment M depends on the wrap angle theta
-alone, and theta' = |M(theta)| / (E J) does not reach a zero of M along a finite body.
+Without loads and drag, tendons parallel to the axis have no sign changes: their moment M depends on the wrap angle
+theta alone, and theta' = |M(theta)| / (E J) does not reach a zero of M along a finite body.
 
 In space the turning of a tendon has no sign, and mostly it does not vanish; but it may have a minimum so sharp that it
 is nearly a kink. There panels end as well. Without loads and drag, tendons that are all parallel to the axis have no

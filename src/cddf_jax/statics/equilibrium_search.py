@@ -144,7 +144,7 @@ class _Following(NamedTuple):
     trial: Trial
     travel: PerTendon
     ends: Splits  # where the panels end
-    num_moves: Number  # -1 at the end of a path of loads, where they move before the first pass
+    num_moves: Number  # -1 at the end of a path of loads, where the panels move before the first pass
     over: Flag
 
 
@@ -181,7 +181,7 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
 def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number, state: _Following) -> _Following:
     """Make one pass unless the body has settled, locate the sign changes, and decide whether to move the panels there.
 
-    At the end of a path of loads they move before the first pass, which on other panels would be wasted.
+    At the end of a path of loads the panels move before the first pass, which would be wasted on other panels.
     Panels move at once where a pass changes little. Where sign changes appear and disappear, the panels move only after
     the body has settled.
     """

@@ -17,7 +17,7 @@ from ..numerics.arrays import computed_once, largest_size, largest_sizes
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
 
 LARGEST_TURN = 1.0  # rad: the largest turn of a cross-section in one step along the path
-FIRST_TURN = 0.5  # rad: what the first step aims at, since no prediction was compared yet
+FIRST_TURN = 0.5  # rad: the turn at which the first step aims, because no prediction has been compared yet
 LARGEST_MISS = 0.2  # rad: the largest difference of a heading from its prediction
 LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: a longer step in which stability changes may have reached another branch
@@ -69,7 +69,7 @@ class _Walk(NamedTuple):
 
 
 def _bends_both_ways(trial: Trial) -> Flag:
-    """Whether a planar body does. It settles sooner on panels that end where the curvature changes its sign."""
+    """Whether a body in the plane bends both ways; it settles sooner on panels that end at its sign changes."""
     assert trial.heading is not None
     if trial.moment is not None and trial.moment.ndim:
         return trial.lost & False
@@ -212,7 +212,7 @@ def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_p
         place: from which the next step starts.
         accepted: whether the last step was.
         on_path: whether it led to an equilibrium that may lie on the path.
-        first: whether there was none, but the body without loads.
+        first: whether the step is the first one, from the body without loads.
     """
     ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
     shorter = step * jnp.where(on_path, jnp.clip(ideal, 0.1, 0.5), 0.25)
