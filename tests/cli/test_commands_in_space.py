@@ -145,7 +145,7 @@ def test_a_fit_to_markers_that_a_camera_sees(cddf_command, tmp_path):
         (("solve", HELIX, *PULL, "--tip-moment", "0, 0.1 N m"), "is one number in the plane and three in space"),
         (
             ("trace", THREE, *["--path", "0 N, 5 N"] * 3),
-            "in space only the history of one tendon without loads is known",
+            "in space only one tendon without loads can be followed",
         ),
         (("trace", HELIX, "--path", "0 deg, 5 deg"), "trace: TipAngle drives a tendon in the plane; in space give"),
         (
