@@ -10,7 +10,8 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jaxtyping import Array, Float
 
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
@@ -161,8 +162,9 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
         problem = setup.lay_out(base_tension, None)
         guess = everywhere(problem.panels, at_base(problem))
         found, near = follow_loads(LoadedBody(problem, setup.method), guess, zero)
+        here, unstacked = _stacked(near)
         count = trial.nodal.ratio.shape[0] - guess.ratio.shape[0]
-        trial = _moved(near, partial(problem.panels.with_empty, count=count))
+        trial = unstacked(problem.panels.with_empty(here, count))
 
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
     num_moves = zero if setup.loads is None else zero - 1.0
@@ -210,13 +212,15 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
 
     new = _cut(setup, jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends))
 
-    def moved_far(zero: Number) -> Trial:
-        weights = problem.panels.weights_on(Panels.between(new.edges + zero, new.order))
-        return _moved(trial, lambda x: (weights @ x.reshape(weights.shape[1], -1)).reshape(x.shape))
-
     def moved(_: Number) -> Trial:
-        near = _moved(trial, lambda x: problem.panels.shifted(x, new))
-        return only_if(distance > FAR, moved_far, near)
+        here, unstacked = _stacked(trial)
+        near = problem.panels.shifted(here, new)
+
+        def far(zero: Number) -> Array:
+            weights = problem.panels.weights_on(Panels.between(new.edges + zero, new.order))
+            return (weights @ here.reshape(weights.shape[1], -1)).reshape(here.shape)
+
+        return unstacked(only_if(distance > FAR, far, near))
 
     travel = only_if(over, travelled, state.travel)
     trial = only_if(move, moved, trial)
@@ -235,16 +239,23 @@ def _in_place(number: Number) -> float:
     return max(SETTLED, 16 * float(jnp.finfo(number.dtype).eps))
 
 
-def _moved(trial: Trial, on_new_panels: Callable[[Array], Array]) -> Trial:
-    """The trial with its values and slopes at the nodes of other panels."""
-    nodal, strain = jax.tree.map(on_new_panels, (trial.nodal, trial.strain))
-    if trial.heading is None or trial.slopes is None:
-        return trial._replace(nodal=nodal, strain=strain)
-    slopes = trial.slopes.nodal, trial.slopes.heading.nodes
-    slopes, heading_slopes = jax.tree.map(jax.vmap(on_new_panels), slopes)
-    return trial._replace(
-        nodal=nodal,
-        strain=strain,
-        heading=trial.heading._replace(nodes=on_new_panels(trial.heading.nodes)),
-        slopes=trial.slopes._replace(nodal=slopes, heading=trial.slopes.heading._replace(nodes=heading_slopes)),
-    )
+def _stacked(trial: Trial) -> tuple[Float[Array, "P p numbers"], Callable[[Array], Trial]]:
+    """All values and slopes at the nodes in one array, and the trial with such an array in their place."""
+    values = trial.nodal, trial.strain, None if trial.heading is None else trial.heading.nodes
+    slopes = None if trial.slopes is None else (trial.slopes.nodal, trial.slopes.heading.nodes)
+    slopes = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), slopes)
+    arrays, structure = jax.tree.flatten((values, slopes))
+    columns = [x.reshape(*x.shape[:2], -1) for x in arrays]
+    ends = np.cumsum([column.shape[2] for column in columns])[:-1].tolist()
+
+    def unstacked(stack: Array) -> Trial:
+        parts = zip(jnp.split(stack, ends, axis=2), arrays, strict=True)
+        leaves = [part.reshape(*stack.shape[:2], *old.shape[2:]) for part, old in parts]
+        (nodal, strain, heading), slopes = structure.unflatten(leaves)
+        if trial.heading is None or trial.slopes is None:
+            return trial._replace(nodal=nodal, strain=strain)
+        by_nodal, by_heading = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
+        slopes = trial.slopes._replace(nodal=by_nodal, heading=trial.slopes.heading._replace(nodes=by_heading))
+        return trial._replace(nodal=nodal, strain=strain, heading=trial.heading._replace(nodes=heading), slopes=slopes)
+
+    return jnp.concatenate(columns, axis=2), unstacked
