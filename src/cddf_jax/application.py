@@ -49,8 +49,8 @@ def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> Non
     import jax
 
     jax.config.update("jax_cpu_enable_async_dispatch", True)  # one chunk is written while the next is computed
-    told = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
-    if jax.config.jax_num_cpu_devices < 0 and not told:  # type: ignore[attr-defined]  # JAX types no options
+    given = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
+    if jax.config.jax_num_cpu_devices < 0 and not given:  # type: ignore[attr-defined]  # JAX types no options
         jax.config.update("jax_num_cpu_devices", _cores())
     if processes is not None:
         jax.distributed.initialize(**processes)

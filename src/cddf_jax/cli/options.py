@@ -93,7 +93,7 @@ HistoryOption = Annotated[
     typer.Option(
         "--history/--no-history",
         help="Follow the rows of a trial as a path, on which tendons are pulled and released.",
-        show_default="where a column step or time tells the order",
+        show_default="where a column step or time gives the order",
     ),
 ]
 

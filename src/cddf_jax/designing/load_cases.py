@@ -115,7 +115,7 @@ class LoadCase(eqx.Module):
     def loop_path(self, at: Float[Array | np.ndarray, " tendons"]) -> Float[Array, "4 tendons"]:
         """Base tensions, N: from rest to the high end, down to `at`, to the low end, and up to `at` again.
 
-        A loop closes after one turn: whatever was before, the next ends are the same.
+        A loop closes after one turn: the next ends are the same for any earlier history.
         """
         low, high = jnp.asarray(self.loop)
         at = jnp.asarray(at)

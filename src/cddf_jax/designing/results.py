@@ -218,7 +218,7 @@ def free_numbers(problem: DesignProblem, local: LocalMinimum, unit: float) -> di
         if at_lower or at_upper:
             own = 1.0 * (np.arange(local.point.x.size) == i)
             least, _ = local.optimality.range_of(lower=own, upper=own) if local.feasible else (np.nan, np.nan)
-            worth = 0.0 if least <= NOT_ZERO else least * unit / size  # the least that the multipliers tell
+            worth = 0.0 if least <= NOT_ZERO else least * unit / size  # the least that follows from the multipliers
         found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth)
     return found
 

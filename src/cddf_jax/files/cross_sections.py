@@ -103,7 +103,7 @@ def in_one_line(columns: Sequence[SectionColumn]) -> str:
 
 def cross_sections_csv(manipulator: Manipulator) -> str:
     """The text that `read_cross_sections` reads, in mm: rows on a grid and at joints of the body, two at a step."""
-    with jax.enable_x64(True):  # to distinguish the two sides of a step, whatever precision the caller has
+    with jax.enable_x64(True):  # to distinguish the two sides of a step, in any precision of the caller
         return table_csv(_rows(manipulator))
 
 

@@ -17,7 +17,7 @@ from .table import Measurements
 SAME_LEVEL = 0.01  # of the largest of a column: levels that differ by less are one, if the data show no other noise
 NO_STEP = 5e-4  # of the largest: a smaller change is not a step
 CLEAR_GAP = 3.0  # between the largest change within holds and the smallest step from hold to hold
-LARGEST_NOISE = 0.05  # of the largest: larger changes are steps, whatever the gaps
+LARGEST_NOISE = 0.05  # of the largest: larger changes are steps, with any gaps
 STEP = 5.0  # standard deviations from the mean of a hold
 MEDIAN_CHANGE = 0.954  # of the size of a change, for noise of standard deviation 1
 MOST_STEPS = 0.2  # of the changes; with more steps the median of the changes is not noise

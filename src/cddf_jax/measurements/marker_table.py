@@ -7,7 +7,7 @@
 
 | column | unit of | meaning |
 | --- | --- | --- |
-| row | none | which row of the measurements: 1 for the first one below the header, whatever its line in the file |
+| row | none | which row of the measurements: 1 for the first one below the header, on any line of the file |
 | marker | none | its name: the table gets the columns `x@head`, `y@head`, ... |
 | x, y, z | length | where the marker is, as `tip_x`; z of a body in space; an empty cell is a missing reading |
 | arc_length | length | optional: the cross-section that the marker moves with |
@@ -39,7 +39,7 @@ class MarkerTable(NamedTuple):
     """The content of a table of markers."""
 
     columns: dict[str, np.ndarray]  # "x@head", ..., one number for each row of the measurements, m; NaN: not there
-    places: dict[str, Marker]  # of the markers whose place it tells
+    places: dict[str, Marker]  # of the markers whose positions it gives
     read_as: tuple[str, ...]  # how the file was understood
     missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
 
@@ -104,13 +104,13 @@ def _rows(found: Table, num_rows: int) -> np.ndarray:
 
 
 def _places(found: Table, names: Sequence[str]) -> Iterator[tuple[str, Marker]]:
-    told = [column for column in ("arc_length", *_OFFSETS) if column in found.columns]
-    if told and told[0] != "arc_length":
-        raise InputError(f"the column {told[0]} needs a column arc_length, of the cross-section of the marker; add it")
-    for name in dict.fromkeys(names) if told else ():
+    given = [column for column in ("arc_length", *_OFFSETS) if column in found.columns]
+    if given and given[0] != "arc_length":
+        raise InputError(f"the column {given[0]} needs a column arc_length, of the cross-section of the marker; add it")
+    for name in dict.fromkeys(names) if given else ():
         own = [i for i, other in enumerate(names) if other == name]
-        place = {column: found.columns[column][own[0]] for column in told}
-        for i, column in ((i, column) for i in own for column in told):
+        place = {column: found.columns[column][own[0]] for column in given}
+        for i, column in ((i, column) for i in own for column in given):
             if not np.isclose(found.columns[column][i], place[column], rtol=1e-9, atol=1e-12):
                 here, there = (shown(x, "length") for x in (found.columns[column][i], place[column]))
                 raise InputError(

@@ -32,8 +32,8 @@ Files of instruments and spreadsheets are read too; `Measurements.read_as` says 
 - `loading`, `in`, `up`, `pull` are direction 1; `unloading`, `out`, `down`, `release` are -1.
 - A tension may be below 0 by up to 2 % of the largest, as the zero of a cell drifts.
 
-Rows are counted as the lines of the file, or as the rows of a sheet. `table_source` tells which separators, decimal
-marks and encodings are understood; .xlsx needs the extra `excel`.
+Rows are counted as the lines of the file, or as the rows of a sheet. `table_source` lists the separators, decimal
+marks and encodings that can be read; .xlsx needs the extra `excel`.
 """
 
 import hashlib
@@ -187,7 +187,7 @@ class Measurements:
 
     @cached_property
     def checksum(self) -> str:
-        """SHA-256 in hexadecimal digits of the column names and numbers, whatever the file and its dialect."""
+        """SHA-256 in hexadecimal digits of the column names and numbers, the same in any file and dialect."""
         digest = hashlib.sha256()
         for column, values in self.columns.items():
             digest.update(f"{column}\0{len(values)}\0".encode())

@@ -130,7 +130,7 @@ def _in_short(report: Report) -> list[str]:
     if simulated := _simulated_names(fit):
         lines += ["", f"The data are simulated: {simulated}."]
     head = ("parameter", "value", "standard error", "95 % interval", "status")
-    return ["# What the measurements tell", "", *lines, "", *markdown_table(head, parameter_rows(fit))]
+    return ["# What the measurements determine", "", *lines, "", *markdown_table(head, parameter_rows(fit))]
 
 
 def _simulated_names(fit: Fit) -> str:

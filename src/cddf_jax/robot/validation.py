@@ -44,7 +44,7 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
     _check_leaves(manipulator)
     _check_scalars(manipulator)
     _check_knots(manipulator)
-    with jax.enable_x64(True):  # profiles are checked in float64, whatever precision the caller has
+    with jax.enable_x64(True):  # profiles are checked in float64, in any precision of the caller
         s = _stations(manipulator)
         _check_wall(manipulator, s)
         for name, demand in _DEMANDED_ALONG.items():
