@@ -12,7 +12,8 @@ t-statistics. The seed is fixed beforehand, 21; loop k of each scenario is drawn
   fitted with the 4 of `fit`.
 
 The 6,000 loops of one tendon take about 10 minutes, the 80 of pairs three quarters of an hour: a fit of a pair takes 25
-to 40 seconds. 40 loops tell a coverage to some per cent only; `--loops 400` tells more.
+to 40 seconds. One in forty fails; it searches from many starts first, which takes minutes. 40 loops tell a coverage to
+some per cent only; `--loops 400` tells more.
 """
 
 import argparse
