@@ -163,6 +163,7 @@ def test_even_loss_between_tendons():
     assert found.objectives[0].start == pytest.approx(float(np.std(before) / np.mean(before)), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_figure_of_a_design_in_space():
     """The routing before and after, in degrees and millimetres, and the body in three dimensions."""
     figure = design_figure(even())

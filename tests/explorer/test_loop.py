@@ -148,6 +148,7 @@ def at_once(explored, loop, loads=None):
     return cddf.trace(explored.manipulator, loop.rows.base_tension, loads, short_steps=SHORT_STEPS)
 
 
+@pytest.mark.slow
 def test_carried_states_are_those_of_the_whole_path(pair, released):
     """Without drag and loads a straight pull from rest leaves the same state in any number of steps."""
     whole = at_once(pair, released[1])
