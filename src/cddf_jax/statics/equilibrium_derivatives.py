@@ -19,8 +19,10 @@ from ..numerics.arrays import largest
 from ..numerics.implicit import Unknowns, implicit, without_derivative
 from ..robot.cross_section import AnySection, SpatialSection
 from .corrector import magnitude, moment_left_at_tip
-from .equilibrium_search import Settled, Setup, first_guess, place, settle
+from .equilibrium_search import SETTLED, Settled, Setup, first_guess, place, settle
 from .load_path import LoadPath
+
+KINK = 10 * SETTLED**2  # rad: the error of a panel that ends SETTLED off a kink where kappa changes by 10 / L in L
 
 
 class Balance(NamedTuple):
@@ -141,7 +143,7 @@ def balance(
     assert values is not None
     problem = system.problem(root)
     solution = setup.method.finish(problem, values, strain)
-    changes = [solution.residual]
+    changes = [solution.residual, jnp.where(jnp.any(settled.splits.owner >= 0), KINK, 0.0 * solution.residual)]
     changes += [] if setup.loads is None else [magnitude(moment_left_at_tip(problem, solution))]
     solution = replace(
         solution,
