@@ -97,8 +97,8 @@ def shapes_of(function: Callable[..., Any], *arguments: Any) -> Any:
     leaves, structure = jax.tree.flatten((function, *arguments))
     question = Question(jax.eval_shape, structure, tuple(map(_signature, leaves)))
     try:
-        if not _can_be_kept(leaves, arguments) or are_special() or not is_source_unchanged():
-            raise UnavailableError("special values or settings of JAX, or a source that was edited")
+        if folder.is_off() or not _can_be_kept(leaves, arguments) or are_special() or not is_source_unchanged():
+            raise UnavailableError("switched off, special values or settings of JAX, or a source that was edited")
         key = _key(question)
     except (NotDescribedError, UnavailableError) as error:
         LOG.debug("shapes are traced: %s", error)
@@ -158,6 +158,8 @@ def _answer_to(question: Question, arrays: Sequence[Any]) -> Call:
         raise UnavailableError("special settings of JAX, or a source that was edited")
     if question.mesh is None and any(one.spec for one in question.inputs):
         raise UnavailableError("arrays that several devices share")
+    if folder.is_off():
+        return _made("", question, arrays)
     try:
         key = _key(question)
     except NotDescribedError as error:
