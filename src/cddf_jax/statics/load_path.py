@@ -192,7 +192,7 @@ def _decide(walk: _Walk) -> _Walk:
     predicted = _predict(place, jnp.where(ended, 0.0, step), trial)
     return _Walk(
         place,
-        jax.tree.map(lambda trial, predicted: jnp.where(arrived, trial, predicted), _counted_anew(trial), predicted),
+        jax.tree.map(lambda trial, predicted: jnp.where(arrived, trial, predicted), _with_no_passes(trial), predicted),
         step,
         fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
         num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
@@ -227,7 +227,7 @@ def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
     assert trial.slopes is not None
     slopes = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.slopes.nodal)
     false = trial.lost & False
-    return _counted_anew(trial)._replace(
+    return _with_no_passes(trial)._replace(
         moment=place.moment + step * place.moment_slope,
         nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
         slopes=trial.slopes._replace(nodal=slopes),
@@ -237,6 +237,6 @@ def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
     )
 
 
-def _counted_anew(trial: Trial) -> Trial:
+def _with_no_passes(trial: Trial) -> Trial:
     """The trial with its count of passes set to zero."""
     return trial._replace(lost=trial.lost & False, num_passes=0.0 * trial.num_passes, change=0.0 * trial.num_passes)
