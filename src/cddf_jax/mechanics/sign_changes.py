@@ -248,12 +248,22 @@ def zero_before(cut: Panels, turning: Float[Array, " p"], point: UInt[Array, ""]
     return jax.lax.fori_loop(0, REFINEMENTS, narrow, (bracket, jax.vmap(value)(bracket)))[0][1]
 
 
-def turning_at_splits(problem: Problem, solution: Solution[AnyState], splits: Splits) -> Float[Array, " splits"]:
-    """The turning that should vanish at each split; for one that is not needed, its distance from the tip, m."""
-    if problem.in_space:  # nothing depends on the places, but for the error of the quadrature
-        return splits.arc_length - jax.lax.stop_gradient(splits.arc_length)
-    edges = problem.panels.edges
-    starts = problem.panels.at_starts_and_ends(signed_turning(problem, solution.nodes))[0]
-    panel = jnp.argmin(jnp.abs(edges[:-1] - splits.arc_length[:, None]), axis=1)
-    turning = starts[panel, jnp.maximum(splits.owner, 0)]
-    return jnp.where(splits.owner >= 0, turning, splits.arc_length - edges[-1])
+def turning_at_splits(
+    problem: Problem, solution: Solution[AnyState], splits: Splits
+) -> tuple[Float[Array, " splits"], Float[Array, " splits"]]:
+    """The turning that should vanish at each split, 1/m, and its derivative along s, 1/m^2.
+
+    For a split that is not needed, its distance from the tip, m, and 1.
+    """
+    one = jnp.ones_like(splits.arc_length)
+    if problem.in_space or not one.size:  # nothing depends on the places, but for the error of the quadrature
+        return 0.0 * solution.tip.ratio[0] * one, one  # 0 as a linear function: `custom_linear_solve` transposes it
+    cut, turning = problem.panels, signed_turning(problem, solution.nodes)
+    panel = jnp.sum(cut.edges[1:-1] <= splits.arc_length[:, None], axis=1)  # the last that starts there is not empty
+    needed, at = splits.owner >= 0, (panel, jnp.maximum(splits.owner, 0))
+
+    def there(turning: Turning) -> Float[Array, " splits"]:
+        return cut.at_starts_and_ends(turning)[0][at]
+
+    from_tip, rate = splits.arc_length - cut.edges[-1], there(cut.differentiate(turning))
+    return jnp.where(needed, there(turning), from_tip), jnp.where(needed & (rate != 0), rate, one)

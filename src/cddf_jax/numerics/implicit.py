@@ -1,7 +1,7 @@
-"""The implicit function theorem, for a fixed point and a few unknowns that any method has found."""
+"""The implicit function theorem, for a fixed point, a few unknowns, and places at which pieces of a line end."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,37 +11,64 @@ from jaxtyping import Array, Float, PyTree
 from .arrays import relative_size, zero_as
 
 Unknowns = Float[Array, " unknowns"]
+Places = Float[Array, " places"]
 Tree = TypeVar("Tree")
+Context = TypeVar("Context")
+Slopes = TypeVar("Slopes", bound=tuple)
 Result = TypeVar("Result")
 Scalar = Float[Array, ""]
 MAX_PASSES = 64
 
 
-Step = Callable[[Tree, Unknowns], tuple[Tree, Unknowns]]
+class Step(Protocol, Generic[Tree, Context]):
+    """The equations of an equilibrium, as a pytree.
+
+    The values are those of functions along a line that is cut into pieces. Some pieces end at places where a quantity
+    vanishes, so that all functions are smooth in each piece.
+    """
+
+    def __call__(
+        self, values: Tree, unknowns: Unknowns, places: Places
+    ) -> tuple[tuple[Tree, Unknowns, Places], Context]:
+        """Better values, the residual and the quantities that vanish at the places; and whatever `moved` needs."""
+        ...
+
+    def moved(self, context: Context, /, places: Places, vanishing: Places) -> tuple[Tree, Places]:
+        """The slopes of the values, which move with the places, and those of the places.
+
+        Args:
+            context: from the step.
+            places: where they are.
+            vanishing: the slopes of the quantities that vanish, at places that do not move.
+        """
+        ...
 
 
-def implicit(step: Step[Tree], values: Tree, root: Unknowns) -> tuple[Tree, Unknowns]:
-    """The same values and unknowns, with the derivatives that follow from the equations.
+def implicit(step: Step[Tree, Context], values: Tree, root: Unknowns, places: Places) -> tuple[Tree, Unknowns, Places]:
+    """The same values, unknowns and places, with the derivatives that follow from the equations.
 
-    The equations are values = step(values, unknowns)[0], a fixed point, and step(values, unknowns)[1] = 0. The
-    derivatives hold in both modes and to any order. Linear passes solve the fixed point; the Jacobian of the
-    unknowns is dense. Where it is singular, as in a lane of a batch that found no root, it is replaced by the identity,
-    so that the derivative is finite. Where nothing is differentiated, `step` is not evaluated.
+    The equations are (values, 0, 0) = step(values, unknowns, places)[0], a fixed point for the values. The derivatives
+    hold in both modes and to any order. Linear passes solve the fixed point; the Jacobian of the unknowns is dense.
+    Where it is singular, as in a lane of a batch that found no root, it is replaced by the identity, so that the
+    derivative is finite. The functions along the line do not depend on where pieces end, so that the places follow at
+    last, each by its own quantity. Where nothing is differentiated, `step` is not evaluated.
 
     Args:
-        step: (values, unknowns) -> (better values, residual), a pytree as `jax.tree_util.Partial` makes it. Derivatives
-            are with respect to its leaves; everything else that it closes over must be constant.
+        step: the equations. Derivatives are with respect to its leaves; everything else that it closes over must be
+            constant.
         values: of the fixed point; without derivatives of their own.
         root: where the residual is zero; without derivatives of its own.
+        places: where pieces end; without derivatives of their own.
     """
-    return _root(step, jax.tree.map(jax.lax.stop_gradient, values), jax.lax.stop_gradient(root))
+    values, root, places = jax.tree.map(jax.lax.stop_gradient, (values, root, places))
+    return _root(step, values, root, places)
 
 
-def slopes_by_unknowns(push: Step[Tree], values: Tree, root: Unknowns) -> tuple[Tree, Array]:
-    """The slopes of values and residual with respect to the unknowns, which stand along a leading axis.
+def slopes_by_unknowns(push: Callable[[Tree, Unknowns], Slopes], values: Tree, root: Unknowns) -> Slopes:
+    """The slopes of the values, and of all that follows from them, by the unknowns, which stand along a leading axis.
 
     Args:
-        push: a step as `implicit` takes it, linearised at the values and the root.
+        push: (values, unknowns) -> a tuple of better values and what else follows, linearised at the values and root.
         values, root: where.
     """
     still = jax.tree.map(jnp.zeros_like, values)
@@ -50,33 +77,52 @@ def slopes_by_unknowns(push: Step[Tree], values: Tree, root: Unknowns) -> tuple[
 
 
 @eqx.filter_custom_jvp
-def _root(step, values, root):
-    return values, root
+def _root(step, values, root, places):
+    return values, root, places
 
 
 @_root.def_jvp
 def _(primals, tangents):
-    (step, values, root), (direction, *_) = primals, tangents
-    values, root = _root(step, values, root)
-    pushed = slope_along(lambda step: step(values, root), step, direction)
-    push = jax.linearize(step, values, root)[1]
-    values_slope, residual_slope = _through_passes(push, pushed, root)
-    if not root.size:
-        return (values, root), (values_slope, jnp.zeros_like(root))
-    values_slopes, slopes = slopes_by_unknowns(push, values, root)
-    jacobian, eye = slopes.T, jnp.eye(root.size, dtype=root.dtype)
+    (step, values, root, places), (direction, *_) = primals, tangents
+    values, root, places = _root(step, values, root, places)
+    pushed = slope_along(lambda step: step(values, root, places)[0], step, direction)
+    _, push, context = jax.linearize(lambda *at: step(*at, places), values, root, has_aux=True)
+    slopes = _through_passes(push, pushed, root)
+    root_slope = jnp.zeros_like(root)
+    if root.size:
+        by_unknowns = slopes_by_unknowns(push, values, root)
+        root_slope = -_solve_where_regular(by_unknowns[1].T, slopes[1])
+        slopes = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), slopes, by_unknowns)
+    values_slope, _, vanishing = slopes
+    if not places.size:
+        return (values, root, places), (values_slope, root_slope, vanishing)
+    moved, places_slope = step.moved(context, places, vanishing)
+    values_slope = jax.tree.map(jnp.add, values_slope, moved)
+    return (values, root, places), (values_slope, root_slope, places_slope)
+
+
+def _solve_where_regular(jacobian: Float[Array, "n n"], vector: Unknowns) -> Unknowns:
+    """The solution; where the matrix is singular, that with the identity in its place."""
     size = jnp.max(jnp.abs(jacobian), axis=1)
     regular = jnp.all(jnp.isfinite(jacobian)) & jnp.all(size > 0)
-    size = jnp.where(regular, size, 1.0)
-    root_slope = -solve_small(jnp.where(regular, jacobian / size[:, None], eye), residual_slope / size)[0]
-    followed = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), values_slope, values_slopes)
-    return (values, root), (followed, root_slope)
+    size, eye = jnp.where(regular, size, 1.0), jnp.eye(vector.size, dtype=vector.dtype)
+    return solve_small(jnp.where(regular, jacobian / size[:, None], eye), vector / size)[0]
 
 
-def _through_passes(push: Step[Tree], pushed: tuple[Tree, Unknowns], root: Unknowns) -> tuple[Tree, Unknowns]:
-    """Values v and residual r with (v, r) = pushed + push(v, 0), by passes that go on until only rounding changes."""
+def _through_passes(push: Callable[[Tree, Unknowns], Slopes], pushed: Slopes, root: Unknowns) -> Slopes:
+    """All slopes x with x = pushed + push(values of x, 0), by passes that go on until only rounding changes."""
     still = jnp.zeros_like(root)
-    return solve_by_passes(lambda both: push(both[0], still), pushed)
+    known, empty = _without_empty(pushed)  # `custom_linear_solve` cannot transpose empty arrays
+
+    def again(slopes: Slopes) -> Slopes:
+        return _without_empty(push(eqx.combine(slopes, empty)[0], still))[0]
+
+    return eqx.combine(solve_by_passes(again, known), empty)
+
+
+def _without_empty(slopes: Slopes) -> tuple[Slopes, Slopes]:
+    """The arrays that hold numbers, and those that do not; None in the place of the others."""
+    return eqx.partition(slopes, lambda x: x.size > 0)
 
 
 def solve_by_passes(push: Callable[[Tree], Tree], pushed: Tree, max_passes: int = MAX_PASSES) -> Tree:

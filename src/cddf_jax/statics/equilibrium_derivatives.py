@@ -11,12 +11,23 @@ from jaxtyping import Array, Float
 
 from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import AnyState, Nodal, Number, Problem, Solution, State, all_points, nodal, strain_of
-from ..mechanics.sign_changes import Splits, turning_at_splits
+from ..mechanics.problem import (
+    AnyState,
+    Nodal,
+    Number,
+    Problem,
+    Solution,
+    State,
+    all_points,
+    cut_into_panels,
+    nodal,
+    strain_of,
+)
+from ..mechanics.sign_changes import turning_at_splits
 from ..mechanics.space import path_rate
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import largest
-from ..numerics.implicit import Unknowns, implicit, without_derivative
+from ..numerics.implicit import Places, Unknowns, implicit, without_derivative
 from ..robot.cross_section import AnySection, SpatialSection
 from .corrector import magnitude, moment_left_at_tip
 from .equilibrium_search import SETTLED, Settled, Setup, first_guess, place, settle
@@ -55,10 +66,18 @@ def no_equations(problem: Problem, solution: Solution[AnyState]) -> Float[Array,
     return solution.tip.ratio[:0]
 
 
-class System(eqx.Module):
-    """One pass, and the residual whose root is the equilibrium, as `implicit` takes them.
+class _There(NamedTuple):
+    """What a pass has found, for `System.moved`."""
 
-    The unknowns are the tensions that were searched for, the base moment, and the places of sign changes.
+    problem: Problem
+    solution: Solution[AnyState]
+    rate: Float[Array, " places"]  # of the turning along s, at the sign changes
+
+
+class System(eqx.Module):
+    """One pass, and the equations of the equilibrium, as `implicit` takes them.
+
+    The unknowns are the tensions that were searched for and the base moment; the places are the sign changes.
     """
 
     setup: Setup
@@ -73,44 +92,53 @@ class System(eqx.Module):
         """The elastic strain at the nodes, approximately; None where it has a closed form."""
         return None if self.settled.trial is None else self.settled.trial.strain
 
+    @property
     def root(self) -> Unknowns:
         """The unknowns that were found."""
-        load_path, splits = self.settled.load_path, self.settled.splits
-        moment = [] if self.setup.loads is None else [jnp.atleast_1d(load_path.base_moment)]
-        return jnp.concatenate([*[self.base_tension[i, None] for i in self.unknown], *moment, splits.arc_length])
+        moment = [] if self.setup.loads is None else [jnp.atleast_1d(self.settled.load_path.base_moment)]
+        return jnp.concatenate([*[self.base_tension[i, None] for i in self.unknown], *moment, self.base_tension[:0]])
 
-    def problem(self, unknowns: Unknowns) -> Problem:
-        """The problem with some values of the unknowns."""
+    @property
+    def places(self) -> Places:
+        """The sign changes that were found, m."""
+        return self.settled.splits.arc_length
+
+    def problem(self, unknowns: Unknowns, places: Places) -> Problem:
+        """The problem with some values of the unknowns, and panels that end at some places."""
         tensions, rest = jnp.split(unknowns, [len(self.unknown)])
-        load_path, splits = self.settled.load_path, self._splits(unknowns)
+        load_path, splits = self.settled.load_path, self.settled.splits._replace(arc_length=places)
         if self.setup.loads is not None:
-            moment = rest[:3] if self.setup.manipulator.in_space else rest[0]
-            load_path = load_path._replace(base_moment=moment)
+            load_path = load_path._replace(base_moment=rest if self.setup.manipulator.in_space else rest[0])
         tension = self.base_tension.at[jnp.asarray(self.unknown)].set(tensions) if self.unknown else self.base_tension
         return place(self.setup, tension, self.settled._replace(load_path=load_path, splits=splits))
 
-    def _splits(self, unknowns: Unknowns) -> Splits:
-        splits = self.settled.splits
-        return splits._replace(arc_length=unknowns[unknowns.size - splits.arc_length.size :])
+    def __call__(
+        self, values: Nodal | None, unknowns: Unknowns, places: Places
+    ) -> tuple[tuple[Nodal | None, Unknowns, Places], _There]:
+        """Better values, the residual, and the turning at the sign changes.
 
-    def __call__(self, values: Nodal | None, unknowns: Unknowns) -> tuple[Nodal | None, Unknowns]:
-        """Better values, and the residual."""
-        return self.step(values, unknowns)[0]
-
-    def step(
-        self, values: Nodal | None, unknowns: Unknowns
-    ) -> tuple[tuple[Nodal | None, Unknowns], tuple[Problem, Solution[AnyState]]]:
-        """Better values and the residual; and the problem and the solution from which they follow.
-
-        The residual: the equations of the targets, the residual moment at the tip, the turning at the sign changes.
+        The residual: the equations of the targets and the residual moment at the tip.
         Without values the method solves the whole problem, with derivatives of its own.
         """
-        problem, method = self.problem(unknowns), self.setup.method
+        problem, method = self.problem(unknowns, places), self.setup.method
         improve = method.finish if self.whole else method.improve
         solution = method(problem) if values is None else improve(problem, values, self.strain)
-        turning = turning_at_splits(problem, solution, self._splits(unknowns))
-        residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution), turning])
-        return (None if values is None else nodal(problem, solution), residual), (problem, solution)
+        turning, rate = turning_at_splits(problem, solution, self.settled.splits._replace(arc_length=places))
+        residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution)])
+        better = None if values is None else nodal(problem, solution)
+        return (better, residual, turning), _There(problem, solution, rate)
+
+    def moved(self, there: _There, places: Places, vanishing: Places) -> tuple[Nodal, Places]:
+        """The slopes of the values at the nodes, which move with the sign changes, and those of the sign changes."""
+        problem, solution, rate = there
+        change = -vanishing / rate
+        body, nodes = self.setup.manipulator, self.setup.nodes
+        shift = jax.jvp(lambda places: cut_into_panels(body, nodes, places).nodes, (places,), (change,))[1]
+
+        def carried(values: Array) -> Array:
+            return shift.reshape(*shift.shape, *[1] * (values.ndim - 2)) * problem.panels.differentiate(values)
+
+        return jax.tree.map(carried, nodal(problem, solution)), change
 
 
 def balance(
@@ -139,9 +167,9 @@ def balance(
     values, strain = jax.tree.map(lambda x, guess: jnp.where(found.converged, x, guess), here, start)
     settled = settled._replace(trial=trial._replace(strain=strain))
     system = System(setup, base_tension, settled, equations, unknown, whole)
-    values, root = implicit(system, values, system.root())
+    values, root, places = implicit(system, values, system.root, system.places)
     assert values is not None
-    problem = system.problem(root)
+    problem = system.problem(root, places)
     solution = setup.method.finish(problem, values, strain)
     changes = [solution.residual, jnp.where(jnp.any(settled.splits.owner >= 0), KINK, 0.0 * solution.residual)]
     changes += [] if setup.loads is None else [magnitude(moment_left_at_tip(problem, solution))]
@@ -157,8 +185,9 @@ def balance(
 
 def _from_scratch(system: System) -> Balance:
     """The same for a body without loads and sign changes, where only tensions were searched for."""
-    found, root = system.settled.load_path, system.root()
-    problem = system.problem(implicit(system, None, root)[1] if system.unknown else root)
+    found, root, places = system.settled.load_path, system.root, system.places
+    nothing: Nodal | None = None
+    problem = system.problem(implicit(system, nothing, root, places)[1] if system.unknown else root, places)
     solution = system.setup.method(problem)
     found = found._replace(converged=found.converged & solution.converged)
     pull = solution.nodes.pull

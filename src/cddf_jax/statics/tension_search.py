@@ -165,14 +165,13 @@ def _evaluation(
         settled = settle(setup, base_tension)
         system = System(setup, base_tension, settled, misses, unknown, whole)
         values = None if settled.trial is None else settled.trial.nodal
-        root, splits = jnp.split(system.root(), [count + loaded])  # slopes by the places of sign changes vanish
 
         def step(values: Nodal | None, root: Unknowns):
-            (better, rows), there = system.step(values, jnp.concatenate([root, splits]))
-            return (better, rows[: rows.size - splits.size]), there
+            (better, rows, _), there = system(values, root, system.places)
+            return (better, rows), (there.problem, there.solution)
 
-        (_, rows), push, (problem, solution) = jax.linearize(step, values, root, has_aux=True)
-        slopes = slopes_by_unknowns(push, values, root)[1].T
+        (_, rows), push, (problem, solution) = jax.linearize(step, values, system.root, has_aux=True)
+        slopes = slopes_by_unknowns(push, values, system.root)[1].T
         targets = rows.size - loaded
         residual, jacobian = rows[:targets], slopes[:targets, :count]
         if loaded:  # the base moment follows the tensions so that M_ext(L) stays m
