@@ -85,8 +85,7 @@ def _root(step, values, root, places):
 def _(primals, tangents):
     (step, values, root, places), (direction, *_) = primals, tangents
     values, root, places = _root(step, values, root, places)
-    pushed = slope_along(lambda step: step(values, root, places)[0], step, direction)
-    _, push, context = jax.linearize(lambda *at: step(*at, places), values, root, has_aux=True)
+    pushed, push, context = linearised(lambda step, *at: step(*at, places), step, direction, values, root)
     slopes = _through_passes(push, pushed, root)
     root_slope = jnp.zeros_like(root)
     if root.size:
@@ -195,6 +194,31 @@ def slope_along(function: Callable[[Tree], Result], given: Tree, direction: PyTr
     moved = jax.tree.leaves(slope)
     still = 0.0 * moved[0].ravel()[0] if moved else 0.0  # linear as the others: `custom_linear_solve` transposes all
     return jax.tree.map(lambda x, v: jnp.zeros_like(x) + still if v is None else v, value, slope)
+
+
+def linearised(
+    function: Callable[..., tuple[Result, Context]], given: PyTree, direction: PyTree, *at: PyTree
+) -> tuple[Result, Callable[..., Result], Context]:
+    """The derivative of function(given, *at)[0] along a direction of `given`, and by changes of `at`.
+
+    The function stands in the program once.
+
+    Args:
+        function: whose second result is not differentiated.
+        given, direction: as in `slope_along`.
+        at: the other arguments, arrays or trees of them.
+
+    Returns:
+        The derivative, the linear function, and the second result.
+    """
+    moving, rest = eqx.partition(given, jax.tree.map(lambda _, way: way is not None, given, direction))
+    _, push, context = jax.linearize(
+        lambda moving, *at: function(eqx.combine(moving, rest), *at), moving, *at, has_aux=True
+    )
+    still, *unchanged = jax.tree.map(jnp.zeros_like, (moving, *at))
+    zero = 0.0 * jax.tree.leaves(direction)[0].ravel()[0]  # as in `slope_along`
+    slope = jax.tree.map(lambda slope: slope + zero, push(direction, *unchanged))
+    return slope, jax.linearize(lambda *changes: push(still, *changes), *unchanged)[1], context
 
 
 def solve_small(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
 from .arrays import all_finite, computed_once, relative_size, zero_as
-from .implicit import repeat, slope_along, solve_by_passes
+from .implicit import linearised, repeat, solve_by_passes
 
 Values = TypeVar("Values")  # an array or a tree of arrays
 Scalar = Float[Array, ""]
@@ -65,9 +65,7 @@ def _solve(update, start, *, tolerance, max_passes, size, acceptable):
 def _(primals, tangents, **settings):
     (update, start), (direction, _) = primals, tangents
     value, *outcome = _solve(update, start, **settings)
-    pushed = slope_along(lambda update: update(value), update, direction)
-    push = jax.linearize(update, value)[1]
-
+    pushed, push, _ = linearised(lambda update, value: (update(value), None), update, direction, value)
     slope = solve_by_passes(push, pushed, settings["max_passes"])
     return (value, *outcome), (slope, None, None, None)
 

@@ -115,7 +115,15 @@ class System(eqx.Module):
     def __call__(
         self, values: Nodal | None, unknowns: Unknowns, places: Places
     ) -> tuple[tuple[Nodal | None, Unknowns, Places], _There]:
-        """Better values, the residual, and the turning at the sign changes.
+        """Better values, the residual, and the turning at the sign changes."""
+        (better, residual), (problem, solution) = self.improved(values, unknowns, places)
+        turning, rate = turning_at_splits(problem, solution, self.settled.splits._replace(arc_length=places))
+        return (better, residual, turning), _There(problem, solution, rate)
+
+    def improved(
+        self, values: Nodal | None, unknowns: Unknowns, places: Places
+    ) -> tuple[tuple[Nodal | None, Unknowns], tuple[Problem, Solution[AnyState]]]:
+        """Better values and the residual; and the problem and the solution from which they follow.
 
         The residual: the equations of the targets and the residual moment at the tip.
         Without values the method solves the whole problem, with derivatives of its own.
@@ -123,10 +131,8 @@ class System(eqx.Module):
         problem, method = self.problem(unknowns, places), self.setup.method
         improve = method.finish if self.whole else method.improve
         solution = method(problem) if values is None else improve(problem, values, self.strain)
-        turning, rate = turning_at_splits(problem, solution, self.settled.splits._replace(arc_length=places))
         residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution)])
-        better = None if values is None else nodal(problem, solution)
-        return (better, residual, turning), _There(problem, solution, rate)
+        return (None if values is None else nodal(problem, solution), residual), (problem, solution)
 
     def moved(self, there: _There, places: Places, vanishing: Places) -> tuple[Nodal, Places]:
         """The slopes of the values at the nodes, which move with the sign changes, and those of the sign changes."""

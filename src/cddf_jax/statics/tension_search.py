@@ -1,6 +1,7 @@
 """The search for base tensions that reach targets, or come nearest to them."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -9,9 +10,9 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import AnyState, Nodal, Number, Problem, Solution
+from ..mechanics.problem import AnyState, Number, Problem, Solution
 from ..numerics.arrays import largest, varying_as, zero_as
-from ..numerics.implicit import Unknowns, slopes_by_unknowns, solve_small, without_derivative
+from ..numerics.implicit import slopes_by_unknowns, solve_small, without_derivative
 from .equilibrium_derivatives import Balance, Equations, System, balance, inside_of_bend
 from .equilibrium_search import Settled, Setup, settle, unsettled
 from .targets import FARTHEST, Displacement, Target, TipAngle, TipPosition, bending_tension
@@ -165,11 +166,7 @@ def _evaluation(
         settled = settle(setup, base_tension)
         system = System(setup, base_tension, settled, misses, unknown, whole)
         values = None if settled.trial is None else settled.trial.nodal
-
-        def step(values: Nodal | None, root: Unknowns):
-            (better, rows, _), there = system(values, root, system.places)
-            return (better, rows), (there.problem, there.solution)
-
+        step = partial(system.improved, places=system.places)
         (_, rows), push, (problem, solution) = jax.linearize(step, values, system.root, has_aux=True)
         slopes = slopes_by_unknowns(push, values, system.root)[1].T
         targets = rows.size - loaded
@@ -247,17 +244,18 @@ def _judge(aim: _Aim, held: Flags, trial: _TensionTrial, state: _TensionSearch) 
     nowhere = ~jnp.isfinite(best.cost)
     others = jnp.asarray((*OTHER_STARTS, 0.0), damping.dtype)
     elsewhere = others[jnp.minimum(evaluations.astype(int) - 1, len(OTHER_STARTS))]
-    following = jnp.where(
-        nowhere, jnp.clip(elsewhere, aim.least, aim.most), _step(aim, held, best, damping, state.slack)
-    )
+    # tendons that would have to push: should the search end now, it goes on without their targets
+    pushing = state.slack & False
+    if aim.pulled is not None:
+        pushing = aim.pulled & ~nowhere & ~state.slack & (best.tension == 0) & (best.residual > REACHED)
+    slack = jnp.stack([state.slack, state.slack | pushing])
+    steps = jax.vmap(partial(_step, aim, held, best))(jnp.stack([damping, 0.0 * damping]), slack)
+    following = jnp.where(nowhere, jnp.clip(elsewhere, aim.least, aim.most), steps[0])
     move = jnp.max(jnp.abs(following - best.tension)) / (jnp.max(best.tension) + 1e-3)
     least = jnp.where(damping >= 1.0, LEAST_MOVE[1], LEAST_MOVE[0])
     done = jnp.where(nowhere, evaluations > len(OTHER_STARTS), move <= least)
-    slack, again = state.slack, jnp.zeros_like(done)
-    if aim.pulled is not None:
-        pushes = done & ~nowhere & aim.pulled & ~slack & (best.tension == 0) & (best.residual > REACHED)
-        slack, again = slack | pushes, jnp.any(pushes)
-        following = jnp.where(again, _step(aim, held, best, 0.0 * damping, slack), following)
+    again = done & jnp.any(pushing)
+    slack, following = jnp.where(again, slack[1], slack[0]), jnp.where(again, steps[1], following)
     done = (done & ~again) | (evaluations >= MAX_EVALUATIONS)
     return _TensionSearch(best, following, jnp.where(again, 0.0, damping), evaluations, better, slack, done)
 
