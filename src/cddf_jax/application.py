@@ -7,9 +7,13 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
+# XLA repeats these passes, with others, until none of them changes anything, which is a large part of compiling.
+LEFT_OUT = "while-loop-invariant-code-motion,while-loop-constant-sinking"
 # For small programs most of the time goes into compiling. With these flags it is several times faster, and the code is
 # slower, which does not matter for fits and single solves.
-QUICK_COMPILATION = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+QUICK_COMPILATION = (
+    f"--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_disable_hlo_passes={LEFT_OUT}"
+)
 TESTED_JAXLIB = "0.10."
 
 
