@@ -7,17 +7,17 @@ import pytest
 from bodies import stack
 
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
-from cddf_jax.identification.verdict import Look, doubt, estimates_in_words, looks_at
+from cddf_jax.identification.verdict import SolveResults, doubt, estimates_in_words, solve_results
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.statics.equilibrium import RESULTS
 
 
-def look(**counts):
+def solves(**counts):
     """Ten rows of which so many end in each result, the first ones; lines 3 to 12 of a file."""
     named = [getattr(RESULTS, name) for name, count in counts.items() for _ in range(count)]
     results = stack([*named, *[RESULTS.successful] * (10 - len(named))])
     table = Measurements("bench", {"base_tension": np.arange(10.0)}, np.arange(3, 13))
-    return Look("bench", table, results, np.asarray(results == RESULTS.direction_contradicted))
+    return SolveResults("bench", table, results, np.asarray(results == RESULTS.direction_contradicted))
 
 
 @pytest.mark.parametrize(
@@ -25,12 +25,12 @@ def look(**counts):
     [({"crossing": 6}, "crossing"), ({"crossing": 3, "not_converged": 3}, "not converged, crossing")],
 )
 def test_most_rows_without_a_body(counts, kinds):
-    assert f"(6 of 10, the first is row 3: {kinds})" in doubt(look(**counts))
+    assert f"(6 of 10, the first is row 3: {kinds})" in doubt(solves(**counts))
 
 
 def test_half_of_the_rows_are_not_most():
-    assert doubt(look(crossing=5)) == ""
-    assert doubt(look(inaccurate=10)) == ""  # a matter of nodes
+    assert doubt(solves(crossing=5)) == ""
+    assert doubt(solves(inaccurate=10)) == ""  # a matter of nodes
 
 
 @pytest.mark.parametrize(
@@ -43,13 +43,13 @@ def test_stated_directions_are_believed_tendon_by_tendon(stated, expected, monke
     monkeypatch.setattr(Bench, "evaluate", lambda *_: Evaluation({}, {}, results, against))
     rows = Bench(np.ones((4, 2)), tuple(-np.ones(4) if tendon in stated else None for tendon in (1, 2)), name="bench")
     table = Measurements("bench", {"base_tension": np.ones(4)}, np.arange(1, 5))
-    (found,) = looks_at({}, [table], BenchModel(None, (rows,), 16))
+    (found,) = solve_results({}, [table], BenchModel(None, (rows,), 16))
     assert np.flatnonzero(found.contradicted).tolist() == expected
     assert (doubt(found) == "") == (not expected)
 
 
 def test_a_contradicted_direction_that_is_not_stated_is_doubted():
-    told = doubt(look(direction_contradicted=1))
+    told = doubt(solves(direction_contradicted=1))
     assert told.startswith(
         "tendons travel against the direction that was found for them in 1 of 10 rows of bench (the first is row 3)"
     )

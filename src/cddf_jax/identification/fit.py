@@ -33,7 +33,7 @@ from .parameters import (
 from .past import Before, first_guesses, starts_of
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import fit_trials
-from .verdict import Look, doubt, estimates_in_words, fit_warnings, looks_at, verdict_of
+from .verdict import SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)
 
@@ -55,8 +55,8 @@ class Fit(LeastSquaresFit):
     alone: dict[str, Determination]  # what each table alone, without priors, would determine
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty without `per_trial`
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 if none was found, NaN without `per_trial`
-    looks: tuple[Look, ...]  # how the solves of each table of the manipulator ended
-    steadied: dict[str, Steady]  # by table with a history, the base tensions without the jitter of their cell
+    solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
+    without_jitter: dict[str, Steady]  # by table with a history, the base tensions without the jitter of their cell
     setting: BenchSetting  # what all rows share
     options: dict[str, object]  # the arguments of `fit` besides body and data, and the names of the free parameters
 
@@ -297,7 +297,7 @@ def fit(
         for table, first, course in zip(tables, earlier, courses, strict=False)
     )
     model = bench.BenchModel(manipulator, tuple(experiments), nodes)
-    steadied = {name: course[1] for name, course in zip(model.names, courses, strict=True) if course}
+    without_jitter = {name: course[1] for name, course in zip(model.names, courses, strict=True) if course}
     groups = bench.groups_of(tables, model)
     for name in setting.markers:
         if not any(marker_column(group.column) == (axis, name) for group in groups for axis in "xyz"):
@@ -311,12 +311,12 @@ def fit(
     search = partial(least_squares_fit, model, **data_of, bounds=bounds, loss=loss, seed=seed, prefer_start=True)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        return _conclude(statistics, tables, model, setting, steadied, float("nan"), options)
+        return _conclude(statistics, tables, model, setting, without_jitter, float("nan"), options)
     if "friction_coefficient" not in free or earlier[-1] < 2:
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
-    return _conclude(statistics, tables, model, setting, steadied, spread, options)
+    return _conclude(statistics, tables, model, setting, without_jitter, spread, options)
 
 
 def _courses(
@@ -381,14 +381,14 @@ def _conclude(
     tables: tuple[Measurements, ...],
     model: bench.BenchModel,
     setting: BenchSetting,
-    steadied: dict[str, Steady],
+    without_jitter: dict[str, Steady],
     trial_spread: float,
     options: dict[str, object],
 ) -> Fit:
     """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
     body = model.manipulator
-    looks = tuple(looks_at(statistics.parameters, tables, model))
-    if statistics.success and (reason := next(filter(None, map(doubt, looks)), "")):
+    ends = tuple(solve_results(statistics.parameters, tables, model))
+    if statistics.success and (reason := next(filter(None, map(doubt, ends)), "")):
         statistics = statistics.doubted(reason)
     both = "friction_coefficient", stiffness_parameter(body)
     fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
@@ -413,8 +413,8 @@ def _conclude(
         alone={n: Alone(**vars(statistics.determined_by(*labels[n], with_priors_of=kept))) for n in model.names},
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
-        looks=looks,
-        steadied=steadied,
+        solve_results=ends,
+        without_jitter=without_jitter,
         setting=setting,
         options=options,
     )

@@ -35,7 +35,7 @@ OUTSIDE = {  # results of rows without a solution, by their names in messages
 }
 
 
-class Look(NamedTuple):
+class SolveResults(NamedTuple):
     """How the solves of a table's rows ended, at the estimate."""
 
     name: str
@@ -48,33 +48,33 @@ class Look(NamedTuple):
         return np.flatnonzero(np.any([np.asarray(self.results == code) for code in codes], axis=0))
 
 
-def looks_at(parameters: Parameters, tables: Sequence[Measurements], model: BenchModel) -> Iterator[Look]:
+def solve_results(parameters: Parameters, tables: Sequence[Measurements], model: BenchModel) -> Iterator[SolveResults]:
     """One for each table of the manipulator."""
     for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
         if isinstance(experiment, Bench):
             shown = experiment.evaluate(model.manipulator, parameters, model.nodes)
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
             contradicted = np.asarray(shown.results == RESULTS.direction_contradicted)
-            yield Look(name, table, shown.results, contradicted & np.any(shown.against[:, found], axis=1))
+            yield SolveResults(name, table, shown.results, contradicted & np.any(shown.against[:, found], axis=1))
 
 
-def doubt(look: Look) -> str:
+def doubt(solves: SolveResults) -> str:
     """Why these rows cannot determine parameters; "" where they can."""
-    if len(look.rows(RESULTS.successful)) == len(look.table):
+    if len(solves.rows(RESULTS.successful)) == len(solves.table):
         return ""
-    rows, count = look.rows(*OUTSIDE.values()), len(look.table)
+    rows, count = solves.rows(*OUTSIDE.values()), len(solves.table)
     if len(rows) > MOST * count:
-        kinds = ", ".join(words for words, code in OUTSIDE.items() if len(look.rows(code)))
+        kinds = ", ".join(words for words, code in OUTSIDE.items() if len(solves.rows(code)))
         return (
-            f"most rows of {look.name} have no solution in the model ({len(rows)} of {count}, the first is "
-            f"{look.table.place(rows[0])}: {kinds}); check the units of the table and the dimensions of the body"
+            f"most rows of {solves.name} have no solution in the model ({len(rows)} of {count}, the first is "
+            f"{solves.table.place(rows[0])}: {kinds}); check the units of the table and the dimensions of the body"
         )
-    rows = np.flatnonzero(look.contradicted)
+    rows = np.flatnonzero(solves.contradicted)
     if len(rows):
         return (
             f"tendons travel against the direction that was found for them in {len(rows)} of {count} rows of "
-            f"{look.name} (the first is {look.table.place(rows[0])}); state it in columns direction, direction_2, ..., "
-            "or leave these rows out"
+            f"{solves.name} (the first is {solves.table.place(rows[0])}); state it in columns direction, "
+            "direction_2, ..., or leave these rows out"
         )
     return ""
 
@@ -85,7 +85,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
     found += [
         f"{name}: base_tension jitters by {one.noise:.2g} N (standard deviation), and {one.num_ignored} of its turns "
         f"of {one.least_turn:.2g} N or less are taken for noise; if they are real, give the noise of base_tension"
-        for name, one in fit.steadied.items()
+        for name, one in fit.without_jitter.items()
         if one.num_ignored
     ]
     found += [
@@ -112,13 +112,13 @@ def fit_warnings(fit: "Fit") -> list[str]:
             f"poissons_ratio = {fit.value['poissons_ratio']:.3g} is above 0.5, which no uniform material has: the body "
             "is softer in torsion or shear than its bending stiffness suggests"
         )
-    for look in fit.looks:
+    for solves in fit.solve_results:
         for code in NOTEWORTHY:
             contradicted = code is RESULTS.direction_contradicted
-            rows = np.flatnonzero(look.contradicted) if contradicted else look.rows(code)
+            rows = np.flatnonzero(solves.contradicted) if contradicted else solves.rows(code)
             if len(rows):
-                where = f"{len(rows)} of {len(look.table)} rows (the first is {look.table.place(rows[0])})"
-                found.append(f"{look.name}: {where}: {RESULTS[code]}")
+                where = f"{len(rows)} of {len(solves.table)} rows (the first is {solves.table.place(rows[0])})"
+                found.append(f"{solves.name}: {where}: {RESULTS[code]}")
     return found
 
 

@@ -314,11 +314,11 @@ def _repeat_section(report: Report) -> list[str]:
     starts, seed, nodes = (fit.options[name] for name in ("starts", "seed", "nodes"))
     starts = "as needed" if starts is None else starts
     text = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
-    text += f" With history: {', '.join(fit.steadied)}." if fit.steadied else ""
+    text += f" With history: {', '.join(fit.without_jitter)}." if fit.without_jitter else ""
     courses = [one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
     past = [words for course in courses for words in course.past_in_words]
     past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
-    text += f" Before the first row: {', '.join(past)}." if fit.steadied else ""
+    text += f" Before the first row: {', '.join(past)}." if fit.without_jitter else ""
     text += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
     text += " results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
     return _section("To repeat it", [*markdown_table(("data", "rows", "SHA-256, first digits"), rows), "", text])

@@ -95,7 +95,7 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
     for name, table in _from_rest(fit, COLUMNS):
         if len(table) >= LEAST_ROWS:
             with suppress(InputError):  # no row is bent
-                friction = model_free_friction(table, in_order=name in fit.steadied)
+                friction = model_free_friction(table, in_order=name in fit.without_jitter)
                 determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
                 compared = disagreement(friction, fit.value[mu], fit.standard_error[mu]) if determined else None
                 found[name] = ModelFree(friction, compared)
@@ -120,7 +120,7 @@ def _loops(fit: Fit) -> dict[str, LoopCompared]:
 
     found = {}
     for name, table in _from_rest(fit, ("tip_tension",)):
-        if name in fit.steadied:
+        if name in fit.without_jitter:
             with suppress(InputError):  # not released far enough
                 loop, tension = model_free_loop(table), float(table["base_tension"].max())
                 found[name] = LoopCompared(loop, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
@@ -138,7 +138,9 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         **picked(fit, OF_FIT),
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
         "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
-        "without_jitter": {name: {"unit": "N"} | picked(steady, OF_JITTER) for name, steady in fit.steadied.items()},
+        "without_jitter": {
+            name: {"unit": "N"} | picked(steady, OF_JITTER) for name, steady in fit.without_jitter.items()
+        },
         "normality": report.normality,
         "cost_from_each_start": fit.starts,
         "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
