@@ -1,10 +1,10 @@
 """The friction law: how the tension of a tendon changes along the body. No other file of the solver states it.
 
-    T' = -direction (mu |psi'| T + w)      N/m
+    T' = -direction (mu |psi'| T + drag)      N/m
 
 The loss by turning at the rate psi' (rad/m) is proportional to the tension: the derivative of Liu et al. (2020),
-eq. (8). The drag w (N/m) does not depend on the tension. The solver integrates r and c, which stay regular where T is
-zero. By variation of constants, T = (T_base - c) / r with r' = direction mu |psi'| r and c' = direction w r. All
+eq. (8). The drag (N/m) does not depend on the tension. The solver integrates r and c, which stay regular where T is
+zero. By variation of constants, T = (T_base - c) / r with r' = direction mu |psi'| r and c' = direction drag r. All
 functions here state the same law and must be changed together; `tests/mechanics/test_friction.py` compares them.
 """
 
@@ -63,7 +63,7 @@ def ratio_beyond(direction: PerTendon, section: AnySection, turn: PerTendon, rat
 
 
 def spent_rate(direction: PerTendon, section: AnySection, ratio: PerTendon) -> PerTendon | None:
-    """The rate c' = direction w r, N/m; None without drag. c also grows where a tendon is slack."""
+    """The rate c' = direction drag r, N/m; None without drag. c also grows where a tendon is slack."""
     return None if section.drag is None else direction * section.drag * jnp.abs(ratio)
 
 
