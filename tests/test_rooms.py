@@ -36,7 +36,7 @@ CORE = ROOMS[: ROOMS.index("statics") + 1]
 # asked for when it is called, not on import: `Manipulator.validate` and what `print` shows
 ON_DEMAND = {
     ("robot/manipulator", "robot/validation"),
-    ("robot/manipulator", "robot/description"),
+    ("robot/manipulator", "robot/manipulator_text"),
     ("statics/equilibrium", "statics/description"),
     ("designing/results", "designing/report"),
     ("designing/pareto", "designing/report"),

@@ -1,6 +1,6 @@
 """Moves of sliders, for the tests of what the explorer remembers."""
 
-from cddf_jax.explorer.past import PastMoves, after_move
+from cddf_jax.explorer.past_moves import PastMoves, after_move
 
 FIRST, SECOND, FORCE, GRAVITY, MODULUS = (
     "base_tension_1",

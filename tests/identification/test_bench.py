@@ -18,7 +18,7 @@ from cddf_jax.identification.parameters import (
     unit_of,
     with_parameters,
 )
-from cddf_jax.identification.past import is_past
+from cddf_jax.identification.tension_before import is_past
 from cddf_jax.measurements.table import Measurements
 
 BASE = np.tile(LEVELS, 6)

@@ -20,7 +20,7 @@ from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
-from cddf_jax.identification.past import Start, first_guesses, starts_of
+from cddf_jax.identification.tension_before import Start, first_guesses, starts_of
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports.fit_report import fit_as_markdown, fit_in_words

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import cddf_jax as cddf
-from cddf_jax.programs import description, environment, folder
+from cddf_jax.programs import environment, folder, json_form
 from cddf_jax.programs.kept import PROGRAMS, kept_program, shapes_of
 from cddf_jax.progress import SHOWN
 
@@ -312,7 +312,7 @@ def test_shapes_are_kept_and_those_of_a_user_are_not(place, monkeypatch):
     traced = jax.eval_shape(users, numbers)
     assert shapes_of(users, numbers) == traced
     assert not place.exists()
-    monkeypatch.setattr(description, "PACKAGES", (*description.PACKAGES, Scaled.__module__.partition(".")[0]))
+    monkeypatch.setattr(json_form, "PACKAGES", (*json_form.PACKAGES, Scaled.__module__.partition(".")[0]))
     next_process()
     assert [shapes_of(Scaled(jnp.ones(())), numbers) for _ in range(2)] == [traced, traced]
     assert len(TRACED) == len(list(place.iterdir())) == 1

@@ -10,7 +10,7 @@ import pytest
 from bodies import paper_body
 
 import cddf_jax as cddf
-from cddf_jax.programs.description import NotDescribedError, Place, describe, rebuild
+from cddf_jax.programs.json_form import NotDescribedError, Place, describe, rebuild
 from cddf_jax.robot.profiles import Linear
 from cddf_jax.statics.equilibrium import RESULTS
 

@@ -13,7 +13,7 @@ from ..files.actuation import read_loads
 from ..files.manipulator_file import read_toml
 from ..identification.experiment_design import Candidate
 from ..identification.parameters import BenchSetting, parameter_named
-from ..identification.past import REST, Before, One
+from ..identification.tension_before import REST, Before, One
 from ..measurements.columns import column_dimension
 from ..measurements.markers import Marker
 from ..units import quantity, vector

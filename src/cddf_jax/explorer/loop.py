@@ -22,7 +22,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, code_of, result_of
 from .controls import tensions_and_loads
 from .model import Exploration
-from .past import NUM_LEGS, PastMoves, SetPoint, Turns, corners
+from .past_moves import NUM_LEGS, PastMoves, SetPoint, Turns, corners
 
 NUM_POINTS = 12  # of each part of the path of one tendon without loads
 SHORT_STEPS = 2  # in each step of other paths

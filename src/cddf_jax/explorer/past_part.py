@@ -8,7 +8,7 @@ from ..robot.manipulator import Manipulator
 from .loop import Follower, Loop
 from .model import Exploration, Settings
 from .parts import words
-from .past import PastMoves, SetPoint, after_move, why_no_loop, why_not
+from .past_moves import PastMoves, SetPoint, after_move, why_no_loop, why_not
 from .words import loop_html, paragraph
 
 FOLLOWING = "Following the path from rest, some seconds ..."

@@ -25,7 +25,7 @@ from .controls import from_si, rounded
 from .loop import Loop
 from .model import Curve, Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
-from .past import PastMoves
+from .past_moves import PastMoves
 from .past_part import PastPart
 from .plots import AlongPlots, BodyPlot, TensionPlots, Told
 from .space import SpacePlot

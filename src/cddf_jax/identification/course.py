@@ -23,7 +23,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS
 from .parameters import with_deviation
-from .past import REST, Before, Past, Start, past_of, starts_of
+from .tension_before import REST, Before, Past, Start, past_of, starts_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
 FEW_STEPS = 4  # the same for paths that are followed in short steps

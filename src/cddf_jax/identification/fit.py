@@ -30,9 +30,9 @@ from .parameters import (
     stiffness_parameter,
     with_parameters,
 )
-from .past import Before, first_guesses, starts_of
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import fit_trials
+from .tension_before import Before, first_guesses, starts_of
 from .verdict import SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)

@@ -21,7 +21,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space as body_in_space
 from ..robot.profiles import shifted
 from ..units import Dimension, shown, si_unit
-from .past import PARAMETER, is_past
+from .tension_before import PARAMETER, is_past
 
 TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
 

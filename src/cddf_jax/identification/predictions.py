@@ -21,7 +21,7 @@ from ..robot.manipulator import Manipulator
 from .bench import AllRows, Bench, BenchModel, Group
 from .course import SHORT_STEPS, between, course_along
 from .parameters import TRIALS, Parameters
-from .past import REST, Before
+from .tension_before import REST, Before
 
 if TYPE_CHECKING:
     from .fit import Fit

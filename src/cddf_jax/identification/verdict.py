@@ -15,7 +15,7 @@ from ..statics.equilibrium import NOTEWORTHY, RESULTS
 from ..units import preferred, shown
 from .bench import Bench, BenchModel
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
-from .past import is_past
+from .tension_before import is_past
 
 if TYPE_CHECKING:
     from .fit import Fit

@@ -21,9 +21,9 @@ from jax.sharding import Mesh
 
 from ..progress import stage
 from . import folder
-from .description import NotDescribedError, Place, describe, rebuild
 from .environment import are_special, is_source_unchanged, machine_and_versions, named_settings, settings
 from .executables import Interface, Program, Signature, UnavailableError, compiled, is_within_reach, loaded, spec_of
+from .json_form import NotDescribedError, Place, describe, rebuild
 
 MOST = 512  # programs in memory
 LOG = logging.getLogger("cddf_jax.programs")

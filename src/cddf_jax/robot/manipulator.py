@@ -197,7 +197,7 @@ class Manipulator(eqx.Module):
             raise ValueError("Manipulator: density needs outer_radius and inner_radius; give mass_per_length instead")
 
     def __str__(self) -> str:
-        from .description import manipulator_in_words
+        from .manipulator_text import manipulator_in_words
 
         return manipulator_in_words(self)
 

@@ -10,7 +10,7 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
-from cddf_jax.explorer.past import NUM_LEGS, SetPoint, corners, gone_on, remembered, why_no_loop
+from cddf_jax.explorer.past_moves import NUM_LEGS, SetPoint, corners, gone_on, remembered, why_no_loop
 from cddf_jax.measurements.table import Measurements
 
 G = np.linspace(0.0, 9e-3, 50)  # the widths of the plays along the paper's body, 1/N
