@@ -31,7 +31,7 @@ from .model import Curve, Picture
 Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
 Columns: TypeAlias = dict[str, Any]  # of a source: arrays and lists by name
-Told: TypeAlias = tuple[Measurements, Mapping[str, np.ndarray]]  # a table, and columns of its rows
+TableColumns: TypeAlias = tuple[Measurements, Mapping[str, np.ndarray]]  # a table, and columns of its rows
 Points: TypeAlias = tuple[np.ndarray, np.ndarray, str]  # places, values and one colour
 
 NUM_ARROWS = 11  # along each tendon
@@ -243,7 +243,7 @@ class TensionPlots:
         self.points = {
             name: {kind: ColumnDataSource(NO_POINTS) for kind in ("data", "rows", "now", "past")} for name in labels
         }
-        self.told: dict[str, Sequence[Told]] = {"data": (), "rows": ()}
+        self.shown: dict[str, Sequence[TableColumns]] = {"data": (), "rows": ()}
         self.loops = {name: ColumnDataSource({"base": [0.0], "value": [0.0]}) for name in labels}
         self.figures = {
             name: bare_figure("Base tension (N)", y, height=255, name=f"tip_{name}") for name, y in labels.items()
@@ -277,7 +277,7 @@ class TensionPlots:
         self.tendon, self.curve.data = tendon, NOTHING_PULLED
         self._name_tendon()
         self.show_loop(None)
-        for kind, tables in self.told.items():
+        for kind, tables in self.shown.items():
             self.show_points(kind, tables)
 
     def _name_tendon(self) -> None:
@@ -288,9 +288,9 @@ class TensionPlots:
             (item,) = (item for item in fig.legend[0].items if item.renderers[0].name == "model")
             item.label = value(f"model for tendon {self.tendon + 1}")
 
-    def show_points(self, kind: str, tables: Sequence[Told]) -> None:
+    def show_points(self, kind: str, tables: Sequence[TableColumns]) -> None:
         """Columns of tables over the base tension: readings for the kind "data", the model in their rows for "rows"."""
-        self.told[kind] = tables
+        self.shown[kind] = tables
         over = of_tendons("base_tension", len(self.looks))[self.tendon]
         found: dict[str, list[Points]] = {name: [] for name in self.points}
         for table, columns in tables:

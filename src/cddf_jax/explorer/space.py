@@ -16,7 +16,7 @@ from ..robot.manipulator import Manipulator
 from ..units import round_number
 from .loop import Loop
 from .model import Picture
-from .plots import MARKS, Columns, Look, Plot, Told, bare_figure, look_of_legend, show_named, tendon_look
+from .plots import MARKS, Columns, Look, Plot, TableColumns, bare_figure, look_of_legend, show_named, tendon_look
 
 DRAW, TURN = (Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8") for name in ("space", "turn"))
 # by plane: azimuth and elevation, deg, from where it is seen, and the coordinates to the right and up
@@ -165,7 +165,7 @@ class SpacePlot:
             self.past = past
             self._send()
 
-    def show_points(self, kind: str, tables: Sequence[Told]) -> None:
+    def show_points(self, kind: str, tables: Sequence[TableColumns]) -> None:
         """Positions of the tip and of markers with three coordinates: the readings for "data", the model for "rows"."""
         told = [Row(kind, place) for _, columns in tables for place in places_told(columns)]
         if told or self.places[kind]:

@@ -27,7 +27,7 @@ from .model import Curve, Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
 from .past_moves import PastMoves
 from .past_part import PastPart
-from .plots import AlongPlots, BodyPlot, TensionPlots, Told
+from .plots import AlongPlots, BodyPlot, TableColumns, TensionPlots
 from .space import SpacePlot
 from .words import lines_html, numbers_html, tapers_html
 
@@ -224,13 +224,13 @@ class ExplorerView:
         self._on_page(setattr, self.what_if, "object", text)
         self._on_page(self._done, settings, ["what_if"])
 
-    def _show_points(self, kind: str, tables: Sequence[Told]) -> None:
+    def _show_points(self, kind: str, tables: Sequence[TableColumns]) -> None:
         """Readings, or what the body shows in their rows."""
         self.tension.show_points(kind, tables)
         if isinstance(self.body, SpacePlot):
             self.body.show_points(kind, tables)
 
-    def _show_model(self, settings: Settings, curve: Curve, rows: Sequence[Told]) -> None:
+    def _show_model(self, settings: Settings, curve: Curve, rows: Sequence[TableColumns]) -> None:
         self.tension.show_curve(curve)
         self._show_points("rows", rows)
         self._done(settings, ["tension"])
