@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body
+from bodies import PAPER, both_modes, paper_body
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -47,7 +47,7 @@ def test_they_go_on():
         np.testing.assert_allclose(getattr(on, name), getattr(history, name)[4:], rtol=1e-9, atol=1e-15)
 
 
-SMALL_LOOPS = [75.0, 40.0, 60.0, 50.0, 30.0, 80.0, 0.0, 0.4, 30.0]  # that close; full release; slack with drag
+SMALL_LOOPS = [75.0, 40.0, 60.0, 30.0, 80.0, 0.0, 0.4, 30.0]  # that close; full release; slack with drag
 
 
 @pytest.mark.slow
@@ -82,24 +82,21 @@ def test_the_published_moment_does_not_do_the_work_of_the_tendon():
 @pytest.mark.slow
 def test_derivatives_of_the_loss():
     """Of a pull by the closed form, in both modes; of a loop by differences."""
-    path = jnp.array([75.0, 50.0, 60.0, 20.0])
+    at = jnp.array([MU, 75.0, 50.0, 60.0, 20.0])
 
-    def lost(mu, path):
-        return cddf.trace(paper_body("exact", friction_coefficient=mu), path, throw=False).friction_loss
+    def lost(numbers):
+        body = paper_body("exact", friction_coefficient=numbers[0])
+        return cddf.trace(body, numbers[1:], throw=False).friction_loss
 
-    forward, reverse = (jax.jit(mode(lost, (0, 1)))(MU, path) for mode in (jax.jacfwd, jax.jacrev))
-    for a, b in zip(forward, reverse, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+    derivatives = both_modes(lost)
+    _, forward, reverse = derivatives(at)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-12)
 
     def in_closed_form(mu):
         g = END / MU * mu
         return OFFSET / mu * (75 - jnp.log(1 + g * 75) / g) - OFFSET / (2 * mu) * (75 - 75 / (1 + g * 75))
 
-    np.testing.assert_allclose(forward[0][0], jax.grad(in_closed_form)(MU), rtol=1e-9)
-    step = 1e-5
-    difference = (lost(MU + step, path) - lost(MU - step, path)) / (2 * step)
-    np.testing.assert_allclose(forward[0], difference, rtol=1e-6)
-    for k in (1, 3):
-        move = jnp.zeros(4).at[k].set(1e-3)
-        difference = (lost(MU, path + move) - lost(MU, path - move)) / 2e-3
-        np.testing.assert_allclose(forward[1][:, k], difference, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(forward[0, 0], jax.grad(in_closed_form)(MU), rtol=1e-9)
+    for k, step in ((0, 1e-5), (2, 1e-3), (4, 1e-3)):
+        above, below = (derivatives(at.at[k].add(change))[0] for change in (step, -step))
+        np.testing.assert_allclose(forward[:, k], (above - below) / (2 * step), rtol=1e-6, atol=1e-9 * (k > 0))
