@@ -16,7 +16,7 @@ test: .venv/ready  ## the tests of every change, on every core: six minutes on t
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-slow: .venv/ready  ## the tests that take long, which `test` leaves out
-	$(BIN)/python -m pytest -n auto -m slow
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m slow
 
 lint: .venv/ready
 	$(BIN)/ruff format --check .

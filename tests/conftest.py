@@ -36,12 +36,15 @@ MAPS = Path("/proc/self/maps")
 MANY_MAPS = 40_000
 
 
-# files whose single tests take long: one that starts last would leave the other workers without work
-FIRST = ("test_design", "test_fit_command", "test_loads", "test_fit", "test_targets", "test_reference", "test_work")
+# The first of these files clears all that JAX has compiled: later that takes long, and others would compile again.
+# The rest have single tests that take long: one that starts last would leave the other workers without work.
+FIRST = ("test_kept", "test_design", "test_fit_command", "test_loads", "test_fit", "test_targets", "test_reference")
+FIRST += ("test_work", "test_soft_tentacle", "test_driven", "test_trace_in_space", "test_stepped", "test_space")
 
 
 def pytest_collection_modifyitems(items):
-    items.sort(key=lambda item: item.path.stem not in FIRST)
+    place = {name: number for number, name in enumerate(FIRST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(FIRST)))
 
 
 @pytest.fixture(scope="module", autouse=True)
