@@ -44,6 +44,38 @@ def test_refined_antagonists_meet_the_table():
     np.testing.assert_allclose(np.degrees(2 * fine - rough), ANGLES, atol=0.005)  # the error falls with the steps
 
 
+def random_paths(bodies, steps):
+    rng = np.random.default_rng(7)
+    return [rng.uniform(0.0, 75.0, (steps, body.num_tendons)) for body in bodies]
+
+
+THREE = replace(PAIR, tendons=(cddf.Tendon(0.010), cddf.Tendon(0.008, side=-1), cddf.Tendon(0.006)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("short_steps", [16, 32])
+def test_a_pull_after_a_release(short_steps):
+    """Tendons that rest by their friction alone, between parts that slide, settle with any number of short steps."""
+    path = np.insert(PATH, 3, [50.0, 20.0], axis=0)
+    history = cddf.trace(PAIR, path, short_steps=short_steps)
+    np.testing.assert_allclose(np.degrees(history.tip_angle)[np.array([0, 1, 2, 4])], ANGLES, atol=0.016)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("body", [PAIR, THREE], ids=["pair", "three"])
+def test_random_paths_settle_and_end_where_solve_does(body):
+    """After every path all tendons are let go and pulled in proportion, which `solve` has an answer for."""
+    shares = np.array([1.0, 0.4, 0.3])[: body.num_tendons]
+    pull = np.outer([0.0, 70.0], shares)
+    found = cddf.solve(body, pull[1])
+    for path in random_paths([body] * 4, 6):
+        # so few nodes and steps may be inaccurate on the way
+        history = cddf.trace(body, np.concatenate([path, pull]), nodes=8, short_steps=8, throw=False)
+        assert np.all(np.isfinite(history.tip_angle))
+        np.testing.assert_allclose(history.tip_angle[-1], found.tip_angle, atol=1e-5)
+        np.testing.assert_allclose(history.tip_tension[-1], found.tip_tension, rtol=1e-5)
+
+
 @pytest.mark.slow
 def test_a_neutral_point_that_leaves_at_the_tip():
     """Both tendons rest in the last cell for a moment. Once each slides one way all along, `solve` has the answer."""

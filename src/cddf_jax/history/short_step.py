@@ -3,7 +3,8 @@
 Within a step each tendon obeys Coulomb's law with its slip dw in that step. Where the tendon moved towards the base,
 its share sigma of the friction limit is +1; where it moved away, -1; where it did not move, equilibrium determines the
 share. The law is softened by a length delta, sigma = dw / sqrt(dw^2 + delta^2). Newton's method reduces delta from a
-hundredth to 1e-13 of the largest offset, and so finds where tendons rest.
+hundredth to 1e-11 of the largest offset, and so finds where tendons rest. With a smaller delta, the slips of tendons
+that rest would be hardly larger than their rounding errors, and the passes would not settle.
 """
 
 from functools import partial
@@ -23,10 +24,13 @@ from .cells import Cells, Edge, along_cell, missing_along
 Number = Float[Array, ""]
 PerCell = Float[Array, "*P tendons"]  # of all cells; without their axis of one
 FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
-LAST_SOFTNESS = 1e-13
-SHRINKING = (0.1, 0.3, 0.5)  # factor on delta in a pass, in each of three attempts
-SETTLED = (np.inf, 1e-2, 1e-4)  # delta is reduced after a pass whose change was smaller, in each attempt
-PASSES = (40, 120, 240)  # numbers of passes after which the next attempt starts again
+LAST_SOFTNESS = 1e-11
+SHRINKING = (0.1, 0.3, 0.3, 0.5)  # factor on delta in a pass, in each of four attempts
+SETTLED = (np.inf, 1e-2, 1e-2, 1e-4)  # delta is reduced after a pass whose change was smaller, in each attempt
+PASSES = (40, 120, 200, 320)  # numbers of passes after which the next attempt starts again
+LOCATED = (
+    120  # passes after which the attempts take a front as in the middle of its cell, since its place did not settle
+)
 LOCATING = 5  # passes with the last delta, after which the position of a front within its cell is held
 TOLERANCE = 1e-10  # of the change in a pass
 PATIENCE = 10  # passes with the last delta, after which changes count as rounding, see `_tolerance`
@@ -104,17 +108,19 @@ def _after_step(given: tuple[Setting, Ends, Step]) -> tuple[Step, _Sides, Number
     def improve(carry):
         step, sides, softness, _, count, held = carry
         along, rate = _missing(setting, step)
-        sides = jax.tree.map(lambda new, old: jnp.where(held < LOCATING, new, old), _sides(before, rate), sides)
+        located = (held < LOCATING) & (count < LOCATED)
+        sides = jax.tree.map(lambda new, old: jnp.where(located, new, old), _sides(before, rate), sides)
         gaps = _gaps(setting, ends, before, step, sides, softness, along)
         change = _correction(setting, ends, before, step, sides, softness, gaps)
         new, size = _changed(setting, ends, step._replace(slip_rate=rate), change)
-        again = (count == PASSES[0]) | (count == PASSES[1])
-        attempt = [count < PASSES[0], count < PASSES[1]]
-        shrinking, settled = (jnp.select(attempt, list(of[:2]), of[2]) for of in (SHRINKING, SETTLED))
+        again = jnp.any(count == jnp.array(PASSES[:-1]))
+        attempt = [count < passes for passes in PASSES[:-1]]
+        shrinking, settled = (jnp.select(attempt, list(of[:-1]), of[-1]) for of in (SHRINKING, SETTLED))
         held = jnp.where(again, 0.0, held + (softness <= last))
         smaller = jnp.where(size < settled, shrinking, 1.0) * softness
         softness = jnp.where(again, first, jnp.maximum(smaller, last))
         new = jax.tree.map(lambda x, y: jnp.where(again, x, y), start, new)
+        sides = jax.tree.map(lambda x: jnp.where(again, 0.5, x), sides)
         return new, sides, softness, size, count + 1.0, held
 
     half = jnp.full_like(start.share, 0.5)
