@@ -197,6 +197,32 @@ def test_a_history_goes_on(loaded):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("jitted", [False, True])
+def test_gravity_rests_while_a_force_changes(jitted):
+    """The same in two calls: pulled under gravity alone, which `solve` has an answer for, and then a force."""
+    body, gravity = with_masses(ONE), (0.0, -9.81)
+    tension, force = [60.0, 60.0, 40.0], [(0.0, 0.0), (0.0, -0.5), (0.0, -0.2)]
+
+    def traced(gravity):
+        return cddf.trace(body, tension, cddf.Loads(gravity=gravity, tip_force=force))
+
+    together = (jax.jit(traced) if jitted else traced)(jnp.array(gravity))
+    under_gravity = cddf.trace(body, tension[:1], cddf.Loads(gravity=gravity))
+    pushed = [cddf.Loads(gravity=gravity, tip_force=one) for one in force[1:]]
+    after = cddf.trace(body, tension[1:], pushed, start=under_gravity)
+    np.testing.assert_allclose(
+        together.tip_angle[0], cddf.solve(body, 60.0, cddf.Loads(gravity=gravity)).tip_angle, atol=1e-6
+    )
+    np.testing.assert_allclose(together.tip_angle[1:], after.tip_angle, atol=1e-9)
+    np.testing.assert_allclose(together.tip_tension[1:], after.tip_tension, rtol=1e-9)
+    np.testing.assert_allclose(together.work[1:], after.work, rtol=1e-9)
+    np.testing.assert_allclose(together.friction_loss[0], under_gravity.friction_loss[0], rtol=1e-9)
+    # gravity that comes with the first tension ends in the same state: the tendon slides one way. Its loss differs
+    with_tension = cddf.trace(body, tension[:1], [cddf.Loads(gravity=gravity)])
+    assert abs(with_tension.friction_loss[0] / together.friction_loss[0] - 1) > 1e-3
+
+
+@pytest.mark.slow
 def test_a_push_meets_a_stiffer_body_than_the_sliding_one():
     """A tendon that rests holds the tip: `tip_compliance` of `solve` is that of a tendon that slides."""
     loads = [cddf.Loads(), cddf.Loads(tip_force=(0.0, -0.05)), cddf.Loads()]

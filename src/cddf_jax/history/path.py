@@ -6,6 +6,7 @@ from typing import NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..robot.loads import Loads
@@ -74,17 +75,12 @@ def _is_numbers(entry: object) -> bool:
     return isinstance(entry, float | int | np.ndarray | jax.Array | tuple | list | np.generic)
 
 
-def _not_per_step(loads: Loads) -> bool:
-    """Whether the loads have no axis of steps."""
-    return all(np.ndim(getattr(loads, name)) == count for name, count in NUM_AXES.items())
-
-
 def given_path(
     manipulator: Manipulator, base_tension: Driven | TipAngle, loads: Loads | Sequence[Loads] | None
 ) -> tuple[Path, tuple[int, ...]]:
     """The path, and the indices, from 0, of the tendons that are driven by their displacement.
 
-    Loads without an axis of steps act already before the first step.
+    The members of `loads` without an axis of steps act already before the first step.
 
     Raises:
         ValueError: for wrong shapes.
@@ -92,8 +88,7 @@ def given_path(
     """
     tension, displacement, driven = _actuation(manipulator, base_tension)
     along = _loads(loads, tension.shape[0])
-    stay = isinstance(loads, Loads) and _not_per_step(loads)
-    return Path(tension, displacement, along, jax.tree.map(lambda x: x[0], along) if stay else None), driven
+    return Path(tension, displacement, along, _resting(loads, along)), driven
 
 
 def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tuple[Array, Array, tuple[int, ...]]:
@@ -124,6 +119,22 @@ def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tup
         raise ValueError(f"trace: each tendon must have one number for each step, got the shapes {shapes}")
     given, by_length = jnp.stack(values, axis=1), jnp.isin(jnp.arange(count), jnp.asarray(driven))
     return jnp.where(by_length, 0.0, given), jnp.where(by_length, given, 0.0), driven
+
+
+def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None) -> Loads | None:
+    """The loads that act before the first step, those without an axis of steps; None where there are none."""
+    if along is None or not isinstance(loads, Loads):
+        return None
+    stays = {name: np.ndim(getattr(loads, name)) == count for name, count in NUM_AXES.items()}
+    if not all(stays.values()) and not any(_acts(getattr(loads, name)) for name, stay in stays.items() if stay):
+        return None
+    first = {name: getattr(along, name)[0] for name in stays}
+    return Loads(**{name: first[name] if stay else jnp.zeros_like(first[name]) for name, stay in stays.items()})
+
+
+def _acts(load: Array) -> bool:
+    """Whether a load may differ from zero."""
+    return isinstance(load, Tracer) or bool(np.any(np.asarray(load) != 0))
 
 
 def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int) -> Loads | None:
