@@ -208,17 +208,27 @@ def determine(evidence: Evidence) -> Determination:
 def quantiles(evidence: Evidence, directions: np.ndarray) -> np.ndarray:
     """Half-widths of 95 % intervals over their standard errors, of linear combinations (rows) of scaled parameters.
 
-    They are quantiles of the t distribution if noise was estimated. If a variance contains random effects, whose spread
-    was estimated too, its degrees of freedom are those of Satterthwaite (1946), Biometrics Bulletin 2, 110.
+    They are quantiles of the t distribution if noise was estimated, with the degrees of freedom of Satterthwaite
+    (1946), Biometrics Bulletin 2, 110: each group of data with its own estimated noise, and the estimated spread of
+    random effects, counts by its part of the variance. Estimated noise gives the groups weights that are not the best;
+    the variance grows by what Kenward and Roger (1997), Biometrics 53, 983, find for it.
     """
-    freedom = np.full(len(directions), evidence.noise_freedom)
+    covariance = evidence.spectrum.covariance
+    along = directions @ covariance
+    variance = np.maximum(np.sum(along * directions, axis=1), TINY)
+    uncertainty, growth = np.zeros(len(directions)), np.zeros(len(directions))
+    for name in (name for name, estimated in evidence.noise_estimated.items() if estimated):
+        rows = without_nan(evidence.rows[name])
+        freedom = max(len(rows) - evidence.spectrum.leverage(rows).sum(), 1.0)
+        own = along @ (rows.T @ rows)
+        part, shared = (np.sum(own * other, axis=1) / variance for other in (along, own @ covariance))
+        uncertainty += part**2 / freedom
+        growth += 4 / freedom * np.maximum(part - shared, 0.0)
     if evidence.random:
-        along = directions @ evidence.spectrum.covariance
-        variance = np.sum(along * directions, axis=1)
-        part = sum((along[:, k] * evidence.prior_rows[k][0, k]) ** 2 for k in evidence.random)
-        of_spread = (len(evidence.random) - 1) * (variance / np.maximum(part, 1e-6 * variance + TINY)) ** 2
-        freedom = np.minimum(freedom, np.maximum(of_spread, 1.0))
-    return stdtrit(freedom, 0.975)
+        part = sum((along[:, k] * evidence.prior_rows[k][0, k]) ** 2 for k in evidence.random) / variance
+        uncertainty += part**2 / (len(evidence.random) - 1)
+    freedom = np.maximum(1 / np.maximum(uncertainty, TINY), 1.0)
+    return stdtrit(freedom, 0.975) * np.sqrt(1 + growth)
 
 
 def _statuses(evidence: Evidence, error: np.ndarray, quantile: np.ndarray) -> list[str]:
