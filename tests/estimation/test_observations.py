@@ -197,8 +197,7 @@ def test_coverage_with_few_readings_of_different_noise():
     """95 % intervals hold the truth in 95 % of 1,000 draws, within three of their standard errors, 0.7 %."""
     held = 0
     for seed in range(1000):
-        low, high = least_squares_fit(two_samples, LEVEL, draw(np.random.default_rng((5, seed)))).confidence_interval[
-            "a"
-        ]
+        fit = least_squares_fit(two_samples, LEVEL, draw(np.random.default_rng((5, seed))))
+        low, high = fit.confidence_interval["a"]
         held += low <= 1 <= high
     assert held == pytest.approx(950, abs=21)

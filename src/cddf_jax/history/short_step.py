@@ -28,9 +28,7 @@ LAST_SOFTNESS = 1e-11
 SHRINKING = (0.1, 0.3, 0.3, 0.5)  # factor on delta in a pass, in each of four attempts
 SETTLED = (np.inf, 1e-2, 1e-2, 1e-4)  # delta is reduced after a pass whose change was smaller, in each attempt
 PASSES = (40, 120, 200, 320)  # numbers of passes after which the next attempt starts again
-LOCATED = (
-    120  # passes after which the attempts take a front as in the middle of its cell, since its place did not settle
-)
+LOCATED = 120  # passes after which a front is taken as in the middle of its cell, since its place did not settle
 LOCATING = 5  # passes with the last delta, after which the position of a front within its cell is held
 TOLERANCE = 1e-10  # of the change in a pass
 PATIENCE = 10  # passes with the last delta, after which changes count as rounding, see `_tolerance`
