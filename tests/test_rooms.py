@@ -37,7 +37,7 @@ CORE = ROOMS[: ROOMS.index("statics") + 1]
 ON_DEMAND = {
     ("robot/manipulator", "robot/validation"),
     ("robot/manipulator", "robot/manipulator_text"),
-    ("statics/equilibrium", "statics/description"),
+    ("statics/equilibrium", "statics/equilibrium_text"),
     ("designing/results", "designing/report"),
     ("designing/pareto", "designing/report"),
 }

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.statics.description import describe_crossing
+from cddf_jax.statics.equilibrium_text import describe_crossing
 
 BODY = paper_body("exact")
 

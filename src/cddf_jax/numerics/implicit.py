@@ -20,7 +20,7 @@ Scalar = Float[Array, ""]
 MAX_PASSES = 64
 
 
-class Step(Protocol, Generic[Tree, Context]):
+class ImplicitStep(Protocol, Generic[Tree, Context]):
     """The equations of an equilibrium, as a pytree.
 
     The values are those of functions along a line that is cut into pieces. Some pieces end at places where a quantity
@@ -44,7 +44,9 @@ class Step(Protocol, Generic[Tree, Context]):
         ...
 
 
-def implicit(step: Step[Tree, Context], values: Tree, root: Unknowns, places: Places) -> tuple[Tree, Unknowns, Places]:
+def implicit(
+    step: ImplicitStep[Tree, Context], values: Tree, root: Unknowns, places: Places
+) -> tuple[Tree, Unknowns, Places]:
     """The same values, unknowns and places, with the derivatives that follow from the equations.
 
     The equations are (values, 0, 0) = step(values, unknowns, places)[0], a fixed point for the values. The derivatives

@@ -9,7 +9,7 @@ from ..files.writing import picked
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_in_space
 from ..statics.contact import self_contact
-from ..statics.description import last_lines, strain_line, tendon_lines, tip_line
+from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.targets import CurvatureAt, Target, TipPosition
 from ..sweeping.one_solve import IN_SPACE, OUTPUTS

@@ -216,12 +216,12 @@ class Equilibrium(eqx.Module):
         Raises:
             ValueError: for a batch or traced values.
         """
-        from .description import remarks_on
+        from .equilibrium_text import remarks_on
 
         return remarks_on(self)
 
     def __str__(self) -> str:
-        from .description import equilibrium_in_words
+        from .equilibrium_text import equilibrium_in_words
 
         return equilibrium_in_words(self)
 

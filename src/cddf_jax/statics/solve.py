@@ -38,7 +38,7 @@ from .arguments import (
     per_tendon,
     split_actuation,
 )
-from .description import result_in_words
+from .equilibrium_text import result_in_words
 from .equilibrium import (
     RESULTS,
     Dense,
