@@ -42,8 +42,8 @@ def solve(
     with stage("loading"):
         from ..files.actuation import read_actuation, read_directions, read_loads
         from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
-        from ..statics.equilibrium_text import result_in_words
         from ..statics.equilibrium import RESULTS, ended_as, on_host
+        from ..statics.equilibrium_text import result_in_words
         from ..statics.solve import solve
 
     actuation = read_actuation(base_tension, manipulator)

@@ -26,8 +26,8 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, of_tendon
 from ..robot.reshape import tapered
-from ..statics.equilibrium_text import result_in_words, wall_remarks
 from ..statics.equilibrium import RESULTS, Equilibrium, ended_as
+from ..statics.equilibrium_text import result_in_words, wall_remarks
 from ..statics.solve import solve
 from ..statics.targets import TipAngle
 from .controls import FITTED, RADII, Control, controls_of, in_si, load_components, tensions_and_loads

@@ -20,8 +20,8 @@ from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..mechanics.fields import AnyFields, SpatialFields
 from ..quantities import QUANTITIES
-from ..statics.equilibrium_text import result_in_words
 from ..statics.equilibrium import Equilibrium, fields_on
+from ..statics.equilibrium_text import result_in_words
 from ..sweeping.one_solve import AXES, COMPONENTS, IN_SPACE, OUTPUTS
 from ..units import Dimension, si_unit
 

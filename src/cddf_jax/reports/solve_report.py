@@ -9,8 +9,8 @@ from ..files.writing import picked
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_in_space
 from ..statics.contact import self_contact
-from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
 from ..statics.equilibrium import RESULTS, Equilibrium
+from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
 from ..statics.targets import CurvatureAt, Target, TipPosition
 from ..sweeping.one_solve import IN_SPACE, OUTPUTS
 from ..units import shown

@@ -38,7 +38,6 @@ from .arguments import (
     per_tendon,
     split_actuation,
 )
-from .equilibrium_text import result_in_words
 from .equilibrium import (
     RESULTS,
     Dense,
@@ -50,6 +49,7 @@ from .equilibrium import (
 )
 from .equilibrium_derivatives import Balance, equilibrate, inside_of_bend
 from .equilibrium_search import Setup
+from .equilibrium_text import result_in_words
 from .targets import Actuation, Displacement, TipAngle, TipStiffness
 from .tension_search import Found, Targets, reach
 
