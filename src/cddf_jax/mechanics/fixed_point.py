@@ -19,7 +19,7 @@ from ..numerics.arrays import all_finite, cos_sin, largest, relative_size
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
-from ..numerics.rotations import cross, in_fixed_frame, of_turn, turned_by
+from ..numerics.rotations import cross, of_turn, turned_by
 from ..robot.cross_section import AnySection, spatial
 from ..robot.loads import planar_cross
 from . import space
@@ -208,7 +208,7 @@ def _shape_in_space(
 ) -> _Shape:
     """In space. Rotations are unknowns, as r and M_ext are; t' is the derivative of polynomials through the nodes."""
     cut, section = problem.panels, problem.nodes
-    wrench = wrench_of(guess.frame, moments_of(problem, guess), problem.outboard.nodes)
+    wrench = wrench_of(spatial(section), guess.frame, moments_of(problem, guess), problem.outboard.nodes)
     strain = _strain_in_space(section, tension, wrench, start)
     elastic = strain - spatial(section).rest
     if follow_the_axis(problem):
@@ -220,7 +220,7 @@ def _shape_in_space(
     rate = turned_by(guess.frame, space.curvature_of_strain(strain))
     edges, nodes = cut.integrate(rate)
     frame = identity_as(tension) + edges, identity_as(tension) + nodes
-    axis = in_fixed_frame(guess.frame, space.axis_of_strain(strain))
+    axis = space.axis_in_fixed_frame(guess.frame, strain)
     return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain, elastic)
 
 
@@ -317,7 +317,7 @@ def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) ->
     cut, shape, axis = problem.panels, along.shape, along.shape.axis
     if shape.strain is not None and shape.heading is None:
         frame, frame_at_nodes = _frames(cut, shape.strain)
-        axis = in_fixed_frame(frame_at_nodes, space.axis_of_strain(shape.strain))
+        axis = space.axis_in_fixed_frame(frame_at_nodes, shape.strain)
         solution = eqx.tree_at(
             lambda found: (found.starts.heading, found.nodes.heading, found.tip.heading),
             solution,

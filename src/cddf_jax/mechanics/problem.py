@@ -311,15 +311,18 @@ def strain_of(section: AnySection, base_tension: PerTendon, state: AnyState) -> 
     """The curvature kappa, 1/m, at one cross-section; of a body in space its strain, (strains,)."""
     tension = tension_of(section, base_tension, state.pull)
     if isinstance(section, SpatialSection):
-        return space.strain(section, tension, wrench_of(state.heading, state.moment, state.force), state.strain)
+        wrench = wrench_of(section, state.heading, state.moment, state.force)
+        return space.strain(section, tension, wrench, state.strain)
     return bending.curvature(section, tension, state.moment, state.strain)
 
 
-def wrench_of(frame: Heading | None, moment: Array, force: Array | None) -> space.Wrench | None:
+def wrench_of(
+    section: SpatialSection, frame: Heading | None, moment: Array, force: Array | None
+) -> space.Wrench | None:
     """Moment and force of the loads on a cross-section in space, in its own frame; None without loads."""
     if frame is None or force is None:
         return None
-    return space.Wrench(in_own_frame(frame, moment), in_own_frame(frame, force))
+    return space.Wrench(in_own_frame(frame, moment), in_own_frame(frame, force) if section.extensible else None)
 
 
 def moment_rate_of(
@@ -351,7 +354,7 @@ def turn_at_joint(
     if joint is None:
         return jnp.zeros_like(ratio), ratio
     before, after = joint
-    wrench = wrench_of(frame, moment, force)
+    wrench = wrench_of(before, frame, moment, force) if isinstance(before, SpatialSection) else None
 
     def pointing(section, ratio):
         tension = tension_of(section, problem.base_tension, pull._replace(ratio=ratio))

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics.implicit import slope_along, solve_definite
-from ..numerics.rotations import Vector, cross, length_of
+from ..numerics.rotations import Quaternion, Vector, cross, first_axis, in_fixed_frame, length_of
 from ..robot.cross_section import SpatialSection
 from .friction import PerTendon, tension_rate
 
@@ -34,7 +34,7 @@ class Wrench(NamedTuple):
     """Moment and force of the loads on a cross-section, in its frame."""
 
     moment: Vector  # N m
-    force: Vector  # N
+    force: Vector | None  # N; None where the axis can neither stretch nor shear
 
 
 def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None, start: Strain | None = None) -> Strain:
@@ -45,7 +45,9 @@ def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None, st
     there are `NEWTON_STEPS` steps.
     """
     if section.parallel and loads is None:  # no twist, and t = (1, 0, 0)
-        return section.rest - _gradient(section, tension, section.ahead, None) * (1.0 / section.stiffness)
+        arms = section.lever[:, 0, 1:] * (1.0 / section.stiffness[1:])
+        bend = [-sum(arms[i, k] * tension[i] for i in range(tension.shape[0])) for k in range(2)]
+        return jnp.stack([jnp.zeros_like(section.stiffness[0]), *bend])
     return _strain_of_least_energy(section, tension, loads, start)
 
 
@@ -54,11 +56,9 @@ def curvature_of_strain(strain: Float[Array, "*points strains"]) -> Vector:
     return strain[..., :3]
 
 
-def axis_of_strain(strain: Float[Array, "*points strains"]) -> Vector:
-    """The derivative of the position along s, in the frame of the cross-section: v."""
-    if strain.shape[-1] > 3:
-        return strain[..., 3:]
-    return jnp.broadcast_to(jnp.asarray([1.0, 0.0, 0.0], strain.dtype), strain.shape)
+def axis_in_fixed_frame(frame: Quaternion, strain: Float[Array, "*points strains"]) -> Vector:
+    """The derivative of the position along s: R v."""
+    return in_fixed_frame(frame, strain[..., 3:]) if strain.shape[-1] > 3 else first_axis(frame)
 
 
 def path_rate(section: SpatialSection, strain: Strain) -> Vectors:
@@ -141,7 +141,7 @@ def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loa
     pull = jnp.einsum("ijk,ij->k", section.lever, tension[:, None] * tangent)
     if loads is None:
         return pull
-    acting = loads.moment if not section.extensible else jnp.concatenate([loads.moment, loads.force])
+    acting = loads.moment if loads.force is None else jnp.concatenate([loads.moment, loads.force])
     return pull - acting
 
 

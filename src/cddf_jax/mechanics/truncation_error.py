@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..numerics.arrays import largest
-from ..numerics.rotations import cross, in_fixed_frame, turned_by
+from ..numerics.rotations import cross, turned_by
 from ..robot.cross_section import AnySection
 from ..robot.loads import planar_cross
 from . import space
@@ -78,7 +78,7 @@ def _shape_rates_in_space(
         tangent = at_nodes(space.tangents, (0, 0))(sections, strain)
         rate = cut.extended(cut.differentiate(tangent[:, : cut.order]), fractions)  # the first places are the nodes
         turning = turning_in_space(sections, strain, tangent, rate)
-    axis = in_fixed_frame(state.heading, space.axis_of_strain(strain))
+    axis = space.axis_in_fixed_frame(state.heading, strain)
     turned = 2.0 * turned_by(state.heading, space.curvature_of_strain(strain))
     return turning, axis, turned, jnp.zeros_like(axis) if state.force is None else -cross(axis, state.force)
 
