@@ -144,6 +144,24 @@ def test_one_pass_is_enough_where_its_result_does_not_depend_on_the_guess(case):
         np.testing.assert_allclose(solution.tip_tension, tension / ends[0], rtol=1e-14)
 
 
+@pytest.mark.parametrize("same", [True, False])
+def test_parallel_tendons_in_space_with_the_same_friction_need_no_passes(same):
+    """By hand: |M| r is then the moment of the base tensions. A pass from any solution changes nothing."""
+    offset, frictions = PARALLEL.tendons[0].offset, (0.3, 0.3, 0.3) if same else (0.3, 0.2, 0.4)
+    ends = (None, 0.08, None)
+    tendons = [
+        cddf.Tendon(offset, angle=2.0 * i, end=end, friction_coefficient=mu)
+        for i, (end, mu) in enumerate(zip(ends, frictions, strict=True))
+    ]
+    body, tension = replace(PARALLEL, tendons=tuple(tendons)), jnp.asarray([40.0, 30.0, 5.0])
+    problem = eqx.filter_jit(lay_out)(body, tension, jnp.ones(3), 16)
+    found = eqx.filter_jit(cddf.FixedPoint())(problem)
+    again = eqx.filter_jit(cddf.FixedPoint().improve)(problem, Nodal(found.nodes.ratio, None))
+    assert found.converged
+    assert (found.num_iterations == 0) == same
+    np.testing.assert_allclose(again.nodes.ratio, found.nodes.ratio, rtol=1e-12)
+
+
 @pytest.mark.parametrize(("direction", "friction", "expected"), [(+1, 1e200, "not_converged"), (-1, 2.0, "locked")])
 def test_one_pass_without_a_solution_is_reported(direction, friction, expected):
     """The ratio overflows, or falls below zero; the lane beside them is that of a solve alone, slopes and all."""

@@ -19,11 +19,11 @@ from ..numerics.arrays import all_finite, cos_sin, largest, relative_size
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
-from ..numerics.rotations import cross, of_turn, turned_by
+from ..numerics.rotations import about, cross, direction_of, in_fixed_frame, parts_of, product, sum_of, turned_by
 from ..robot.cross_section import AnySection, spatial
 from ..robot.loads import planar_cross
 from . import space
-from .friction import PerTendon, Pull, ratio_rate, spent_rate
+from .friction import PerTendon, Pull, is_proportional, ratio_rate, spent_rate
 from .problem import (
     Heading,
     Nodal,
@@ -103,12 +103,14 @@ class FixedPoint(eqx.Module):
     max_passes: int = eqx.field(default=64, static=True)
 
     def __call__(self, problem: Problem) -> Solution[State]:
-        update, guess = Partial(_improved, problem), everywhere(problem.panels, at_base(problem))
+        update, guess, off = Partial(_improved, problem), everywhere(problem.panels, at_base(problem)), jnp.inf
         if problem.is_quadrature:
             answer = constant_map(update, guess, _acceptable)
         else:
+            if problem.in_space and follow_the_axis(problem) and is_proportional(problem.base):
+                guess, off = _along_the_axis(problem)
             settings = {"tolerance": self._tolerance(problem), "max_passes": self.max_passes}
-            answer = fixed_point(update, guess, **settings, acceptable=_acceptable)
+            answer = fixed_point(update, guess, **settings, acceptable=_acceptable, off=off)
         along, tip = _pass(problem, answer.value)
         good = answer.converged & jnp.all(tip.values.ratio > 0)
         solution = _solution(
@@ -229,6 +231,21 @@ def follow_the_axis(problem: Problem) -> bool:
     return problem.loads is None and spatial(problem.nodes).parallel
 
 
+def _along_the_axis(problem: Problem) -> tuple[Nodal, Number]:
+    """The ratio r of tendons that follow the axis if all have the same friction; and how far it is off: zero if so.
+
+    Then all tensions fall alike, and |M| r is the moment of the base tensions: r' = direction mu |M(0)| / (E J).
+    """
+    section, ones = problem.nodes, everywhere(problem.panels, at_base(problem)).ratio
+    tension = tension_of(section, problem.base_tension, Pull(ones))
+    bend = turning_along_axis(section, _strain_in_space(section, tension, None, None))
+    rate = _ratio_rates(problem.direction, section, bend, ones)
+    growth = problem.direction * problem.base.friction_coefficient
+    alike = jnp.all(growth == growth[0])
+    ratio = jnp.where(alike, ones + problem.panels.integrate(rate)[1], ones)
+    return Nodal(ratio, None), jnp.where(alike, 0.0, jnp.inf)
+
+
 _strain_in_space = at_nodes(space.strain, (0, 0, 0, 0))
 turning_in_space = at_nodes(space.turning_in_space, (0, 0, 0, 0))
 turning_along_axis = at_nodes(space.turning_along_axis, (0, 0))
@@ -241,15 +258,24 @@ def _tangents(cut: Panels, section: AnySection, strain: Array) -> tuple[Array, A
 
 
 def _frames(cut: Panels, strain: Array) -> tuple[Array, Array]:
-    """The rotations at the edges and the nodes that follow from the curvature, both (..., 4)."""
+    """The rotations at the edges and the nodes that follow from the curvature, both (..., 4).
+
+    Each is a turn about one axis for the whole body, and a rotation after it, which passes find. Where the body bends
+    about one axis, the turn is all.
+    """
     curvature = space.curvature_of_strain(strain)
-    guess = jax.tree.map(of_turn, cut.integrate(curvature))  # exact where the body bends about one axis
-    update = Partial(_turned_on, cut, curvature)
-    return fixed_point(update, guess, tolerance=round_off(strain.dtype), max_passes=64).value
+    axis = without_derivative(direction_of(jnp.sum(cut.gain(curvature), axis=0)))  # any axis leads to the same frames
+    rate = sum_of([x * n for x, n in zip(parts_of(curvature), axis, strict=True)])[..., 0]
+    turns = jax.tree.map(lambda angle: about(axis, angle), cut.integrate(rate))
+    rest = in_fixed_frame(turns[1], curvature - rate[..., None] * axis)
+    start = jax.tree.map(lambda turn: jnp.broadcast_to(identity_as(rest), turn.shape), turns)
+    off = largest(sum_of([jnp.abs(part) for part in parts_of(rest)])) * cut.edges[-1]
+    found = fixed_point(Partial(_turned_on, cut, rest), start, tolerance=round_off(rate.dtype), max_passes=64, off=off)
+    return jax.tree.map(product, found.value, turns)
 
 
-def _turned_on(cut: Panels, curvature: Array, frames: tuple[Array, Array]) -> tuple[Array, Array]:
-    edges, nodes = cut.integrate(turned_by(frames[1], curvature))
+def _turned_on(cut: Panels, rate: Array, frames: tuple[Array, Array]) -> tuple[Array, Array]:
+    edges, nodes = cut.integrate(turned_by(frames[1], rate))
     return identity_as(edges) + edges, identity_as(nodes) + nodes
 
 

@@ -155,8 +155,12 @@ def repeat(
     size: Callable[[Tree, Tree], Scalar],
     tolerance: float,
     max_passes: int,
+    change: Scalar | float = jnp.inf,
 ) -> tuple[Tree, Scalar, Scalar]:
-    """The update again and again until it changes no more than the tolerance: values, last change, number of passes."""
+    """The update again and again until it changes no more than the tolerance: values, last change, number of passes.
+
+    `change` is what is known of the change that the first pass would make.
+    """
     zero = zero_as(first)
 
     def unsettled(carry):
@@ -168,7 +172,7 @@ def repeat(
         new = update(value)
         return new, size(minus(new, value), new), count + 1.0
 
-    return jax.lax.while_loop(unsettled, body, (first, zero + jnp.inf, zero))
+    return jax.lax.while_loop(unsettled, body, (first, zero + change, zero))
 
 
 def minus(a: Tree, b: Tree) -> Tree:

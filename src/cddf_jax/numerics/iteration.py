@@ -32,6 +32,7 @@ def fixed_point(
     max_passes: int,
     size: Callable[[Values, Values], Scalar] = relative_size,
     acceptable: Callable[[Values], Bool[Array, ""]] = all_finite,
+    off: Scalar | float = jnp.inf,
 ) -> FixedPointResult:
     """Solve y = update(y) by Picard iteration; differentiate the solution implicitly.
 
@@ -49,22 +50,24 @@ def fixed_point(
         size: (change, value) -> how large a change is, to be compared with `tolerance`. The
             linearised passes always go on until only rounding errors change.
         acceptable: whether a value may count as a solution.
+        off: an upper bound of the change in the first pass, where one is known. There are no passes where it is within
+            the tolerance.
     """
     settings = {"tolerance": tolerance, "max_passes": max_passes, "size": size, "acceptable": acceptable}
-    return FixedPointResult(*_solve(update, jax.lax.stop_gradient(start), **settings))
+    return FixedPointResult(*_solve(update, *jax.lax.stop_gradient((start, off)), **settings))
 
 
 @eqx.filter_custom_jvp
-def _solve(update, start, *, tolerance, max_passes, size, acceptable):
-    value, change, count = repeat(update, start, size, tolerance, max_passes)
+def _solve(update, start, off, *, tolerance, max_passes, size, acceptable):
+    value, change, count = repeat(update, start, size, tolerance, max_passes, off)
     good = (change <= tolerance) & acceptable(value)
     return jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start), count, change, good
 
 
 @_solve.def_jvp
 def _(primals, tangents, **settings):
-    (update, start), (direction, _) = primals, tangents
-    value, *outcome = _solve(update, start, **settings)
+    (update, *_), (direction, *_) = primals, tangents
+    value, *outcome = _solve(*primals, **settings)
     pushed, push, _ = linearised(lambda update, value: (update(value), None), update, direction, value)
     slope = solve_by_passes(push, pushed, settings["max_passes"])
     return (value, *outcome), (slope, None, None, None)
