@@ -90,12 +90,13 @@ def _unseen_turning(problem: Problem) -> Number:
     """
     body, cut = problem.manipulator, problem.panels
 
-    def bend(arc_length):
+    def bend_per_unit(arc_length):  # in a batch over tensions and loads it is computed once
         stiffness = body.stiffness(arc_length)
-        moments = problem.base_tension * body.offset(arc_length)
-        if problem.loads is not None:
-            moments = jnp.append(moments, problem.base_moment)  # of a body in space all three
-        return moments / jnp.where(stiffness > 0, stiffness, 1.0)
+        return jnp.append(body.offset(arc_length), 1.0) / jnp.where(stiffness > 0, stiffness, 1.0)
 
-    seen = cut.gain(jax.vmap(jax.vmap(bend))(cut.nodes))
-    return largest(jnp.sum(jnp.abs(cut.dense_gain(bend, times=32, order=4) - seen), axis=0))
+    seen = cut.gain(jax.vmap(jax.vmap(bend_per_unit))(cut.nodes))
+    missed = jnp.sum(jnp.abs(cut.dense_gain(bend_per_unit, times=32, order=4) - seen), axis=0)
+    angles = problem.base_tension * missed[:-1]
+    if problem.loads is not None:
+        angles = jnp.append(angles, jnp.abs(problem.base_moment) * missed[-1])  # of a body in space all three
+    return largest(angles)
