@@ -129,7 +129,7 @@ def test_an_order_that_is_not_followed_is_said(three):
     assert explored.in_rows(explored.manipulator) == []
     (note,) = explored.notes
     assert note.startswith("loop: the order of its rows is not followed in space")
-    with pytest.raises(cddf.InputError, match="a history with a body in space is not possible yet"):
+    with pytest.raises(cddf.InputError, match="a history with a body in space is possible for one tendon"):
         explored.fit("exact")
 
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import experiment_of
+from cddf_jax.identification.course import course_of
 from cddf_jax.identification.parameters import PLAIN
 from cddf_jax.measurements.columns import column_meant
 
@@ -150,10 +151,72 @@ def test_torsion_and_stretch_apart_from_bending(turns, tmp_path):
         assert fit.status["poissons_ratio"] == "not identified"
 
 
-def test_a_history_in_space_is_refused():
-    table = cddf.Measurements.from_columns("bench", base_tension=[10.0, 5.0], step=[1, 2], tip_z=[0.01, 0.0])
-    with pytest.raises(InputError, match="a history with a body in space is not possible yet"):
-        cddf.fit(winding(), table)
+PULLED, RELEASED = [20.0, 40.0, 60.0], [10.0, 5.0]  # N; at 10 N the front has passed the tip of either body
+
+
+def loop(body, arc_length):
+    """Equilibria of a loop, by `solve`, where all of the tendon slides in, and then all of it out."""
+    found = [cddf.solve(body, pull) for pull in PULLED]
+    found += [cddf.solve(body, pull, direction=-1) for pull in RELEASED]
+    return [one.at(arc_length) for one in found], {"base_tension": PULLED + RELEASED, "step": np.arange(5)}
+
+
+@pytest.mark.slow
+def test_a_loop_in_space_brings_friction_and_modulus_back():
+    """Tips by `solve`, whose branches are those of the loop; a fit with stated order finds the turn by itself."""
+    tips, columns = loop(winding(friction_coefficient=MU, youngs_modulus=E), 0.14)
+    columns |= {f"tip_{axis}": [float(tip.position[i]) for tip in tips] for i, axis in enumerate("xyz")}
+    table = cddf.Measurements.from_columns("simulated", **columns)
+    fit = cddf.fit(winding(), table, noise=dict.fromkeys(("tip_x", "tip_y", "tip_z"), 1e-4))
+    assert fit.success, fit.result
+    np.testing.assert_allclose([fit.value["friction_coefficient"], fit.value["youngs_modulus"]], [MU, E], rtol=1e-6)
+    again = fit.predict("tip_z", columns["base_tension"], history=True).value
+    np.testing.assert_allclose(again, columns["tip_z"], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_marker_on_a_loop_brings_friction_modulus_and_camera_back():
+    """A marker on the side of the body, by `solve` as above; the camera is shifted by 10 mm."""
+    offset = np.array([0.002, 0.011])
+    fields, columns = loop(in_plane(friction_coefficient=MU, youngs_modulus=E), HEAD.arc_length)
+    cos, sin = (np.array([function(float(f.heading)) for f in fields]) for function in (np.cos, np.sin))
+    axis = np.array([f.position for f in fields]).T
+    columns |= {
+        "x@head": axis[0] + cos * offset[0] - sin * offset[1] + 0.01,
+        "y@head": axis[1] + sin * offset[0] + cos * offset[1],
+    }
+    table = cddf.Measurements.from_columns("simulated", **columns)
+    setting = cddf.BenchSetting(markers={"head": cddf.Marker(HEAD.arc_length, (0.002, 0.011))})
+    free = ["friction_coefficient", "youngs_modulus", "camera_x"]
+    fit = cddf.fit(in_plane(), table, free, setting=setting, noise={"x@head": 1e-4, "y@head": 1e-4})
+    assert fit.success, fit.result
+    np.testing.assert_allclose([fit.value[name] for name in free], [MU, E, 0.01], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_marker_on_a_loop_in_space():
+    """The same in space, without a fit: the positions and frames of `solve`."""
+    body = winding()
+    fields, columns = loop(body, HEAD.arc_length)
+    heads = np.array([f.position + np.asarray(f.frame) @ np.array(HEAD.offset) for f in fields])
+    columns |= {f"{axis}@head": heads[:, i] for i, axis in enumerate("xyz")}
+    table = cddf.Measurements.from_columns("simulated", **columns)
+    rows = experiment_of(table, body, course=course_of(table)[0], setting=cddf.BenchSetting(markers={"head": HEAD}))
+    np.testing.assert_allclose(rows.shown(body, {}, 16).markers[:, 0], heads, atol=1e-8)
+
+
+def test_a_history_in_short_steps_has_no_markers_and_no_space():
+    columns = {"base_tension": [10.0, 5.0], "step": [1, 2]}
+    table = cddf.Measurements.from_columns("bench", tip_z=[0.01, 0.0], **columns)
+    loaded = cddf.BenchSetting(loads=cddf.Loads(tip_force=(0.0, -1.0, 0.0)))
+    with pytest.raises(
+        InputError, match="a history with a body in space is possible for one tendon without loads only"
+    ):
+        cddf.fit(winding(), table, setting=loaded)
+    table = cddf.Measurements.from_columns("bench", **columns, **{"x@120mm": [0.1, 0.11]})
+    loaded = cddf.BenchSetting(loads=cddf.Loads(tip_force=(0.0, -1.0)))
+    with pytest.raises(InputError, match="a history with markers is possible for one tendon without loads only"):
+        cddf.fit(in_plane(), table, setting=loaded)
 
 
 def seen(position):

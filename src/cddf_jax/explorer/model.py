@@ -186,8 +186,9 @@ class Exploration:
 
     @property
     def not_followed(self) -> list[Measurements]:
-        """Tables with a history, which is not followed for bodies in space."""
-        return [table for table in self.tables if self.manipulator.in_space and has_history(table, None)]
+        """Tables with a history that is not followed: of a body in space with several tendons or loads."""
+        ordered = [table for table in self.tables if self.manipulator.in_space and has_history(table, None)]
+        return [table for table in ordered if not _is_exact(table, self.manipulator)]
 
     @property
     def notes(self) -> list[str]:
@@ -267,9 +268,14 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
 
 def _experiment(table: Measurements, body: Manipulator) -> Pulley | Bench:
     """A table as an experiment, with a history if the order of its rows is known and can be followed."""
-    loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
-    ordered = has_history(table, None) and body.num_tendons == 1 and not loaded
+    ordered = has_history(table, None) and _is_exact(table, body)
     return experiment_of(table, body, course=course_of(table)[0] if ordered else None)
+
+
+def _is_exact(table: Measurements, body: Manipulator) -> bool:
+    """Whether a history of these rows has an exact answer: one tendon without loads."""
+    loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
+    return body.num_tendons == 1 and not loaded
 
 
 @kept_program

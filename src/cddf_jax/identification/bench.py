@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..errors import InputError, within
+from ..history.history import History
 from ..measurements.markers import Marker, marker_column, marker_positions, markers_of, seen
 from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
@@ -88,11 +89,14 @@ class AllRows(eqx.Module):
         more = loads_in_space(own).tip_force if in_space else own.tip_force
         return replace(loads, tip_force=jnp.asarray(loads.tip_force) + jnp.asarray(more))
 
-    def markers_on(self, found: Equilibrium) -> Float[Array, "markers components"] | None:
-        """The positions of the markers, m; None without markers."""
+    def markers_on(self, found: Equilibrium | History) -> Float[Array, "*steps markers components"] | None:
+        """The positions of the markers, m, those of a history after each step; None without markers."""
         if not self.marker_names:
             return None
-        return marker_positions(found.at(self.arc_length), jnp.asarray(self.offset))
+        fields, offset = found.at(self.arc_length), jnp.asarray(self.offset)
+        if isinstance(found, History):
+            return jax.vmap(marker_positions, (0, None))(fields, offset)
+        return marker_positions(fields, offset)
 
 
 class Bench(eqx.Module):
@@ -125,6 +129,21 @@ class Bench(eqx.Module):
         pushed = force is not None and force.shape[-1] == 3
         return manipulator.in_space or pushed or (loads is not None and loads.in_space)
 
+    def check_course(self, manipulator: Manipulator) -> None:
+        """Refuse markers and a body in space where the history is followed in short steps.
+
+        Raises:
+            InputError: for such a body, or markers.
+        """
+        if self.course is None or self.course.short_steps is None:
+            return
+        for there, what in ((self.setting.marker_names, "markers"), (self.in_space(manipulator), "a body in space")):
+            if there:
+                raise InputError(
+                    f"a history with {what} is possible for one tendon without loads only; {WITHOUT}, or leave out the "
+                    "other tendons and the loads"
+                )
+
     def one_by_one(self, manipulator: Manipulator) -> bool:
         """Whether rows are solved one after the other; static.
 
@@ -143,7 +162,7 @@ class Bench(eqx.Module):
             tension = _true_tension(parameters, self.course.path(parameters))
             of_trial = None if deviation is None else deviation[self.course.first_row]
             loads_with = partial(self.setting.loads_with, parameters=parameters, in_space=False)
-            return self.course.trace(body, tension, loads_with, of_trial, nodes)
+            return self.course.trace(body, tension, loads_with, self.setting.markers_on, of_trial, nodes)
         tension, in_space = _true_tension(parameters, jnp.asarray(self.base_tension)), self.in_space(body)
 
         def one(tension, direction, force, deviation):
@@ -334,10 +353,7 @@ def experiment_of(
             AllRows.of(setting, found),
         )
         _check_body(bench, manipulator)
-        if course is not None and (found or bench.in_space(manipulator)):
-            raise InputError(
-                f"a history with {'markers' if found else 'a body in space'} is not possible yet; {WITHOUT}"
-            )
+        bench.check_course(manipulator)
     return bench
 
 

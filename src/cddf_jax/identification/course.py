@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
+from ..history.history import History
 from ..history.path import given_path
 from ..history.stepped import Following, result_of_tips, tips_along
 from ..history.trace import trace
@@ -33,6 +34,7 @@ WITHOUT = "give history=False (--no-history), which lets each tendon slide one w
 
 
 LoadsWith = Callable[[Float[Array, "*steps 2"] | None], Loads | None]
+MarkersOn = Callable[[History], Float[Array, "steps markers components"] | None]
 
 
 class Shown(NamedTuple):
@@ -103,7 +105,13 @@ class Course(eqx.Module):
         return [REST] * len(self.first_row) if self.past is None else self.past.in_words
 
     def trace(
-        self, body: Manipulator, tension: Array, loads_with: LoadsWith, deviation: Array | None, nodes: int
+        self,
+        body: Manipulator,
+        tension: Array,
+        loads_with: LoadsWith,
+        markers_on: MarkersOn,
+        deviation: Array | None,
+        nodes: int,
     ) -> Shown:
         """What the instruments show of the rows, each with the history before it.
 
@@ -111,6 +119,7 @@ class Course(eqx.Module):
             body: whose tendons are pulled.
             tension: (trials, path, tendons), true base tensions of `path`, N.
             loads_with: gives all loads for a tip force, of one row or of all steps of a path.
+            markers_on: gives the markers after each step; not called for paths that are followed in short steps.
             deviation: (trials,), ln(mu of a trial / mu), or None.
             nodes: as in `trace`; in short steps there are twice as many cells as nodes.
         """
@@ -120,13 +129,13 @@ class Course(eqx.Module):
             if self.short_steps is not None:
                 return self._in_short_steps(here, tension, force, loads_with, nodes)
             found = trace(here, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
-            return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.result
+            return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.result, markers_on(found)
 
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)
         every = jax.vmap(one)(tension, force, deviation)
         step = self.step + (self.past is not None)
-        tip_tension, angle, position, result = jax.tree.map(lambda x: x[self.trial, step], every)
-        return Shown(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool))
+        tip_tension, angle, position, result, markers = jax.tree.map(lambda x: x[self.trial, step], every)
+        return Shown(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool), markers)
 
     def _in_short_steps(
         self, body: Manipulator, tension: Array, force: Array | None, loads_with: LoadsWith, nodes: int
@@ -139,7 +148,7 @@ class Course(eqx.Module):
         path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
         path = path.behind(tension[0]) if num_before else path
         tips = tips_along(body, path, Following((), CELLS * nodes, self.short_steps))
-        return tips.tension, tips.heading, tips.position, result_of_tips(tips)
+        return tips.tension, tips.heading, tips.position, result_of_tips(tips), None
 
 
 def course_along(
