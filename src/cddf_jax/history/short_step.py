@@ -25,6 +25,7 @@ Number = Float[Array, ""]
 PerCell = Float[Array, "*P tendons"]  # of all cells; without their axis of one
 FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
 LAST_SOFTNESS = 1e-11
+LAST_ALONE = 1e-13  # the same for a single tendon
 SHRINKING = (0.1, 0.3, 0.3, 0.5)  # factor on delta in a pass, in each of four attempts
 SETTLED = (np.inf, 1e-2, 1e-2, 1e-4)  # delta is reduced after a pass whose change was smaller, in each attempt
 PASSES = (40, 120, 200, 320)  # numbers of passes after which the next attempt starts again
@@ -97,7 +98,8 @@ def _after_step(given: tuple[Setting, Ends, Step]) -> tuple[Step, _Sides, Number
     setting, ends, before = given
     zero = zero_as(setting, ends, before)
     start = varying_as(_with_ends(setting, before, ends), zero)
-    first, last = FIRST_SOFTNESS * setting.cells.scale + zero, LAST_SOFTNESS * setting.cells.scale
+    least = LAST_SOFTNESS if start.share.shape[1] > 1 else LAST_ALONE
+    first, last = FIRST_SOFTNESS * setting.cells.scale + zero, least * setting.cells.scale
 
     def unsettled(carry):
         _, _, softness, change, count, held = carry
