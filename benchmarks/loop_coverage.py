@@ -61,7 +61,7 @@ SCENARIOS = {
 }
 
 
-def simulated(scenario: Scenario, factors: Any = (1.0, 1.0, 1.0), **options: int) -> dict[str, np.ndarray]:
+def simulated(scenario: Scenario, factors: Any = (1.0, 1.0, 1.0), **options: Any) -> dict[str, np.ndarray]:
     """All columns without noise; `factors` on friction coefficient, modulus and what tendon 1 had before."""
     path, tendons = scenario.path, scenario.path.shape[1]
     truth = {name: value * factor for (name, value), factor in zip(TRUTH.items(), factors, strict=False)}

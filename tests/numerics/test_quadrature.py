@@ -18,6 +18,13 @@ def test_integrals_at_nodes_and_edges_are_those_of_the_polynomial():
     assert_allclose(nodes[..., 1], 2 * CURVE.integ()(OLD.nodes), atol=1e-14)
 
 
+def test_the_rate_of_an_integral_is_the_polynomial():
+    """In an empty panel the integral does not change, and its rate is given as zero."""
+    edges, nodes = OLD.integrate(CURVE(OLD.nodes))
+    expected = np.where(OLD.width[:, None] > 0, CURVE(OLD.nodes), 0.0)
+    assert_allclose(OLD.rate(edges[:-1], nodes), expected, atol=1e-12)
+
+
 def test_values_on_other_panels_are_those_of_the_polynomial():
     weights = OLD.weights_on(NEW)
     assert_allclose(weights @ CURVE(OLD.nodes).ravel(), CURVE(NEW.nodes).ravel(), rtol=1e-13)

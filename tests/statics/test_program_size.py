@@ -20,7 +20,7 @@ LARGEST = {
     "a tip force": 5_230,
     "a tip force, gradient by the whole body": 7_110,
     "a displacement under a tip force": 8_080,
-    "a tip force in space": 12_250,
+    "a tip force in space": 12_500,
     "a trace": 3_560,
     "a trace of displacements": 10_400,
     "a trace of two tendons": 5_380,

@@ -412,12 +412,11 @@ def everywhere(cut: Panels, values: Nodal) -> Nodal:
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (*shape, *x.shape)), values)
 
 
-def nodal(problem: Problem, solution: Solution[AnyState]) -> Nodal:
-    """The unknowns of a solution, from which the next pass starts."""
+def nodal(problem: Problem, state: AnyState) -> Nodal:
+    """The unknowns of a state; those at the nodes are where the next pass starts."""
     if problem.loads is None:
-        return Nodal(solution.nodes.ratio, None)
-    frame = solution.nodes.heading if problem.in_space else None
-    return Nodal(solution.nodes.ratio, solution.nodes.moment / problem.moment_scale, frame)
+        return Nodal(state.ratio, None)
+    return Nodal(state.ratio, state.moment / problem.moment_scale, state.heading if problem.in_space else None)
 
 
 def moments_of(problem: Problem, values: Nodal) -> Float[Array, "*points_and_components"]:

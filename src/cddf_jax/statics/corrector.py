@@ -146,7 +146,7 @@ class LoadedBody(NamedTuple):
             solution = self.method.improve(here, guess, trial.strain, trial.change)
             heading = Headings(solution.nodes.heading, solution.tip.heading)
             heading = jax.tree.map(lambda x: 2.0 * x, heading) if here.in_space else heading
-            return (nodal(here, solution), heading, moment_left_at_tip(here, solution)), solution
+            return (nodal(here, solution.nodes), heading, moment_left_at_tip(here, solution)), solution
 
         def push(*tangents):
             return jax.jvp(flow, (trial.nodal, trial.moment, fraction, one), tangents, has_aux=True)
@@ -191,7 +191,7 @@ class LoadedBody(NamedTuple):
         solution = self.method.improve(self.problem, trial.nodal, trial.strain, trial.change)
         sane = jnp.isfinite(solution.residual) & ~solution.locked
         return trial._replace(
-            nodal=nodal(self.problem, solution),
+            nodal=nodal(self.problem, solution.nodes),
             strain=solution.nodes.strain,
             near=solution.converged,
             settled=solution.converged,

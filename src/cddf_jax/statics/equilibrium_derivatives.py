@@ -132,7 +132,7 @@ class System(eqx.Module):
         improve = method.finish if self.whole else method.improve
         solution = method(problem) if values is None else improve(problem, values, self.strain)
         residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution)])
-        return (None if values is None else nodal(problem, solution), residual), (problem, solution)
+        return (None if values is None else nodal(problem, solution.nodes), residual), (problem, solution)
 
     def moved(self, there: _There, places: Places, vanishing: Places) -> tuple[Nodal, Places]:
         """The slopes of the values at the nodes, which move with the sign changes, and those of the sign changes."""
@@ -141,10 +141,10 @@ class System(eqx.Module):
         body, nodes = self.setup.manipulator, self.setup.nodes
         shift = jax.jvp(lambda places: cut_into_panels(body, nodes, places).nodes, (places,), (change,))[1]
 
-        def carried(values: Array) -> Array:
-            return shift.reshape(*shift.shape, *[1] * (values.ndim - 2)) * problem.panels.differentiate(values)
+        def carried(starts: Array, values: Array) -> Array:
+            return shift.reshape(*shift.shape, *[1] * (values.ndim - 2)) * problem.panels.rate(starts, values)
 
-        return jax.tree.map(carried, nodal(problem, solution)), change
+        return jax.tree.map(carried, nodal(problem, solution.starts), nodal(problem, solution.nodes)), change
 
 
 def balance(
