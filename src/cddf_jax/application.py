@@ -8,7 +8,15 @@ from importlib.metadata import version
 from typing import Any
 
 # XLA repeats these passes, with others, until none of them changes anything, which is a large part of compiling.
-LEFT_OUT = "while-loop-invariant-code-motion,while-loop-constant-sinking"
+LEFT_OUT = ",".join(
+    [
+        "while-loop-invariant-code-motion",
+        "while-loop-constant-sinking",
+        "simplify-while-loops",
+        "reshape-mover",
+        "constant_folding",
+    ]
+)
 # For small programs most of the time goes into compiling. With these flags it is several times faster, and the code is
 # slower, which does not matter for fits and single solves.
 QUICK_COMPILATION = (
