@@ -465,7 +465,13 @@ def test_an_outlier_is_reported_with_its_row(tip_angle):
 
     fit, others = fitted(np.arange(24)), fitted(np.delete(np.arange(24), 4))
     expected = others.predict("tip_angle", base[4:5])
-    spread = np.hypot(others.noise[f"{tip_angle.name}: tip_angle"], expected.half_width[0] / others.quantile)
+    mu, modulus, step = *(others.value[name] for name in BOTH), 1e-6
+    slope = [
+        (wrap(base[4], mu * (1 + step), modulus) - wrap(base[4], mu * (1 - step), modulus)) / (2 * step * mu),
+        (wrap(base[4], mu, modulus * (1 + step)) - wrap(base[4], mu, modulus * (1 - step))) / (2 * step * modulus),
+    ]
+    error = np.sqrt(slope @ others.covariance @ slope)
+    spread = np.hypot(others.noise[f"{tip_angle.name}: tip_angle"], error)
     (remark,) = [remark for remark in fit.remarks if "off the model" in remark]
     distance = (angle[4] - expected.value[0]) / spread
     assert remark.startswith(f"row 7 of {tip_angle.name}: tip_angle lies {distance:.0f} standard deviations off")
