@@ -22,8 +22,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 
 Number = Float[Array, ""]
-STIFFEST = 1e-6  # the least strain of a tendon per tension, over d^2 / (E J), its slip per tension by bending
-STIFFEST_ALONE = 1e-7  # the same for a single tendon, whose friction is determined where it rests
+STIFFEST = 1e-7  # the least strain of a tendon per tension, over d^2 / (E J), its slip per tension by bending
 
 
 class Edge(NamedTuple):
@@ -128,8 +127,7 @@ def _stretch(manipulator: Manipulator, problem: Problem) -> PerTendon:
     """
     sections = problem.nodes
     by_bending = jnp.max(sections.offset**2 / sections.stiffness[..., None], axis=(0, 1))
-    least = STIFFEST if manipulator.num_tendons > 1 else STIFFEST_ALONE
-    return jnp.maximum(manipulator.tendon_compliance, least * by_bending)
+    return jnp.maximum(manipulator.tendon_compliance, STIFFEST * by_bending)
 
 
 # --- along one cell -------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """The implicit function theorem, for a fixed point, a few unknowns, and places at which pieces of a line end."""
 
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -20,6 +20,7 @@ Scalar = Float[Array, ""]
 MAX_PASSES = 64
 
 
+@runtime_checkable
 class ImplicitStep(Protocol, Generic[Tree, Context]):
     """The equations of an equilibrium, as a pytree.
 
