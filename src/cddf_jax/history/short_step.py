@@ -4,7 +4,8 @@ Within a step each tendon obeys Coulomb's law with its slip dw in that step. Whe
 its share sigma of the friction limit is +1; where it moved away, -1; where it did not move, equilibrium determines the
 share. The law is softened by a length delta, sigma = dw / sqrt(dw^2 + delta^2). Newton's method reduces delta from a
 hundredth to 1e-11 of the largest offset, and so finds where tendons rest. With a smaller delta, the slips of tendons
-that rest would be hardly larger than their rounding errors, and the passes would not settle.
+that rest would be hardly larger than their rounding errors, and the passes would not settle. A single tendon settles
+with 1e-13.
 """
 
 from functools import partial
