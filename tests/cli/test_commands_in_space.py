@@ -139,8 +139,6 @@ def test_a_fit_to_markers_that_a_camera_sees(cddf_command, tmp_path):
     [
         (("solve", HELIX, *PULL, "--kinematics", "published"), "--kinematics published: Manipulator: the published"),
         (("solve", PAPER, *PULL, "--tip-force", "0, 0, 1 N"), "smooth_sil_940.toml: Manipulator: the published"),
-        (("solve", HELIX, "-t", "tip_stiffness=20 N/m"), "solve: TipStiffness is a target in the plane; in space"),
-        (("solve", HELIX, "-t", "curvature=5 1/m at 70 mm"), "solve: CurvatureAt is a target in the plane; in space"),
         (("solve", HELIX, *PULL, "--gravity", "0, 0, -9.81 m/s^2"), "loads.gravity: the body has no weight"),
         (("solve", HELIX, *PULL, "--tip-moment", "0, 0.1 N m"), "is one number in the plane and three in space"),
         (

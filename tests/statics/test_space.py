@@ -282,8 +282,6 @@ def test_what_is_not_possible_in_space_is_refused():
         in_space(at_angle(0.0), rest_curvature=(1.0, 2.0))
     with pytest.raises(ValueError, match="is the angle pi"):
         cddf.Tendon(0.01, side=-1, angle=0.0)
-    with pytest.raises(ValueError, match="TipStiffness is a target in the plane"):
-        cddf.solve(in_space(at_angle(0.0)), cddf.TipStiffness(100.0))
 
 
 @pytest.mark.slow
@@ -295,6 +293,26 @@ def test_targets_in_space():
     np.testing.assert_allclose(found.base_tension, given.base_tension, rtol=1e-7)
     bent = cddf.solve(in_space(at_angle(0.7)), cddf.TipAngle(0.5))
     np.testing.assert_allclose(bent.tip_angle, 0.5, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_curvature_and_stiffness_as_targets():
+    # a body of the plane: the tensions of the planar core
+    flat = paper_body("exact", num_tendons=2)
+    helix = in_space(at_angle(cddf.Linear(0.0, 3.0, LENGTH)), at_angle(2.0))
+    wanted = cddf.TipStiffness(120.0), 5.0
+    found = cddf.solve(flat, wanted, direction=(1.0, -1.0), space=True)
+    expected = cddf.solve(flat, wanted, direction=(1.0, -1.0))
+    np.testing.assert_allclose(found.base_tension, expected.base_tension, rtol=1e-9)
+    # a helix: the fields of the body that was found, and its compliance, which is a derivative of `solve`
+    bent = cddf.solve(helix, (cddf.CurvatureAt(6.0, 0.05), 5.0))
+    np.testing.assert_allclose(np.linalg.norm(bent.at(0.05).curvature[1:]), 6.0, rtol=1e-9)
+    stiff = cddf.solve(helix, (cddf.TipStiffness(130.0), 5.0), direction=(1.0, 1.0))
+    compliance = cddf.tip_compliance(helix, stiff.base_tension, direction=(1.0, 1.0))[:3, :3]
+    axis = np.asarray(stiff.tip_frame[:, 0])
+    across = axis * axis[0] - np.eye(3)[0]
+    across /= np.linalg.norm(across)
+    np.testing.assert_allclose(1.0 / (across @ compliance @ across), 130.0, rtol=1e-8)
 
 
 @pytest.mark.slow

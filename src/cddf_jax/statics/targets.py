@@ -21,11 +21,14 @@ from ..mechanics.problem import (
     with_tip_force,
 )
 from ..mechanics.tendon_displacement import tendon_displacement
-from ..numerics.rotations import tilt
+from ..numerics.implicit import solve_small
+from ..numerics.rotations import as_matrix, direction_of, length_of, tilt
+from ..robot.cross_section import SpatialSection, where_present
 from ..robot.profiles import Scalar, as_number
 from .equilibrium_derivatives import missing_moment
 from .equilibrium_search import Setup
 
+PARALLEL = 1e-9  # sine of the angle between two axes that count as parallel
 FARTHEST = 100.0  # times the tension at which d kappa would come near 1: the search ends there
 
 
@@ -141,7 +144,10 @@ class TotalTension(eqx.Module):
 
 
 class CurvatureAt(eqx.Module):
-    """The curvature kappa, 1/m, at one arc length, m."""
+    """The curvature kappa, 1/m, at one arc length, m.
+
+    In space it is the size of the bending beyond `rest_curvature`, without the twist: 0 or more.
+    """
 
     quantity: ClassVar[str] = "curvature"
     value: Scalar = eqx.field(converter=as_number)
@@ -150,37 +156,52 @@ class CurvatureAt(eqx.Module):
     def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
         arc_length = jnp.asarray(self.arc_length, problem.panels.edges.dtype)
         state = problem.panels.interpolate(solution.starts, solution.nodes, arc_length)
-        return strain_of(guarded_section(setup.manipulator, arc_length), problem.base_tension, state)
+        section = guarded_section(setup.manipulator, arc_length)
+        strain = strain_of(section, problem.base_tension, state)
+        return length_of((strain - section.rest)[1:3]) if isinstance(section, SpatialSection) else strain
 
     def size(self, setup: Setup) -> Number:
         return 1.0 / jnp.asarray(setup.manipulator.length)
 
 
 class TipStiffness(eqx.Module):
-    """Force per deflection across the tip at constant base tensions, N/m: 1 / (n . C n), see `tip_compliance`."""
+    """Force per deflection across the tip at constant base tensions, N/m: 1 / (n . C n), see `tip_compliance`.
+
+    In space n lies in the plane of the axes of base and tip; where these are parallel, it is the y axis of the tip.
+    """
 
     quantity: ClassVar[str] = "tip_stiffness"
     value: Scalar = eqx.field(converter=as_number)
 
     def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
-        heading = solution.tip.heading
-        across = jnp.stack([-jnp.sin(heading), jnp.cos(heading)])
+        across = _across(solution.tip.heading)
 
         def tip(force, moment):
             there = eqx.tree_at(lambda problem: problem.base_moment, with_tip_force(problem, force), moment)
             solution = setup.method(there)
-            return solution.tip.position, missing_moment(there, solution)[0]
+            return solution.tip.position, missing_moment(there, solution)
 
         def by(force, moment):
             return jax.jvp(tip, (problem.outboard.tip, problem.base_moment), (force, moment))[1]
 
         none = jnp.zeros_like(problem.base_moment)
-        by_force, by_moment = by(across, none), by(jnp.zeros_like(across), none + 1.0)
-        deflection = by_force[0] - by_moment[0] * by_force[1] / by_moment[1]
-        return 1.0 / (across @ deflection)
+        units = jnp.eye(max(none.size, 1), dtype=none.dtype).reshape(-1, *none.shape)
+        moved, missing = by(across, none)
+        moved_by_moment, missing_by_moment = jax.vmap(lambda unit: by(jnp.zeros_like(across), unit))(units)
+        moment, _ = solve_small(missing_by_moment.T, -missing)  # M_ext(0) follows so that M_ext(L) stays m
+        return 1.0 / (across @ (moved + moment @ moved_by_moment))
 
     def size(self, setup: Setup) -> Number:
         return jnp.abs(jnp.asarray(self.value)) + jnp.finfo(float).tiny
+
+
+def _across(heading: Array) -> Float[Array, " components"]:
+    """The direction n of `TipStiffness`."""
+    if heading.ndim == 0:
+        return jnp.stack([-jnp.sin(heading), jnp.cos(heading)])
+    axes = as_matrix(heading).T
+    leaning = axes[0] * axes[0, 0] - jnp.eye(3)[0]
+    return jnp.where(length_of(leaning) > PARALLEL, direction_of(leaning), axes[1])
 
 
 def bending_tension(setup: Setup) -> Number:
@@ -189,4 +210,4 @@ def bending_tension(setup: Setup) -> Number:
     arc_length = jnp.linspace(0.0, 1.0, 17) * jnp.asarray(body.length)
     section = jax.vmap(body.cross_section_in_space if body.in_space else body.cross_section)(arc_length)
     offset = jnp.maximum(section.offset, 1e-3 * jnp.asarray(body.length))
-    return jnp.min(jnp.where(section.present, bending_stiffness(section)[:, None] / offset**2, jnp.inf))
+    return jnp.min(where_present(section, bending_stiffness(section)[:, None] / offset**2, jnp.inf))
