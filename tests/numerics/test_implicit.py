@@ -8,8 +8,9 @@ import pytest
 from jax.tree_util import Partial
 from numpy.testing import assert_allclose
 
-from cddf_jax.numerics.implicit import implicit, solve_small
+from cddf_jax.numerics.implicit import implicit, solve_definite, solve_small
 from cddf_jax.numerics.iteration import fixed_point
+from cddf_jax.numerics.rotations import solve_three
 
 A = np.array([0.5, 2.0, 7.0])
 
@@ -161,3 +162,12 @@ def test_a_small_system_is_solved_as_lapack_solves_it(size, shape):
     matrix[0, 0] = 0.0 if size > 1 else 2.0
     assert_allclose(solve_small(matrix, sides)[0], np.linalg.solve(matrix, sides), rtol=1e-11, atol=1e-13)
     assert solve_small(np.ones((size, size)), sides)[1] == (1.0 if size == 1 else 0.0)  # a singular matrix
+
+
+def test_three_equations_are_solved_as_lapack_solves_them():
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        matrix, vector = rng.normal(size=(3, 3)), rng.normal(size=3)
+        assert_allclose(solve_three(matrix, vector), np.linalg.solve(matrix, vector), rtol=1e-10)
+        definite = matrix @ matrix.T + np.eye(3)
+        assert_allclose(solve_definite(definite, vector), np.linalg.solve(definite, vector), rtol=1e-12)

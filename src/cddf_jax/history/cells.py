@@ -17,7 +17,7 @@ from ..mechanics import bending
 from ..mechanics.friction import PerTendon, ratio_beyond, tension_rate
 from ..mechanics.problem import Problem, guarded_section, lay_out, moment_rate_of
 from ..mechanics.tendon_displacement import slip_rate
-from ..robot.cross_section import CrossSection, planar
+from ..robot.cross_section import CrossSection, planar, where_present
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 
@@ -98,7 +98,7 @@ def cut_into_cells(manipulator: Manipulator, count: int, merged: Number | float 
 def forces_along(manipulator: Manipulator, count: int, merged: Number, loads: Loads) -> Float[Array, "P 3 2"]:
     """The dead loads beyond the start, the middle and the end of each cell, N."""
     problem = _laid_out(manipulator, loads, count, merged)
-    starts, nodes, tip, drops = problem.outboard
+    starts, nodes, tip, _, drops = problem.outboard
     ends = jnp.concatenate([starts[1:], tip[None]])
     if drops is not None:  # a point mass acts at the start of a cell
         ends = ends + jnp.concatenate([drops[1:], jnp.zeros_like(drops[:1])])
@@ -164,7 +164,7 @@ def along_cell(inputs: Inputs, start: Edge, end: Edge, share: PerTendon, stretch
 
     def rates_at(i: int, here: Edge) -> tuple[Edge, PerTendon]:
         section = jax.tree.map(lambda x: x[i], sections)
-        tension = jnp.where(section.present, here.tension, 0.0)  # beyond the anchor `here` still holds its tension
+        tension = where_present(section, here.tension)  # beyond the anchor `here` still holds its tension
         kappa = bending.curvature(section, tension, here.moment)
         moment_rate = moment_rate_of(here.heading, force[i])
         turning = bending.turning(section, kappa, tension, share, moment_rate)
@@ -189,12 +189,12 @@ def _across(before: CrossSection, after: CrossSection, here: Edge, share: PerTen
     """The angle by which a tendon turns between two cells, rad, and its tension beyond, N."""
 
     def angle(section, tension):
-        pull = jnp.where(section.present, tension, 0.0)
+        pull = where_present(section, tension)
         return bending.tangent_angle(section, bending.curvature(section, pull, here.moment))
 
     arriving, beyond, turn = angle(before, here.tension), here.tension, jnp.zeros_like(share)
     for _ in range(3):  # the angle beyond depends only weakly on the tension there
-        turn = jnp.where(after.present, jnp.abs(angle(after, beyond) - arriving), 0.0)
+        turn = where_present(after, jnp.abs(angle(after, beyond) - arriving))
         beyond = here.tension / ratio_beyond(share, before, turn, jnp.ones_like(share))
     return turn, beyond
 

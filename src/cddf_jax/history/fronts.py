@@ -150,5 +150,5 @@ def first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
     below = (points < 0).ravel()
     first = jnp.argmax(below).astype(jnp.uint32)  # not read from the end
     panel, within = first // points.shape[1], first % points.shape[1]
-    place = cut.edges[panel] + cut.width[panel] * zero_before(cut, values[panel], within)
+    place = cut.edges[panel] + cut.width[panel] * zero_before(cut, points[panel], within)
     return jnp.where(jnp.any(below) & jnp.isfinite(place), place, cut.edges[-1])

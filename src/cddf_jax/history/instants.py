@@ -12,7 +12,7 @@ from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.problem import State, axis_of, guarded_section
 from ..mechanics.tendon_displacement import stretch_rate
 from ..numerics.arrays import largest_size
-from ..robot.cross_section import planar
+from ..robot.cross_section import planar, where_present
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import nan_unless
@@ -129,7 +129,7 @@ def shape_of(cells: Cells, instant: Instant) -> Shape:
 def stored_in(cells: Cells, instant: Instant) -> Number:
     """The energy of bending and of the stretch of the tendons, J."""
     along, edges = instant.along, instant.step.edges
-    tension = jnp.where(cells.sections.present, along.values.tension, 0.0)
+    tension = where_present(cells.sections, along.values.tension)
     stretch = jnp.sum(tension * stretch_rate(cells.stretch, tension, cells.sections), axis=-1)
     density = (cells.sections.stiffness * along.rates.heading**2 + stretch) / 2
     return jnp.sum(jax.vmap(integral)(cells.width, density)) + jnp.sum(cells.free_stretch * edges.tension[0] ** 2) / 2
@@ -208,7 +208,7 @@ def pushed(cells: Cells, instant: Instant, tip: TipPose) -> Number:
 def crosses(cells: Cells, instant: Instant) -> Bool[Array, ""]:
     """Whether fibres cross on the inside of the bend."""
     bend = cells.sections.side * cells.sections.offset * instant.along.rates.heading[..., None]
-    return jnp.any(jnp.where(cells.sections.present, bend, 0.0) >= 1.0)
+    return jnp.any(where_present(cells.sections, bend) >= 1.0)
 
 
 def fronts_of(cells: Cells, share: Float[Array, "steps P tendons"]) -> Float[Array, "steps tendons"]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics.implicit import slope_along
-from ..robot.cross_section import CrossSection
+from ..robot.cross_section import CrossSection, where_present
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 
 Number = Float[Array, ""]
@@ -42,13 +42,13 @@ def arm_ratio(section: CrossSection, curvature: Number) -> PerTendon:
 def tangent(section: CrossSection, curvature: Number) -> Tangent:
     """t_ci = (q t + sigma d' n), eq. (3), divided by its length in the exact kinematics."""
     side, d, d1, d2 = section.side, section.offset, section.offset_slope, section.offset_bend
+    if section.kinematics == "exact" and not section.slanted:
+        still = jnp.zeros_like(d)
+        return Tangent(jnp.ones_like(d), still, still, still, curvature + still, still)
     q = arm_ratio(section, curvature)
     if section.kinematics == "published":
         # eq. (3) and (8): t_c = du_c/ds, theta' = |kappa_c| with kappa_c = kappa / q
         return Tangent(q, side * d1, -side * d1 * curvature, -side * d, curvature / q, jnp.zeros_like(q))
-    if not section.slanted:
-        still = jnp.zeros_like(q)
-        return Tangent(jnp.ones_like(q), still, still, still, curvature + still, still)
     # psi = phi + alpha, alpha = atan2(sigma d', q), psi' = kappa + dalpha/ds + dalpha/dkappa kappa'
     length = jnp.sqrt(q**2 + d1**2)
     cos, sin = q / length, side * d1 / length
@@ -168,7 +168,7 @@ def turning(
         rate = tangent(section, curvature).turning
     else:
         rate = rates(section, curvature, tension, direction, external_moment_rate).turning
-    return jnp.where(section.present, rate, 0.0)
+    return where_present(section, rate)
 
 
 def _turns_with_the_body(section: CrossSection) -> bool:

@@ -66,7 +66,7 @@ def travel_under_tension(problem: Problem, pull: Pull, travel: PerTendon) -> Per
     Drag gives a tendon that slides out more tension towards the tip, so it may have tension without base tension.
     """
     pulls = problem.base_tension > 0
-    if problem.base.drag is not None:
+    if problem.nodes.drag is not None:
         pulls = pulls | (unspent(problem.base_tension, pull) / pull.ratio > 0)[-1, -1]
     return jnp.where(pulls, travel, 0.0)
 

@@ -82,7 +82,7 @@ class _Pass(NamedTuple):
 
     starts: _Point
     nodes: _Point
-    turns: Float[Array, "P tendons"]  # finite angles by which tendons turn where panels start, rad
+    turns: Float[Array, "P tendons"] | None  # finite angles by which tendons turn where panels start, rad
     shape: _Shape
 
 
@@ -107,7 +107,7 @@ class FixedPoint(eqx.Module):
         if problem.is_quadrature:
             answer = constant_map(update, guess, _acceptable)
         else:
-            if problem.in_space and follow_the_axis(problem) and is_proportional(problem.base):
+            if problem.in_space and follow_the_axis(problem) and is_proportional(problem.nodes):
                 guess, off = _along_the_axis(problem)
             settings = {"tolerance": self._tolerance(problem), "max_passes": self.max_passes}
             answer = fixed_point(update, guess, **settings, acceptable=_acceptable, off=off)
@@ -138,7 +138,7 @@ class FixedPoint(eqx.Module):
         along, tip = _pass(problem, guess, strain)
         better, guess = without_derivative((along.nodes.values, guess))  # their change needs no derivative
         change = relative_size(jax.tree.map(problem.panels.without_empty, minus(better, guess)), better)
-        positive = jnp.all(tip.values.ratio > 0) & (largest(-better.ratio) < 0)
+        positive = jnp.all(tip.values.ratio > 0) & jnp.all(better.ratio > 0)
         # passes converge by the factor change / before, so the next change would be this one times that factor
         least = self._tolerance(problem)
         still = (change * change <= least * jnp.maximum(before, change)) & (change <= LAST_GAIN * least)
@@ -240,7 +240,7 @@ def _along_the_axis(problem: Problem) -> tuple[Nodal, Number]:
     tension = tension_of(section, problem.base_tension, Pull(ones))
     bend = turning_along_axis(section, _strain_in_space(section, tension, None, None))
     rate = _ratio_rates(problem.direction, section, bend, ones)
-    growth = problem.direction * problem.base.friction_coefficient
+    growth = problem.direction * problem.manipulator.tendon_friction
     alike = jnp.all(growth == growth[0])
     ratio = jnp.where(alike, ones + problem.panels.integrate(rate)[1], ones)
     return Nodal(ratio, None), jnp.where(alike, 0.0, jnp.inf)
@@ -293,7 +293,7 @@ def _acceptable(values: Nodal) -> Bool[Array, ""]:
     return jnp.all(values.ratio > 0) & all_finite(values)
 
 
-def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array]:
+def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array | None]:
     """The finite angles by which tendons turn between panels, and r with the friction of these turns.
 
     Args:
@@ -302,10 +302,10 @@ def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple
         spent: c there.
 
     Returns:
-        r at the start of each panel, r at the end of the last one, and the angles, rad.
+        r at the start of each panel, r at the end of the last one, and the angles, rad; None where all are zero.
     """
     if problem.joints is None:
-        return edges.ratio[:-1], edges.ratio[-1], jnp.zeros_like(edges.ratio[:-1])
+        return edges.ratio[:-1], edges.ratio[-1], None
 
     def across(ratio: PerTendon, inputs):
         joint, gain, spent, moment, frame, force = inputs
@@ -354,11 +354,15 @@ def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) ->
         axis = axis_of(along.nodes.heading)
     position, position_at_nodes = cut.integrate(axis)
     wrap, wrap_at_nodes = cut.integrate(jnp.abs(shape.turning))
-    turned = jnp.cumsum(along.turns, axis=0)
+    wrap_at_starts, wrap_at_tip = wrap[:-1], wrap[-1]
+    if along.turns is not None:
+        turned = jnp.cumsum(along.turns, axis=0)
+        wrap_at_starts, wrap_at_nodes = wrap_at_starts + turned, wrap_at_nodes + turned[:, None]
+        wrap_at_tip = wrap_at_tip + turned[-1]
     return Solution(
-        State(*solution.starts, wrap[:-1] + turned, position[:-1]),
-        State(*solution.nodes, wrap_at_nodes + turned[:, None], position_at_nodes),
-        State(*solution.tip, wrap[-1] + turned[-1], position[-1]),
+        State(*solution.starts, wrap_at_starts, position[:-1]),
+        State(*solution.nodes, wrap_at_nodes, position_at_nodes),
+        State(*solution.tip, wrap_at_tip, position[-1]),
         solution.num_iterations,
         solution.residual,
         solution.converged,

@@ -21,7 +21,7 @@ from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.implicit import without_derivative
 from ..numerics.quadrature import Panels, panels, panels_between
 from ..numerics.rotations import IDENTITY, in_own_frame
-from ..robot.cross_section import AnySection, SpatialSection
+from ..robot.cross_section import AnySection, SpatialSection, where_present
 from ..robot.loads import Loads, force_at_points, force_per_length, planar_cross
 from ..robot.manipulator import Manipulator
 from . import bending, space
@@ -40,7 +40,7 @@ class Joints(NamedTuple):
 
 
 class Outboard(NamedTuple):
-    """The force N of all dead loads outboard of a cross-section, in newtons.
+    """The force N of all dead loads outboard of a cross-section, in newtons, and the moment on the tip.
 
     That is the force on the tip, the weight per length integrated from there to the tip, and the point masses beyond.
     """
@@ -48,6 +48,7 @@ class Outboard(NamedTuple):
     starts: Float[Array, "P components"]
     nodes: Float[Array, "P p components"]
     tip: Float[Array, " components"]
+    tip_moment: Moment  # m, N m, on the tip
     # by how much N falls at the start of a panel; None without point masses
     drops: Float[Array, "P components"] | None = None
 
@@ -59,14 +60,23 @@ class Problem(eqx.Module):
     base_tension: PerTendon
     direction: PerTendon
     panels: Panels
-    base: AnySection
+    points: AnySection  # at base, nodes and tip, along one axis
     nodes: AnySection  # leading axes: P panels, p nodes
-    tip: AnySection
     joints: Joints | None  # None where no tendon can turn by a finite angle
     loads: Loads | None
     outboard: Outboard  # zero without loads
     base_moment: Moment  # M_ext(0), N m; zero without loads
     moment_scale: Number  # E J / L at the base, N m
+
+    @property
+    def base(self) -> AnySection:
+        """The cross-section at the base."""
+        return jax.tree.map(lambda x: x[0], self.points)
+
+    @property
+    def tip(self) -> AnySection:
+        """The cross-section at the tip."""
+        return jax.tree.map(lambda x: x[-1], self.points)
 
     @property
     def in_space(self) -> bool:
@@ -85,7 +95,7 @@ class Problem(eqx.Module):
         if body.in_space:
             return False
         straight = body.kinematics == "published" or not body.slanted
-        return body.num_tendons == 1 and straight and self.loads is None and is_proportional(self.base)
+        return body.num_tendons == 1 and straight and self.loads is None and is_proportional(self.points)
 
 
 class PassState(NamedTuple):
@@ -178,29 +188,28 @@ def lay_out(
     nodes: int,
     loads: Loads | None = None,
     splits: Float[Array, " splits"] | None = None,
+    cut: Panels | None = None,
 ) -> Problem:
-    """Cut the body into panels, at `splits` as well, and evaluate its cross-sections."""
-    cut = cut_into_panels(manipulator, nodes, splits)
+    """Cut the body into panels, at `splits` as well, unless `cut` holds them, and evaluate its cross-sections."""
+    cut = cut_into_panels(manipulator, nodes, splits) if cut is None else cut
     nudge = edge_nudge(cut)
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
     turns = _may_turn_at_joints(manipulator, loads) and manipulator.breakpoints.shape[0] > 0
     starts = cut.edges[:-1]
     inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip causes no turn there
-    base = jax.tree.map(lambda x: x[0], along)
     return Problem(
         manipulator,
         base_tension,
         direction,
         cut,
-        base=base,
+        points=along,
         nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
-        tip=jax.tree.map(lambda x: x[-1], along),
         joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside)) if turns else None,
         loads=loads,
         outboard=_outboard(manipulator, cut, loads, splits),
         base_moment=jnp.zeros((3,) if manipulator.in_space else (), cut.edges.dtype),
-        moment_scale=bending_stiffness(base) / cut.edges[-1],
+        moment_scale=bending_stiffness(along)[0] / cut.edges[-1],
     )
 
 
@@ -238,10 +247,11 @@ def _joints(manipulator: Manipulator, splits: Float[Array, " splits"] | None) ->
 def _outboard(manipulator: Manipulator, cut: Panels, loads: Loads | None, splits: Array | None) -> Outboard:
     if loads is None:
         zero = jnp.zeros((*cut.nodes.shape, 3 if manipulator.in_space else 2), cut.edges.dtype)
-        return Outboard(zero[:, 0], zero, zero[0, 0])
+        return Outboard(zero[:, 0], zero, zero[0, 0], zero[0, 0] if manipulator.in_space else zero[0, 0, 0])
     edges, nodes = cut.integrate(load_rate(manipulator, cut.nodes, loads))
     force = jnp.asarray(loads.tip_force)
-    along = Outboard(force + edges[-1] - edges[:-1], force + edges[-1] - nodes, force)
+    beyond = force + edges[-1]
+    along = Outboard(beyond - edges[:-1], beyond - nodes, force, jnp.asarray(loads.tip_moment))
     return _with_point_masses(along, manipulator, cut, loads, splits) if manipulator.point_masses else along
 
 
@@ -262,7 +272,7 @@ def _with_point_masses(
     beyond = jnp.where(panel < start, 1.0, 0.0) @ weight
     at_tip = jnp.where(joints[last - len(masses) : last] == cut.edges[-1], 1.0, 0.0) @ weight
     drops = jnp.where(panel == start, 1.0, 0.0) @ weight
-    return Outboard(along.starts + beyond, along.nodes + beyond[:, None], along.tip + at_tip, drops)
+    return Outboard(along.starts + beyond, along.nodes + beyond[:, None], along.tip + at_tip, along.tip_moment, drops)
 
 
 def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points components"]:
@@ -272,17 +282,16 @@ def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Floa
 
 def loaded_to(problem: Problem, fraction: Number, base_moment: Moment) -> Problem:
     """The problem under a fraction of all dead loads, with a value of M_ext(0), N m."""
-    outboard, loads = jax.tree.map(lambda x: fraction * x, (problem.outboard, problem.loads))
-    return eqx.tree_at(
-        lambda problem: (problem.outboard, problem.loads, problem.base_moment), problem, (outboard, loads, base_moment)
-    )
+    outboard = jax.tree.map(lambda x: fraction * x, problem.outboard)
+    return eqx.tree_at(lambda problem: (problem.outboard, problem.base_moment), problem, (outboard, base_moment))
 
 
 def with_tip_force(problem: Problem, tip_force: Float[Array, " components"]) -> Problem:
     """The problem with another force on its tip."""
     more = tip_force - problem.outboard.tip
-    starts, nodes, tip, drops = problem.outboard
-    return eqx.tree_at(lambda p: p.outboard, problem, Outboard(starts + more, nodes + more, tip + more, drops))
+    old = problem.outboard
+    new = old._replace(starts=old.starts + more, nodes=old.nodes + more, tip=old.tip + more)
+    return eqx.tree_at(lambda problem: problem.outboard, problem, new)
 
 
 def guarded_section(manipulator: Manipulator, arc_length: Number) -> AnySection:
@@ -304,7 +313,7 @@ def edge_nudge(cut: Panels) -> Number:
 def tension_of(section: AnySection, base_tension: PerTendon, pull: Pull) -> PerTendon:
     """T, N, zero beyond the anchor. Beyond the point where a tendon locks r is negative; |r| takes its place."""
     size = jnp.maximum(jnp.abs(pull.ratio), jnp.finfo(pull.ratio.dtype).eps)
-    return jnp.where(section.present, unspent(base_tension, pull) / size, 0.0)
+    return where_present(section, unspent(base_tension, pull) / size)
 
 
 def strain_of(section: AnySection, base_tension: PerTendon, state: AnyState) -> Array:
@@ -366,7 +375,7 @@ def turn_at_joint(
     arriving = pointing(before, ratio)
 
     def improve(_, guess):  # r beyond changes the angle there by mu d d' kappa only, so this converges fast
-        turn = jnp.where(after.present, between(arriving, pointing(after, guess[1])), 0.0)
+        turn = where_present(after, between(arriving, pointing(after, guess[1])))
         return turn, ratio_beyond(problem.direction, before, turn, ratio)
 
     return jax.lax.fori_loop(0, 6, improve, (jnp.zeros_like(ratio), ratio + zero_as(arriving)))
@@ -374,7 +383,7 @@ def turn_at_joint(
 
 def ones_at_base(problem: Problem) -> PerTendon:
     """Ones: r at the base. Under shard_map it varies over the same devices as r further outboard."""
-    there = problem.base, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
+    there = problem.points, problem.base_tension, problem.direction, problem.base_moment, problem.outboard.tip
     return jnp.ones_like(problem.base_tension) + zero_as(there)
 
 
@@ -437,11 +446,12 @@ def unstrained(manipulator: Manipulator, loads: Loads | None, points: Float[Arra
         manipulator, loads: of the problem.
         points: numbers at its nodes, one for each tendon.
     """
+    slanted = manipulator.kinematics == "exact" and manipulator.slanted
+    if not (manipulator.in_space or slanted) or (manipulator.in_space and loads is None and manipulator.parallel):
+        return None
     zero = jnp.zeros_like(points[..., 0])
     if not manipulator.in_space:
-        return zero if manipulator.kinematics == "exact" and manipulator.slanted else None
-    if loads is None and manipulator.parallel:
-        return None
+        return zero
     return jnp.zeros((*zero.shape, 6 if manipulator.extensible else 3), zero.dtype) + zero[..., None]
 
 
@@ -486,8 +496,8 @@ def line_up(base: Array, nodes: Array, tip: Array) -> Array:
 
 def all_points(problem: Problem, solution: Solution[Kind]) -> tuple[AnySection, Kind]:
     """The cross-sections and states at base, Gauss nodes and tip."""
-    base = problem.base, jax.tree.map(lambda x: x[0], solution.starts)
-    return jax.tree.map(line_up, base, (problem.nodes, solution.nodes), (problem.tip, solution.tip))
+    base = jax.tree.map(lambda x: x[0], solution.starts)
+    return problem.points, jax.tree.map(line_up, base, solution.nodes, solution.tip)
 
 
 def at_nodes(function: Callable[..., Array], in_axes: tuple[int | None, ...]) -> Callable[..., Array]:

@@ -19,10 +19,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from ..numerics.arrays import largest, largest_of_each, largest_size, varying_as, zero_as
+from ..numerics.arrays import largest, largest_size, varying_as, zero_as
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import cross, length_of
-from ..robot.cross_section import spatial
+from ..robot.cross_section import spatial, where_present
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from . import space
@@ -158,7 +158,7 @@ def _around_sharpest_minimum(problem: Problem, state: AnyState) -> Splits:
     rate = cut.differentiate(turn)
     speed = jnp.sum(rate**2, axis=-1)
     apart = length_of(cross(turn, rate)) / jnp.where(speed > 0, speed, 1.0)
-    growth = jnp.where(nodes.present, jnp.sum(turn * rate, axis=-1), 0.0)
+    growth = where_present(nodes, jnp.sum(turn * rate, axis=-1))
     length, none = cut.edges[-1], varying_as(unsplit(problem.manipulator, problem.loads), zero_as(growth))
     places = varying_as(Splits(none.arc_length[:1] + jnp.zeros(MINIMA), jnp.full(MINIMA, -1)), zero_as(growth))
     places = _first_changes(problem, with_ends(cut, growth), NEGLIGIBLE * largest_size(growth), places, upwards=True)
@@ -178,7 +178,7 @@ def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tu
     The latter is relative to the curvature that one tendon alone would cause, or to the largest turning.
     """
     alone = problem.base_tension * problem.nodes.offset / problem.nodes.stiffness[..., None]
-    ahead, back = largest_of_each(turning, -turning)
+    ahead, back = largest(turning), largest(-turning)
     least = NEGLIGIBLE * jnp.maximum(largest(alone), jnp.maximum(ahead, back))
     return (ahead > least) & (back > least), least
 
@@ -202,7 +202,7 @@ def _first_changes(
     found, at = order < changes.size, jnp.minimum(order, changes.size - 1).astype(jnp.uint32)  # not read from the end
     point, owner = at // owners, at % owners
     panel, within = point // per_panel, point % per_panel
-    places = jax.vmap(lambda panel, owner, at: zero_before(cut, turning[panel, 1:-1, owner], at))(panel, owner, within)
+    places = jax.vmap(lambda panel, owner, at: zero_before(cut, turning[panel, :, owner], at))(panel, owner, within)
     place = cut.edges[panel] + cut.width[panel] * places
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner.astype(none.owner.dtype), -1))
 
@@ -222,18 +222,18 @@ def _first_of(holds: Bool[Array, " entries"], count: int) -> Int[Array, " count"
     return jnp.stack(order)
 
 
-def zero_before(cut: Panels, turning: Float[Array, " p"], point: UInt[Array, ""]) -> Number:
+def zero_before(cut: Panels, turning: Float[Array, " q"], point: UInt[Array, ""]) -> Number:
     """The zero of the polynomial of one panel between a point and the one before, by the Illinois rule, in [0, 1].
 
     Args:
         cut: the panels.
-        turning: at the nodes of the panel.
+        turning: at the start, the nodes and the end of the panel, see `with_ends`.
         point: the start of the panel, which is itself the zero, a node, or the end, counted from 0.
     """
     points = jnp.asarray([0.0, *cut.rule.nodes, 1.0], cut.edges.dtype)
 
     def value(place):
-        return cut.lagrange(place) @ turning
+        return cut.lagrange(place) @ turning[1:-1]
 
     def narrow(_, state):
         (a, b), (fa, fb) = state
@@ -243,9 +243,9 @@ def zero_before(cut: Panels, turning: Float[Array, " p"], point: UInt[Array, ""]
         crossed = fc * fb < 0
         return jnp.stack([jnp.where(crossed, b, a), c]), jnp.stack([jnp.where(crossed, fb, fa / 2), fc])
 
-    bracket = jnp.stack([points[jnp.maximum(point, 1) - 1], points[point]])
-    bracket = bracket + zero_as(turning)  # shard_map wants the bracket to vary as the turning does
-    return jax.lax.fori_loop(0, REFINEMENTS, narrow, (bracket, jax.vmap(value)(bracket)))[0][1]
+    ends = jnp.stack([jnp.maximum(point, 1) - 1, point])
+    bracket = points[ends] + zero_as(turning)  # shard_map wants the bracket to vary as the turning does
+    return jax.lax.fori_loop(0, REFINEMENTS, narrow, (bracket, turning[ends]))[0][1]
 
 
 def turning_at_splits(

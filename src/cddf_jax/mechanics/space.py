@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from ..numerics.implicit import slope_along, solve_definite
 from ..numerics.rotations import Quaternion, Vector, cross, first_axis, in_fixed_frame, length_of
-from ..robot.cross_section import SpatialSection
+from ..robot.cross_section import SpatialSection, where_present
 from .friction import PerTendon, tension_rate
 
 NEWTON_STEPS = 6  # that start from the strain at rest
@@ -80,12 +80,13 @@ def turn_vectors(strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> Vec
 
 def turning_in_space(section: SpatialSection, strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> PerTendon:
     """The angle by which each tendon turns per arc length, rad/m; zero beyond its anchor."""
-    return jnp.where(section.present, length_of(turn_vectors(strain, tangent, tangent_rate)), 0.0)
+    return where_present(section, length_of(turn_vectors(strain, tangent, tangent_rate)))
 
 
 def turning_along_axis(section: SpatialSection, strain: Strain) -> PerTendon:
     """The same for tendons parallel to the axis of a body without loads, which does not twist: |u|."""
-    return jnp.where(section.present, length_of(curvature_of_strain(strain)), 0.0)
+    bend = length_of(curvature_of_strain(strain))
+    return where_present(section, jnp.broadcast_to(bend, section.offset.shape))
 
 
 def turn_between(one: Vectors, other: Vectors) -> PerTendon:
@@ -118,7 +119,7 @@ def tension_rate_without_loads(
     still = turn_vectors(found, tangent, by_length)
 
     def law(rate):
-        turning = jnp.where(section.present, length_of(still + rate[:, None] * by_tension), 0.0)
+        turning = where_present(section, length_of(still + rate[:, None] * by_tension))
         return tension_rate(direction, section, turning, tension)
 
     def newton_step(_, rate):
@@ -133,7 +134,7 @@ def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTend
     straight, bent = path_rate(section, section.rest), path_rate(section, strain)
     length, now = length_of(straight), length_of(bent)
     shorter = jnp.sum((straight - bent) * (straight + bent), axis=-1) / (length + now)  # without cancellation
-    return jnp.where(section.present, shorter, 0.0) + tension * length * compliance
+    return where_present(section, shorter) + tension * length * compliance
 
 
 def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loads: Wrench | None) -> Strain:

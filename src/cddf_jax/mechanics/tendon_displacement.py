@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..robot.cross_section import CrossSection, planar
+from ..robot.cross_section import CrossSection, planar, where_present
 from ..robot.manipulator import Manipulator
 from . import space
 from .friction import PerTendon
@@ -56,7 +56,7 @@ def slip_rate(section: CrossSection, curvature: Number, tension: PerTendon, comp
     bend, slope = section.side * section.offset * curvature, section.offset_slope
     straight = jnp.sqrt(1.0 + slope**2)
     rate = bend * (2.0 - bend) / (straight + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
-    return jnp.where(section.present, rate, 0.0) + stretch_rate(compliance, tension, section)
+    return where_present(section, rate) + stretch_rate(compliance, tension * straight)
 
 
 def stretch_rate(compliance: PerTendon, tension: Array, section: CrossSection | None = None) -> Array:

@@ -17,19 +17,16 @@ from jaxtyping import Array, Bool, Float, PyTree, Shaped
 Numbers = PyTree  # an array of floating-point numbers or a tree of them
 Values = TypeVar("Values")
 Scalar = Float[Array, ""]
+FEW = 6  # values that XLA reduces as fast as halves of them
 
 
 @jax.jit  # traced once for every shape
 def largest(values: Shaped[Array, "*values"]) -> Shaped[Array, ""]:
-    """The largest value, by repeated halving: in a batch this is ten times as fast as XLA's reduction on the CPU."""
-    return _largest_of_columns(values.ravel())
-
-
-def _largest_of_columns(values: Shaped[Array, "n *columns"]) -> Shaped[Array, "*columns"]:
-    while (n := values.shape[0]) > 1:
-        # where n is odd, the middle value is in both halves
-        values = jnp.maximum(values[: (n + 1) // 2], values[n // 2 :])
-    return values[0]
+    """The largest value, by halving down to a few: in a batch on the CPU this is faster than XLA's reduction of all."""
+    values = values.ravel()
+    while (n := values.size) > FEW:
+        values = jnp.maximum(values[: (n + 1) // 2], values[n // 2 :])  # where n is odd, the middle one is in both
+    return jnp.max(values)
 
 
 def largest_size(numbers: Numbers) -> Scalar:
@@ -37,22 +34,10 @@ def largest_size(numbers: Numbers) -> Scalar:
     return largest(jnp.abs(_flat(numbers)))
 
 
-def largest_sizes(*trees: Numbers) -> tuple[Scalar, ...]:
-    """The largest magnitude of each of several trees, which hold equally many numbers."""
-    return largest_of_each(*(jnp.abs(_flat(tree)) for tree in trees))
-
-
-@jax.jit
-def largest_of_each(*arrays: Shaped[Array, "..."]) -> tuple[Scalar, ...]:
-    """The largest value of each of several arrays of one size."""
-    found = _largest_of_columns(jnp.stack([values.ravel() for values in arrays], axis=1))
-    return tuple(found[i] for i in range(len(arrays)))
-
-
 def relative_size(change: Numbers, value: Numbers) -> Scalar:
     """The largest change over the largest value."""
-    change, value = largest_sizes(change, value)
-    return change / jnp.maximum(value, jnp.finfo(value.dtype).tiny)
+    value = largest_size(value)
+    return largest_size(change) / jnp.maximum(value, jnp.finfo(value.dtype).tiny)
 
 
 def _flat(numbers: Numbers) -> Float[Array, " numbers"]:
@@ -94,9 +79,25 @@ def varying_as(tree: Values, zero: Scalar) -> Values:
 # vectorise take a sixth of the time, and derivatives reuse the values.
 
 # pi in three parts, the first two so short that their products with small integers and halves are exact; then the
-# number of terms of the Taylor series that this precision needs on |x| <= pi / 2
-DOUBLE = tuple(map(float.fromhex, ("0x1.921fb54p+1", "0x1.10b46118p-29", "0x1.313198a2e0370p-60"))), 11
-SINGLE = tuple(map(float.fromhex, ("0x1.92p+1", "0x1.fb4p-11", "0x1.4442d2p-23"))), 7
+# polynomial in x^2 that is nearest to sin(x) / x on |x| <= pi / 2: by Remez, with errors of 4e-9 and 2e-19
+DOUBLE = (
+    tuple(map(float.fromhex, ("0x1.921fb54p+1", "0x1.10b46118p-29", "0x1.313198a2e0370p-60"))),
+    (
+        1.0,
+        -0.16666666666666666,
+        0.008333333333333186,
+        -0.00019841269841208676,
+        2.7557319211229606e-06,
+        -2.505210689056952e-08,
+        1.605894087848656e-10,
+        -7.643026557971632e-13,
+        2.7215749422983443e-15,
+    ),
+)
+SINGLE = (
+    tuple(map(float.fromhex, ("0x1.92p+1", "0x1.fb4p-11", "0x1.4442d2p-23"))),
+    (0.999999995698809, -0.16666657947846011, 0.008333050170671773, -0.00019809017408678003, 2.605107635334788e-06),
+)
 
 
 @jax.jit  # traced once for every shape
@@ -110,11 +111,12 @@ def _cos_sin(angle: Array) -> tuple[Array, Array]:
     # cos(x) = -sin(x - (n + 1 / 2) pi) for even n
     more = np.array([0.5, 0.0], angle.dtype).reshape(2, *[1] * angle.ndim)
     turns = jnp.floor(angle * (1 / math.pi) + (0.5 - more))  # rounding by `jnp.round` is slow
-    parts, terms = DOUBLE if angle.dtype == jnp.float64 else SINGLE
+    parts, coefficients = DOUBLE if angle.dtype == jnp.float64 else SINGLE
     rest = jnp.broadcast_to(angle, turns.shape)
+    whole = turns + more
     for part in parts:
-        rest = rest - (turns + more) * part
-    sine = rest * _series(rest * rest, [(-1) ** k / math.factorial(2 * k + 1) for k in range(terms)])
+        rest = rest - whole * part
+    sine = rest * _polynomial(rest * rest, coefficients)
     even = 0.5 * turns == jnp.floor(0.5 * turns)
     both = computed_once(jnp.where(even == (more == 0), sine, -sine))  # and not again for every tangent
     return both[0], both[1]
@@ -126,7 +128,7 @@ def _(primals, tangents):
     return (cosine, sine), (-sine * tangents[0], cosine * tangents[0])
 
 
-def _series(x: Array, coefficients: list[float]) -> Array:
+def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
     value = jnp.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         value = value * x + coefficient

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from .arrays import relative_size, zero_as
+from .rotations import solve_three
 
 Unknowns = Float[Array, " unknowns"]
 Places = Float[Array, " places"]
@@ -70,13 +71,23 @@ def implicit(
 def slopes_by_unknowns(push: Callable[[Tree, Unknowns], Slopes], values: Tree, root: Unknowns) -> Slopes:
     """The slopes of the values, and of all that follows from them, by the unknowns, which stand along a leading axis.
 
+    They have no derivatives in reverse mode.
+
     Args:
         push: (values, unknowns) -> a tuple of better values and what else follows, linearised at the values and root.
         values, root: where.
     """
-    still = jax.tree.map(jnp.zeros_like, values)
-    basis = jnp.eye(root.size, dtype=root.dtype) + zero_as(values, root)
-    return jax.vmap(lambda unit: _through_passes(push, push(still, unit), root))(basis)
+
+    def by(unit: Unknowns) -> Slopes:
+        start = jax.tree.map(lambda x: jnp.zeros_like(x) + 0.0 * unit[0], jax.eval_shape(push, values, unit))
+        return by_passes(lambda slopes: push(slopes[0], unit), start, MAX_PASSES)
+
+    return jax.vmap(by)(_units(root, values))
+
+
+def _units(root: Unknowns, *others: PyTree) -> Float[Array, "unknowns unknowns"]:
+    """A unit for each unknown, which varies over the same devices of shard_map as all numbers."""
+    return jnp.eye(root.size, dtype=root.dtype) + zero_as(root, *others)
 
 
 @eqx.filter_custom_jvp
@@ -92,7 +103,8 @@ def _(primals, tangents):
     slopes = _through_passes(push, pushed, root)
     root_slope = jnp.zeros_like(root)
     if root.size:
-        by_unknowns = slopes_by_unknowns(push, values, root)
+        still = jax.tree.map(jnp.zeros_like, values)
+        by_unknowns = jax.vmap(lambda unit: _through_passes(push, push(still, unit), root))(_units(root, values))
         root_slope = -_solve_where_regular(by_unknowns[1].T, slopes[1])
         slopes = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), slopes, by_unknowns)
     values_slope, _, vanishing = slopes
@@ -137,17 +149,21 @@ def solve_by_passes(push: Callable[[Tree], Tree], pushed: Tree, max_passes: int 
     """
 
     def solve_linear(operator, b):
-        settled = round_off(jax.tree.leaves(b)[0].dtype)
-
         def again(v):
             return jax.tree.map(lambda b, v, w: b + v - w, b, v, operator(v))
 
-        value, change, _ = repeat(again, b, relative_size, settled, max_passes)
-        return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
+        return by_passes(again, b, max_passes)
 
     return jax.lax.custom_linear_solve(
         lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
     )
+
+
+def by_passes(again: Callable[[Tree], Tree], first: Tree, max_passes: int) -> Tree:
+    """The values that a linear pass leaves as they are; NaN where passes do not settle."""
+    settled = round_off(jax.tree.leaves(first)[0].dtype)
+    value, change, _ = repeat(again, first, relative_size, settled, max_passes)
+    return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
 
 
 def repeat(
@@ -247,6 +263,8 @@ def solve_small(
             order = jnp.arange(n).at[k].set(chosen).at[chosen].set(k)
             matrix, vector = matrix[order], vector[order]
         pivots.append(matrix[k, k])
+        if n == 1:
+            break
         safe = jnp.where(pivots[k] == 0, 1.0, pivots[k])
         others = jnp.where(jnp.arange(n) == k, 0.0, matrix[:, k]) / safe
         matrix, vector = matrix - others[:, None] * matrix[k], vector - _along_rows(others, vector) * vector[k]
@@ -261,6 +279,8 @@ def _along_rows(numbers: Float[Array, " n"], like: Float[Array, "n *k"]) -> Floa
 
 def solve_definite(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> Float[Array, " n"]:
     """As `solve_small`, without pivoting: for a matrix whose symmetric part is positive definite."""
+    if matrix.shape[0] == 3:
+        return solve_three(matrix, vector)
     for k in range(matrix.shape[0]):
         others = jnp.where(jnp.arange(matrix.shape[0]) == k, 0.0, matrix[:, k]) / matrix[k, k]
         matrix, vector = matrix - others[:, None] * matrix[k], vector - others * vector[k]

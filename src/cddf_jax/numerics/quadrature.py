@@ -110,7 +110,8 @@ class Panels(eqx.Module):
         count = gain.shape[0]
         if count == 1:
             return jnp.concatenate([jnp.zeros_like(gain), gain])
-        return jnp.tensordot(jnp.tril(jnp.ones((count + 1, count), gain.dtype), -1), gain, 1)
+        before = jnp.asarray(np.tril(np.ones((count + 1, count)), -1), gain.dtype)
+        return jnp.tensordot(before, gain, 1)
 
     def accumulate(self, rate: Float[Array, "*k"], axis: int = 0) -> Float[Array, "*k"]:
         """The integral of `rate` from the start of a panel of width 1 to its nodes, which lie along `axis`.
@@ -227,6 +228,8 @@ def panels_between(joints: Float[Array, " joints"], nodes: int) -> Panels:
     """As `panels`, between joints in increasing order; the first is the base and the last the tip."""
     per_piece = -(-nodes // LARGEST_ORDER)
     order = -(-nodes // per_piece)
+    if per_piece == 1:
+        return Panels.between(joints, order)
     fraction = jnp.arange(per_piece) / per_piece
     starts = joints[:-1, None] + jnp.diff(joints)[:, None] * fraction.astype(joints.dtype)
     return Panels.between(jnp.concatenate([starts.ravel(), joints[-1:]]), order)

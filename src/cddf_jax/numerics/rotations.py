@@ -26,6 +26,17 @@ def cross(a: Vector, b: Vector) -> Vector:
     return jnp.concatenate(_cross(parts_of(a), parts_of(b)), axis=-1)
 
 
+def cofactors(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """The cofactors: each row times that of the matrix is the determinant, and the other rows are at right angles."""
+    return cross(jnp.roll(matrix, -1, axis=0), jnp.roll(matrix, -2, axis=0))
+
+
+def solve_three(matrix: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Float[Array, "3"]:
+    """The solution of three linear equations by Cramer's rule; not finite where the matrix is singular."""
+    by_columns = cofactors(matrix.T)
+    return by_columns @ vector / (matrix[:, 0] @ by_columns[0])
+
+
 def product(p: Quaternion, q: Quaternion) -> Quaternion:
     """The rotation q, then p."""
     (v, *a), (w, *b) = parts_of(p), parts_of(q)
@@ -87,7 +98,11 @@ def as_matrix(q: Quaternion) -> Float[Array, "*points 3 3"]:
 
 def small_turn(change: Quaternion, q: Quaternion) -> Vector:
     """The small rotation vector, rad, in the fixed frame, by which a small change of the quaternion turns."""
-    return 2.0 * product(change, inverse(q))[..., 1:] / jnp.sum(q**2, axis=-1, keepdims=True)
+    (v, *a), parts = parts_of(change), parts_of(q)
+    w, *b = parts
+    twice = 2.0 / _dot(parts, parts)
+    turn = [twice * (w * x - v * y - z) for x, y, z in zip(a, b, _cross(a, b), strict=True)]
+    return jnp.concatenate(turn, axis=-1)
 
 
 def sum_of(parts: list[Array]) -> Array:

@@ -3,6 +3,7 @@
 from typing import Literal, TypeAlias
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 Kinematics = Literal["published", "exact"]
@@ -19,7 +20,7 @@ class CrossSection(eqx.Module):
     side: Float[Array, " tendons"]  # sigma, +-1
     friction_coefficient: Float[Array, " tendons"]  # mu, -
     drag: Float[Array, " tendons"] | None  # w, N/m, zero beyond the anchor; None where no tendon has any
-    present: Bool[Array, " tendons"]  # false beyond the anchor of a tendon
+    present: Bool[Array, " tendons"] | None  # false beyond the anchor of a tendon; None where all go to the tip
     kinematics: Kinematics = eqx.field(static=True)
     slanted: bool = eqx.field(static=True)  # false when every offset is Constant
 
@@ -38,7 +39,7 @@ class SpatialSection(eqx.Module):
     ahead: Float[Array, "tendons 3"]  # rho', and (1, 0, 0) where it cannot
     friction_coefficient: Float[Array, " tendons"]  # mu, -
     drag: Float[Array, " tendons"] | None  # as above
-    present: Bool[Array, " tendons"]
+    present: Bool[Array, " tendons"] | None  # as above
     parallel: bool = eqx.field(static=True)  # whether every tendon follows the axis while there is no twist
 
     @property
@@ -48,6 +49,11 @@ class SpatialSection(eqx.Module):
 
 
 AnySection: TypeAlias = CrossSection | SpatialSection
+
+
+def where_present(section: AnySection, numbers: Array, beyond: float = 0.0) -> Array:
+    """The numbers of the tendons, and another number in their place beyond the anchor of a tendon."""
+    return numbers if section.present is None else jnp.where(section.present, numbers, beyond)
 
 
 def planar(section: AnySection) -> CrossSection:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError
 from ..numerics.arrays import cos_sin
@@ -368,7 +368,7 @@ class Manipulator(eqx.Module):
         """Everything that the mechanics needs at one arc length of a body in space."""
         s = jnp.asarray(arc_length)
         arm, ahead = jax.jvp(self.arms, (s,), (jnp.ones_like(s),))
-        eye, ends = jnp.eye(3, dtype=s.dtype), [jnp.inf if t.end is None else t.end for t in self.tendons]
+        eye = jnp.eye(3, dtype=s.dtype)
         lever = jnp.tensordot(arm, jnp.asarray(_TIMES, s.dtype), 1)  # u x rho by components of u
         rest = jnp.zeros(3, s.dtype)
         if self.rest_curvature is not None:
@@ -376,7 +376,7 @@ class Manipulator(eqx.Module):
         if self.extensible:
             lever = jnp.concatenate([lever, jnp.broadcast_to(eye, lever.shape)], axis=-1)
             rest = jnp.concatenate([rest, eye[0]])
-        present, drag = jnp.stack([s <= jnp.asarray(end) for end in ends]), self.tendon_drag
+        present = self._present(s)
         return SpatialSection(
             stiffness=self.strain_stiffness(s),
             rest=rest,
@@ -384,7 +384,7 @@ class Manipulator(eqx.Module):
             lever=lever,
             ahead=ahead if self.extensible else ahead + eye[0],
             friction_coefficient=self.tendon_friction,
-            drag=None if drag is None else jnp.where(present, drag, 0.0),
+            drag=self._drag_where(present),
             present=present,
             parallel=self.parallel,
         )
@@ -394,10 +394,9 @@ class Manipulator(eqx.Module):
         s = jnp.asarray(arc_length)
         one = jnp.ones_like(s)
         stiffness, stiffness_rate = jax.jvp(self.stiffness, (s,), (one,))
-        offset, offset_slope = jax.jvp(self.offset, (s,), (one,))
-        _, offset_bend = jax.jvp(lambda s: jax.jvp(self.offset, (s,), (one,))[1], (s,), (one,))
-        reach = [jnp.inf if tendon.end is None else tendon.end for tendon in self.tendons]
-        present, drag = jnp.stack([s <= jnp.asarray(end) for end in reach]), self.tendon_drag
+        offset_and_slope = jax.jvp(lambda s: jax.jvp(self.offset, (s,), (one,)), (s,), (one,))
+        (offset, offset_slope), (_, offset_bend) = offset_and_slope
+        present = self._present(s)
         return CrossSection(
             stiffness=stiffness,
             stiffness_rate=stiffness_rate,
@@ -406,11 +405,23 @@ class Manipulator(eqx.Module):
             offset_bend=offset_bend,
             side=jnp.asarray([tendon.side for tendon in self.tendons], s.dtype),
             friction_coefficient=self.tendon_friction,
-            drag=None if drag is None else jnp.where(present, drag, 0.0),
+            drag=self._drag_where(present),
             present=present,
             kinematics=self.kinematics,
             slanted=self.slanted,
         )
+
+    def _present(self, arc_length: Float[Array, ""]) -> Bool[Array, " tendons"] | None:
+        """Whether each tendon reaches an arc length; None where all go to the tip."""
+        if all(tendon.end is None for tendon in self.tendons):
+            return None
+        reach = [jnp.inf if tendon.end is None else tendon.end for tendon in self.tendons]
+        return jnp.stack([arc_length <= jnp.asarray(end) for end in reach])
+
+    def _drag_where(self, present: Bool[Array, " tendons"] | None) -> Float[Array, " tendons"] | None:
+        """The drag of each tendon, N/m, zero where it is not present; None where no tendon has any."""
+        drag = self.tendon_drag
+        return drag if drag is None or present is None else jnp.where(present, drag, 0.0)
 
     def validate(self, *, offsets_outside_wall: bool = False) -> "Manipulator":
         """Check on the host that the numbers describe a body; return the manipulator itself.

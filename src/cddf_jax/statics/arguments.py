@@ -16,10 +16,11 @@ from jaxtyping import Array, Bool, Float, PyTree
 from ..mechanics.directions import Directions, not_stated, stated_directions
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.problem import Method, Problem
+from ..robot.cross_section import where_present
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Number
-from .targets import Actuation, CurvatureAt, Target, TipPosition, TipStiffness
+from .targets import Actuation, CurvatureAt, Target, TipPosition
 from .tension_search import Targets
 
 PerTendon = Float[Array, " tendons"]
@@ -101,17 +102,14 @@ def check_place(manipulator: Manipulator, targets: Targets) -> None:
                 raise ValueError(f"solve: TipPosition's {name} must be {what}")
 
 
-def check_in_space(method: Method, targets: Targets) -> None:
-    """Refuse methods and targets that exist in the plane only.
+def check_in_space(method: Method) -> None:
+    """Refuse methods that exist in the plane only.
 
     Raises:
         ValueError: names it, and what to use.
     """
     if not isinstance(method, FixedPoint):
         raise ValueError(f"solve: {type(method).__name__} is a method for the plane; use FixedPoint() in space")
-    for target in targets:
-        if isinstance(target, CurvatureAt | TipStiffness):
-            raise ValueError(f"solve: {type(target).__name__} is a target in the plane; in space use another target")
 
 
 def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Directions) -> tuple[PyTree, PyTree]:
@@ -198,7 +196,7 @@ def is_physical(
 ) -> Bool[Array, ""]:
     """Whether the numbers, as they were before `harmless`, have a physical meaning."""
     stiffness = jax.vmap(jax.vmap(problem.manipulator.stiffness))(problem.panels.nodes)
-    sections = (stiffness[..., None] > 0) & ((problem.nodes.offset >= 0) | ~problem.nodes.present)
+    sections = (stiffness[..., None] > 0) & (where_present(problem.nodes, problem.nodes.offset) >= 0)
     return (
         jnp.all(sections)  # as one: XLA takes seconds to fold the offsets of a large batch if they are constants
         & (problem.panels.edges[-1] > 0)

@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
@@ -27,9 +28,8 @@ from ..mechanics.problem import (
     state_at_nodes,
 )
 from ..mechanics.tendon_displacement import tendon_displacement
-from ..numerics.arrays import largest, largest_size, relative_size, varying_as, zero_as
-from ..numerics.implicit import solve_small
-from ..numerics.rotations import cross, small_turn
+from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
+from ..numerics.rotations import cofactors, cross, small_turn, solve_three
 
 ROUGH = 1e-3  # relative tolerance of the states along the path of the loads
 STEADY = 1e-2  # relative tolerance of the slopes along the path of the loads
@@ -83,7 +83,7 @@ class Trial(NamedTuple):
         if self.moment is not None and self.moment.ndim:
             return self._stable_in_space
         slope = by_moment(self.slopes.heading)
-        return (self.slopes.residual[0] > 0) & (slope.tip > 0) & (largest(-slope.nodes) <= 0)
+        return (self.slopes.residual[0] > 0) & (slope.tip > 0) & jnp.all(slope.nodes >= 0)
 
     @property
     def _stable_in_space(self) -> Flag:
@@ -94,13 +94,15 @@ class Trial(NamedTuple):
         """
         assert self.heading is not None
         assert self.slopes is not None
-        turns = [
-            jnp.moveaxis(small_turn(slope, heading), 0, -1) * 2.0  # headings are twice a quaternion
-            for slope, heading in zip(by_moment(self.slopes.heading), self.heading, strict=True)
-        ]
-        nodes, tip = (jnp.min(_invariants(turn)) for turn in turns)
-        stiffness = solve_small(turns[1].T, by_moment(self.slopes.residual))[0].T  # M_ext(L) by the turn of the tip
-        return (nodes >= 0) & (tip > 0) & (jnp.min(_invariants(stiffness + stiffness.T)) > 0)
+        slope, heading = _in_one_row(by_moment(self.slopes.heading)), _in_one_row(self.heading)
+        turns = jnp.moveaxis(small_turn(slope, heading), 0, -1) * 2.0  # headings are twice a quaternion
+        nodes, tip = turns, turns[-1]
+        stiffness = (
+            by_moment(self.slopes.residual).T @ cofactors(tip).T
+        )  # det(tip) times M_ext(L) by the turn of the tip
+        matrices = jnp.concatenate([nodes, (stiffness + stiffness.T)[None]])
+        signs = _invariants(matrices)
+        return jnp.all(signs >= 0) & jnp.all(signs[:, -2:] > 0)
 
     @property
     def leverage(self) -> Number:
@@ -151,11 +153,14 @@ class LoadedBody(NamedTuple):
         def push(*tangents):
             return jax.jvp(flow, (trial.nodal, trial.moment, fraction, one), tangents, has_aux=True)
 
+        size = max(trial.moment.size, 1)
+        units, last = np.eye(size + 1, size).reshape(size + 1, *trial.moment.shape), np.eye(size + 1)[-1]
         zero, second = zero_as(trial.moment, fraction), jnp.where(by_loads, one, 0.0)
-        none = [zero] * max(trial.moment.size, 1)
-        basis = jnp.eye(trial.moment.size, dtype=one.dtype) + zero
-        by_moment_at_base = jnp.concatenate([basis, 0.0 * basis[:1]]) if trial.moment.ndim else jnp.stack([one, zero])
-        seeds = by_moment_at_base, jnp.stack([*none, second]), jnp.stack([*none, one - second])
+        seeds = (
+            zero + jnp.asarray(units, one.dtype),
+            second * last.astype(one.dtype),
+            (one - second) * last.astype(one.dtype),
+        )
         (values, heading, residual), slopes, solution = jax.vmap(push, out_axes=(None, 0, None))(
             trial.slopes.nodal, *seeds
         )
@@ -239,7 +244,7 @@ def moment_for(residual_slopes: Float[Array, "slopes *components"], change: Mome
     """The change of M_ext(0) that causes a given change of the residual moment at the tip."""
     if change.ndim == 0:
         return change / residual_slopes[0]
-    return solve_small(residual_slopes[:-1].T, change)[0]
+    return solve_three(residual_slopes[:-1].T, change)
 
 
 def moment_that_follows(residual_slopes: Float[Array, "slopes *components"]) -> Moment:
@@ -269,6 +274,12 @@ def _invariants(matrix: Float[Array, "*points 3 3"]) -> Float[Array, "3 *points"
     return jnp.stack([trace, (trace**2 - of_square) / 2, jnp.sum(a * cross(b, c), axis=-1)])
 
 
+def _in_one_row(headings: Headings) -> Float[Array, "*K points components"]:
+    """The headings in space, or slopes of them, at the nodes and at last at the tip."""
+    nodes = headings.nodes.reshape(*headings.tip.shape[:-1], -1, headings.tip.shape[-1])
+    return jnp.concatenate([nodes, headings.tip[..., None, :]], axis=-2)
+
+
 def _moved(values: Tree, slopes: Tree, moment: Moment) -> Tree:
     """The values after a change of M_ext(0), over its scale."""
     return jax.tree.map(lambda x, slope: x + along_moment(slope, moment), values, slopes)
@@ -289,8 +300,7 @@ def _newton(moment: Moment, residual: Moment, slopes: Slopes) -> tuple[Moment, N
 
 def moment_left_at_tip(problem: Problem, solution: Solution[AnyState]) -> Moment:
     """M_ext(L) - m over the moment scale."""
-    assert problem.loads is not None
-    return (solution.tip.moment - problem.loads.tip_moment) / problem.moment_scale
+    return (solution.tip.moment - problem.outboard.tip_moment) / problem.moment_scale
 
 
 def start_from(guess: Nodal, strain: Array | None, zero: Number) -> Trial:

@@ -28,7 +28,7 @@ from ..mechanics.space import path_rate
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import largest
 from ..numerics.implicit import Places, Unknowns, implicit, without_derivative
-from ..robot.cross_section import AnySection, SpatialSection
+from ..robot.cross_section import AnySection, SpatialSection, where_present
 from .corrector import magnitude, moment_left_at_tip
 from .equilibrium_search import SETTLED, Settled, Setup, first_guess, place, settle
 from .load_path import LoadPath
@@ -208,11 +208,14 @@ def inside_of_bend(problem: Problem, solution: Solution[State]) -> Float[Array, 
     """
 
     def inside(section: AnySection, state: AnyState) -> Number:
-        strain = strain_of(section, problem.base_tension, state)
+        if isinstance(section, SpatialSection) and state.strain is not None:
+            strain = section.rest + state.strain  # near enough
+        else:
+            strain = strain_of(section, problem.base_tension, state)
         if isinstance(section, SpatialSection):
             shorter = 1.0 - path_rate(section, strain)[:, 0]
         else:
             shorter = section.side * section.offset * strain
-        return jnp.max(jnp.where(section.present, shorter, -jnp.inf))
+        return jnp.max(where_present(section, shorter, -jnp.inf))
 
     return jax.vmap(inside)(*all_points(problem, solution))

@@ -17,6 +17,7 @@ from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import (
     Method,
+    Moment,
     Nodal,
     Number,
     Problem,
@@ -56,10 +57,10 @@ class Setup(eqx.Module):
     nodes: int = eqx.field(static=True)
     to_find: tuple[int, ...] = eqx.field(default=(), static=True)  # the tendons whose direction is not stated
 
-    def lay_out(self, base_tension: PerTendon, splits: Splits | None) -> Problem:
-        """The problem under the full loads, with panels that end at `splits` as well."""
+    def lay_out(self, base_tension: PerTendon, splits: Splits | None, cut: Panels | None = None) -> Problem:
+        """The problem under the full loads, with panels that end at `splits` as well: `cut`, if they are known."""
         at = self.manipulator, base_tension, self.direction, self.nodes, self.loads
-        return lay_out(*at, splits.arc_length if splits is not None and splits.arc_length.size else None)
+        return lay_out(*at, splits.arc_length if splits is not None and splits.arc_length.size else None, cut)
 
     def sliding(self, direction: PerTendon) -> "Setup":
         """The same with other directions."""
@@ -93,6 +94,15 @@ def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
 
 def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     """Where `settle` starts: no loads, no sign changes."""
+    start = _without_search(setup, base_tension)
+    if not needs_search(setup):
+        return start
+    zero = start.load_path.num_steps
+    return start._replace(trial=_first_trial(setup, _cut(setup, start.splits), zero), travel=base_tension + zero)
+
+
+def _without_search(setup: Setup, base_tension: PerTendon) -> Settled:
+    """What is known where nothing has to be found."""
     zero = zero_as(setup, base_tension)
     true = zero == 0
     splits = varying_as(unsplit(setup.manipulator, setup.loads), zero)
@@ -104,12 +114,14 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
         stable=true,
         resolved=true,
     )
-    direction = setup.direction + zero
-    if not needs_search(setup):
-        return Settled(direction, load_path, splits, None, None)
-    guess = everywhere(_cut(setup, splits), unloaded(setup.manipulator, jnp.ones_like(base_tension), setup.loads))
-    strain = unstrained(setup.manipulator, setup.loads, guess.ratio)
-    return Settled(direction, load_path, splits, start_from(guess, strain, zero), base_tension + zero)
+    return Settled(setup.direction + zero, load_path, splits, None, None)
+
+
+def _first_trial(setup: Setup, cut: Panels, zero: Number) -> Trial:
+    """The body without friction and loads."""
+    ones = jnp.ones(setup.manipulator.num_tendons, zero.dtype)
+    guess = everywhere(cut, unloaded(setup.manipulator, ones, setup.loads))
+    return start_from(guess, unstrained(setup.manipulator, setup.loads, guess.ratio), zero)
 
 
 def first_guess(values: Nodal) -> Nodal:
@@ -125,11 +137,11 @@ def _cut(setup: Setup, splits: Splits) -> Panels:
 
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     """Find the directions that are not stated, the base moment, and the sign changes; without derivatives."""
-    start = unsettled(setup, base_tension)
-    if start.trial is None:
-        return start
+    if not needs_search(setup):
+        return unsettled(setup, base_tension)
     if not setup.to_find:
         return _settle_as_stated(setup, base_tension)
+    start = unsettled(setup, base_tension)
 
     def attempt(direction: PerTendon) -> tuple[Settled, PerTendon, Flag]:
         settled = _settle_as_stated(setup.sliding(direction), base_tension)
@@ -145,6 +157,7 @@ class _Following(NamedTuple):
     trial: Trial
     travel: PerTendon
     ends: Splits  # where the panels end
+    cut: Panels
     num_moves: Number  # -1 at the end of a path of loads, where the panels move before the first pass
     over: Flag
 
@@ -154,21 +167,20 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
 
     Along the path the panels end only where the body is not smooth.
     """
-    blank = unsettled(setup, base_tension)
-    assert blank.trial is not None
-    assert blank.travel is not None
-    found, trial, zero = blank.load_path, blank.trial, blank.load_path.num_steps
-    if setup.loads is not None:
+    blank = _without_search(setup, base_tension)
+    found, zero, cut = blank.load_path, blank.load_path.num_steps, _cut(setup, blank.splits)
+    if setup.loads is None:
+        trial, num_moves = _first_trial(setup, cut, zero), zero
+    else:
         problem = setup.lay_out(base_tension, None)
         guess = everywhere(problem.panels, at_base(problem))
         found, near = follow_loads(LoadedBody(problem, setup.method), guess, zero)
         here, unstacked = _stacked(near)
-        count = trial.nodal.ratio.shape[0] - guess.ratio.shape[0]
-        trial = unstacked(problem.panels.with_empty(here, count))
+        count = cut.nodes.shape[0] - guess.ratio.shape[0]
+        trial, num_moves = unstacked(problem.panels.with_empty(here, count)), zero - 1.0
 
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
-    num_moves = zero if setup.loads is None else zero - 1.0
-    start = _Following(trial, blank.travel, blank.splits, num_moves, ~found.converged | trial.lost)
+    start = _Following(trial, base_tension + zero, blank.splits, cut, num_moves, ~found.converged | trial.lost)
     end = jax.lax.while_loop(lambda state: ~state.over, follow, start)
     trial = end.trial
     found = found._replace(
@@ -188,14 +200,14 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     the body has settled.
     """
     ends, num_moves = state.ends, state.num_moves
-    problem = setup.lay_out(base_tension, ends)
+    problem = setup.lay_out(base_tension, ends, state.cut)
     body = LoadedBody(problem, setup.method)
 
     def corrected(zero: Number) -> Trial:
         start = jax.tree.map(lambda x: x + zero if eqx.is_inexact_array(x) else x, state.trial)
         trial = body.correct(start, fraction, fraction < 0)
-        kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), start, trial)
-        return kept._replace(lost=trial.lost, locked=trial.locked)
+        kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), _kept(start), _kept(trial))
+        return trial._replace(**kept)
 
     trial = only_if(~state.trial.settled & (num_moves >= 0), corrected, state.trial)
     splits = locate(problem, body.state(trial, fraction))
@@ -210,7 +222,8 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
         here = body.travel(trial, fraction + zero)
         return travel_under_tension(problem, pull_at_nodes(problem, trial.nodal), here)
 
-    new = _cut(setup, jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends))
+    ends = jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends) if moves.size else ends
+    new = _cut(setup, ends)
 
     def moved(_: Number) -> Trial:
         here, unstacked = _stacked(trial)
@@ -228,7 +241,8 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     return _Following(
         trial=trial._replace(settled=trial.settled & ~move, num_passes=num_passes, change=change),
         travel=travel,
-        ends=jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends) if moves.size else ends,
+        ends=ends,
+        cut=new,
         num_moves=jnp.maximum(num_moves, 0.0) + jnp.where(move, 1.0, 0.0),
         over=over,
     )
@@ -237,6 +251,12 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
 def _in_place(number: Number) -> float:
     """How far from the sign changes the panels may end, of the length."""
     return max(SETTLED, 16 * float(jnp.finfo(number.dtype).eps))
+
+
+def _kept(trial: Trial) -> dict[str, Nodal | Moment | Array | None]:
+    """What the result takes from the trial before a pass that fails."""
+    names = "nodal", "moment", "strain", "settled", "sane", "num_passes"
+    return {name: getattr(trial, name) for name in names}
 
 
 def _stacked(trial: Trial) -> tuple[Float[Array, "P p numbers"], Callable[[Array], Trial]]:

@@ -27,7 +27,7 @@ from ..mechanics.problem import (
 from ..numerics.implicit import without_derivative
 from ..numerics.iteration import fixed_point
 from ..numerics.quadrature import Panels
-from ..robot.cross_section import planar
+from ..robot.cross_section import planar, where_present
 from ..robot.manipulator import Manipulator
 from .arguments import check_nodes, one_precision, per_tendon
 from .solve import solve
@@ -118,7 +118,7 @@ def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tupl
         )
     t = jax.vmap(jax.vmap(bending.tangent))(planar(problem.nodes), curvature)
     turning = t.turning + t.turning_slope * problem.panels.differentiate(curvature)[..., None]
-    return problem.panels.integrate(jnp.where(problem.nodes.present, jnp.abs(turning), 0.0))
+    return problem.panels.integrate(where_present(problem.nodes, jnp.abs(turning)))
 
 
 def literal_update(problem: Problem, curvature: Float[Array, "P p"]) -> Float[Array, "P p"]:
@@ -127,7 +127,7 @@ def literal_update(problem: Problem, curvature: Float[Array, "P p"]) -> Float[Ar
     section = planar(problem.nodes)
     tension = problem.base_tension * jnp.exp(-problem.direction * section.friction_coefficient * wrap)
     t = jax.vmap(jax.vmap(bending.tangent))(section, curvature)
-    moment = jnp.where(section.present, section.side * section.offset * tension * t.along, 0.0)
+    moment = where_present(section, section.side * section.offset * tension * t.along)
     return jnp.sum(moment, axis=-1) / section.stiffness
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array
 
 from ..mechanics.problem import Moment, Nodal, Number, unstrained
 from ..mechanics.sign_changes import only_if
-from ..numerics.arrays import computed_once, largest_size, largest_sizes
+from ..numerics.arrays import computed_once, largest_size
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
 
 LARGEST_TURN = 1.0  # rad: the largest turn of a cross-section in one step along the path
@@ -175,9 +175,8 @@ def _decide(walk: _Walk) -> _Walk:
     new = _arrive(trial, walk.fraction)
     turned = jax.tree.map(jnp.subtract, new.heading, old.heading)
     missed = jax.tree.map(lambda x, v: x - (new.fraction - old.fraction) * v, turned, old.heading_slope)
-    missed, turned, slope = largest_sizes(missed, turned, new.heading_slope)
-    missed, turned = jnp.where(first, 0.0, missed), jnp.where(first, 0.0, turned)
-    near = trial.near & jnp.isfinite(slope)
+    missed, turned = (jnp.where(first, 0.0, largest_size(change)) for change in (missed, turned))
+    near = trial.near & jnp.isfinite(largest_size(new.heading_slope))
     jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
     accepted = near & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
     accepted = computed_once(jnp.where(accepted, 1.0, 0.0)) > 0
@@ -189,10 +188,10 @@ def _decide(walk: _Walk) -> _Walk:
     tries = walk.num_tries + 1.0
     arrived = accepted & (place.fraction >= 1.0)
     ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
-    predicted = _predict(place, jnp.where(ended, 0.0, step), trial)
+    predicted = _predict(place, jnp.where(ended | arrived, 0.0, step), trial)
     return _Walk(
         place,
-        jax.tree.map(lambda trial, predicted: jnp.where(arrived, trial, predicted), _with_no_passes(trial), predicted),
+        predicted._replace(near=arrived & trial.near, settled=arrived & trial.settled),  # which is the trial itself
         step,
         fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
         num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
@@ -226,17 +225,12 @@ def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
     """The next trial, by an Euler step along the path; it takes over the slopes of the last trial."""
     assert trial.slopes is not None
     slopes = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.slopes.nodal)
-    false = trial.lost & False
-    return _with_no_passes(trial)._replace(
+    return trial._replace(
         moment=place.moment + step * place.moment_slope,
         nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
         slopes=trial.slopes._replace(nodal=slopes),
         strain=place.strain,
-        near=false,
-        settled=false,
+        lost=trial.lost & False,
+        num_passes=0.0 * trial.num_passes,
+        change=0.0 * trial.num_passes,
     )
-
-
-def _with_no_passes(trial: Trial) -> Trial:
-    """The trial with its count of passes set to zero."""
-    return trial._replace(lost=trial.lost & False, num_passes=0.0 * trial.num_passes, change=0.0 * trial.num_passes)

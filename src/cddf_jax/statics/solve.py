@@ -17,10 +17,11 @@ from ..mechanics.friction import unspent
 from ..mechanics.problem import Method, Problem, Solution, State, guarded_section, line_up
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..mechanics.truncation_error import ACCURACY, truncation_error
-from ..numerics.arrays import largest, zero_as
+from ..numerics.arrays import zero_as
 from ..numerics.quadrature import panels
 from ..numerics.rotations import as_matrix, tilt
 from ..programs.kept import kept_program
+from ..robot.cross_section import planar
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.profiles import Number
@@ -120,12 +121,12 @@ def solve(
     given, targets = split_actuation(manipulator, base_tension)
     given, direction = per_tendon(manipulator, given, direction)
     loads = checked_loads(loads)
-    if space or manipulator.in_space or (loads is not None and loads.in_space):
-        manipulator, loads = in_space(manipulator), None if loads is None else loads_in_space(loads)
-        check_in_space(method, targets)
-    check_place(manipulator, targets)
     if loads is None and any(isinstance(target, TipStiffness) for target in targets):
         loads = Loads()
+    if space or manipulator.in_space or (loads is not None and loads.in_space):
+        manipulator, loads = in_space(manipulator), None if loads is None else loads_in_space(loads)
+        check_in_space(method)
+    check_place(manipulator, targets)
     check_weight(manipulator, loads)
     equilibrium = _solve(manipulator, given, targets, loads, direction, method, nodes)
     if throw:
@@ -166,7 +167,7 @@ def _solve(
     to_find = not_stated(direction)
     asked = one_precision(manipulator, given, direction, (targets, loads))
     numbers = jax.tree.leaves(eqx.filter(asked, eqx.is_inexact_array))
-    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in numbers]))
+    finite = jnp.all(jnp.isfinite(jnp.concatenate([x.ravel() for x in numbers])))
     manipulator, given, direction, (targets, loads) = harmless(*asked)
     setup = Setup(manipulator, direction, loads, method, nodes, to_find)
     balance, found = _equilibrium(setup, given, targets)
@@ -177,7 +178,7 @@ def _solve(
     at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
     contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.panels.edges[-1])
     truncation = balance.leverage * truncation_error(problem, solution)
-    crossing = largest(inside_of_bend(problem, solution)) >= 1.0
+    crossing = jnp.any(inside_of_bend(problem, solution) >= 1.0)
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     dense = Dense(
         manipulator,
@@ -228,7 +229,7 @@ def _solve(
 
 def _fraction_left(problem: Problem, solution: Solution[State]) -> PerTendon | float:
     """The part of the base tension that drag leaves, as a fraction; 1 where there is no base tension."""
-    if problem.base.drag is None:
+    if problem.nodes.drag is None:
         return 1.0
     pulled = problem.base_tension > 0
     left = unspent(problem.base_tension, solution.tip.pull)
@@ -250,17 +251,18 @@ def _along(setup: Setup, balance: Balance, dense: Dense) -> AnyFields:
     problem, solution, body = balance.problem, balance.solution, setup.manipulator
 
     first = jax.tree.map(lambda x: x[0], solution.starts)
-    cut, sections, nodes = problem.panels, problem.nodes, solution.nodes
+    cut, nodes = problem.panels, solution.nodes
     pieces = panels(cut.edges[-1], body.breakpoints, setup.nodes)
     if problem.in_space:  # whose forces need derivatives along the polynomials
         arc_length = line_up(pieces.edges[0], pieces.nodes, pieces.edges[-1])
         return tendons_first(jax.vmap(partial(_fields_within, dense))(arc_length), 1)
+    sections = planar(problem.points)
     if pieces.edges.shape != cut.edges.shape:  # panels that end at sign changes are not shown
         cut = pieces
         nodes = jax.vmap(jax.vmap(dense.state))(cut.nodes)
-        sections = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
+        inside = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
+        sections = planar(jax.tree.map(line_up, problem.base, inside, problem.tip))
     arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
-    sections = jax.tree.map(line_up, problem.base, sections, problem.tip)
     states = jax.tree.map(line_up, first, nodes, solution.tip)
     fields = jax.vmap(planar_fields, (0, None, None, 0, 0))
     return tendons_first(fields(sections, problem.base_tension, problem.direction, arc_length, states), 1)

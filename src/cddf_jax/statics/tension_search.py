@@ -11,11 +11,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import AnyState, Number, Problem, Solution
-from ..numerics.arrays import largest, varying_as, zero_as
+from ..numerics.arrays import zero_as
 from ..numerics.implicit import slopes_by_unknowns, solve_small, without_derivative
 from .equilibrium_derivatives import Balance, Equations, System, balance, inside_of_bend
 from .equilibrium_search import Settled, Setup, settle, unsettled
-from .targets import FARTHEST, Displacement, Target, TipAngle, TipPosition, bending_tension
+from .targets import FARTHEST, CurvatureAt, Displacement, Target, TipAngle, TipPosition, bending_tension
 
 START = 0.05  # of the tension at which d kappa would come near 1
 OTHER_STARTS = (0.0, 0.5, 5.0)  # if there is no equilibrium at the first start
@@ -27,7 +27,7 @@ MAX_ROUNDS = 60  # of searches that lower the sum of the tensions
 LEAST_GAIN = 1e-10  # relative decrease of the sum; the rounds end at a smaller one
 SAME_EFFECT = 1e-6  # of the largest slope: a change of the tensions that moves the tip by less has no effect
 ALIKE = 1e-6  # relative: two misses that count as the same
-LEFT = 0.1  # of a tension after one step, where slopes vanish without tension: the tip angle in space
+LEFT = 0.1  # of a tension after one step, where slopes vanish without tension: tip angle and curvature in space
 LEVEL = 1e-5  # change of the sum with a tension below which it counts as none
 
 Tensions = Float[Array, " unknowns"]  # over their scale
@@ -91,14 +91,16 @@ def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Fo
     frozen_setup, frozen_given, frozen_wanted = without_derivative((setup, given, wanted))
     scale = bending_tension(frozen_setup)
     misses = Partial(_misses, frozen_setup, frozen_wanted)
-    whole = setup.manipulator.in_space and any(isinstance(target, TipAngle) for target in wanted.values())
+    in_space = setup.manipulator.in_space
+    whole = in_space and any(isinstance(target, TipAngle) for target in wanted.values())
+    vanishing = in_space and any(isinstance(target, TipAngle | CurvatureAt) for target in wanted.values())
     start = jnp.full(len(wanted), START) + zero_as(scale, given, frozen_wanted)
     aim = _Aim(
         evaluate=_evaluation(frozen_setup, frozen_given, tuple(wanted), misses, scale, whole),
         least=jnp.zeros_like(start),
         most=jnp.full_like(start, FARTHEST),
         pulled=jnp.asarray([isinstance(target, Displacement) for target in wanted.values()]),
-        left=LEFT if whole else 0.0,
+        left=LEFT if vanishing else 0.0,
     )
     best, slack = _search(aim, _nothing(frozen_setup, frozen_given, start, len(wanted)), start, start < 0)
     apart = slack[:, None] | slack | ~jnp.isfinite(best.jacobian)
@@ -174,7 +176,7 @@ def _evaluation(
         if loaded:  # the base moment follows the tensions so that M_ext(L) stays m
             followed = solve_small(slopes[targets:, count:], slopes[targets:, :count])[0]
             jacobian = jacobian - slopes[:targets, count:] @ followed
-        fine = settled.load_path.converged & solution.converged & (largest(inside_of_bend(problem, solution)) < 1.0)
+        fine = settled.load_path.converged & solution.converged & jnp.all(inside_of_bend(problem, solution) < 1.0)
         fine = fine & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
         cost = jnp.where(fine, jnp.sum(residual**2), jnp.inf)
         return _TensionTrial(tension, residual, scale * jacobian, cost, settled)
@@ -184,10 +186,8 @@ def _evaluation(
 
 def _nothing(setup: Setup, given: PerTendon, start: Tensions, targets: int) -> _TensionTrial:
     """The first "best" trial of a search: no equilibrium, with infinite cost."""
-    blank = unsettled(setup, given)
-    zero = blank.load_path.num_steps + zero_as(start)
-    # all of it varies over the devices of shard_map; an empty array would not, were it chosen by `where`
-    blank = varying_as(blank, zero)
+    zero = zero_as(setup, given, start)
+    blank = unsettled(setup, given + zero)
     blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
     slopes = jnp.eye(targets, start.size, dtype=start.dtype) + zero
     return _TensionTrial(start + zero, slopes[:, 0] * 0.0, slopes, zero + jnp.inf, blank)
