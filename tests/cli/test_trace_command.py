@@ -125,6 +125,16 @@ def test_displacements_and_tip_angles(answer_of, robot):
     assert answer["results"] == ["successful"] * 2
 
 
+@pytest.mark.slow
+def test_a_tendon_that_would_have_to_push_is_slack(cddf_command, robot):
+    """10 mm times the angle is the displacement: 0 where the body is straight, and less only by a push."""
+    code, out, _ = cddf_command("trace", robot, "--path", "5 mm, -1 mm, 2 mm")
+    assert code == 0
+    hangs = "2: released to 0 N, slides out along the whole body; tip tension 0 N, tip angle 0 deg, pulled in 0 mm"
+    assert out.splitlines()[1] == f"{hangs}; the tendon is slack, as it would have to push"
+    assert f"tip angle {np.degrees(0.2):.5g} deg, pulled in 2 mm" in out.splitlines()[2]
+
+
 def test_a_path_in_a_file(cddf_command, robot, tmp_path, monkeypatch):
     """Semicolons, a name of its own and a mark of the decimals, as a laboratory writes them."""
     monkeypatch.chdir(tmp_path)
@@ -186,6 +196,15 @@ def test_two_tendons(answer_of, two_tendons, tmp_path):
     assert (tmp_path / "out" / "trace.png").stat().st_size > 1000
     loop = np.genfromtxt(tmp_path / "out" / "loop.csv", delimiter=",", names=True, deletechars="")
     assert loop["base_tension_2_[N]"][-1] == 20.0
+
+
+@pytest.mark.slow
+def test_more_short_steps_lower_the_error(answer_of, fails, two_tendons):
+    path = ("--path", "75, 60 N", "--path", "20 N")
+    few, more = (answer_of("trace", two_tendons, *path, "--short-steps", count) for count in (2, 8))
+    assert 0 < more["error_estimate"][1] < few["error_estimate"][1]
+    far = ("--path", "85, 10 N", "--path", "5, 60 N", "--short-steps", 2, "--nodes", 4)  # rough on purpose
+    assert fails("trace", two_tendons, *far, code=1).endswith("exceeds 0.03: raise --short-steps and --nodes.")
 
 
 @pytest.mark.slow

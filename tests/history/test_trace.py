@@ -245,6 +245,26 @@ def test_return_point_memory(kinematics, unit, levels):
     np.testing.assert_allclose(numbers[0][0], expected, rtol=1e-9, atol=1e-12 * top)
 
 
+def test_a_history_in_words():
+    """The numbers of the table of the paper's loop, to five digits."""
+    history = cddf.trace(BODY, [0.0, 75.0, 40.0, 20.0, 5.0, 0.0, 50.0, 50.0])
+    rest, pull, release, *_, stays, last = str(history).splitlines()
+    assert rest == "1: 0 N, at rest"
+    assert pull.startswith(
+        "2: pulled to 75 N, slides in along the whole body; tip tension 45.123 N, tip angle 69.314 deg"
+    )
+    assert release.startswith(
+        "3: released to 40 N, slides out up to 115.09 mm and rests beyond; tip tension 45.123 N, "
+    )
+    assert stays.startswith("8: stays at 50 N; tip tension 34.688 N, tip angle 49.878 deg")
+    assert last.endswith("; successful")
+    failed = str(cddf.trace(BODY, PATH.at[STEPS - 1].set(-5.0), throw=False)).splitlines()
+    assert failed[-2].startswith(f"{STEPS}: The body or its load is not physical")
+    assert failed[-1].endswith(f"; {STEPS - 1} successful, 1 unphysical")
+    batch = jax.eval_shape(jax.vmap(lambda path: cddf.trace(BODY, path)), jnp.ones((2, STEPS)))
+    assert str(batch).startswith("History(")
+
+
 @pytest.mark.slow
 def test_a_history_goes_on():
     path = [75.0, 40.0, 60.0, 50.0, 55.0, 30.0]

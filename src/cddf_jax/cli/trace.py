@@ -42,6 +42,13 @@ BeforeOption = Annotated[
     ),
 ]
 MaxTurns = Annotated[int, typer.Option(help="How many turns can be remembered at once.", min=1)]
+ShortSteps = Annotated[
+    int,
+    typer.Option(
+        help="With several tendons or loads: short steps between two points of a loop. A path has 64 points or more.",
+        min=2,
+    ),
+]
 
 
 def trace(
@@ -53,6 +60,7 @@ def trace(
     tip_moment: options.TipMoment = None,
     gravity: options.Gravity = None,
     max_turns: MaxTurns = 16,
+    short_steps: ShortSteps = 4,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     as_json: options.AsJson = False,
@@ -78,7 +86,7 @@ def trace(
         if len(largest) != count or min(largest) < 0:
             raise InputError(f"--before {before}: give a tension of 0 N or more for each of {count} tendon(s)")
     with within(robot, ValueError):
-        found = trace_report.traced(manipulator, paths, driven, loads, nodes, max_turns, largest)
+        found = trace_report.traced(manipulator, paths, driven, loads, nodes, max_turns, short_steps, largest)
     answer = trace_report.trace_as_dict(found)
     if out is not None:
         from ..figures.history import history_figure

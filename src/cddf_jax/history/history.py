@@ -1,15 +1,22 @@
 """The result of `trace`: the states of a manipulator after each step of a path; the axis of steps comes first."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..mechanics.fields import AnyFields, tendons_first
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import RESULTS, nan_unless
+from ..statics.equilibrium import RESULTS, code_of, nan_unless, result_of
+from ..units import Dimension, shown
+
+STEPS = 20  # described in words, at most
+_GOOD = [int(code_of(result)) for result in (RESULTS.successful, RESULTS.slack)]
 
 
 class States(eqx.Module):
@@ -63,6 +70,9 @@ class History(eqx.Module):
     result: RESULTS  # how each step ended
     _states: States
 
+    def __str__(self) -> str:
+        return history_in_words(self)
+
     def sliding(self, arc_length: ArrayLike) -> Float[Array, "steps *tendons_and_points"]:
         """+1 where the tendon slid in during the step, -1 where it slid out, 0 where it rested, at arc lengths (m)."""
         s = jnp.asarray(arc_length, self.front.dtype)
@@ -115,3 +125,79 @@ class History(eqx.Module):
         fields = jax.vmap(nan_unless)(~jnp.isnan(self.tip_angle), self._states.fields(s.ravel()))
         fields = jax.tree.map(lambda x: x.reshape(x.shape[0], *s.shape, *x.shape[2:]), fields)
         return jax.vmap(lambda step: tendons_first(step, s.ndim))(fields)
+
+
+# --- in words -------------------------------------------------------------------------------------
+
+
+def history_in_words(history: History) -> str:
+    """A line for each of the last steps; for a batch or under jit the names and shapes of the fields."""
+    if isinstance(history.tip_angle, Tracer) or np.ndim(history.tip_angle) != 1:
+        return eqx.tree_pformat(history)
+    steps = range(len(history.tip_angle))
+    return "\n".join([*steps_in_words(history, steps), last_line(history)])
+
+
+def steps_in_words(history: History, steps: Sequence[int]) -> list[str]:
+    """What slid in each of these steps, and the state after it; of the last ones, if there are many.
+
+    Args:
+        history: the whole history; it may have further steps between.
+        steps: indices from 0.
+    """
+    in_words = _step_of_tendons if history.num_turns is None else _step_of_one
+    of_steps = ("base_tension", "tip_tension", "tip_angle", "tendon_displacement", "direction", "front")
+    states = {name: np.asarray(getattr(history, name))[list(steps)] for name in of_steps}
+    codes, length = np.asarray(code_of(history.result))[list(steps)], float(history._states.manipulator.length)
+    slack = f"; {'the' if np.ndim(history.base_tension) == 1 else 'a'} tendon is slack, as it would have to push"
+    lines = []
+    for i, code in enumerate(codes):
+        words = RESULTS[result_of(code)] if np.isnan(states["tip_angle"][i]) else in_words(states, i, length)
+        lines.append(f"{i + 1}: {words}{slack if code == code_of(RESULTS.slack) else ''}")
+    return [f"the last {STEPS} of {len(lines):,} steps:", *lines[-STEPS:]] if len(lines) > STEPS else lines
+
+
+def last_line(history: History) -> str:
+    """The largest error estimate, and how the steps ended."""
+    codes = np.asarray(code_of(history.result))
+    ended = "successful" if np.all(np.isin(codes, _GOOD)) else str(history.result)
+    known = np.asarray(history.error_estimate)[np.isfinite(history.error_estimate)]
+    return f"error estimate {np.max(known, initial=0.0):.1e}; {ended}"
+
+
+def _step_of_one(states: dict[str, np.ndarray], i: int, length: float) -> str:
+    """ "released to 40 N, slides out up to 115.09 mm and rests beyond; tip tension 45.1 N, ..."."""
+    tension = states["base_tension"][i]
+    if not np.any(states["base_tension"][: i + 1]):
+        return f"{shown(tension, 'force')}, at rest"
+    way, slides = ("pulled", "slides in") if states["direction"][i] > 0 else ("released", "slides out")
+    front = states["front"][i]
+    where = "along the whole body" if front >= length else f"up to {shown(front, 'length')} and rests beyond"
+    how = f"{way} to {shown(tension, 'force')}, {slides} {where}"
+    if i > 0 and tension == states["base_tension"][i - 1]:
+        how = f"stays at {shown(tension, 'force')}"
+    return f"{how}; tip tension {shown(states['tip_tension'][i], 'force')}, {_tip_and_travel(states, i)}"
+
+
+def _step_of_tendons(states: dict[str, np.ndarray], i: int, length: float) -> str:
+    """ "tendon 1 at 60 N slides out up to 52.7 mm, ...; tip tensions 50.3 N, 23.9 N, tip angle 44.1 deg, ..."."""
+    each = [np.ravel(states[name][i]) for name in ("base_tension", "front", "direction")]
+    parts = []
+    for number, (tension, front, direction) in enumerate(zip(*each, strict=True), 1):
+        way = "slides in" if direction > 0 else "slides out"
+        where = "along the whole body" if front >= length else f"up to {shown(float(front), 'length')}"
+        moves = f"{way} {where}" if front > 0 else "rests at the base"
+        name = f"tendon {number}" if each[0].size > 1 else "the tendon"
+        parts.append(f"{name} at {shown(float(tension), 'force')} {moves}")
+    tips = listed(states["tip_tension"][i], "force")
+    return f"{', '.join(parts)}; tip tension {tips}, {_tip_and_travel(states, i)}"
+
+
+def _tip_and_travel(states: dict[str, np.ndarray], i: int) -> str:
+    angle = shown(float(states["tip_angle"][i]), "angle")
+    return f"tip angle {angle}, pulled in {listed(states['tendon_displacement'][i], 'length')}"
+
+
+def listed(values: np.ndarray, dimension: Dimension) -> str:
+    """ "60 N, 20 N"."""
+    return ", ".join(shown(float(value), dimension) for value in np.ravel(values))

@@ -8,7 +8,8 @@ import numpy as np
 
 from ..errors import SolveError
 from ..files.csv_table import table_csv
-from ..history.history import History
+from ..history.history import STEPS, History, last_line, listed, steps_in_words
+from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
 from ..programs.evaluated import evaluated
 from ..progress import stage
@@ -21,8 +22,6 @@ from .export import POINTS, field_columns, history_columns, history_numbers
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
 FINE_IN_STEPS = 64  # the same in space, and with several tendons or loads
-SHORT_STEPS = 4  # in each of these steps, with several tendons or loads
-STEPS = 20  # described in words, at most
 SAME = 1e-9  # relative difference up to which two states count as the same
 SEEN = 1e-5  # of the work: a larger difference from the sum of its parts is reported
 # by the dimension of a path, what `trace` takes
@@ -46,11 +45,6 @@ class TracedPath(NamedTuple):
         """The numbers after the steps of the path."""
         return {name: values[self.steps] for name, values in self.numbers.items()}
 
-    @property
-    def is_exact(self) -> bool:
-        """Whether the answer is exact: one tendon without loads."""
-        return self.history.num_turns is not None
-
 
 class Cycle(NamedTuple):
     """A part of a path that ends in the state in which it began."""
@@ -67,6 +61,7 @@ def traced(
     loads: Loads | None,
     nodes: int,
     max_turns: int,
+    short_steps: int,
     before: Sequence[float] | None = None,
 ) -> TracedPath:
     """Trace the paths of all tendons, with enough points between their steps for smooth loops.
@@ -79,6 +74,7 @@ def traced(
         driven: what each of them is, "force", "length" or "angle".
         loads: that act before the first step, and stay constant.
         nodes, max_turns: as `trace` takes them.
+        short_steps: as `trace` takes them, for each point.
         before: the largest base tension of each tendon before the paths, N; None for rest.
     """
     is_exact = len(paths) == 1 and loads is None
@@ -94,7 +90,7 @@ def traced(
         else:
             columns = [Displacement(x) if kind == "length" else x for x, kind in zip(values.T, driven, strict=True)]
             given = columns if "length" in driven else values
-            history = trace(manipulator, given, loads, nodes=nodes, short_steps=SHORT_STEPS, throw=False)
+            history = trace(manipulator, given, loads, nodes=nodes, short_steps=short_steps, throw=False)
         _check(history, steps, values, driven)
         return TracedPath(manipulator, history, steps.tolist(), history_numbers(history))
 
@@ -116,7 +112,10 @@ def _check(history: History, steps: np.ndarray, values: np.ndarray, driven: Sequ
     step = int(np.searchsorted(steps, first))
     pairs = (zip(values[place], driven, strict=True) for place in (steps[step], first))
     to, at = (", ".join(shown(value, kind) for value, kind in pair) for pair in pairs)
-    raise SolveError(f"step {step + 1}, on the way to {to}, at {at}: {RESULTS[result_of(codes[first])]}")
+    words = RESULTS[result_of(codes[first])]
+    if isinstance(history._states, SteppedStates) and codes[first] == code_of(RESULTS.inaccurate):
+        words = f"The error estimate exceeds {ACCURACY:g}: raise --short-steps and --nodes."
+    raise SolveError(f"step {step + 1}, on the way to {to}, at {at}: {words}")
 
 
 def cycles(states: dict[str, np.ndarray]) -> list[Cycle]:
@@ -147,14 +146,9 @@ def trace_as_dict(found: TracedPath) -> dict[str, object]:
 
 def trace_in_words(found: TracedPath) -> str:
     """What slid in each step, the state after it, the cycles that closed, and where the work went."""
-    states = found.states
-    directions, length = np.asarray(found.history.direction)[found.steps], float(found.manipulator.length)
-    in_words = _step_in_words if found.is_exact else _step_of_tendons
-    lines = [in_words(states, i, directions[i], length) for i in range(len(found.steps))]
-    if len(lines) > STEPS:
-        lines = [f"the last {STEPS} of {len(lines):,} steps:", *lines[-STEPS:]]
+    states, lines = found.states, steps_in_words(found.history, found.steps)
     for cycle in cycles(states)[-STEPS:]:
-        tension, loss = _listed(states["base_tension"][cycle.last - 1], "force"), shown(cycle.loss, "energy")
+        tension, loss = listed(states["base_tension"][cycle.last - 1], "force"), shown(cycle.loss, "energy")
         lines.append(f"cycle from step {cycle.first} to {cycle.last}, closed at {tension}: {loss} lost")
     rest = "by the published kinematics" if found.manipulator.kinematics == "published" else "by the short steps"
     work, stored, lost = (float(states[name][-1]) for name in ("work", "stored_energy", "friction_loss"))
@@ -162,43 +156,7 @@ def trace_in_words(found: TracedPath) -> str:
     if abs(left := work - stored - lost) > SEEN * abs(work):
         parts.append(f"{shown(left, 'energy')} unaccounted for {rest}")
     lines.append(f"work put in {shown(work, 'energy')}: {', '.join(parts)}")
-    return "\n".join([*lines, f"error estimate {np.max(found.numbers['error_estimate']):.1e}; successful"])
-
-
-def _listed(values: np.ndarray, dimension: Dimension) -> str:
-    """ "60 N, 20 N"."""
-    return ", ".join(shown(float(value), dimension) for value in np.ravel(values))
-
-
-def _step_in_words(states: dict[str, np.ndarray], i: int, direction: float, length: float) -> str:
-    """ "3: released to 40 N, slides out up to 115.09 mm and rests beyond; tip tension 45.1 N, ..."."""
-    tension = states["base_tension"][i]
-    if not np.any(states["base_tension"][: i + 1]):
-        return f"{i + 1}: {shown(tension, 'force')}, at rest"
-    way, slides = ("pulled", "slides in") if direction > 0 else ("released", "slides out")
-    front = states["front"][i]
-    where = "along the whole body" if front >= length else f"up to {shown(front, 'length')} and rests beyond"
-    how = f"{way} to {shown(tension, 'force')}, {slides} {where}"
-    if i > 0 and tension == states["base_tension"][i - 1]:
-        how = f"stays at {shown(tension, 'force')}"
-    force, angle = shown(states["tip_tension"][i], "force"), shown(states["tip_angle"][i], "angle")
-    pulled_in = shown(states["tendon_displacement"][i], "length")
-    return f"{i + 1}: {how}; tip tension {force}, tip angle {angle}, pulled in {pulled_in}"
-
-
-def _step_of_tendons(states: dict[str, np.ndarray], i: int, directions: np.ndarray, length: float) -> str:
-    """ "2: tendon 1 at 60 N slides out up to 52.7 mm, ...; tip tensions 50.3 N, 23.9 N, tip angle 44.1 deg, ..."."""
-    tensions, fronts = np.ravel(states["base_tension"][i]), np.ravel(states["front"][i])
-    parts = []
-    for number, (tension, front, direction) in enumerate(zip(tensions, fronts, np.ravel(directions), strict=True), 1):
-        way = "slides in" if direction > 0 else "slides out"
-        where = "along the whole body" if front >= length else f"up to {shown(float(front), 'length')}"
-        moves = f"{way} {where}" if front > 0 else "rests at the base"
-        name = f"tendon {number}" if tensions.size > 1 else "the tendon"
-        parts.append(f"{name} at {shown(float(tension), 'force')} {moves}")
-    tips, pulled_in = _listed(states["tip_tension"][i], "force"), _listed(states["tendon_displacement"][i], "length")
-    angle = shown(float(states["tip_angle"][i]), "angle")
-    return f"{i + 1}: {', '.join(parts)}; tip tension {tips}, tip angle {angle}, pulled in {pulled_in}"
+    return "\n".join([*lines, last_line(found.history)])
 
 
 def loop_csv(found: TracedPath) -> str:
