@@ -236,6 +236,10 @@ def test_a_push_meets_a_stiffer_body_than_the_sliding_one():
     np.testing.assert_allclose(-cddf.tip_compliance(exact, push=(0.0, -0.05))[1], given_way, rtol=1e-6)
     harder = -cddf.tip_compliance(exact, push=(0.0, -0.2))[1]
     assert float(harder) > given_way  # the harder, the more of the tendon slides
+    tiny = cddf.tip_compliance(exact, push=(0.0, -1e-3))
+    assert abs(float(tiny[2])) < 1e-4 < abs(float(tiny[1]))  # only the angle is held by a tendon that does not stretch
+    with pytest.raises(cddf.SolveError, match="a push of 1e-06 N moves the tip by less than 1e-06 of the length"):
+        cddf.tip_compliance(exact, push=(0.0, -1e-6))
 
 
 @pytest.mark.slow

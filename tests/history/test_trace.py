@@ -353,6 +353,9 @@ def test_what_is_refused(body, path, options, words):
 def test_wrong_types_and_numbers():
     with pytest.raises(TypeError, match="the first argument must be a Manipulator"):
         cddf.trace("robot.toml", [75.0])  # pyright: ignore[reportArgumentType]
+    for target in (cddf.TipTension([5.0]), cddf.CurvatureAt([5.0], 0.1), cddf.TipPosition((0.1, 0.05))):
+        with pytest.raises(TypeError, match=f"or TipAngle, got {type(target).__name__}; solve with it"):
+            cddf.trace(BODY, target)  # pyright: ignore[reportArgumentType]
     with pytest.raises(TypeError, match="start must be a History"):
         cddf.trace(BODY, [75.0], start=75.0)  # pyright: ignore[reportArgumentType]
     with pytest.raises(cddf.SolveError, match="step 1 of the trace, -5 N: The body or its load is not physical"):

@@ -110,7 +110,8 @@ def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tup
     for entry in entries:
         if not _is_numbers(entry) and not isinstance(entry, Displacement):
             raise TypeError(
-                f"trace: with several tendons or loads, give tensions, N, or a Displacement for each one, got {entry!r}"
+                "trace: with several tendons or loads, give tensions, N, or a Displacement for each one, got "
+                f"{type(entry).__name__}"
             )
     driven = tuple(i for i, entry in enumerate(entries) if isinstance(entry, Displacement))
     values = [as_numbers(getattr(entry, "value", entry), "trace: base_tension") for entry in entries]

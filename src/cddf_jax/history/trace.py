@@ -15,7 +15,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_weight
 from ..statics.arguments import check_nodes
-from ..statics.equilibrium import RESULTS, code_of
+from ..statics.equilibrium import RESULTS, code_of, nan_unless
 from ..statics.response import tip_compliance
 from ..statics.targets import Displacement, TipAngle
 from .history import History
@@ -23,6 +23,7 @@ from .path import Driven, Path, as_numbers, given_path
 from .play_operator import Before, CongruentStates, congruent_history
 from .stepped import ACCURACY, Following, SteppedStates, after_first, squeezed, stepped_history
 
+LEAST_MOVE = 1e-6  # of the tip by a push, over the length and in rad; steps settle to some 1e-8 of them
 BOTH_GIVEN = "trace: before and start both give the history before the first step; leave one of them out"
 
 
@@ -81,6 +82,7 @@ def trace(
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"trace: the first argument must be a Manipulator, got {type(manipulator).__name__}")
+    _check_driven(base_tension)
     manipulator = _as_known(manipulator, base_tension, loads)
     check_nodes(nodes)
     for name, value, least in (("max_turns", max_turns, 1), ("short_steps", short_steps, 2)):
@@ -100,6 +102,16 @@ def trace(
     if throw:
         _raise_if_failed(history)
     return history
+
+
+def _check_driven(base_tension: Driven | TipAngle) -> None:
+    """Refuse targets of `solve` that drive no tendon along a path."""
+    for entry in base_tension if isinstance(base_tension, tuple | list) else [base_tension]:
+        if isinstance(entry, eqx.Module) and not isinstance(entry, Displacement | TipAngle):
+            raise TypeError(
+                f"trace: a path may hold base tensions, Displacement or TipAngle, got {type(entry).__name__}; "
+                "solve with it, and trace the tensions that it finds"
+            )
 
 
 def _as_known(
@@ -251,8 +263,9 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     """The change of the tip pose (X, Y, phi) by a push on the tip after the last step, per newton: m/N, m/N and rad/N.
 
     It is one-sided, and the mean over the push. Friction holds the tendons; they begin to slide at the base, and slide
-    further out under a harder push. The base tensions stay. With tendons that do not stretch, the compliance goes to
-    zero with the push.
+    further out under a harder push. The base tensions stay. Where friction holds tendons that do not stretch, the
+    compliance of the angle goes to zero with the push. That of the position need not: one part of a tendon may slide
+    in and another out, so that the body bends to and fro.
 
     Args:
         history: of `trace`.
@@ -261,7 +274,8 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
 
     Raises:
         ValueError: for a body in space, a push without two components or of 0 N, or short_steps below 2.
-        SolveError: where the numbers are known, and no equilibrium under the push was found.
+        SolveError: where the numbers are known, and no equilibrium under the push was found, or the push moves the tip
+            by less than 1e-6 of the length and 1e-6 rad, which rounding may do. Under a transformation NaN.
     """
     if history.tip_frame is not None:
         raise ValueError(
@@ -294,4 +308,11 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     def pose(history: History) -> Float[Array, "3"]:
         return jnp.append(history.tip_position[-1], history.tip_angle[-1])
 
-    return (pose(after) - pose(history)) / jnp.linalg.norm(push)
+    moved = pose(after) - pose(history)
+    seen = jnp.linalg.norm(moved / jnp.append(jnp.full(2, states.manipulator.length), 1.0)) > LEAST_MOVE
+    if not isinstance(seen, Tracer) and not np.any(seen):
+        raise SolveError(
+            f"tip_compliance: a push of {float(np.linalg.norm(np.asarray(push))):g} N moves the tip by less than "
+            f"{LEAST_MOVE:g} of the length, which is not told from zero; push harder"
+        )
+    return nan_unless(seen, moved / jnp.linalg.norm(push))
