@@ -21,6 +21,7 @@ PARTS = {
     "batch": "One solve, batches, gradients, loads",
     "space": "Batches in space",
     "space_loads": "Batches in space under a tip force",
+    "traces": "Pull and release of one tendon",
     "sweeps": "Sweeps: size, devices, processes, precision, memory",
     "fits": "Fit, bootstrap and profile",
     "seventeen_levels": "Fit of 17 levels with tip positions",

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from paper import paper_body
+from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
@@ -59,7 +60,9 @@ def main() -> None:
     num_bodies, num_steps = (int(x) for x in sys.argv[1:]) if len(sys.argv) > 1 else (1000, 100)
     rng = np.random.default_rng(0)
     friction, path = rng.uniform(0.3, 0.5, num_bodies), rng.uniform(5, 85, num_steps)
-    print(f"{num_bodies} bodies, {num_steps} steps")
+    lines = [f"{num_bodies} bodies, {num_steps} steps", "", "| drag, N/m | `trace`, us a step | `solve`, us | ratio |"]
+    lines += ["| ---: | ---: | ---: | ---: |"]
+    results: dict[str, Any] = {"bodies": num_bodies, "steps": num_steps}
     for drag in (None, 5.0):
         seconds, found = [], []
         for function in (traced, solved):
@@ -68,13 +71,15 @@ def main() -> None:
             )
             seconds.append(1e6 * time_taken / num_bodies / num_steps)
             found.append(result)
-        times = f"trace {seconds[0]:.2f} us a step, solve {seconds[1]:.2f} us"
-        print(f"drag {drag}: {times}, ratio {seconds[0] / seconds[1]:.1f}")
+        lines.append(f"| {drag or 0:g} | {seconds[0]:.2f} | {seconds[1]:.2f} | {seconds[0] / seconds[1]:.1f} |")
+        results[f"drag {drag or 0:g}, us"] = dict(zip(("trace", "solve"), seconds, strict=True))
         if drag is None:
             ratio = 1 / np.asarray(found[1][0][:, 0, 0]) - 1 / path[0]
             error = np.max(np.abs(np.asarray(found[0][0]) / play(ratio, path) - 1))
-            print(f"largest error of the tip tension {error:.1e}")
-    print(f"memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.1f} GB")
+            results["error"] = float(error)
+    results["memory, GB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    lines += ["", f"Largest error of the tip tension {results['error']:.1e}; {results['memory, GB']:.1f} GB of memory."]
+    report("traces", "\n".join(lines) + "\n", results)
 
 
 if __name__ == "__main__":
