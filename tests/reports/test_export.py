@@ -5,6 +5,7 @@ import numpy as np
 import pandas
 import pytest
 import xarray
+from bodies import paper_body
 
 import cddf_jax as cddf
 
@@ -65,6 +66,8 @@ def test_a_batch_and_places_off_the_body_are_refused(equilibrium):
     batch = jax.tree.map(lambda x: np.stack([x, x]), equilibrium)
     with pytest.raises(cddf.InputError, match=r"a batch of shape \(2,\)"):
         cddf.as_dataset(batch)
+    with pytest.raises(cddf.InputError, match="needs an equilibrium, got a history; `as_frame`"):
+        cddf.as_dataset(cddf.trace(paper_body("exact"), [75.0]))  # pyright: ignore[reportArgumentType]
     with pytest.raises(cddf.InputError, match=r"within 0 to 0.14 m"):
         cddf.as_dataset(equilibrium, [0.2])
     with pytest.raises(TypeError, match="got float"):

@@ -53,6 +53,8 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
         InputError: for a batch of equilibria, arc lengths outside the body, or where xarray is not installed.
     """
     xarray = needed("xarray")
+    if isinstance(equilibrium, History):
+        raise InputError("as_dataset: needs an equilibrium, got a history; `as_frame` tables its steps")
     s = _stations(equilibrium, arc_length)
     fields = fields_on(equilibrium, s)
     data, in_space = {}, equilibrium.tip_frame is not None

@@ -33,9 +33,9 @@ def _as_optional_profile(value: Profile | ArrayLike | None) -> Profile | None:
 def _as_rest_curvature(value: Any) -> Any:
     if value is None:
         return None
-    parts = tuple(value)
+    parts = tuple(value) if isinstance(value, list | tuple) or np.ndim(value) == 1 else ()
     if len(parts) != 3:
-        raise ValueError(f"Manipulator: rest_curvature must have three components (twist, y, z), got {len(parts)}")
+        raise ValueError(f"Manipulator: rest_curvature must have three components (twist, y, z), got {value!r}")
     return tuple(as_profile(part) for part in parts)
 
 
