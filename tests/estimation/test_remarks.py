@@ -7,12 +7,13 @@ from scipy import optimize, stats
 from straight_line import B_HAT, COVARIANCE, DESIGN, NOISY, SIGMA, START, X, line
 
 from cddf_jax.estimation.least_squares import least_squares_fit
+from cddf_jax.estimation.remarks import chance_of_more
 
 
 def test_a_product_beside_another_parameter():
     start = {"a": 1.0, "c": 1.0, "d": 1.0}
     fit = least_squares_fit(lambda p: p["a"] + p["c"] * p["d"] * X, start, NOISY + 2 * X, SIGMA)
-    value, error = fit.combinations["c * d"]
+    value, error, _ = fit.combinations["c * d"]
     assert value == pytest.approx(B_HAT + 2, rel=1e-6)
     assert error == pytest.approx(SIGMA * np.sqrt(COVARIANCE[1, 1]), rel=1e-6)
 
@@ -21,7 +22,7 @@ def test_a_product_of_many_rows():
     """30,000 rows: what needs a square matrix of them needs 7 GB."""
     x = np.linspace(0.0, 3.0, 30_000)
     fit = least_squares_fit(lambda p: p["c"] * p["d"] * x, {"c": 1.0, "d": 1.0}, 2.0 * x + 0.1 * np.cos(50 * x), 0.1)
-    value, error = fit.combinations["c * d"]
+    value, error, _ = fit.combinations["c * d"]
     assert value == pytest.approx(np.sum(x * (2.0 * x + 0.1 * np.cos(50 * x))) / np.sum(x**2), rel=1e-6)
     assert error == pytest.approx(0.1 / np.sqrt(np.sum(x**2)), rel=1e-6)
 
@@ -104,7 +105,35 @@ def test_repeats_of_one_level_are_explained():
 
 def test_few_degrees_of_freedom_are_named():
     fit = least_squares_fit(lambda p: p["a"] + 0 * X[:2], {"a": 1.0}, NOISY[:2])
-    assert any("the noise estimate has only 1 degree(s) of freedom" in remark for remark in fit.remarks)
+    assert any("the noise of data is estimated with only 1 degree(s) of freedom" in remark for remark in fit.remarks)
+
+
+def test_few_degrees_of_freedom_of_one_column_are_named():
+    """Two levels, each with readings and noise of its own: 30 readings of one leave 29, two of the other leave 1."""
+    data = {"x": NOISY, "y": NOISY[:2]}
+    fit = least_squares_fit(lambda p: {"x": p["a"] + 0 * X, "y": p["b"] + 0 * X[:2]}, {"a": 1.0, "b": 1.0}, data)
+    assert [text for text in fit.remarks if "degree(s)" in text] == [
+        "the noise of y is estimated with only 1 degree(s) of freedom; measure more"
+    ]
+
+
+@pytest.mark.parametrize("sigma", [None, {"x": SIGMA}])
+def test_more_columns_are_tested_against_the_noise_of_their_group(sigma):
+    """Two lines that share nothing: the F or chi-square test of two more columns is that of one line alone."""
+    few, bent = X[:9], 0.02 * X[:9] ** 2
+
+    def lines(p):
+        return {"x": p["a"] + p["b"] * few, "y": p["c"] + p["d"] * X}
+
+    data = {"x": NOISY[:9] + bent, "y": 30 * NOISY}
+    fit = least_squares_fit(lines, {"a": 1.0, "b": 1.0, "c": 30.0, "d": 20.0}, data, sigma)
+    powers = few[:, None] ** np.arange(4)
+    left = [np.linalg.lstsq(powers[:, :count], data["x"])[1][0] for count in (2, 4)]
+    chance = chance_of_more(fit.evidence, fit.standardised_residuals, "x", powers[:, 2:] / fit.noise["x"])
+    if sigma:
+        assert chance == pytest.approx(stats.chi2.sf((left[0] - left[1]) / SIGMA**2, 2), rel=1e-4)
+    else:
+        assert chance == pytest.approx(stats.f.sf((left[0] - left[1]) / 2 / (left[1] / 5), 2, 5), rel=1e-3)
 
 
 @pytest.mark.parametrize("shift", [-0.3, 0.3])

@@ -11,6 +11,7 @@ from scipy import optimize, stats
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
+from cddf_jax.identification.verdict import _differ
 from cddf_jax.measurements.table import Measurements
 
 MU, E = 0.42, 1.4e6  # data/README.md: the truth of every set
@@ -108,7 +109,7 @@ def ratio_by_scipy():
 
 def test_tensions_hold_only_the_ratio(tensions_only, ratio_by_scipy):
     assert_only_the_ratio(tensions_only)
-    value, error = tensions_only.combinations[RATIO]
+    value, error, _ = tensions_only.combinations[RATIO]
     assert value == pytest.approx(ratio_by_scipy[0], rel=1e-6)
     assert error == pytest.approx(ratio_by_scipy[1], rel=1e-4)
     assert abs(value - MU / E) < 4 * error
@@ -173,7 +174,8 @@ def test_noise_given(ratio_by_scipy):
     assert fit.combinations[RATIO].value == pytest.approx(value, rel=1e-6)
     assert fit.combinations[RATIO].standard_error == pytest.approx(0.5 / np.linalg.norm(slope), rel=1e-5)
     assert not fit.noise_estimated
-    assert fit.quantile == pytest.approx(stats.norm.ppf(0.975))
+    value, error, (low, high) = fit.combinations[RATIO]
+    assert (value - low, high - value) == pytest.approx((stats.norm.ppf(0.975) * error,) * 2)
 
 
 @pytest.mark.slow
@@ -215,7 +217,7 @@ def test_slanted_tendon_in_practice():
     tip = np.tile(truth, 3) + 0.3 * np.random.default_rng(8).normal(size=12)
     fit = cddf.fit(paper_body("exact", tendon_offset=(0.012, 0.009)), bench(np.tile(base, 3), tip_tension=tip))
     assert_only_the_ratio(fit)
-    value, error = fit.combinations[RATIO]
+    value, error, _ = fit.combinations[RATIO]
     assert abs(value - MU / E) < 4 * error
 
 
@@ -488,6 +490,20 @@ def test_a_wrong_sign_and_a_wrong_unit_are_reported():
     fit = cddf.fit(PAPER, small, noise=noise)
     assert fit.value["friction_coefficient"] > 2
     assert any("check the units of the tables" in warning for warning in fit.warnings)
+
+
+def test_trials_of_different_noise_do_not_differ():
+    """Draws of one distribution each: the scatter of 4 readings at a high level is 30 times that of 20 at a low one.
+
+    An analysis of variance of the residuals as they are would report one of five such tables.
+    """
+    pulls, trial, alarms, plain = np.repeat([5.0, 80.0], [20, 4]), np.repeat([1, 2], [20, 4]), 0, 0
+    noise = np.where(pulls < 10, 0.01, 0.3)
+    for seed in range(20):
+        error = noise * np.random.default_rng(seed).normal(size=pulls.size)
+        alarms += _differ(error / noise, trial)
+        plain += _differ(error, trial)
+    assert (alarms, plain >= 2) == (0, True)
 
 
 def test_trials_that_differ_are_reported():

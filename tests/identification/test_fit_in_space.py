@@ -270,7 +270,7 @@ def test_a_camera_and_a_tendon_turned_about_the_axis_act_alike():
     free = ["friction_coefficient", "youngs_modulus", "camera_turn_x", "tendon_angle_error"]
     fit = cddf.fit(winding(), table, free, noise=noise)
     assert [fit.status[name] for name in free] == ["identified"] * 2 + ["not identified"] * 2
-    value, error = fit.sums["camera_turn_x + tendon_angle_error"]
+    value, error, _ = fit.sums["camera_turn_x + tendon_angle_error"]
     assert value == pytest.approx(turn, abs=1e-7)
     # turning moves each tip across the axis by its distance from it
     assert error == pytest.approx(1e-4 / np.linalg.norm(tip[:, 1:]), rel=0.3)

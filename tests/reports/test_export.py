@@ -6,6 +6,7 @@ import pandas
 import pytest
 import xarray
 from bodies import paper_body
+from scipy import stats
 
 import cddf_jax as cddf
 
@@ -97,4 +98,7 @@ def test_what_is_not_identified_has_no_number_in_a_frame():
     ratio = frame.loc["a / b"]
     assert ratio.status == "identified"
     np.testing.assert_allclose(ratio.value, np.sum(x * y) / np.sum(x**2), rtol=1e-6)
-    assert ratio.lower < ratio.value < ratio.upper
+    error = np.sqrt(np.sum((y - ratio.value * x) ** 2) / 3 / np.sum(x**2))  # textbook interval of a slope, n - 1 = 3
+    np.testing.assert_allclose(
+        [ratio.value - ratio.lower, ratio.upper - ratio.value], stats.t.ppf(0.975, 3) * error, 1e-4
+    )

@@ -108,7 +108,12 @@ def test_the_combination_has_its_row(tensions_only):
     number, unit = error.split()
     assert float(number) == pytest.approx(estimate.standard_error, rel=0.05)  # two digits
     assert unit == "1/Pa"
-    assert (interval, status) == ("-", "identified")
+    low, high = (float(end) for end in interval.removesuffix(" 1/Pa").split(" to "))
+    quantile = stats.t.ppf(0.975, len(tensions_only.residuals[next(iter(tensions_only.residuals))]) - 1)
+    assert (high - low) / 2 == pytest.approx(
+        quantile * estimate.standard_error, rel=0.05
+    )  # of one number from one column
+    assert status == "identified"
 
 
 def test_identified_parameters_carry_units(paper_route):

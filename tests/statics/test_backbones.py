@@ -429,7 +429,7 @@ def test_a_factor_on_the_stiffness_is_fitted_where_there_is_no_modulus(tmp_path)
 def test_tensions_determine_friction_over_the_factor(tmp_path):
     fit = cddf.fit(robot(Numbers(factor=None)), bench_of("tip_tension [N]", tmp_path))
     assert set(fit.status.values()) == {"not identified"}
-    value, error = fit.combinations["friction_coefficient / stiffness_factor"]
+    value, error, _ = fit.combinations["friction_coefficient / stiffness_factor"]
     assert abs(value - MU / 2) < 3 * error < 0.01
     assert "Tensions of one tendon determine only friction_coefficient / stiffness_factor." in str(fit)
 

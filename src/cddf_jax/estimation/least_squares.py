@@ -12,7 +12,8 @@ from jaxtyping import ArrayLike, PyTree
 
 from ..errors import InputError
 from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
-from .determination import Determination, Evidence, determine, quantiles
+from .determination import Determination, determine
+from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
 from .observations import Noise, Observed, group_observations
 from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
@@ -22,8 +23,6 @@ from .residuals import Data, LeastSquaresProblem
 from .restarts import Searched, search
 from .robust_loss import LOSSES
 from .whole_search import FitTask
-
-UNDETERMINED = 1e-10  # part of a prediction's squared derivative along directions that the data leave open
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,9 +96,8 @@ class LeastSquaresFit(Determination):
             raise InputError(f"profile: {name!r} was not fitted; fitted are {', '.join(self.names)}")
         if self.noise_estimated and self.degrees_of_freedom < 1:
             raise InputError("profile: no data are left to estimate the noise; give it, or measure more")
-        i = self.names.index(name)
-        quantile = quantiles(self.evidence, np.eye(len(self.names))[i : i + 1])
-        return profile_likelihood(self.minimum, name, self.standard_error[name], float(quantile[0]))
+        (quantile,) = self.evidence.uncertainty(np.eye(len(self.names))[[self.names.index(name)]]).quantile
+        return profile_likelihood(self.minimum, name, self.standard_error[name], float(quantile))
 
     @property
     def clusters(self) -> Clusters:
@@ -134,8 +132,8 @@ class LeastSquaresFit(Determination):
         """
         if clusters is None:
             clusters = self.clusters if kind == "cases" else {}
-        freedom = float(self.degrees_of_freedom) if self.noise_estimated else np.inf
-        return bootstrap(self.minimum, kind, replicates, clusters, freedom, seed, out)
+        freedom = np.min(self.evidence.uncertainty(np.eye(len(self.names))).freedom)
+        return bootstrap(self.minimum, kind, replicates, clusters, float(freedom), seed, out)
 
     def refits(self, observed: Mapping[str, ArrayLike], *, out: Path | None = None) -> Refits:
         """The same fit to the data of many benches, starting at this estimate, with its weights.
@@ -168,14 +166,7 @@ class LeastSquaresFit(Determination):
 
         Infinite for a prediction that depends on what the data do not determine.
         """
-        if self.noise_estimated and self.degrees_of_freedom < 1:
-            return np.full(len(sensitivity), np.inf)
-        spectrum, scaled = self.evidence.spectrum, sensitivity * self.evidence.size
-        along = scaled @ spectrum.directions[spectrum.determined].T
-        error = np.linalg.norm(along / spectrum.values[spectrum.determined], axis=1)
-        half_width = quantiles(self.evidence, scaled) * error
-        whole = np.sum(scaled**2, axis=1)
-        return np.where(whole - np.sum(along**2, axis=1) > UNDETERMINED * whole, np.inf, half_width)
+        return self.evidence.uncertainty(sensitivity).half_width
 
 
 def least_squares_fit(

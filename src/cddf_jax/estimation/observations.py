@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from ..errors import InputError
-from .determination import spectrum_of, without_nan
+from .evidence import spectrum_of, without_nan
 from .levenberg_marquardt import Minimum
 from .parameter_space import TINY
 
@@ -76,6 +76,18 @@ class Observed:
         predicted = self.values.ravel() + error
         floor, fraction = _parts(self.sigma, predicted, squares * noise**2, leverage, noise)
         return np.hypot(max(floor, least), fraction * predicted).reshape(self.values.shape)
+
+    def noise_slopes(self, noise: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """(data, parts), the derivative of each variance by each estimated part of it, over the variance.
+
+        The variance is linear in the parts, which are the variance itself, or the squares of floor and fraction. Each
+        part is in the unit in which its largest entry is 1. The residuals are over the noise.
+        """
+        if not isinstance(self.sigma, Noise):
+            return np.ones((self.values.size, self.estimated_parts))
+        predicted, free = self.values.ravel() + residual * noise.ravel(), [part is None for part in self.sigma]
+        slopes = np.stack([np.ones_like(predicted), predicted**2], axis=1)[:, free] / noise.ravel()[:, None] ** 2
+        return without_nan(slopes / np.maximum(np.max(slopes, axis=0, initial=0.0), TINY))
 
     def model(self, noise: np.ndarray, residual: np.ndarray) -> Noise | None:
         """Floor and fraction of the noise; None if it has none."""

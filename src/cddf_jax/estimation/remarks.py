@@ -1,12 +1,13 @@
 """Remarks of a fit on its parameters and residuals."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import ndtr, stdtr
+from scipy.special import chdtrc, fdtrc, ndtr, stdtr
 
-from .determination import Evidence, spectrum_of, without_nan
+from .evidence import Evidence, spectrum_of, without_nan
 from .levenberg_marquardt import MAX_STEPS, Minimum, minimise
 from .parameter_space import TINY
 
@@ -21,6 +22,8 @@ AS_GIVEN = 4.0  # mean square of residuals over the given noise, below which the
 EXACT = 1e-7  # noise over data, below which it counts as 0
 LEAST_FOR_RANKS = 12  # data
 GROWTH_CHANCE = 1e-3
+NEW = 1e-6  # size of a column that the Jacobian does not hold yet
+FEW = 2.5  # degrees of freedom of a noise estimate
 ONE_DATUM = 0.5  # of a parameter's variance; one datum should not determine more
 
 
@@ -51,8 +54,6 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
     """Remarks on groups that are met exactly or hardly explained, outliers, noise with few degrees of freedom."""
     evidence, (problem, outcome) = fit.evidence, fit.minimum
     found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
-    if any(evidence.noise_estimated.values()) and fit.degrees_of_freedom in (1, 2):
-        found.append(f"the noise estimate has only {fit.degrees_of_freedom} degree(s) of freedom; measure more")
     for i, (name, rows) in enumerate(evidence.rows.items()):
         residual, values, noise = residuals[i], np.ravel(problem.data.values[i]), np.ravel(problem.data.noise[i])
         estimated = evidence.noise_estimated[name]
@@ -62,6 +63,9 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
                 f"{name} is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise"
             )
             continue
+        freedom = evidence.freedom_of(name)
+        if estimated and freedom < FEW:
+            found.append(f"the noise of {name} is estimated with only {freedom:.2g} degree(s) of freedom; measure more")
         if problem.loss == "linear":
             far = _far_off(residual, spectrum.leverage(rows), estimated)
         of_one = far is not None and np.max(error**2) > 0.5 * np.sum(error**2)  # one outlier, and not the model
@@ -106,6 +110,36 @@ def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
         if as_a_constant and (2 * np.sum(error**2) > np.sum(values**2) or np.var(values + error) > np.var(values)):
             found[name] = values.size
     return list(found) if 2 * sum(found.values()) >= problem.num_data else []
+
+
+def chance_of_more(evidence: Evidence, residuals: Mapping[str, np.ndarray], name: str, columns: np.ndarray) -> float:
+    """The p-value of some more columns in the Jacobian, (rows of one group, columns): whether residuals contain them.
+
+    A chi-square test if the noise of this group was given. If it was estimated, an F test against what the columns
+    leave of the residuals of this group; other groups have other noise. 1 where nothing can be tested.
+
+    Args:
+        evidence: of the fit without these columns.
+        residuals: by group, over the noise.
+        name: the group in which the columns are not 0.
+        columns: over the noise.
+    """
+    own = np.concatenate([np.full(len(rows), label == name) for label, rows in evidence.rows.items()])
+    own = np.append(own, np.full(len(evidence.prior_rows), False))
+    every = np.append(np.concatenate([residuals[label] for label in evidence.rows]), np.zeros(len(evidence.prior_rows)))
+    wide = np.zeros((every.size, columns.shape[1]))
+    wide[own] = columns
+    basis = evidence.jacobian @ evidence.spectrum.root.T
+    directions, sizes, _ = np.linalg.svd(wide - basis @ (basis.T @ wide), full_matrices=False)
+    kept = directions[:, sizes > NEW * np.linalg.norm(wide)]
+    count, explained = kept.shape[1], kept @ (kept.T @ every)
+    freedom = evidence.freedom_of(name) - np.sum(kept[own] ** 2)
+    if not count or not np.all(np.isfinite(every)) or freedom < 1:
+        return 1.0
+    if not evidence.noise_estimated[name]:
+        return float(chdtrc(count, np.sum(explained**2)))
+    left = max(np.sum((every - explained)[own] ** 2), TINY) / freedom
+    return float(fdtrc(count, freedom, np.sum(explained**2) / count / left))
 
 
 def _uneven(name: str, residual: np.ndarray, values: np.ndarray) -> list[str]:

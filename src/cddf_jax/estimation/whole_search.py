@@ -16,10 +16,9 @@ from .determination import (
     LARGEST_RELATIVE_ERROR,
     NOT_IDENTIFIED,
     Determination,
-    Evidence,
     determine,
-    without_nan,
 )
+from .evidence import Evidence, Uncertainty, without_nan
 from .levenberg_marquardt import Minimum, Outcome, evaluate, hold_one, minimise
 from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
@@ -78,13 +77,13 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
     evidence, least_rise, lower = look_along_valleys(minimum, evidence, determination)
     result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
     if task.prefer_start and evidence.open_profile:
-        minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence.open_profile[0], determination.quantile))
+        minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence))
         seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above}
         evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
         evidence = replace(evidence, failed=True, bounded_above=())
     determination = determine(evidence)
-    if result == SUCCESSFUL and not are_products(minimum, determination):
+    if result == SUCCESSFUL and not are_products(minimum, evidence, determination):
         evidence = replace(evidence, products=False)
         determination = determine(evidence)
     return Ending(minimum, evidence, determination, result, lower)
@@ -128,7 +127,12 @@ def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
         at_bound=at_bound,
         rows=dict(zip(problem.groups, rows, strict=True)),
         prior_rows={i: row[None] for i, row in zip(problem.data.prior, prior_rows, strict=True)},
-        noise_estimated={group.name: group.estimated_parts > 0 for group in task.groups},
+        noise_slopes={
+            group.name: group.noise_slopes(np.asarray(noise), residual)
+            for group, noise, residual in zip(
+                task.groups, problem.data.noise, problem.by_group(outcome.residual), strict=True
+            )
+        },
     )
 
 
@@ -208,8 +212,9 @@ def look_along_valleys(
     the limited parameters, the least rise of the sum of squares at all places, and the z of this place: None if it fell
     nowhere.
     """
-    space, value, quantile = minimum.problem.space, evidence.value, determination.quantile
-    error = evidence.spectrum.relative_error * evidence.size
+    space, value = minimum.problem.space, evidence.value
+    reach = evidence.uncertainty(np.eye(len(value)))
+    error, enough, half_width = reach.standard_error, closing_rise(reach), reach.half_width
     tried: list[tuple[float, np.ndarray | None]] = [(0.0, None)]  # rise and z
 
     def closes(i: int, places: Iterable[float]) -> bool:
@@ -220,12 +225,11 @@ def look_along_valleys(
             if rise < 0:
                 tried.append((rise, np.where(np.isnan(held), moved.z, space.inverse(i, place))))
             expected = ((place - value[i]) / error[i]) ** 2
-            if not rise <= min(CLOSING_RISE * quantile**2, EXPECTED_PART * expected):  # NaN: the model ends there
+            if not rise <= min(enough[i], EXPECTED_PART * expected):  # NaN: the model ends there
                 return True
         return False
 
     status = np.array([determination.status[name] for name in space.names])
-    half_width = quantile * error
     opened = [
         i
         for i in np.flatnonzero(status == IDENTIFIED).tolist()
@@ -238,15 +242,22 @@ def look_along_valleys(
     return seen, *min(tried, key=lambda place: place[0])
 
 
-def are_products(minimum: Minimum, determination: Determination) -> bool:
+def closing_rise(reach: Uncertainty) -> np.ndarray:
+    """The rise of the sum of squares that closes the interval of each quantity: twice that at its ends."""
+    return CLOSING_RISE * reach.quantile**2
+
+
+def are_products(minimum: Minimum, evidence: Evidence, determination: Determination) -> bool:
     """Whether the data determine products of powers of the unidentified parameters.
 
-    They do not if the sum of squares rises when these parameters are doubled or halved along their valley.
+    They do not if the sum of squares rises when these parameters are doubled or halved along their valley, by more than
+    would close the interval of any of them.
     """
     space, best = minimum.problem.space, minimum.outcome
     lost = np.array([determination.status[name] == NOT_IDENTIFIED for name in determination.names])
     if np.count_nonzero(lost) < 2 or np.any(best.parameters[lost] <= 0) or not np.all(np.isfinite(best.jacobian)):
         return True
+    enough = np.max(closing_rise(evidence.uncertainty(np.eye(lost.size)[lost])))
     _, values, directions = np.linalg.svd(np.linalg.qr(best.jacobian, mode="r"))  # all directions, however many rows
     for singular, direction in itertools.zip_longest(values, directions, fillvalue=0.0):
         along = np.where(lost, direction, 0.0)
@@ -257,19 +268,20 @@ def are_products(minimum: Minimum, determination: Determination) -> bool:
             if np.any(place <= space.lower) or np.any(place >= space.upper):
                 continue
             _, rise = minimum.refit(np.where(lost, place, np.nan))
-            if not rise <= CLOSING_RISE * determination.quantile**2:
+            if not rise <= enough:
                 return False
     return True
 
 
-def nearest_to_start(minimum: Minimum, i: int, quantile: float) -> Outcome:
-    """The place along the open valley of a parameter where it has its start value, if it fits equally well."""
+def nearest_to_start(minimum: Minimum, evidence: Evidence) -> Outcome:
+    """The place along the first open valley where its parameter has its start value, if it fits equally well."""
     problem, best = minimum
-    first = problem.space.first()
+    i, first = evidence.open_profile[0], problem.space.first()
+    (enough,) = closing_rise(evidence.uncertainty(np.eye(len(first))[[i]]))
     held = hold_one(len(first), i, problem.space.start[i])
     moved, _ = minimum.refit(held)
     there = evaluate(problem, np.where(np.isnan(held), moved.z, first))
-    return there if there.cost - best.cost <= CLOSING_RISE * quantile**2 else best
+    return there if there.cost - best.cost <= enough else best
 
 
 def _sides(space: ParameterSpace, i: int, value: float, half_width: float) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
-from scipy.special import chdtri, fdtri
 
 from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
@@ -71,15 +70,12 @@ def _name_rows(axes: Axes, labels: list[str]) -> None:
 
 
 def bootstrap_figure(fit: Fit, bootstrap: Bootstrap) -> Figure:
-    """Histograms of each parameter, and each pair as points about the 95 % ellipse of the fit."""
+    """Histograms of each parameter, and each pair as points about the joint 95 % region of the fit."""
     names = moving_names(fit)
     labels = [fill(shown_scale(name)[1], 24 if len(names) < 3 else 16) for name in names]
     scales = np.array([shown_scale(name)[0] for name in names])
     index = [fit.names.index(name) for name in names]
     points, estimate = scales * bootstrap.estimates[:, index], scales * bootstrap.estimate[index]
-    covariance = np.outer(scales, scales) * fit.covariance[np.ix_(index, index)]
-    # of the ellipse of one standard deviation to that of 95 %
-    stretch = np.sqrt(2 * fdtri(2, max(fit.degrees_of_freedom, 1), 0.95) if fit.noise_estimated else chdtri(2, 0.05))
     width = draw.SINGLE_COLUMN if len(names) < 3 else draw.DOUBLE_COLUMN
     with draw.house_style():
         figure = draw.new_figure(width, 0.9 * width + 0.25)
@@ -92,8 +88,8 @@ def bootstrap_figure(fit: Fit, bootstrap: Bootstrap) -> Figure:
                 _draw_histogram(panel, points[:, i], float(estimate[i]))
             else:
                 known = {names[i], names[k]} <= set(correlated_names(fit))
-                pair = covariance[np.ix_([k, i], [k, i])] if known else None
-                _draw_pair(panel, points[:, [k, i]], estimate[[k, i]], pair, float(stretch))
+                region = scales[[k, i]] * _joint_region(fit, [index[k], index[i]]) if known else None
+                _draw_pair(panel, points[:, [k, i]], estimate[[k, i]], region)
             panel.xaxis.set_major_locator(MaxNLocator(3))
             panel.yaxis.set_major_locator(MaxNLocator(4, integer=i == k))
             panel.set_xlabel(labels[k] if i == len(names) - 1 else "")
@@ -112,18 +108,25 @@ def _draw_histogram(axes: Axes, values: np.ndarray, estimate: float) -> None:
     axes.axvline(estimate, color=looks.BLACK, linestyle=":", label="estimate")
 
 
-def _draw_pair(
-    axes: Axes, points: np.ndarray, estimate: np.ndarray, covariance: np.ndarray | None, stretch: float
-) -> None:
+def _joint_region(fit: Fit, pair: list[int]) -> np.ndarray:
+    """(points, 2), the edge of the joint 95 % region of two parameters about the estimate, SI.
+
+    It is an ellipse if one kind of noise is in all directions.
+    """
+    root = np.linalg.cholesky(fit.covariance[np.ix_(pair, pair)])
+    turn = np.linspace(0.0, 2 * np.pi, 200)
+    direction = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    slopes = np.zeros((turn.size, len(fit.names)))
+    slopes[:, pair] = np.linalg.solve(root.T, direction.T).T  # of quantities with a standard error of 1
+    return fit.evidence.uncertainty(slopes).quantile_of_two[:, None] * direction @ root.T
+
+
+def _draw_pair(axes: Axes, points: np.ndarray, estimate: np.ndarray, region: np.ndarray | None) -> None:
     axes.plot(*points.T, ".", color=looks.GREY, markersize=2.5, markeredgewidth=0, alpha=0.7, label="refits")
     axes.plot(*estimate, "x", color=looks.BLACK, markersize=5, zorder=4)
-    if covariance is None:
-        return
-    sizes, directions = np.linalg.eigh(covariance)
-    turn = np.linspace(0.0, 2 * np.pi, 200)
-    circle = stretch * np.sqrt(np.maximum(sizes, 0.0))[:, None] * np.array([np.cos(turn), np.sin(turn)])
-    look = {"facecolor": "none", "edgecolor": looks.BLUE, "linewidth": 1.1, "zorder": 3}
-    axes.fill(*(estimate[:, None] + directions @ circle), label="95 % ellipse of the fit", **look)
+    if region is not None:
+        look = {"facecolor": "none", "edgecolor": looks.BLUE, "linewidth": 1.1, "zorder": 3}
+        axes.fill(*(estimate + region).T, label="95 % region of the fit", **look)
 
 
 def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError
-from ..estimation.determination import Determination, Evidence, determine
+from ..estimation.determination import Determination, determine
+from ..estimation.evidence import Evidence
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..measurements.readings import of_tendons
@@ -136,7 +137,6 @@ def plan(
         evidence = _nothing_measured(parameters, priors or {})
     if criterion != "D" and criterion not in evidence.space.names:
         raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.space.names)}")
-    evidence = replace(evidence, noise_estimated=dict.fromkeys(evidence.rows, False))
     rows = [
         _rows(_experiment(body, one, setting), body, parameters, one, evidence.size, nodes)
         for one in each("candidate", candidates)
@@ -167,7 +167,7 @@ def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Eviden
         at_bound=np.zeros(len(names), bool),
         rows={"before": np.zeros((len(names), len(names)))},  # nothing
         prior_rows=prior_rows,
-        noise_estimated={"before": False},
+        noise_slopes={"before": np.zeros((len(names), 0))},
     )
 
 
@@ -177,7 +177,7 @@ def _with(evidence: Evidence, rows: np.ndarray) -> Evidence:
     return replace(
         evidence,
         rows={**evidence.rows, name: rows},
-        noise_estimated={**evidence.noise_estimated, name: False},
+        noise_slopes={**evidence.noise_slopes, name: np.zeros((len(rows), 0))},
         open_profile=(),
         at_bound=np.zeros_like(evidence.at_bound),
     )

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..estimation.determination import FIXED, Determination, Estimate, determine
+from ..estimation.determination import FIXED, Determination, Estimate, determine, estimate
 from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
@@ -403,8 +403,8 @@ def _conclude(
     found = vars(statistics)
     labels = {name: [g.label for g in bench.groups_of(tables, model) if g.name == name] for name in model.names}
     trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in _trials(table)]
-    spread = np.sqrt(np.diag(statistics.covariance))
-    effects = [Estimate(statistics.value[n], float(spread[i])) for i, n in enumerate(statistics.names) if n not in own]
+    rows = {n: row for n, row in zip(statistics.names, np.eye(len(statistics.names)), strict=True) if n not in own}
+    effects = [estimate(statistics.value[n], statistics.evidence.uncertainty(row[None])) for n, row in rows.items()]
     kept = [name for name in statistics.names if name not in own]
     return Fit(
         **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},

@@ -140,6 +140,7 @@ def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
             fit.residuals[group.label],
         )
         by_trial = "trial" in table and TRIALS not in fit.parameters
+        exact = np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(observed))  # only rounding errors
         lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
         if lost and of_shape(group.column) and isinstance(experiment, Bench):
             # the readings with the parameters from which the search started
@@ -148,15 +149,14 @@ def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
             if np.sum(observed * shown_at_start) < 0:
                 remedy = "check the side of the tendon and the column's sign"
                 yield group.label, f"has the sign opposite to the model's; {remedy}"
-        elif by_trial and _differ(residual, float(np.max(np.abs(observed))), table["trial"][group.there]):
+        elif by_trial and not exact and _differ(fit.standardised_residuals[group.label], table["trial"][group.there]):
             yield group.label, "differs from trial to trial by more than its scatter; try per_trial"
 
 
-def _differ(residual: np.ndarray, size: float, trial: np.ndarray) -> bool:
-    """Whether means over trials differ, by an analysis of variance."""
+def _differ(residual: np.ndarray, trial: np.ndarray) -> bool:
+    """Whether means over trials differ, by an analysis of variance of residuals over their noise."""
     groups = [residual[trial == label] for label in np.unique(trial)]
-    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * size  # residuals are rounding errors
-    if exact or len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
+    if len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
         return False
     from scipy.stats import f_oneway
 
@@ -211,10 +211,10 @@ def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) 
             lines.append(f"{name}: at the lower bound {low:.4g}{unit}, at most {high:.4g}{unit} (95 %): not identified")
         else:
             lines.append(f"{name}: not identified")
-    for name, (value, error) in found.combinations.items():
-        lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, although its factors are not")
-    for name, (value, error) in found.sums.items():
-        lines.append(f"{name} = {value:.4g} +- {error:.2g} {unit_of(name)}: identified, although its terms are not")
+    for found_together, parts in ((found.combinations, "factors"), (found.sums, "terms")):
+        for name, (value, error, _) in found_together.items():
+            number = f"{value:.4g} +- {error:.2g} {unit_of(name)}"
+            lines.append(f"{name} = {number}: identified, although its {parts} are not")
     return lines
 
 

@@ -183,8 +183,7 @@ def _parameters(found: Determination) -> list[dict[str, str | float]]:
         value = np.nan if status == NOT_IDENTIFIED else found.value[name]
         lower, upper = found.confidence_interval[name]
         rows.append((name, value, found.standard_error[name], lower, upper, unit_of(name), status))
-    for name, (value, error) in found.identified_together.items():
-        reach = found.quantile * error
-        rows.append((name, value, error, value - reach, value + reach, unit_of(name), IDENTIFIED))
+    for name, (value, error, (low, high)) in found.identified_together.items():
+        rows.append((name, value, error, low, high, unit_of(name), IDENTIFIED))
     heads = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")
     return [dict(zip(heads, row, strict=True)) for row in rows]

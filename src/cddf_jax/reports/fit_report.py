@@ -147,9 +147,10 @@ def parameter_rows(determination: Determination) -> list[list[str]]:
         value, error, low, high, unit = parameter_shown(determination, name)
         spread = [f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}"] if np.isfinite(error) else ["-", "-"]
         rows.append([name, f"{value:.5g}{unit}", *spread, status])
-    for name, (value, error) in determination.identified_together.items():
+    for name, (value, error, (low, high)) in determination.identified_together.items():
         unit = unit_of(name)
-        rows.append([name, f"{value:.5g} {unit}", f"{error:.2g} {unit}", "-", "identified"])
+        numbers = f"{value:.5g} {unit}", f"{error:.2g} {unit}", f"{low:.5g} to {high:.5g} {unit}"
+        rows.append([name, *numbers, "identified"])
     return rows
 
 
