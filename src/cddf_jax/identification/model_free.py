@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import ndtr, stdtr, stdtrit
 
 from ..errors import InputError
 from ..measurements.branches import branches
@@ -19,7 +19,7 @@ from ..measurements.table_warnings import ONE_LEVEL
 
 COLUMNS = ("base_tension", "tip_tension", "tip_angle")
 SIGNIFICANT = 0.05  # smaller p-values are reported
-LARGEST_Z = 3.0  # larger disagreements are reported
+LARGEST_Z = 3.0  # larger disagreements are reported, or as unlikely ones where few rows or trials give the errors
 SMALLEST_ANGLE = 1e-9  # rad; a smaller angle counts as 0
 LEAST_LEFT = 1e-6  # of the determinant of all rows, without one label; with less the noise cannot be estimated
 FEWEST_TRIALS = 3  # with fewer, the scatter of trials is not estimated
@@ -50,7 +50,7 @@ class Disagreement(NamedTuple):
     """A fitted mu compared with the one without a model."""
 
     z: float  # their difference over its standard error; positive where the fit is larger
-    sentence: str  # empty where |z| is at most 3
+    sentence: str  # empty where a |z| of this size is as likely as one of 3 or less of a normal distribution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +61,7 @@ class ModelFreeFriction:
     estimate: np.ndarray  # NaN where a tension or the angle is 0
     value: float  # pooled
     standard_error: float  # inf where one row alone determines the value, so that the noise cannot be estimated
+    degrees_of_freedom: int  # of the standard error: rows, or trials, less one
     confidence_interval: tuple[float, float]  # 95 %, t-statistics
     constancy: Constancy
 
@@ -131,7 +132,8 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
     value = float(np.sum(angle * loss) / np.sum(angle**2))
     residual = loss - value * angle
     error = float(np.sqrt(jackknife(angle[:, None], residual, labels)[0, 0]))
-    half_width = float(stdtrit(max(labels.max(), 1), 0.975)) * error
+    freedom = max(int(labels.max()), 1)
+    half_width = float(stdtrit(freedom, 0.975)) * error
     estimate = np.full(len(table), np.nan)
     estimate[usable] = loss / angle
     return ModelFreeFriction(
@@ -139,13 +141,18 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
         estimate=estimate,
         value=value,
         standard_error=error,
+        degrees_of_freedom=freedom,
         confidence_interval=(value - half_width, value + half_width),
         constancy=_constancy(base, angle, residual, labels),
     )
 
 
-def disagreement(model_free: ModelFreeFriction, fit_value: float, fit_standard_error: float) -> Disagreement:
+def disagreement(
+    model_free: ModelFreeFriction, fit_value: float, fit_standard_error: float, fit_freedom: float
+) -> Disagreement:
     """How far a fitted mu lies from the one without a model, in standard errors of their difference.
+
+    Its limit is that of Welch's t test: few rows or trials do not tell their own scatter well.
 
     The two values are treated as independent, which they are if the fit is of a pulley test. From the same rows their
     errors are alike, and the true |z| is larger than the one returned; so a disagreement that is found is real.
@@ -154,11 +161,14 @@ def disagreement(model_free: ModelFreeFriction, fit_value: float, fit_standard_e
         model_free: of `model_free_friction`.
         fit_value: the friction coefficient of a fit.
         fit_standard_error: its standard error; inf where it is not identified, then z is 0.
+        fit_freedom: the degrees of freedom of that error; inf where the noise was given.
     """
     difference = fit_value - model_free.value
     error = float(np.hypot(model_free.standard_error, fit_standard_error))
     z = difference / error if error > 0 else float(np.copysign(np.inf, difference)) if difference else 0.0
-    if not abs(z) > LARGEST_Z:
+    parts = np.array([model_free.standard_error, fit_standard_error]) / error if 0 < error < np.inf else np.zeros(2)
+    uncertain = float(np.sum(parts**4 / [model_free.degrees_of_freedom, fit_freedom]))
+    if not abs(z) > (-stdtrit(1 / uncertain, ndtr(-LARGEST_Z)) if uncertain > 0 else LARGEST_Z):
         return Disagreement(z, "")
     return Disagreement(
         z,

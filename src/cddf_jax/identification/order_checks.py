@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..estimation.remarks import chance_of_more
 from ..measurements.table import Measurements
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
@@ -49,35 +50,15 @@ def order_remarks(fit: "Fit") -> list[str]:
 def _drift(fit: "Fit", group: Group, course: Course) -> str:
     """Whether the residuals of a group drift from the first step to the last, in words; "" if they do not.
 
-    An F test, or with given noise a chi-square test, of two more parameters of the linearised model: an error that
-    grows with the step, and one that grows with step times reading.
+    Two more parameters of the linearised model are tested: an error that grows with the step, and one that grows with
+    step times reading.
     """
-    from scipy.stats import chi2, f as f_distribution
-
-    evidence, residual = fit.evidence, fit.standardised_residuals
-    labels, jacobian = list(evidence.rows), evidence.jacobian
-    every = np.concatenate([*(residual[label] for label in labels), np.zeros(len(evidence.prior_rows))])
     last = np.bincount(course.trial, minlength=len(course.first_row)) * 0.0
     np.maximum.at(last, course.trial, course.step)
     time = (course.step / np.maximum(last[course.trial], 1.0) - 0.5)[group.there]
-    noise = noise_of_readings(fit, group)
-    start = sum(len(evidence.rows[label]) for label in labels[: labels.index(group.label)])
-    columns = np.zeros((every.size, 2))
     size = np.max(np.abs(group.observed), initial=1e-300)
-    columns[start : start + time.size] = np.stack([time, time * group.observed / size], axis=1) / noise[:, None]
-    basis = np.linalg.svd(jacobian, full_matrices=False)[0][:, : fit.rank]
-    own = columns - basis @ (basis.T @ columns)
-    spectrum = np.linalg.svd(own, full_matrices=False)
-    kept = spectrum[1] > 1e-6 * np.linalg.norm(columns)
-    explained, count = float(np.sum((spectrum[0][:, kept].T @ every) ** 2)), int(np.sum(kept))
-    freedom = fit.degrees_of_freedom - count
-    if not count or freedom < 1 or not np.all(np.isfinite(every)):
-        return ""
-    if any(evidence.noise_estimated.values()):
-        left = max(float(every @ every) - explained, 1e-300) / freedom
-        chance = float(f_distribution.sf(explained / count / left, count, freedom))
-    else:
-        chance = float(chi2.sf(explained, count))
+    columns = np.stack([time, time * group.observed / size], axis=1) / noise_of_readings(fit, group)[:, None]
+    chance = chance_of_more(fit.evidence, fit.standardised_residuals, group.label, columns)
     if chance >= CHANCE:
         return ""
     return (

@@ -97,7 +97,11 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
             with suppress(InputError):  # no row is bent
                 friction = model_free_friction(table, in_order=name in fit.without_jitter)
                 determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
-                compared = disagreement(friction, fit.value[mu], fit.standard_error[mu]) if determined else None
+                compared = None
+                if determined:
+                    reach = fit.evidence.uncertainty(np.array([[own == mu for own in fit.names]], float))
+                    freedom = float(reach.freedom[0])
+                    compared = disagreement(friction, fit.value[mu], fit.standard_error[mu], freedom)
                 found[name] = ModelFree(friction, compared)
     return found
 
