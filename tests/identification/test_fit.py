@@ -495,7 +495,7 @@ def test_a_wrong_sign_and_a_wrong_unit_are_reported():
 def test_trials_of_different_noise_do_not_differ():
     """Draws of one distribution each: the scatter of 4 readings at a high level is 30 times that of 20 at a low one.
 
-    An analysis of variance of the residuals as they are would report one of five such tables.
+    An analysis of variance of the residuals as they are would report two or more of twenty such tables.
     """
     pulls, trial, alarms, plain = np.repeat([5.0, 80.0], [20, 4]), np.repeat([1, 2], [20, 4]), 0, 0
     noise = np.where(pulls < 10, 0.01, 0.3)

@@ -19,7 +19,7 @@ TRIAL = np.repeat(np.arange(COUNT), EACH)
 def test_balanced_trials(spread):
     """A level in five trials of four readings: the variance of its mean is that between trials, with four degrees.
 
-    The textbook interval of a random one-way layout is exact, Searle (1971), Linear Models, chapter 9. The spread is
+    The textbook interval of a balanced random one-way layout is exact. The spread is
     the mean square between trials less that within, over the readings of a trial.
     """
     rng = np.random.default_rng(4)
