@@ -15,11 +15,11 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
-from ..numerics.arrays import all_finite, cos_sin, largest, relative_size
+from ..numerics.arrays import all_finite, computed_once, cos_sin, largest, largest_size, relative_size
 from ..numerics.implicit import minus, round_off, without_derivative
 from ..numerics.iteration import constant_map, fixed_point
 from ..numerics.quadrature import Panels
-from ..numerics.rotations import about, cross, direction_of, in_fixed_frame, parts_of, product, sum_of, turned_by
+from ..numerics.rotations import about, cross, direction_of, parts_of, product, sum_of, turned_across, turned_by
 from ..robot.cross_section import AnySection, spatial
 from ..robot.loads import planar_cross
 from . import space
@@ -232,9 +232,10 @@ def follow_the_axis(problem: Problem) -> bool:
 
 
 def _along_the_axis(problem: Problem) -> tuple[Nodal, Number]:
-    """The ratio r of tendons that follow the axis if all have the same friction; and how far it is off: zero if so.
+    """The ratio r of tendons that follow the axis after one pass; and how far it is off: zero if friction is alike.
 
-    Then all tensions fall alike, and |M| r is the moment of the base tensions: r' = direction mu |M(0)| / (E J).
+    If all tendons have the same friction, all tensions fall alike, and |M| r is the moment of the base tensions:
+    r' = direction mu |M(0)| / (E J).
     """
     section, ones = problem.nodes, everywhere(problem.panels, at_base(problem)).ratio
     tension = tension_of(section, problem.base_tension, Pull(ones))
@@ -242,8 +243,7 @@ def _along_the_axis(problem: Problem) -> tuple[Nodal, Number]:
     rate = _ratio_rates(problem.direction, section, bend, ones)
     growth = problem.direction * problem.manipulator.tendon_friction
     alike = jnp.all(growth == growth[0])
-    ratio = jnp.where(alike, ones + problem.panels.integrate(rate)[1], ones)
-    return Nodal(ratio, None), jnp.where(alike, 0.0, jnp.inf)
+    return Nodal(ones + problem.panels.integrate(rate)[1], None), jnp.where(alike, 0.0, jnp.inf)
 
 
 _strain_in_space = at_nodes(space.strain, (0, 0, 0, 0))
@@ -260,23 +260,28 @@ def _tangents(cut: Panels, section: AnySection, strain: Array) -> tuple[Array, A
 def _frames(cut: Panels, strain: Array) -> tuple[Array, Array]:
     """The rotations at the edges and the nodes that follow from the curvature, both (..., 4).
 
-    Each is a turn about one axis for the whole body, and a rotation after it, which passes find. Where the body bends
-    about one axis, the turn is all.
+    Each is a turn about one axis for the whole body, and a rotation after it, which passes find: the identity and a
+    change. Where the body bends about one axis, the turn is all.
     """
-    curvature = space.curvature_of_strain(strain)
+    curvature = computed_once(space.curvature_of_strain(strain))
     axis = without_derivative(direction_of(jnp.sum(cut.gain(curvature), axis=0)))  # any axis leads to the same frames
     rate = sum_of([x * n for x, n in zip(parts_of(curvature), axis, strict=True)])[..., 0]
     turns = jax.tree.map(lambda angle: about(axis, angle), cut.integrate(rate))
-    rest = in_fixed_frame(turns[1], curvature - rate[..., None] * axis)
-    start = jax.tree.map(lambda turn: jnp.broadcast_to(identity_as(rest), turn.shape), turns)
+    rest = turned_across(turns[1], curvature - rate[..., None] * axis)
     off = largest(sum_of([jnp.abs(part) for part in parts_of(rest)])) * cut.edges[-1]
-    found = fixed_point(Partial(_turned_on, cut, rest), start, tolerance=round_off(rate.dtype), max_passes=64, off=off)
-    return jax.tree.map(product, found.value, turns)
+    settings = {"tolerance": round_off(rate.dtype), "max_passes": 64, "size": _absolute_size, "off": off}
+    found = fixed_point(Partial(_turned_on, cut, rest), jax.tree.map(jnp.zeros_like, turns), **settings)
+    return jax.tree.map(lambda turn, change: turn + product(change, turn), turns, found.value)
 
 
-def _turned_on(cut: Panels, rate: Array, frames: tuple[Array, Array]) -> tuple[Array, Array]:
-    edges, nodes = cut.integrate(turned_by(frames[1], rate))
-    return identity_as(edges) + edges, identity_as(nodes) + nodes
+def _turned_on(cut: Panels, rate: Array, change: tuple[Array, Array]) -> tuple[Array, Array]:
+    """A better change, by which the rotation differs from the identity."""
+    real, vector = jnp.split(change[1], [1], axis=-1)
+    return cut.integrate(turned_by(jnp.concatenate([1.0 + real, vector], axis=-1), rate))
+
+
+def _absolute_size(change: tuple[Array, Array], _: tuple[Array, Array]) -> Number:
+    return largest_size(change)
 
 
 def _point(
@@ -290,7 +295,7 @@ def _improved(problem: Problem, guess: Nodal) -> Nodal:
 
 
 def _acceptable(values: Nodal) -> Bool[Array, ""]:
-    return jnp.all(values.ratio > 0) & all_finite(values)
+    return all_finite(values._replace(ratio=jnp.where(values.ratio > 0, values.ratio, jnp.inf)))
 
 
 def _across_joints(problem: Problem, edges: Nodal, spent: Array | None) -> tuple[Array, Array, Array | None]:
@@ -352,7 +357,8 @@ def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) ->
     elif axis is None:
         assert along.nodes.heading is not None
         axis = axis_of(along.nodes.heading)
-    position, position_at_nodes = cut.integrate(axis)
+    places = [cut.integrate(part) for part in parts_of(axis)]
+    position, position_at_nodes = (jnp.concatenate(parts, axis=-1) for parts in zip(*places, strict=True))
     wrap, wrap_at_nodes = cut.integrate(jnp.abs(shape.turning))
     wrap_at_starts, wrap_at_tip = wrap[:-1], wrap[-1]
     if along.turns is not None:

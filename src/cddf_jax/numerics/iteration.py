@@ -31,7 +31,7 @@ def fixed_point(
     tolerance: float,
     max_passes: int,
     size: Callable[[Values, Values], Scalar] = relative_size,
-    acceptable: Callable[[Values], Bool[Array, ""]] = all_finite,
+    acceptable: Callable[[Values], Bool[Array, ""]] | None = None,
     off: Scalar | float = jnp.inf,
 ) -> FixedPointResult:
     """Solve y = update(y) by Picard iteration; differentiate the solution implicitly.
@@ -49,7 +49,8 @@ def fixed_point(
         max_passes: the largest number of passes.
         size: (change, value) -> how large a change is, to be compared with `tolerance`. The
             linearised passes always go on until only rounding errors change.
-        acceptable: whether a value may count as a solution.
+        acceptable: whether a value may count as a solution; None where every finite value may. After a pass the value
+            is finite if its change is.
         off: an upper bound of the change in the first pass, where one is known. There are no passes where it is within
             the tolerance.
     """
@@ -60,7 +61,7 @@ def fixed_point(
 @eqx.filter_custom_jvp
 def _solve(update, start, off, *, tolerance, max_passes, size, acceptable):
     value, change, count = repeat(update, start, size, tolerance, max_passes, off)
-    good = (change <= tolerance) & acceptable(value)
+    good = (change <= tolerance) & (True if acceptable is None else acceptable(value))
     return jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start), count, change, good
 
 

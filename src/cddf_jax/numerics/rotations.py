@@ -6,6 +6,7 @@ themselves the length has the error of the quadrature; every function here divid
 
 from functools import reduce
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -65,7 +66,7 @@ def inverse(q: Quaternion) -> Quaternion:
 
 def turned_by(q: Quaternion, rate: Vector) -> Quaternion:
     """The derivative q (0, rate) / 2 of a rotation; `rate` is the rate of turning in its own axes, rad per unit."""
-    (w, *axis), rates = parts_of(q), parts_of(0.5 * rate)
+    (w, *axis), rates = parts_of(0.5 * q), parts_of(rate)
     vector = [w * x + y for x, y in zip(rates, _cross(axis, rates), strict=True)]
     return jnp.concatenate([-_dot(axis, rates), *vector], axis=-1)
 
@@ -76,6 +77,14 @@ def in_fixed_frame(q: Quaternion, vector: Vector) -> Vector:
     twice, across = 2.0 / _dot(parts, parts), _cross(axis, parts_of(vector))
     change = [twice * (w * x + y) for x, y in zip(across, _cross(axis, across), strict=True)]
     return vector + jnp.concatenate(change, axis=-1)
+
+
+def turned_across(q: Quaternion, vector: Vector) -> Vector:
+    """R v for a rotation of length 1 and a vector v at right angles to its axis."""
+    w, *axis = parts_of(q)
+    parts = parts_of(vector)
+    across = _cross(axis, parts)
+    return jnp.concatenate([(2.0 * w * w - 1.0) * x + 2.0 * w * y for x, y in zip(parts, across, strict=True)], axis=-1)
 
 
 def first_axis(q: Quaternion) -> Vector:
@@ -121,8 +130,19 @@ def _cross(a: list[Array], b: list[Array]) -> list[Array]:
 def length_of(vector: Float[Array, "*points n"]) -> Float[Array, "*points"]:
     """The length of a vector, with the derivative zero where it is zero."""
     parts = parts_of(vector)
-    square = _dot(parts, parts)[..., 0]
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    return _root(_dot(parts, parts)[..., 0])
+
+
+@jax.custom_jvp
+def _root(square: Array) -> Array:
+    return jnp.sqrt(square)
+
+
+@_root.defjvp
+def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    root = _root(*primals)
+    positive = root > 0
+    return root, jnp.where(positive, 0.5 * tangents[0] / jnp.where(positive, root, 1.0), 0.0)
 
 
 def direction_of(vector: Float[Array, "*points n"]) -> Float[Array, "*points n"]:
