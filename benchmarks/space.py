@@ -23,7 +23,7 @@ from cddf_jax.application import configure_jax_for_batches
 from cddf_jax.statics.equilibrium import code_of
 
 COUNT, CHUNK = 102_400, 1_280
-STEPS, FEWER = (8, 16, 32), (6, 8)  # of RK4; nodes beside the default of 16
+STEPS, FEWER = (8, 16, 32), (5, 6, 8)  # of RK4; nodes beside the default of 16
 ANGLES = np.radians([0.0, 120.0, 240.0])
 
 
