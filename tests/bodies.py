@@ -70,16 +70,19 @@ def replaced(body: cddf.Manipulator, **numbers: Any) -> cddf.Manipulator:
 
 
 def both_modes(function: Callable) -> Callable:
-    """Value, forward and reverse derivative of a function of a vector, compiled together."""
+    """Value, forward and reverse derivative of a function of a vector, traced once and compiled together.
 
-    def with_value(p):
-        value = function(p)
-        return value, value
+    Reverse mode is what `vjp` does: the linear map of forward mode, transposed.
+    """
 
     @jax.jit
     def derivatives(p):
-        forward, value = jax.jacfwd(with_value, has_aux=True)(p)
-        return value, forward, jax.jacrev(function)(p)
+        value, along = jax.linearize(function, p)
+        basis = jnp.eye(value.size).reshape(*value.shape, *value.shape)
+        back = jax.linear_transpose(along, p)
+        for _ in value.shape:
+            back = jax.vmap(back)
+        return value, jax.vmap(along, out_axes=-1)(jnp.eye(p.size)), back(basis)[0]
 
     return derivatives
 
