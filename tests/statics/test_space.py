@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import both_modes, paper_body
+from bodies import both_modes, fields_at, paper_body
 from scipy.integrate import solve_ivp
 
 import cddf_jax as cddf
@@ -141,7 +141,7 @@ def test_a_body_of_the_plane_in_space(loads):
     np.testing.assert_allclose(space.tip_angle, plane.tip_angle, atol=1e-10)
     np.testing.assert_allclose(space.tendon_displacement, plane.tendon_displacement, atol=1e-12)
     at = np.linspace(0.0, LENGTH, 9)
-    flat, there = plane.at(at), space.at(at)
+    flat, there = fields_at(plane, at), fields_at(space, at)
     np.testing.assert_allclose(there.curvature[:, 2], flat.curvature, atol=1e-8)
     np.testing.assert_allclose(there.curvature[:, :2], 0.0, atol=1e-10)
     np.testing.assert_allclose(there.tension, flat.tension, rtol=1e-10)
