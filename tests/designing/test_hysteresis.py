@@ -72,6 +72,7 @@ def test_a_design_of_least_hysteresis_has_the_width_of_the_closed_form(found):
     assert "- least hysteresis: 14.798 deg -> 19.927 deg" in str(found)
 
 
+@pytest.mark.slow
 def test_what_more_bend_and_more_friction_cost(found):
     """By multiplier and sensitivity, against differences of the closed form; 8 nodes are right to 3e-5 here."""
     (angle,) = (limit for limit in found.limits if limit.name == "tip_angle")
