@@ -19,6 +19,8 @@ from bodies import (
     code,
     codes,
     draw_from,
+    fields_at,
+    lane,
     one_kinematics_at_once,
     paper_body,
     plain_of,
@@ -190,20 +192,13 @@ def test_other_bodies_by_their_branches(changes):
 
 
 def test_a_pull_alone_is_a_solve():
-    tensions = np.linspace(5.0, 75.0, STEPS)
-    history, s = cddf.trace(BODY, tensions), jnp.linspace(0.0, LENGTH, 9)
+    tensions, s = np.linspace(5.0, 75.0, STEPS), jnp.linspace(0.0, LENGTH, 9)
+    history = cddf.trace(BODY, tensions)
+    along = history.at(s), history.equilibria
     for step, tension in enumerate(tensions):
         found = cddf.solve(BODY, tension)
-        jax.tree.map(
-            lambda a, b, step=step: np.testing.assert_allclose(a[step], b, rtol=1e-11, atol=1e-11),
-            history.at(s),
-            found.at(s),
-        )
-        jax.tree.map(
-            lambda a, b, step=step: np.testing.assert_allclose(a[step], b, rtol=1e-11, atol=1e-11),
-            history.equilibria,
-            found.along,
-        )
+        of_solve = fields_at(found, s), found.along
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11), lane(along, step), of_solve)
         np.testing.assert_allclose(history.tendon_displacement[step], found.tendon_displacement[0], rtol=1e-12)
 
 
@@ -300,24 +295,24 @@ def test_derivatives_in_both_modes_are_those_of_the_closed_form():
 
 
 def test_lanes_and_single_precision():
-    lanes = jax.jit(jax.vmap(lambda mu: cddf.trace(paper_body("exact", friction_coefficient=mu), PATH, throw=False)))(
-        jnp.array([MU, -1.0, 0.2])
-    )
-    np.testing.assert_allclose(lanes.tip_angle[0], traced_angles(PATH, MU), rtol=1e-12)
-    expected = [code(R.successful)] * STEPS + [code(R.unphysical)] * STEPS + [code(R.successful)] * STEPS
-    assert codes(lanes.result) == expected
-    assert np.all(np.isnan(lanes.tip_angle[1]))
-
     def total(scale):
-        angles = jax.vmap(lambda mu: traced_angles(scale * PATH, mu))(jnp.array([MU, -1.0, 0.2]))
-        return jnp.nansum(angles)
+        def traced(mu):
+            return cddf.trace(paper_body("exact", friction_coefficient=mu), scale * PATH, throw=False)
 
+        found = jax.vmap(traced)(jnp.array([MU, -1.0, 0.2]))
+        return jnp.nansum(found.tip_angle), (found.tip_angle, found.result)
+
+    slope, (angles, result) = jax.jit(jax.grad(total, has_aux=True))(1.0)
+    np.testing.assert_allclose(angles[0], traced_angles(PATH, MU), rtol=1e-12)
+    expected = [code(R.successful)] * STEPS + [code(R.unphysical)] * STEPS + [code(R.successful)] * STEPS
+    assert codes(result) == expected
+    assert np.all(np.isnan(angles[1]))
     good = sum(jnp.sum(derivatives(jnp.append(mu, PATH))[1][:, 1:] @ PATH) for mu in (MU, 0.2))
-    np.testing.assert_allclose(jax.grad(total)(1.0), good, rtol=1e-11)  # the lane that fails leaves it alone
+    np.testing.assert_allclose(slope, good, rtol=1e-11)  # the lane that fails leaves it alone
     single = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), BODY)
     found = cddf.trace(single, np.asarray(PATH, np.float32))
     assert found.tip_angle.dtype == jnp.float32
-    np.testing.assert_allclose(found.tip_angle, lanes.tip_angle[0], rtol=1e-5)
+    np.testing.assert_allclose(found.tip_angle, angles[0], rtol=1e-5)
 
 
 @pytest.mark.slow
