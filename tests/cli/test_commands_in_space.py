@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pandas
 import pytest
+from bodies import fields_at
 from places import DATA, ROOT
 from scipy.spatial.transform import Rotation
 
@@ -115,7 +116,7 @@ def test_a_fit_to_markers_that_a_camera_sees(cddf_command, tmp_path):
     body = dataclasses.replace(cddf.read_manipulator(HELIX), youngs_modulus=1.3e6)
     markers = ["row,marker,arc_length [mm],offset_x [mm],offset_y [mm],offset_z [mm],x [mm],y [mm]"]
     for row, pull in enumerate((20.0, 40.0, 60.0), 1):
-        found = cddf.solve(body, pull).at(0.080)
+        found = fields_at(cddf.solve(body, pull), 0.080)
         place = found.position + found.frame @ np.array([0.002, 0.011, 0.004])
         x, y, _ = 1e3 * Rotation.from_rotvec([0.0, 0.0, 0.1]).apply(np.array(place)) + (10.0, 0.0, 0.0)
         markers.append(f"{row},head,80,2,11,4,{x:.9f},{y:.9f}")
