@@ -62,7 +62,7 @@ def test_intervals_carry_their_unit():
         value={"youngs_modulus": 1.4e6, "length": 0.14, "base_zero": 0.1},
         standard_error={"youngs_modulus": 5e4, "length": 0.0, "base_zero": np.inf},
         confidence_interval={"youngs_modulus": (1.3e6, 1.5e6), "length": (0.14, 0.14), "base_zero": (-np.inf, np.inf)},
-        combinations={"friction_coefficient / youngs_modulus": (3e-7, 1e-9)},
+        combinations={"friction_coefficient / youngs_modulus": (3e-7, 1e-9, (2.98e-7, 3.02e-7))},
         sums={},
     )
     assert estimates_in_words(told) == [

@@ -18,13 +18,13 @@ LARGEST = {
     "two tendons, directions found": 2_110,
     "a displacement": 3_090,
     "a tip force": 4_505,
-    "a tip force, gradient by the whole body": 6_280,
+    "a tip force, gradient by the whole body": 6_202,
     "a displacement under a tip force": 6_335,
-    "a tip force in space": 8_990,
-    "a trace": 3_560,
-    "a trace of displacements": 10_400,
-    "a trace of two tendons": 5_380,
-    "the work of a trace": 6_400,
+    "a tip force in space": 8_820,
+    "a trace": 3_190,
+    "a trace of displacements": 9_120,
+    "a trace of two tendons": 4_790,
+    "the work of a trace": 5_760,
 }
 
 
