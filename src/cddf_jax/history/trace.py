@@ -313,6 +313,6 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     if not isinstance(seen, Tracer) and not np.any(seen):
         raise SolveError(
             f"tip_compliance: a push of {float(np.linalg.norm(np.asarray(push))):g} N moves the tip by less than "
-            f"{LEAST_MOVE:g} of the length, which is not told from zero; push harder"
+            f"{LEAST_MOVE:g} of the length, as rounding may do; push harder"
         )
     return nan_unless(seen, moved / jnp.linalg.norm(push))
