@@ -193,7 +193,7 @@ def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) ->
 
 def show_named(fig: Plot, name: str, there: bool) -> None:
     """Show or hide a named glyph and its entry in the legend."""
-    drawn = fig.select_one({"name": name})
+    (drawn,) = (renderer for renderer in fig.renderers if renderer.name == name)
     drawn.visible = there
     for item in fig.legend[0].items:
         if drawn in item.renderers:
