@@ -52,9 +52,7 @@ MARKERS = {  # ahead of the cross-section, and beside the axis
     "m3": cddf.Marker(0.280, (0.0, 0.0, 0.020)),
     "m4": cddf.Marker(0.360, (0.008, 0.0, 0.0)),
 }
-GRAVITY = 9.81
-# the body hangs along its x. The frame of the markers has z up, and its x is the body's z
-SETTING = cddf.BenchSetting(cddf.Loads(gravity=(GRAVITY, 0.0, 0.0)), MARKERS, {"camera_turn_y": np.pi / 2})
+CAMERA = {"camera_turn_y": np.pi / 2}  # the frame of the markers has z up, and its x is the body's z
 ERROR, ERROR_IN_PLANE = 0.008, 0.009  # m, of the model, in each coordinate; those of a pose count as one reading
 BOUNDS = {"youngs_modulus": (1e5, 8e5), "axial_factor": (0.05, 20.0)}
 NODES = 12
@@ -75,9 +73,14 @@ class Case(NamedTuple):
 
     body: cddf.Manipulator
     table: cddf.Measurements
+    setting: cddf.BenchSetting
     beside: tuple[str, ...] = ()  # the modulus
-    setting: cddf.BenchSetting = SETTING
     error: float = ERROR
+
+
+def setting_of(gravity: tuple[float, ...]) -> cddf.BenchSetting:
+    """What all poses share, with the gravity of the robot file, m/s^2."""
+    return cddf.BenchSetting(cddf.Loads(gravity=gravity), MARKERS, CAMERA)
 
 
 def read_poses() -> cddf.Measurements:
@@ -133,28 +136,31 @@ def body_in_plane(robot: cddf.Manipulator, kinematics: str) -> cddf.Manipulator:
     return replace(robot, tendons=(tendon,), extensible=False, kinematics=kinematics)
 
 
-def setting_in_plane() -> cddf.BenchSetting:
-    """Markers lie aside by half of their offset, since the tendon is at 60 degrees from it."""
+def setting_in_plane(gravity: tuple[float, ...]) -> cddf.BenchSetting:
+    """Markers lie aside by half of their offset, since the tendon is at 60 degrees from it; gravity is along x."""
     aside = {name: one._replace(offset=(one.offset[0], 0.5 * one.offset[2])) for name, one in MARKERS.items()}
-    return cddf.BenchSetting(cddf.Loads(gravity=(GRAVITY, 0.0)), aside)
+    return cddf.BenchSetting(cddf.Loads(gravity=gravity[:2]), aside)
 
 
 def cases() -> dict[str, Case]:
     """Every fit of the study by its name."""
-    poses, robot = read_poses(), cddf.read_manipulator(ROBOT)
+    poses, file = read_poses(), cddf.read_robot_file(ROBOT)
+    robot, gravity = file.manipulator, file.gravity or (0.0, 0.0, 0.0)
+    setting, planar = setting_of(gravity), setting_in_plane(gravity)
     rubbed, two = replace(robot, friction_coefficient=0.1), with_two(poses)
-    found = {"no stretch": Case(replace(robot, extensible=False), poses), "stretch": Case(robot, poses)}
-    found |= {f"stretch, {name}": Case(robot, some(poses, part)) for name, part in (("one", ~two), ("two", two))}
+    found = {"no stretch": Case(replace(robot, extensible=False), poses, setting)}
+    for name, table in (("", poses), (", one", some(poses, ~two)), (", two", some(poses, two))):
+        found[f"stretch{name}"] = Case(robot, table, setting)
     for name, beside in BESIDE.items():
-        found[name] = Case(rubbed if name == "friction" else robot, poses, beside)
+        found[name] = Case(rubbed if name == "friction" else robot, poses, setting, beside)
     table, pull, first = in_plane(poses), in_plane(poses)["base_tension"], poses["base_tension"][~two] > 0
     parts = {"all": pull > 0, "below 7 N": pull < 7, "tendon 1": first, "tendon 2": ~first}
     for kinematics in ("published", "exact"):
-        body, rest = body_in_plane(robot, kinematics), (setting_in_plane(), ERROR_IN_PLANE)
-        found[f"in the plane, {kinematics}"] = Case(body, table, (), *rest)
+        body = body_in_plane(robot, kinematics)
+        found[f"in the plane, {kinematics}"] = Case(body, table, planar, error=ERROR_IN_PLANE)
         for name, part in parts.items():
-            sliding = replace(body, friction_coefficient=0.1), some(table, part), BESIDE["friction"]
-            found[f"in the plane, {kinematics}, friction, {name}"] = Case(*sliding, *rest)
+            sliding = replace(body, friction_coefficient=0.1), some(table, part), planar, BESIDE["friction"]
+            found[f"in the plane, {kinematics}, friction, {name}"] = Case(*sliding, ERROR_IN_PLANE)
     return found
 
 

@@ -23,7 +23,8 @@ from cddf_jax.measurements.markers import seen
 STUDY = SimpleNamespace(**runpy.run_path(str(ROOT / "fitting" / "soft_tentacle.py")))
 MODULUS = {"published": 302e3, "exact": 336e3}  # Pa
 ERROR = {"published": 8.9e-3, "exact": 9.8e-3}  # m
-ROBOT = cddf.read_manipulator(STUDY.ROBOT)
+ROBOT, _, _, GRAVITY = cddf.read_robot_file(STUDY.ROBOT)
+SETTING = STUDY.setting_of(GRAVITY)
 
 if not STUDY.TABLE.exists():
     pytest.skip(f"the measured data are not here: {STUDY.TABLE}", allow_module_level=True)
@@ -53,7 +54,11 @@ def missed(body, table, setting, modulus):
 
 
 def test_dimensions():
-    """README of the data: offset 11.4 mm - 0.0295 s, radius 15.41 to 6.42 mm over 305 mm, then to 4.80 mm."""
+    """README of the data: offset 11.4 mm - 0.0295 s, radius 15.41 to 6.42 mm over 305 mm, then to 4.80 mm.
+
+    The body hangs, so gravity points from base to tip, along x.
+    """
+    assert GRAVITY == (9.81, 0.0, 0.0)
     s = np.array([0.0, 0.1, 0.305])
     for tendon in ROBOT.tendons:
         np.testing.assert_allclose(tendon.offset(s), 11.4e-3 - 0.0295 * s, atol=1e-15)
@@ -65,7 +70,7 @@ def test_frames(poses):
     assert len(poses) == 22
     two = STUDY.with_two(poses)
     assert np.count_nonzero(two) == 8
-    markers, turn = STUDY.MARKERS.values(), np.array([0.0, STUDY.SETTING.given["camera_turn_y"], 0.0])
+    markers, turn = STUDY.MARKERS.values(), np.array([0.0, SETTING.given["camera_turn_y"], 0.0])
     body = np.array([np.add((one.arc_length, 0.0, 0.0), one.offset) for one in markers])
     straight = np.asarray(seen(body, np.zeros(3), turn))
     read = np.stack([[poses[f"{axis}@{name}"] for axis in "xyz"] for name in STUDY.MARKERS])  # markers, axes, poses
@@ -82,7 +87,7 @@ def test_frames(poses):
 
 def test_frames_in_the_plane(poses):
     """Of the poses nearest to straight, 1.5 N: x runs down the body, markers lie where their offsets put them."""
-    table, setting = STUDY.in_plane(poses), STUDY.setting_in_plane()
+    table, setting = STUDY.in_plane(poses), STUDY.setting_in_plane(GRAVITY)
     assert len(table) == 14
     straight = table["base_tension"] < 2.0
     place = np.array([np.add((one.arc_length, 0.0), one.offset) for one in setting.markers.values()])
@@ -97,7 +102,11 @@ def test_frames_in_the_plane(poses):
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
 def test_one_modulus_in_the_plane(poses, kinematics):
     """One modulus predicts 112 coordinates within 10 mm, and 3 % less or more predict them less well."""
-    body, table, setting = STUDY.body_in_plane(ROBOT, kinematics), STUDY.in_plane(poses), STUDY.setting_in_plane()
+    body, table, setting = (
+        STUDY.body_in_plane(ROBOT, kinematics),
+        STUDY.in_plane(poses),
+        STUDY.setting_in_plane(GRAVITY),
+    )
     moduli = MODULUS[kinematics] * np.array([0.97, 1.0, 1.03])
     left = [missed(body, table, setting, E) for E in moduli]
     assert left[1].size == 112
@@ -124,13 +133,13 @@ def test_friction_is_not_identified():
 def test_one_modulus_in_space(poses, extensible, modulus, one, two):
     """The errors of the independent code at its modulus; with stretch they are the goals of the study."""
     body, with_two = replace(ROBOT, extensible=extensible), STUDY.with_two(poses)
-    left = missed(body, poses, STUDY.SETTING, modulus)
+    left = missed(body, poses, SETTING, modulus)
     np.testing.assert_allclose(STUDY.rms(left[~with_two]), one, atol=1e-4)
     np.testing.assert_allclose(STUDY.rms(left[with_two]), two, atol=1e-4)
     if extensible:
         assert STUDY.rms(left[~with_two]) < 8.25e-3
         assert STUDY.rms(left[with_two]) < 7.75e-3
-        better = missed(body, poses, STUDY.SETTING, 349e3)  # of all poses together
+        better = missed(body, poses, SETTING, 349e3)  # of all poses together
         assert STUDY.rms(better) < STUDY.rms(left)
         assert STUDY.rms(better[with_two]) > STUDY.rms(left[with_two])  # but not of those with two tendons
 
@@ -167,7 +176,7 @@ def test_marker_by_scipy(poses, kinematics):
     tension = float(table["base_tension"][1])
     reference = pose_by_scipy(tension, kinematics)
     ahead = 0.008 * np.array([np.cos(reference.tip_angle), np.sin(reference.tip_angle)])
-    marker = predicted(body, table, STUDY.setting_in_plane(), MODULUS[kinematics])[1, -2:]
+    marker = predicted(body, table, STUDY.setting_in_plane(GRAVITY), MODULUS[kinematics])[1, -2:]
     np.testing.assert_allclose(marker, reference.tip_position + ahead, atol=ACCURATE)
     equilibrium = cddf.solve(body, tension, cddf.Loads(gravity=(9.81, 0.0)))
     np.testing.assert_allclose(equilibrium.tip_position, reference.tip_position, atol=ACCURATE)

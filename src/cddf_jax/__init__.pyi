@@ -14,7 +14,12 @@ from .estimation.observations import Noise as Noise
 from .estimation.parameter_space import Uniform as Uniform
 from .estimation.profile_likelihood import Profile as Profile
 from .files.cross_sections import read_cross_sections as read_cross_sections, section_columns as section_columns
-from .files.manipulator_file import read_manipulator as read_manipulator, write_manipulator as write_manipulator
+from .files.manipulator_file import (
+    RobotFile as RobotFile,
+    read_manipulator as read_manipulator,
+    read_robot_file as read_robot_file,
+    write_manipulator as write_manipulator,
+)
 from .history.history import History as History
 from .history.trace import trace as trace
 from .identification.comparison import (

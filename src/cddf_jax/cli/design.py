@@ -101,4 +101,5 @@ def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
 def _manipulator_file(found: "Design", task: "DesignTask") -> str:
     from ..files.manipulator_file import manipulator_text
 
-    return manipulator_text(found.manipulator, offsets_outside_wall=task.options.offsets_outside_wall)
+    outside = task.options.offsets_outside_wall
+    return manipulator_text(found.manipulator, offsets_outside_wall=outside, gravity=task.gravity)

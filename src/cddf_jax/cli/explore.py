@@ -38,6 +38,7 @@ def explore(
     try:
         with stage("loading"):
             from ..explorer import server
+            from ..files.manipulator_file import RobotFile
     except ModuleNotFoundError as error:
         if error.name not in ("panel", "bokeh"):
             raise
@@ -46,10 +47,9 @@ def explore(
     paper = server.papers_manipulator()
     paper = paper if kinematics is None else replace(paper, kinematics=kinematics)
     server.serve(
-        paper if read is None else read.manipulator,
+        RobotFile(paper, (), False) if read is None else read,
         options.read_data(data, column),
         server.PAPER if robot is None else str(robot),
-        () if read is None else read.columns,
         port=port,
         browser=not no_browser,
         say=typer.echo,

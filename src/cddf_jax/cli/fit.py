@@ -87,9 +87,7 @@ def fit(
     from .. import application
 
     # code that is compiled quickly makes refits slow
-    manipulator = options.read_robot(
-        robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap)
-    ).manipulator
+    read = options.read_robot(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
     with stage("loading"):
         from ..identification.fit import fit
         from ..reports.fit_report import fit_in_words, write_report
@@ -97,13 +95,13 @@ def fit(
         from .fit_options import read_before, read_bounds, read_noise, read_priors, read_setting
 
     found = fit(
-        manipulator,
+        read.manipulator,
         options.read_data(data, column, holds_averaged=average_holds),
         free or None,
         read_priors(prior),
         bounds=read_bounds(bound),
         noise=read_noise(noise),
-        setting=read_setting(tip_force, tip_moment, gravity, marker, given),
+        setting=read_setting(options.read_loads(read, tip_force, tip_moment, gravity), marker, given),
         history=history,
         before=read_before(before),
         short_steps=short_steps,

@@ -9,13 +9,13 @@ import numpy as np
 from ..errors import InputError, within
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Prior, Uniform
-from ..files.actuation import read_loads
 from ..files.manipulator_file import read_toml
 from ..identification.experiment_design import Candidate
 from ..identification.parameters import BenchSetting, parameter_named
 from ..identification.tension_before import REST, Before, One
 from ..measurements.columns import column_dimension
 from ..measurements.markers import Marker
+from ..robot.loads import Loads
 from ..units import quantity, vector
 from .options import read_all
 
@@ -70,18 +70,10 @@ def _tensions(text: str) -> One:
     return tuple(found) if len(found) > 1 else found[0]
 
 
-def read_setting(
-    tip_force: str | None,
-    tip_moment: str | None,
-    gravity: str | None,
-    marker: Sequence[str] | None,
-    given: Sequence[str] | None,
-) -> BenchSetting:
+def read_setting(loads: Loads | None, marker: Sequence[str] | None, given: Sequence[str] | None) -> BenchSetting:
     """What all rows have in common: loads, places of markers, known numbers."""
     numbers = read_all(given, "--given", GIVEN, lambda name, text: _of_parameter(name, text, "--given"))
-    return BenchSetting(
-        read_loads(tip_force, tip_moment, gravity), read_all(marker, "--marker", MARKER, _marker), numbers
-    )
+    return BenchSetting(loads, read_all(marker, "--marker", MARKER, _marker), numbers)
 
 
 def _marker(name: str, text: str) -> Marker:

@@ -13,6 +13,7 @@ from ..progress import stage
 if TYPE_CHECKING:
     from ..files.manipulator_file import RobotFile
     from ..measurements.table import Measurements
+    from ..robot.loads import Loads
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
 T = TypeVar("T")
@@ -47,7 +48,9 @@ TipMoment = Annotated[
 Gravity = Annotated[
     str | None,
     typer.Option(
-        help='Acceleration of gravity: (X, Y), in space (X, Y, Z), such as "0, -9.81 m/s^2". The body needs a mass.'
+        help='Acceleration of gravity: (X, Y), in space (X, Y, Z), such as "0, -9.81 m/s^2". The body needs a mass. '
+        "Zeros switch off that of the robot file.",
+        show_default="that of the robot file",
     ),
 ]
 Given = Annotated[
@@ -140,6 +143,18 @@ def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[
         return read
     with within(f"--kinematics {kinematics}", ValueError):
         return read._replace(manipulator=replace(read.manipulator, kinematics=kinematics))
+
+
+def read_loads(
+    robot: "RobotFile", tip_force: str | None, tip_moment: str | None, gravity: str | None
+) -> "Loads | None":
+    """The loads of the options; without `--gravity` that of the robot's file, which is noted on standard error."""
+    from ..files.actuation import read_loads
+    from ..robot.loads import gravity_in_words
+
+    if robot.gravity is not None and gravity is None:
+        note([f"{gravity_in_words(robot.gravity)}, of the robot file"])
+    return read_loads(tip_force, tip_moment, gravity, robot.gravity)
 
 
 def read_data(

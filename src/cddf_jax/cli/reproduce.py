@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from ..errors import InputError
 from ..progress import stage
 from . import options
 
@@ -21,9 +22,11 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for the figures and the table.")] = Path("out/reproduce"),
 ) -> None:
     """The figures of Liu et al. (2020), and a table of its numbers beside ours."""
-    manipulator = options.read_robot(robot, None).manipulator
+    read = options.read_robot(robot, None)
+    if any(read.gravity or ()):
+        raise InputError(f"{robot}: the paper's manipulator bears no loads, this one has gravity; leave it out")
     with stage("loading"):
         from ..reports.reproduction import reproduce
 
-    answer = reproduce(manipulator, options.read_data([load_cells], column)[0], out)
+    answer = reproduce(read.manipulator, options.read_data([load_cells], column)[0], out)
     options.print_answer((out / "reproduction.md").read_text(encoding="utf-8"), answer, as_json=as_json)

@@ -38,16 +38,17 @@ def solve(
 
     X runs along the straight body from its base, Y to the side of a tendon with side = 1.
     """
-    manipulator, columns, _ = options.read_robot(robot, kinematics)
+    read = options.read_robot(robot, kinematics)
+    manipulator, columns = read.manipulator, read.columns
     with stage("loading"):
-        from ..files.actuation import read_actuation, read_directions, read_loads
+        from ..files.actuation import read_actuation, read_directions
         from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
         from ..statics.equilibrium import RESULTS, ended_as, on_host
         from ..statics.equilibrium_text import result_in_words
         from ..statics.solve import solve
 
     actuation = read_actuation(base_tension, manipulator)
-    loads = read_loads(tip_force, tip_moment, gravity)
+    loads = options.read_loads(read, tip_force, tip_moment, gravity)
     directions = read_directions(direction, manipulator)
     with stage("solving"), within(robot, ValueError):
         equilibrium = on_host(solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False))

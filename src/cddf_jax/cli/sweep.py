@@ -168,7 +168,7 @@ def sweep(
     processes = coordinator, num_processes, process_id
     read = options.read_robot(robot, kinematics, lambda: _configure(*processes, distributed=distributed))
     with stage("loading"):
-        from ..files.actuation import read_directions, read_loads
+        from ..files.actuation import read_directions
         from ..reports import sweep_report
         from . import sweep_options
     if not sweep_report.is_first_process():
@@ -183,7 +183,7 @@ def sweep(
         sampler,
         seed,
         base_tension or [],
-        loads=read_loads(tip_force, tip_moment, gravity),
+        loads=options.read_loads(read, tip_force, tip_moment, gravity),
         history=history_axis or history,
         short_steps=short_steps,
         direction=read_directions(direction, read.manipulator),

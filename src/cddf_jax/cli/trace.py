@@ -71,14 +71,14 @@ def trace(
     With friction the way back differs from the way up. The answer is exact for one tendon without loads. Several
     tendons and loads are followed in short steps; the loads act before the first step.
     """
-    manipulator = options.read_robot(robot, kinematics).manipulator
+    read = options.read_robot(robot, kinematics)
+    manipulator = read.manipulator
     with stage("loading"):
-        from ..files.actuation import read_loads
         from ..files.writing import as_json as json_text, write_all
         from ..reports import trace_report
         from ..units import series
 
-    loads, count = read_loads(tip_force, tip_moment, gravity), manipulator.num_tendons
+    loads, count = options.read_loads(read, tip_force, tip_moment, gravity), manipulator.num_tendons
     paths, driven = read_paths(path, noise, count)
     largest = None
     if before is not None:

@@ -14,6 +14,7 @@ from ..errors import InputError, within
 from ..files.actuation import read_actuation, read_directions, read_loads
 from ..files.cross_sections import in_one_line
 from ..files.manipulator_file import check_keys, read_robot_file, read_toml
+from ..robot.loads import gravity_in_words
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import unit_of_name
 from ..robot.profiles import Linear, Profile, Spline
@@ -71,7 +72,8 @@ class DesignTask:
     cases: tuple[LoadCase, ...]
     choices: dict[str, list[float]]
     options: DesignOptions
-    read_as: tuple[str, ...]  # how the data was read
+    read_as: tuple[str, ...]  # how robot and data were read
+    gravity: tuple[float, ...] | None  # of the robot's file, m/s^2
 
     def design(self) -> Design:
         """As `design`; errors name the file."""
@@ -96,16 +98,18 @@ def read_task(path: Path) -> DesignTask:
 def _task(table: Table, path: Path) -> DesignTask:
     options = [key for key, required in KEYS[""].items() if not required]
     check_keys("", table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
-    body, columns, outside = read_robot_file(path.parent / _text(table, "robot"))
+    body, columns, outside, gravity = read_robot_file(path.parent / _text(table, "robot"))
     if "kinematics" in table:
         body = replace(body, kinematics=table["kinematics"])
-    read = _each(table, "case", lambda case: _case(case, body))
+    read = _each(table, "case", lambda case: _case(case, body, gravity))
     cases = tuple(replace(case, name=case.name or f"case {i}") for i, case in enumerate(read, 1))
     free = _entries(table, "free")
     body, bounds, choices = _free(body, cases[0], free)
     read_as: tuple[str, ...] = (in_one_line(columns),) if columns else ()
+    if gravity is not None:
+        read_as += (f"{gravity_in_words(gravity)}, of the robot file, in every case without a gravity of its own",)
     if "uncertain" in table:
-        cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent)
+        cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent, gravity)
         read_as += notes
     given = {"offsets_outside_wall": outside} | {key: table[key] for key in _OPTIONS if key in table}
     return DesignTask(
@@ -119,6 +123,7 @@ def _task(table: Table, path: Path) -> DesignTask:
         choices=choices,
         options=DesignOptions(**given),  # pyright: ignore[reportArgumentType]  # it checks each itself
         read_as=read_as,
+        gravity=gravity,
     )
 
 
@@ -171,7 +176,8 @@ def _formed(body: Manipulator, name: str, entry: Table) -> Manipulator:
 # --- cases, objectives, limits -------------------------------------------------------------------
 
 
-def _case(table: Table, body: Manipulator) -> LoadCase:
+def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) -> LoadCase:
+    """A case; `gravity` is that of the robot's file, m/s^2."""
     texts = table["base_tension"] if isinstance(table["base_tension"], list) else [table["base_tension"]]
     direction = table.get("direction")
     loads = {key: _text(table, key) if key in table else None for key in ("tip_force", "tip_moment", "gravity")}
@@ -180,7 +186,7 @@ def _case(table: Table, body: Manipulator) -> LoadCase:
         case_numbers(body).number(name)
     return LoadCase(
         read_actuation([str(text) for text in texts], body, called=str),
-        read_loads(**loads, called=str),
+        read_loads(**loads, mounted=gravity, called=str),
         read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
         {name: quantity(value, DIMENSION_OF[unit_of_name(name)], name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
@@ -190,10 +196,11 @@ def _case(table: Table, body: Manipulator) -> LoadCase:
 
 
 def _uncertain(
-    cases: Sequence[LoadCase], body: Manipulator, table: Table, folder: Path
+    cases: Sequence[LoadCase], body: Manipulator, table: Table, folder: Path, gravity: tuple[float, ...] | None
 ) -> tuple[tuple[LoadCase, ...], tuple[str, ...]]:
-    """The cases with bodies drawn from the uncertainty of a fit, and how its data were read."""
+    """The cases with bodies drawn from the uncertainty of a fit under this gravity, and how its data were read."""
     from ..identification.fit import fit
+    from ..identification.parameters import BenchSetting
     from ..measurements.trials import read_tables
 
     with within("uncertain"):
@@ -202,7 +209,7 @@ def _uncertain(
         columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
     files = table["data"] if isinstance(table["data"], list) else [table["data"]]
     tables = read_tables([folder / str(file) for file in files], columns)
-    found = fit(body, tables)
+    found = fit(body, tables, setting=BenchSetting(read_loads(None, None, None, gravity)))
     every = tuple(each for case in cases for each in uncertain_cases(case, found, num, seed))
     return every, tuple(line for table in tables for line in table.read_as)
 

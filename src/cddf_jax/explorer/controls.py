@@ -43,13 +43,16 @@ class Control(NamedTuple):
         return round_number((self.high - self.low) / 200)
 
 
-def controls_of(body: Manipulator, tables: Sequence[Measurements], arc_length: np.ndarray) -> tuple[Control, ...]:
+def controls_of(
+    body: Manipulator, tables: Sequence[Measurements], arc_length: np.ndarray, gravity: Sequence[float] = ()
+) -> tuple[Control, ...]:
     """Everything that can be changed, with ranges about the numbers of a body.
 
     Args:
         body: whose numbers they are.
         tables: of measurements on it; the range contains their tensions.
         arc_length: m, a grid along it.
+        gravity: m/s^2, the components at the start; 0 for those that are left out.
     """
     name = stiffness_parameter(body)
     mu, value = float(body.friction_coefficient), from_si(starting_value(body, name), QUANTITIES[name])
@@ -57,7 +60,7 @@ def controls_of(body: Manipulator, tables: Sequence[Measurements], arc_length: n
     own = all(tendon.friction_coefficient is not None for tendon in body.tendons)
     stiffness = Control(name, value, round_number(0.2 * value), _above(2.5 * value), 1e-6)
     tensions = _tensions(body, tables, arc_length)
-    return (*tensions, *([] if own else [friction]), stiffness, *_radii(body), *_loads(body, arc_length))
+    return (*tensions, *([] if own else [friction]), stiffness, *_radii(body), *_loads(body, arc_length, gravity))
 
 
 def _tensions(body: Manipulator, tables: Sequence[Measurements], s: np.ndarray) -> list[Control]:
@@ -83,12 +86,13 @@ def _radii(body: Manipulator) -> list[Control]:
     return [Control(n, r, 0.5 * r, 1.5 * r, 0.0, text) for n, r, text in zip(RADII, ends, which, strict=True)]
 
 
-def _loads(body: Manipulator, s: np.ndarray) -> list[Control]:
+def _loads(body: Manipulator, s: np.ndarray, gravity: Sequence[float]) -> list[Control]:
     length, stiffness = float(body.length), float(np.median(evaluated(Manipulator.stiffness, body, s)))
     force, moment = _above(0.6 * stiffness / length**2), _above(0.3 * stiffness / length)
-    most: dict[str, float] = dict(zip(LOADS, (force, moment, 10.0), strict=True))
+    most: dict[str, float] = dict(zip(LOADS, (force, moment, max([10.0, *map(abs, gravity)])), strict=True))
+    start = {f"gravity.{i}": float(value) for i, value in enumerate(gravity)}
     return [
-        Control(name, 0.0, -most[kind], most[kind], which=f" {axis}".rstrip())
+        Control(name, start.get(name, 0.0), -most[kind], most[kind], which=f" {axis}".rstrip())
         for kind, components in load_components(body).items()
         for name, axis in components.items()
         if kind != "gravity" or body.has_mass

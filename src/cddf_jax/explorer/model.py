@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from ..errors import InputError
+from ..errors import InputError, within
 from ..figures.geometry import lines_along, stations
 from ..files.manipulator_file import manipulator_text
 from ..identification.bench import Bench, Pulley, experiment_of
 from ..identification.course import Shown, course_of, has_history
 from ..identification.fit import Fit, fit
+from ..identification.parameters import BenchSetting
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
 from ..mechanics.fields import AnyFields, SpatialFields
@@ -26,6 +27,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, of_tendon
 from ..robot.reshape import tapered
+from ..robot.validation import check_weight
 from ..statics.equilibrium import RESULTS, Equilibrium, ended_as
 from ..statics.equilibrium_text import result_in_words, wall_remarks
 from ..statics.solve import solve
@@ -97,23 +99,37 @@ class Taper(NamedTuple):
 class Exploration:
     """A manipulator, the tables measured on it, and the results for the settings of the controls.
 
+    `gravity` is that of the robot's file, m/s^2. The tables were measured under it.
+
     Raises:
-        InputError: for a table that does not fit the manipulator.
+        InputError: for a table that does not fit the manipulator, or a gravity that does not.
     """
 
     manipulator: Manipulator
     tables: tuple[Measurements, ...] = ()
+    gravity: tuple[float, ...] | None = None
 
     def __post_init__(self):
+        with within("gravity of the robot file"):
+            check_weight(self.manipulator, self.setting.loads)
+            if len(self.gravity or ()) > 2 and not self.manipulator.in_space:
+                raise InputError(
+                    "it has three components, but the body is in the plane; give two, or angles of tendons"
+                )
         for table in self.tables:
-            experiment_of(table, self.manipulator)
+            experiment_of(table, self.manipulator, setting=self.setting)
+
+    @cached_property
+    def setting(self) -> BenchSetting:
+        """What all rows of the tables share."""
+        return BenchSetting(Loads(gravity=self.gravity) if any(self.gravity or ()) else None)
 
     # --- settings --------------------------------------------------------------------------------
 
     @cached_property
     def controls(self) -> tuple[Control, ...]:
         """Everything that can be changed, with ranges about the numbers of the manipulator."""
-        return controls_of(self.manipulator, self.tables, self.arc_length)
+        return controls_of(self.manipulator, self.tables, self.arc_length, self.gravity or ())
 
     @property
     def start(self) -> Settings:
@@ -180,7 +196,7 @@ class Exploration:
         good solve.
         """
         followed = [table for table in self.tables if table not in self.not_followed]
-        experiments = ((table, _experiment(table, body)) for table in followed)
+        experiments = ((table, _experiment(table, body, self.setting)) for table in followed)
         apart = [(table, rows) for table, rows in experiments if isinstance(rows, Bench) and not rows.on_one_curve]
         return [(table, jax.tree.map(np.asarray, _in_rows(rows, body))) for table, rows in apart]
 
@@ -188,7 +204,7 @@ class Exploration:
     def not_followed(self) -> list[Measurements]:
         """Tables with a history that is not followed: of a body in space with several tendons or loads."""
         ordered = [table for table in self.tables if self.manipulator.in_space and has_history(table, None)]
-        return [table for table in ordered if not _is_exact(table, self.manipulator)]
+        return [table for table in ordered if not _is_exact(table, self.manipulator, self.setting)]
 
     @property
     def notes(self) -> list[str]:
@@ -218,11 +234,13 @@ class Exploration:
         if not self.tables:
             raise InputError("there is nothing to fit; load a table of measurements first")
         own = [control.name for control in self.controls if control.name in FITTED]
-        return fit(replace(self.manipulator, kinematics=kinematics), self.tables, own)
+        return fit(replace(self.manipulator, kinematics=kinematics), self.tables, own, setting=self.setting)
 
     def toml(self, case: Case) -> str:
-        """The body of a case as a file."""
-        return manipulator_text(case.manipulator, offsets_outside_wall=self.offsets_outside_wall)
+        """The body of a case as a file, with the gravity that acts on it."""
+        gravity = () if case.loads is None else np.asarray(case.loads.gravity).tolist()
+        given = gravity if any(gravity) else None
+        return manipulator_text(case.manipulator, offsets_outside_wall=self.offsets_outside_wall, gravity=given)
 
 
 # --- compiled once for each structure of a case ---------------------------------------------------
@@ -266,16 +284,16 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     return *_where_good(given, numbers), *_where_good(reached, there)
 
 
-def _experiment(table: Measurements, body: Manipulator) -> Pulley | Bench:
+def _experiment(table: Measurements, body: Manipulator, setting: BenchSetting) -> Pulley | Bench:
     """A table as an experiment, with a history if the order of its rows is known and can be followed."""
-    ordered = has_history(table, None) and _is_exact(table, body)
-    return experiment_of(table, body, course=course_of(table)[0] if ordered else None)
+    ordered = has_history(table, None) and _is_exact(table, body, setting)
+    return experiment_of(table, body, course=course_of(table)[0] if ordered else None, setting=setting)
 
 
-def _is_exact(table: Measurements, body: Manipulator) -> bool:
+def _is_exact(table: Measurements, body: Manipulator, setting: BenchSetting) -> bool:
     """Whether a history of these rows has an exact answer: one tendon without loads."""
     loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
-    return body.num_tendons == 1 and not loaded
+    return body.num_tendons == 1 and not loaded and setting.loads is None
 
 
 @kept_program

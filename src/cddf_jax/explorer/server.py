@@ -13,7 +13,7 @@ from panel.io.server import get_server
 
 from ..errors import InputError
 from ..files.cross_sections import SectionColumn
-from ..files.manipulator_file import read_manipulator
+from ..files.manipulator_file import RobotFile, read_robot_file
 from ..measurements.table import Measurements
 from ..measurements.trials import read_tables
 from ..progress import stage
@@ -106,8 +106,8 @@ class Page:
     def _read_robot(self) -> PageContent:
         """A manipulator without a table of cross-sections: a file from a browser has no files beside it."""
         name = str(self.robot_file.filename)
-        manipulator = _read(lambda paths: read_manipulator(paths[0]), {name: self.robot_file.value})
-        exploration = replace(self.content.exploration, manipulator=manipulator)
+        read = _read(lambda paths: read_robot_file(paths[0]), {name: self.robot_file.value})
+        exploration = replace(self.content.exploration, manipulator=read.manipulator, gravity=read.gravity)
         return replace(self.content, exploration=exploration, source=name, columns=())
 
     def _read_data(self) -> PageContent:
@@ -151,10 +151,9 @@ def _read(reader: Callable[[list[Path]], T], files: Mapping[str, bytes]) -> T:
 
 
 def serve(
-    manipulator: Manipulator,
+    robot: RobotFile,
     tables: Sequence[Measurements],
     source: str,
-    columns: Sequence[SectionColumn] = (),
     *,
     port: int = 0,
     browser: bool = True,
@@ -163,22 +162,21 @@ def serve(
     """Serve the page on this machine alone until Ctrl-C.
 
     Args:
-        manipulator: the body.
+        robot: the body, its gravity and its table of cross-sections.
         tables: measurements on it.
-        source: the origin of the manipulator, in words for the page.
-        columns: of its table of cross-sections, of `section_columns`; none where it has none.
+        source: the origin of the robot, in words for the page.
         port: 0 for a free one.
         browser: whether to open it.
         say: called with a line that has the address, once the page is ready.
 
     Raises:
-        InputError: for a table that does not fit the manipulator, or a port that is not available.
+        InputError: for a table or a gravity that does not fit the manipulator, or a port that is not available.
     """
-    exploration = Exploration(manipulator, tuple(tables))
+    exploration = Exploration(robot.manipulator, tuple(tables), robot.gravity)
     pn.extension(respect_explicit_sizing=True)
     with Threads() as threads:
         with stage("preparing the page"):
-            content = PageContent(exploration, source, tuple(columns), threads)
+            content = PageContent(exploration, source, robot.columns, threads)
         try:
             server = get_server(lambda: Page(content).layout, port=port, address=ADDRESS, title=TITLE)
         except OSError as error:

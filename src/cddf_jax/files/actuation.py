@@ -128,18 +128,27 @@ def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulat
 
 
 def read_loads(
-    tip_force: str | None, tip_moment: str | None, gravity: str | None, *, called: Callable[[str], str] = as_option
+    tip_force: str | None,
+    tip_moment: str | None,
+    gravity: str | None,
+    mounted: tuple[float, ...] | None = None,
+    *,
+    called: Callable[[str], str] = as_option,
 ) -> Loads | None:
-    """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where no text is given.
+    """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where there are none.
 
-    In space each has three components, "0, -5, 1 N", the moment as well. `called` is as in `read_actuation`.
+    In space each has three components, "0, -5, 1 N", the moment as well. `mounted` is the gravity of the robot file,
+    m/s^2: it acts where no text gives gravity, and a text of zeros switches it off. `called` is as in `read_actuation`.
     """
-    if tip_force is None and tip_moment is None and gravity is None:
+    own = mounted if gravity is None else vector(gravity, "acceleration", called("gravity"))
+    if mounted is not None and not any(own or ()):
+        own = None
+    if tip_force is None and tip_moment is None and own is None:
         return None
     return Loads(
         (0.0, 0.0) if tip_force is None else vector(tip_force, "force", called("tip_force")),
         0.0 if tip_moment is None else _moment(tip_moment, called("tip_moment")),
-        (0.0, 0.0) if gravity is None else vector(gravity, "acceleration", called("gravity")),
+        (0.0, 0.0) if own is None else own,
     )
 
 

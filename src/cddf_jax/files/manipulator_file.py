@@ -13,6 +13,7 @@
     offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
     mass_per_length = "0.12 kg/m"        # optional: mass besides density, such as many discs or cables
     stiffness_factor = 0.93              # optional, 1 unless given: multiplies all stiffnesses, as a fit finds it
+    gravity = ["0 m/s^2", "-9.81 m/s^2"] # optional, none unless given: how the base is mounted against it; see below
 
     [[tendons]]                          # one such table per tendon
     offset = "10 mm"
@@ -40,6 +41,11 @@ A body is in space where a tendon has an angle around the axis, which is a profi
     angle = "120 deg"                    # "deg", "rad" or "turn"; a helix is { base = "0 deg", tip = "1 turn" }
 
 The angle counts from Y towards Z. Gravity and other loads are vectors in this frame at the base, however it is mounted.
+
+`gravity` has two components (X, Y), or three (X, Y, Z), with which a body is solved in space. X runs along the straight
+body from its base. So a body that hangs has `["9.81 m/s^2", "0 m/s^2"]`, one that stands `["-9.81 m/s^2", "0 m/s^2"]`.
+The body needs a mass. Every command takes this gravity unless `--gravity`, or the key `gravity` of a load case, gives
+another; zeros there switch it off. In Python it is an argument: `cddf.Loads(gravity=read_robot_file(path).gravity)`.
 
 Where E I is known, bending_stiffness = "0.02 N m^2" stands in place of youngs_modulus; both radii may then be left out.
 In space torsional_stiffness (N m^2) stands beside it, and where the axis is extensible axial_stiffness and
@@ -69,6 +75,7 @@ What is written reads back to the last bit, in float64.
 import dataclasses
 import os
 import tomllib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -97,37 +104,56 @@ _TENDON_PROFILES = ("offset", "angle")
 _TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "drag")
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
 _SWITCHES = ("extensible", "offsets_outside_wall")
-_OTHERS = ("kinematics", "rest_curvature", *_SWITCHES, "name", "description", "point_mass", "cross_sections")
+_OTHERS = ("kinematics", "rest_curvature", "gravity", *_SWITCHES, "name", "description", "point_mass", "cross_sections")
 _UNLESS_GIVEN = {"free_length": 0.0, "poissons_ratio": 0.5}  # defaults, which are not written
 _STRAINS = ("twist", "about y", "about z")
 _SECTIONS = "cross_sections"
 
 
 class RobotFile(NamedTuple):
-    """The content of a robot file."""
+    """The content of a robot file.
+
+    Attributes:
+        manipulator: the body, validated.
+        columns: of its table of cross-sections, as they were read; none without a table.
+        offsets_outside_wall: whether tendons may run in the bore or outside the body.
+        gravity: (X, Y) or (X, Y, Z) in the frame at the base, m/s^2, as `Loads` takes it; None where the file has none.
+    """
 
     manipulator: Manipulator
-    columns: tuple[SectionColumn, ...]  # of its table of cross-sections, as they were read; none without a table
-    offsets_outside_wall: bool  # whether tendons may run in the bore or outside the body
+    columns: tuple[SectionColumn, ...]
+    offsets_outside_wall: bool
+    gravity: tuple[float, ...] | None = None
 
 
 def read_manipulator(path: str | os.PathLike[str]) -> Manipulator:
     """The manipulator in a TOML file, validated; the module's text shows the format.
 
+    A manipulator holds no gravity. If the file has some, a `UserWarning` says so; `read_robot_file` returns both.
+
     Raises:
         InputError: names the file, the key, the value and the remedy.
     """
-    return read_robot_file(path).manipulator
+    read = read_robot_file(path)
+    if read.gravity is not None:
+        remedy = "take both from read_robot_file, and give Loads(gravity=...) to solve"
+        warnings.warn(f"{path}: its gravity is no part of a Manipulator; {remedy}", UserWarning, stacklevel=2)
+    return read.manipulator
 
 
 def read_robot_file(path: str | os.PathLike[str]) -> RobotFile:
-    """As `read_manipulator`, with everything else in the file."""
+    """As `read_manipulator`, with everything else in the file: how the base is mounted against gravity, and more.
+
+    Raises:
+        InputError: as `read_manipulator`.
+    """
     with within(path, ValueError):
         table = read_toml(path, 'length = "140 mm"')
         outside, _ = (_switch(table, key) for key in ("offsets_outside_wall", "extensible"))
         _check_top(table)
         sections, columns = _read_sections(table, Path(path).parent) if _SECTIONS in table else (_sections(table), ())
-        return RobotFile(_manipulator(table, sections).validate(offsets_outside_wall=outside), columns, outside)
+        manipulator = _manipulator(table, sections).validate(offsets_outside_wall=outside)
+        return RobotFile(manipulator, columns, outside, _gravity(table["gravity"]) if "gravity" in table else None)
 
 
 def read_toml(path: str | os.PathLike[str], example: str) -> dict[str, Any]:
@@ -143,7 +169,11 @@ def read_toml(path: str | os.PathLike[str], example: str) -> dict[str, Any]:
 
 
 def write_manipulator(
-    manipulator: Manipulator, path: str | os.PathLike[str], *, offsets_outside_wall: bool = False
+    manipulator: Manipulator,
+    path: str | os.PathLike[str],
+    *,
+    offsets_outside_wall: bool = False,
+    gravity: Sequence[float] | None = None,
 ) -> None:
     """Write a manipulator as TOML, complete or not at all.
 
@@ -151,10 +181,11 @@ def write_manipulator(
         manipulator: its profiles must be those of this package.
         path: the file, replaced if there is one.
         offsets_outside_wall: allow tendons in the bore or outside the body, and say so in the file.
+        gravity: (X, Y) or (X, Y, Z) in the frame at the base, m/s^2, of `read_robot_file`; None leaves it out.
 
     Raises:
-        InputError: for a manipulator that `validate` refuses, a profile of another kind, or a file
-            that cannot be written.
+        InputError: for a manipulator that `validate` refuses, a profile of another kind, a gravity of another number of
+            components or one that is not finite, or a file that cannot be written.
         TypeError: for anything but a manipulator and a path, in this order.
     """
     if not isinstance(manipulator, Manipulator) or not isinstance(path, str | os.PathLike):
@@ -162,11 +193,13 @@ def write_manipulator(
             "write_manipulator needs a Manipulator and a path, in this order, "
             f"got {type(manipulator).__name__} and {type(path).__name__}"
         )
-    text, path = manipulator_text(manipulator, offsets_outside_wall=offsets_outside_wall), Path(path)
-    write_all(path.parent, {path.name: text})
+    text = manipulator_text(manipulator, offsets_outside_wall=offsets_outside_wall, gravity=gravity)
+    write_all(Path(path).parent, {Path(path).name: text})
 
 
-def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = False) -> str:
+def manipulator_text(
+    manipulator: Manipulator, *, offsets_outside_wall: bool = False, gravity: Sequence[float] | None = None
+) -> str:
     """The text that `write_manipulator` writes."""
     import tomli_w
 
@@ -174,6 +207,9 @@ def manipulator_text(manipulator: Manipulator, *, offsets_outside_wall: bool = F
     table = _table(manipulator)
     if offsets_outside_wall:
         table["offsets_outside_wall"] = True
+    if gravity is not None:
+        table["gravity"] = [number_text(component, "acceleration") for component in gravity]
+        _gravity(table["gravity"])  # what is written can be read
     return tomli_w.dumps(table)
 
 
@@ -198,6 +234,14 @@ def _manipulator(table: _Table, sections: dict[str, Any]) -> Manipulator:
         extensible=_switch(table, "extensible"),
         rest_curvature=_rest_curvature(table["rest_curvature"], length) if "rest_curvature" in table else None,
     )
+
+
+def _gravity(value: object) -> tuple[float, ...]:
+    """The acceleration of gravity in the frame at the base, m/s^2."""
+    if not isinstance(value, list) or len(value) not in (2, 3):
+        remedy = 'write ["0 m/s^2", "-9.81 m/s^2"], or three in space'
+        raise InputError(f"gravity holds two components X, Y, or three in space, got {value!r}; {remedy}")
+    return tuple(quantity(part, "acceleration", f"gravity {axis}") for part, axis in zip(value, "XYZ", strict=False))
 
 
 def _switch(table: _Table, key: str) -> bool:

@@ -17,7 +17,7 @@ from jaxtyping import Array, ArrayLike, Float
 from ..errors import InputError
 from ..measurements.markers import Marker
 from ..quantities import dimension_of
-from ..robot.loads import Loads
+from ..robot.loads import Loads, loads_as_dict
 from ..robot.manipulator import Manipulator, in_space as body_in_space
 from ..robot.profiles import shifted
 from ..units import Dimension, shown, si_unit
@@ -187,7 +187,7 @@ class BenchSetting:
 
     def as_dict(self) -> dict[str, object]:
         """For `json`; loads in SI units."""
-        loads = None if self.loads is None else {name: np.asarray(value) for name, value in vars(self.loads).items()}
+        loads = None if self.loads is None else loads_as_dict(self.loads)
         markers = {name: marker._asdict() for name, marker in self.markers.items()}
         return {"loads": loads, "markers": markers, "given": dict(self.given)}
 

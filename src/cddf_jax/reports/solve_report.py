@@ -7,7 +7,7 @@ from jaxtyping import ArrayLike
 
 from ..files.writing import picked
 from ..quantities import dimension_of
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads, loads_as_dict, loads_in_space
 from ..statics.contact import self_contact
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
@@ -27,7 +27,7 @@ def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | N
     elif any(isinstance(entry, Target) for entry in actuation):
         answer["targets"] = [_target_as_dict(entry) if isinstance(entry, Target) else None for entry in actuation]
     if loads is not None:
-        answer["loads"] = picked(loads, ("tip_force", "tip_moment", "gravity"))
+        answer["loads"] = loads_as_dict(loads)
     answer["self_contact"] = self_contact(equilibrium)
     every = IN_SPACE if equilibrium.in_space else OUTPUTS
     known = [name for name in every if equilibrium.has_wall or not name.startswith("peak_strain")]

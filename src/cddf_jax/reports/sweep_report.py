@@ -17,6 +17,7 @@ from ..batch.store import ZarrStore
 from ..batch.work import COPIES
 from ..errors import InputError
 from ..progress import stage
+from ..robot.loads import loads_as_dict
 from ..statics.equilibrium import RESULTS
 from ..statics.targets import Target
 from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
@@ -101,6 +102,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Jso
         "seconds": seconds,
         "axes": _axes(work),
         **_results_and_ranges(work, answer),
+        **({} if work.loads is None else {"loads": loads_as_dict(work.loads)}),
         "options": {name: str(value) if isinstance(value, Path) else value for name, value in options.items()},
         "identity": work.identity,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},

@@ -13,7 +13,7 @@ from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
 from ..programs.evaluated import evaluated
 from ..progress import stage
-from ..robot.loads import Loads
+from ..robot.loads import Loads, loads_as_dict
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULT_NAMES, RESULTS, code_of, result_of
 from ..statics.targets import Displacement, TipAngle
@@ -39,6 +39,7 @@ class TracedPath(NamedTuple):
     history: History
     steps: list[int]  # steps of the history, from 0, that belong to the path
     numbers: dict[str, np.ndarray]  # of the whole history by name, step first
+    loads: Loads | None
 
     @property
     def states(self) -> dict[str, np.ndarray]:
@@ -92,7 +93,7 @@ def traced(
             given = columns if "length" in driven else values
             history = trace(manipulator, given, loads, nodes=nodes, short_steps=short_steps, throw=False)
         _check(history, steps, values, driven)
-        return TracedPath(manipulator, history, steps.tolist(), history_numbers(history))
+        return TracedPath(manipulator, history, steps.tolist(), history_numbers(history), loads)
 
 
 def _with_points_between(path: np.ndarray, start: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -138,10 +139,11 @@ def cycles(states: dict[str, np.ndarray]) -> list[Cycle]:
 
 
 def trace_as_dict(found: TracedPath) -> dict[str, object]:
-    """The states after the steps of a path and its closed cycles, SI units, for JSON."""
+    """The states after the steps of a path, its closed cycles and its loads, SI units, for JSON."""
     results = [RESULT_NAMES[code] for code in np.asarray(code_of(found.history.result))[found.steps]]
     steps = np.arange(1, len(found.steps) + 1)
-    return {"steps": steps, "results": results, **found.states, "cycles": cycles(found.states)}
+    loads = {} if found.loads is None else {"loads": loads_as_dict(found.loads)}
+    return {"steps": steps, "results": results, **found.states, "cycles": cycles(found.states), **loads}
 
 
 def trace_in_words(found: TracedPath) -> str:

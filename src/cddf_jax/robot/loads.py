@@ -52,6 +52,16 @@ class Loads(eqx.Module):
         return any(shape[-1] == 3 for shape in vectors) or (np.shape(self.tip_moment) == (3,) and not along_path)
 
 
+def loads_as_dict(loads: Loads) -> dict[str, object]:
+    """For JSON; SI units."""
+    return {name: np.asarray(value) for name, value in vars(loads).items()}
+
+
+def gravity_in_words(gravity: object) -> str:
+    """ "gravity (0, -9.81) m/s^2"."""
+    return f"gravity ({', '.join(f'{x:.5g}' for x in np.asarray(gravity))}) m/s^2"
+
+
 def loads_in_space(loads: Loads) -> Loads:
     """The same loads with three components each."""
 
