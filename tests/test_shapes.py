@@ -14,7 +14,17 @@ CALLS = ROOT / "tests" / "typed_calls.py"
 
 def test_every_public_name_is_called():
     """Classes that only come back as results are made by the functions that are called."""
-    results = {"Bootstrap", "Candidate", "Comparison", "Contact", "Design", "Determination", "EnergyBalance", "Plan"}
+    results = {
+        "Bootstrap",
+        "Candidate",
+        "Comparison",
+        "Contact",
+        "Design",
+        "Determination",
+        "EnergyBalance",
+        "Plan",
+        "RobotFile",
+    }
     results |= {"Equilibrium", "Fields", "Fit", "InputError", "IterationHistory", "LeastSquaresFit", "Measurements"}
     results |= {
         "ModelFreeFriction",

@@ -86,6 +86,8 @@ def sweeping():
 def files():
     cddf.write_manipulator(stepped, OUT / "robot.toml")
     cddf.read_manipulator(OUT / "robot.toml")
+    cddf.write_manipulator(stepped, OUT / "hanging.toml", gravity=(9.81, 0.0))
+    assert cddf.read_robot_file(OUT / "hanging.toml").gravity == (9.81, 0.0)
     body = OUT / "body.csv"
     body.write_text("arc_length [mm], outer_radius [mm], inner_radius [mm], offset_1 [mm]\n0,20,7,10\n140,13,7,10\n")
     cddf.read_cross_sections(body)

@@ -166,6 +166,31 @@ def test_loads_in_space():
 
 
 @pytest.mark.parametrize(
+    ("texts", "mounted", "force", "gravity"),
+    [
+        ((None, None, None), (0.0, -9.81), [0.0, 0.0], [0.0, -9.81]),
+        (("0, -5 N", None, None), (0.0, -9.81), [0.0, -5.0], [0.0, -9.81]),
+        (("0, -5 N", None, None), (9.81, 0.0, 0.0), [0.0, -5.0], [9.81, 0.0, 0.0]),
+        ((None, None, "1, 2 m/s^2"), (9.81, 0.0, 0.0), [0.0, 0.0], [1.0, 2.0]),
+        (("0, -5 N", None, "0, 0 m/s^2"), (0.0, -9.81), [0.0, -5.0], [0.0, 0.0]),
+    ],
+)
+def test_gravity_of_the_robot_file_acts_where_the_text_gives_none(texts, mounted, force, gravity):
+    loads = read_loads(*texts, mounted)
+    assert loads is not None
+    assert np.asarray(loads.tip_force).tolist() == force
+    assert np.asarray(loads.gravity).tolist() == gravity
+
+
+def test_zeros_switch_the_gravity_of_the_robot_file_off():
+    assert read_loads(None, None, "0, 0 m/s^2", (0.0, -9.81)) is None
+    assert read_loads(None, None, "0, 0, 0 m/s^2", (0.0, -9.81)) is None
+    assert read_loads(None, None, None, (0.0, 0.0)) is None
+    assert read_loads(None, None, None, None) is None
+    assert read_loads(None, None, "0, 0 m/s^2") is not None  # as it always was: the text alone gives loads of zero
+
+
+@pytest.mark.parametrize(
     ("option", "text", "message"),
     [
         (
@@ -213,21 +238,20 @@ def test_priors_noise_and_bounds():
 
 
 def of_marker(texts):
-    return read_setting(None, None, None, texts, None)
+    return read_setting(None, texts, None)
 
 
 def of_given(texts):
-    return read_setting(None, None, None, None, texts)
+    return read_setting(None, None, texts)
 
 
 def test_the_setting_of_a_bench():
-    setting = read_setting(
-        None, None, "0, -9.81 m/s^2", ["head=1, 11 mm at 8 cm"], ["camera_turn_z=90 deg", "tip_gain_2=1.03"]
-    )
-    np.testing.assert_allclose(setting.loads.gravity, [0.0, -9.81])
+    loads = cddf.Loads(gravity=(0.0, -9.81))
+    setting = read_setting(loads, ["head=1, 11 mm at 8 cm"], ["camera_turn_z=90 deg", "tip_gain_2=1.03"])
+    assert setting.loads is loads
     assert setting.markers == {"head": cddf.Marker(0.08, (0.001, 0.011))}
     assert setting.given == {"camera_turn_z": np.pi / 2, "tip_gain_2": 1.03}
-    assert read_setting(None, None, None, None, None) == cddf.BenchSetting()
+    assert read_setting(None, None, None) == cddf.BenchSetting()
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from cddf_jax.explorer.model import Exploration
 from cddf_jax.explorer.space import SpacePlot, body_rows, floor_rows, load_rows, tendon_rows
 from cddf_jax.explorer.words import numbers_html
 from cddf_jax.figures.geometry import Drawn, SpatialBody, stations
+from cddf_jax.files.manipulator_file import read_robot_file
 from cddf_jax.measurements.table import Measurements
 
 THREE = DATA / "three_tendons_made_up.toml"
@@ -60,6 +61,48 @@ def test_loads_of_three_components_reach_the_solver(three):
     np.testing.assert_array_equal(loads.tip_moment, [0.03, 0.0, 0.0])
     np.testing.assert_array_equal(loads.gravity, [0.0, -9.81, 0.0])
     assert three.case(three.start).loads is None
+
+
+def test_gravity_of_the_file_is_where_its_sliders_start(three):
+    hanging = replace(three, gravity=(0.0, 12.5))
+    np.testing.assert_array_equal(hanging.case(hanging.start).loads.gravity, [0.0, 12.5, 0.0])
+    (slider,) = (control for control in hanging.controls if control.name == "gravity.1")
+    assert (slider.value, slider.low, slider.high) == (12.5, -12.5, 12.5)
+    assert hanging.setting.loads.gravity.tolist() == [0.0, 12.5]
+    assert replace(three, gravity=(0.0, 0.0)).case(three.start).loads is None
+
+
+def test_a_saved_body_keeps_the_gravity_that_is_set(three, tmp_path):
+    path = tmp_path / "body.toml"
+    hanging = replace(three, gravity=(9.81, 0.0, 0.0))
+    turned = hanging.start._replace(numbers={**hanging.start.numbers, "gravity.0": 0.0, "gravity.2": -9.81})
+    still = hanging.start._replace(numbers={**hanging.start.numbers, "gravity.0": 0.0, "tip_force.1": 0.1})
+    for settings, gravity in ((hanging.start, (9.81, 0.0, 0.0)), (turned, (0.0, 0.0, -9.81)), (still, None)):
+        path.write_text(hanging.toml(hanging.case(settings)))
+        assert read_robot_file(path).gravity == gravity
+
+
+def test_a_gravity_that_does_not_fit_the_body_is_refused():
+    where = "^gravity of the robot file: "
+    with pytest.raises(cddf.InputError, match=where + "loads.gravity: the body has no weight, since its density is 0"):
+        Exploration(paper_body("exact"), gravity=(0.0, -9.81))
+    with pytest.raises(
+        cddf.InputError, match=where + "it has three components, but the body is in the plane; give two"
+    ):
+        Exploration(paper_body("exact", density=1070.0), gravity=(0.0, -9.81, 0.0))
+
+
+def test_tables_were_measured_under_the_gravity_of_the_file(monkeypatch):
+    """The fit is told so; and rows of one tendon under gravity have no exact history, nor one curve."""
+    table = Measurements.from_columns("up", base_tension=[10.0, 20.0], tip_angle=[0.1, 0.2], step=[1, 2])
+    explored = Exploration(replace(turned(0.0), density=1070.0), (table,))
+    assert explored.not_followed == []
+    hanging = replace(explored, gravity=(9.81, 0.0, 0.0))
+    assert hanging.not_followed == [table]
+    told = []
+    monkeypatch.setattr("cddf_jax.explorer.model.fit", lambda *_, setting: told.append(setting))
+    hanging.fit("exact")
+    assert [setting.loads.gravity.tolist() for setting in told] == [[9.81, 0.0, 0.0]]
 
 
 @pytest.mark.slow

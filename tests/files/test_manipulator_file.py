@@ -12,7 +12,7 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.files.manipulator_file import read_manipulator, write_manipulator
+from cddf_jax.files.manipulator_file import read_manipulator, read_robot_file, write_manipulator
 
 PAPER = DATA / "smooth_sil_940.toml"
 TEXT = """
@@ -131,6 +131,12 @@ CASES = [
     ('"10 mm"', '"5 mm"', "tendon 1: offset must lie inside the wall: at s = 0 mm it is 5 mm"),
     ("length =", 'kinematics = "best"\nlength =', "kinematics must be one of ('published', 'exact'), got 'best'"),
     ("length =", 'offsets_outside_wall = "yes"\nlength =', "offsets_outside_wall must be true or false, got 'yes'"),
+    ("length =", 'gravity = ["9.81 m/s^2"]\nlength =', "gravity holds two components X, Y, or three in space, got ["),
+    ("length =", 'gravity = ["0 m/s^2", "0 m/s^2", "0 m/s^2", "1 m/s^2"]\nlength =', "gravity holds two components"),
+    ("length =", 'gravity = "0, -9.81 m/s^2"\nlength =', "-9.81 m/s^2'; write [\"0 m/s^2\", \"-9.81 m/s^2\"], or"),
+    ("length =", 'gravity = ["0 m/s^2", "-9.81 m"]\nlength =', "gravity Y needs a unit of acceleration, got '-9.81 m'"),
+    ("length =", 'gravity = ["0 m/s^2", -9.81]\nlength =', "gravity Y needs a unit of acceleration, got -9.81; write"),
+    ("length =", 'gravity = ["nan m/s^2", "0 m/s^2"]\nlength =', "gravity X must be finite, got 'nan m/s^2'; write"),
     ('"140 mm"', "140 mm", "(at line 2, column 14); quantities are quoted, as in length = \"140 mm\""),
 ]  # fmt: skip
 
@@ -143,6 +149,43 @@ def test_bad_files_are_refused(tmp_path, old, new, message):
     assert message in str(error.value)
     assert str(error.value).startswith(f"{tmp_path / 'body.toml'}: {'is not TOML: ' if new == '140 mm' else ''}")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("written", "gravity"),
+    [
+        ('["0 m/s^2", "-981 cm/s^2"]', (0.0, -9.81)),
+        ('["9.81 m/s^2", "0 m/s^2", "0.5 m/s^2"]', (9.81, 0.0, 0.5)),
+        ('["0 m/s^2", "0 m/s^2"]', (0.0, 0.0)),
+    ],
+)
+def test_gravity_is_read_beside_the_manipulator(tmp_path, written, gravity):
+    path = tmp_path / "body.toml"
+    path.write_text(f"gravity = {written}\n{TEXT}")
+    read = read_robot_file(path)
+    assert read.gravity == gravity
+    with pytest.warns(
+        UserWarning, match=r"body.toml: its gravity is no part of a Manipulator; .* read_robot_file"
+    ) as said:
+        assert_identical(read_manipulator(path), read.manipulator)
+    assert said[0].filename == __file__
+    path.write_text(TEXT)
+    assert read_robot_file(path).gravity is None
+    assert_identical(read_manipulator(path), read.manipulator)
+
+
+@given(gravity=st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=3))
+def test_gravity_reads_back_to_the_last_bit(tmp_path_factory, gravity):
+    path = tmp_path_factory.mktemp("gravity") / "body.toml"
+    write_manipulator(paper_body(), path, gravity=gravity)
+    assert read_robot_file(path).gravity == tuple(gravity)
+
+
+@pytest.mark.parametrize("gravity", [(9.81,), (0.0, 0.0, 0.0, 9.81), (0.0, np.nan), (0.0, np.inf)])
+def test_a_gravity_that_could_not_be_read_is_not_written(tmp_path, gravity):
+    with pytest.raises(InputError, match=r"^gravity "):
+        write_manipulator(paper_body(), tmp_path / "body.toml", gravity=gravity)
+    assert not list(tmp_path.iterdir())
 
 
 def test_files_that_cannot_be_read(tmp_path):

@@ -101,7 +101,7 @@ def fit(
         read_priors(prior),
         bounds=read_bounds(bound),
         noise=read_noise(noise),
-        setting=read_setting(options.read_loads(read, tip_force, tip_moment, gravity), marker, given),
+        setting=read_setting(options.loads_of(read, tip_force, tip_moment, gravity), marker, given),
         history=history,
         before=read_before(before),
         short_steps=short_steps,

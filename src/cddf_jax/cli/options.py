@@ -145,9 +145,7 @@ def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[
         return read._replace(manipulator=replace(read.manipulator, kinematics=kinematics))
 
 
-def read_loads(
-    robot: "RobotFile", tip_force: str | None, tip_moment: str | None, gravity: str | None
-) -> "Loads | None":
+def loads_of(robot: "RobotFile", tip_force: str | None, tip_moment: str | None, gravity: str | None) -> "Loads | None":
     """The loads of the options; without `--gravity` that of the robot's file, which is noted on standard error."""
     from ..files.actuation import read_loads
     from ..robot.loads import gravity_in_words

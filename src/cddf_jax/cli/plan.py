@@ -58,7 +58,7 @@ def plan(
     largest = quantity(tension, "force", "--tension")
     if not largest > 0:
         raise InputError(f"--tension {tension}: give a tension above 0 N")
-    setting = read_setting(options.read_loads(read, tip_force, tip_moment, gravity), marker, given)
+    setting = read_setting(options.loads_of(read, tip_force, tip_moment, gravity), marker, given)
     choices = standard_candidates(manipulator, largest, setting) if candidates is None else read_candidates(candidates)
     tables = options.read_data(data, column, holds_averaged=average_holds)
     known = fit(manipulator, tables, names, setting=setting, history=history) if tables else manipulator

@@ -48,7 +48,7 @@ def solve(
         from ..statics.solve import solve
 
     actuation = read_actuation(base_tension, manipulator)
-    loads = options.read_loads(read, tip_force, tip_moment, gravity)
+    loads = options.loads_of(read, tip_force, tip_moment, gravity)
     directions = read_directions(direction, manipulator)
     with stage("solving"), within(robot, ValueError):
         equilibrium = on_host(solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False))

@@ -183,7 +183,7 @@ def sweep(
         sampler,
         seed,
         base_tension or [],
-        loads=options.read_loads(read, tip_force, tip_moment, gravity),
+        loads=options.loads_of(read, tip_force, tip_moment, gravity),
         history=history_axis or history,
         short_steps=short_steps,
         direction=read_directions(direction, read.manipulator),

@@ -78,7 +78,7 @@ def trace(
         from ..reports import trace_report
         from ..units import series
 
-    loads, count = options.read_loads(read, tip_force, tip_moment, gravity), manipulator.num_tendons
+    loads, count = options.loads_of(read, tip_force, tip_moment, gravity), manipulator.num_tendons
     paths, driven = read_paths(path, noise, count)
     largest = None
     if before is not None:
