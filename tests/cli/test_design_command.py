@@ -241,8 +241,9 @@ def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch)
 def test_the_examples_can_be_read(name, monkeypatch):
     """The fit of the robust one is in `make test-slow`: here its answer is given."""
 
-    def given(body, tables):
+    def given(body, tables, setting):
         assert len(tables) > 1
+        assert setting.loads is None
         names = ("friction_coefficient", "youngs_modulus")
         value, status = dict(zip(names, (0.42, 1.4e6), strict=True)), dict.fromkeys(names, IDENTIFIED)
         return SimpleNamespace(names=names, value=value, status=status, covariance=np.diag([1e-4, 1e8]))

@@ -138,6 +138,21 @@ def test_every_case_of_a_design_takes_it_unless_it_has_its_own(task):
     assert task.read_as == ("gravity (0, -9.81) m/s^2, of the robot file, in every case without a gravity of its own",)
 
 
+def test_the_data_of_uncertain_numbers_were_measured_under_it(mounted, monkeypatch):
+    told = []
+
+    def stop(body, tables, *, setting):
+        told.append(np.asarray(setting.loads.gravity).tolist())
+        raise InputError("far enough")
+
+    monkeypatch.setattr("cddf_jax.identification.fit.fit", stop)
+    path = mounted.with_name("uncertain.toml")
+    path.write_text(f'{TASK}[uncertain]\ndata = ["{DATA / "load_cells_simulated.csv"}"]\n')
+    with pytest.raises(InputError, match="far enough"):
+        read_task(path)
+    assert told == [list(DOWN)]
+
+
 @pytest.mark.slow
 def test_the_file_of_a_design_keeps_it(task, tmp_path):
     run_design(task, tmp_path)
