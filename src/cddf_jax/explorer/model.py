@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,15 +12,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..errors import InputError, within
-from ..figures.geometry import lines_along, stations
+from ..figures.geometry import stations
 from ..files.manipulator_file import manipulator_text
-from ..identification.bench import Bench, Pulley, experiment_of
-from ..identification.course import Shown, course_of, has_history
-from ..identification.fit import Fit, fit
 from ..identification.parameters import BenchSetting
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
-from ..mechanics.fields import AnyFields, SpatialFields
+from ..mechanics.fields import AnyFields
 from ..programs.kept import kept_program
 from ..robot.cross_section import Kinematics
 from ..robot.loads import Loads
@@ -28,15 +25,16 @@ from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, of_tendon
 from ..robot.reshape import tapered
 from ..robot.validation import check_weight
-from ..statics.equilibrium import RESULTS, Equilibrium, ended_as
-from ..statics.equilibrium_text import result_in_words, wall_remarks
+from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..statics.targets import TipAngle
+from .answers import Curve, Picture, Taper, where_good
 from .controls import FITTED, RADII, Control, controls_of, in_si, load_components, tensions_and_loads
 
-GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
+if TYPE_CHECKING:
+    from ..identification.fit import Fit
+
 NUM_PULLS = 17  # on the curve over the base tension
-NODES = 16  # of the solves in the rows of tables, as `fit` has them
 
 
 class Settings(NamedTuple):
@@ -45,54 +43,6 @@ class Settings(NamedTuple):
     numbers: Mapping[str, float]
     direction: tuple[int | None, ...]  # None where it is found from the travel of the tendon
     kinematics: Kinematics
-
-
-class Picture(NamedTuple):
-    """An equilibrium and its fields along a grid of arc lengths; NumPy, SI."""
-
-    case: Case
-    equilibrium: Equilibrium
-    along: AnyFields
-    peak_strain: np.ndarray  # of the wall, a fraction
-
-    @property
-    def good(self) -> bool:
-        """Whether there is something to show; other results have no numbers, or doubtful ones."""
-        return ended_as(self.equilibrium, *GOOD)
-
-    @property
-    def message(self) -> str:
-        """The message of the result, as `solve` gives it, and remarks; empty if it is successful."""
-        return " ".join([text for text in (result_in_words(self.equilibrium), *wall_remarks(self.equilibrium)) if text])
-
-    @property
-    def peak_curvature(self) -> float:
-        """The largest |kappa|, 1/m; in space of bending alone, without twist."""
-        return float(np.max(lines_along(self.case.manipulator, self.along, "bending")))
-
-    @property
-    def peak_twist(self) -> float | None:
-        """The largest size of the twist, 1/m; None in the plane."""
-        return float(np.max(np.abs(self.along.twist))) if isinstance(self.along, SpatialFields) else None
-
-
-class Curve(NamedTuple):
-    """The answer over the base tension of one tendon, with everything else as set; NaN where no solve is good. SI."""
-
-    tendon: int  # from 0
-    base_tension: np.ndarray
-    tip_tension: np.ndarray
-    tip_angle: np.ndarray
-
-
-class Taper(NamedTuple):
-    """The results for one taper of the body, SI; NaN where a solve is not good."""
-
-    tension_loss: float  # of tendon 1 at the tensions that are set
-    tip_angle: float
-    peak_strain: float
-    base_tension: float  # of tendon 1 at which the tip has the angle that is asked for
-    strain_there: float
 
 
 @dataclass(frozen=True)
@@ -116,8 +66,11 @@ class Exploration:
                 raise InputError(
                     "it has three components, but the body is in the plane; give two, or angles of tendons"
                 )
-        for table in self.tables:
-            experiment_of(table, self.manipulator, setting=self.setting)
+        if self.tables:
+            from ..identification.bench import experiment_of
+
+            for table in self.tables:
+                experiment_of(table, self.manipulator, setting=self.setting)
 
     @cached_property
     def setting(self) -> BenchSetting:
@@ -195,16 +148,20 @@ class Exploration:
         They have several tendons, forces, tendons that slide out, or loops in a known order. A reading is NaN without a
         good solve.
         """
-        followed = [table for table in self.tables if table not in self.not_followed]
-        experiments = ((table, _experiment(table, body, self.setting)) for table in followed)
-        apart = [(table, rows) for table, rows in experiments if isinstance(rows, Bench) and not rows.on_one_curve]
-        return [(table, jax.tree.map(np.asarray, _in_rows(rows, body))) for table, rows in apart]
+        if not self.tables:
+            return []
+        from .measured import readings_in_rows
+
+        return readings_in_rows([t for t in self.tables if t not in self.not_followed], body, self.setting)
 
     @property
     def not_followed(self) -> list[Measurements]:
         """Tables with a history that is not followed: of a body in space with several tendons or loads."""
-        ordered = [table for table in self.tables if self.manipulator.in_space and has_history(table, None)]
-        return [table for table in ordered if not _is_exact(table, self.manipulator, self.setting)]
+        if not self.tables or not self.manipulator.in_space:
+            return []
+        from .measured import can_be_followed
+
+        return [table for table in self.tables if not can_be_followed(table, self.manipulator, self.setting)]
 
     @property
     def notes(self) -> list[str]:
@@ -225,7 +182,7 @@ class Exploration:
         first, second = (Taper(*map(float, _taper(self.case(s), np.float64(angle)))) for s in both)
         return first, second
 
-    def fit(self, kinematics: Kinematics) -> Fit:
+    def fit(self, kinematics: Kinematics) -> "Fit":
         """Friction and modulus from the tables, with the manipulator of the file, on which they were measured.
 
         Raises:
@@ -233,6 +190,8 @@ class Exploration:
         """
         if not self.tables:
             raise InputError("there is nothing to fit; load a table of measurements first")
+        from ..identification.fit import fit
+
         own = [control.name for control in self.controls if control.name in FITTED]
         return fit(replace(self.manipulator, kinematics=kinematics), self.tables, own, setting=self.setting)
 
@@ -267,7 +226,7 @@ def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike
     def at(pull):
         pulled = eqx.tree_at(lambda c: c.base_tension, case, jnp.asarray(case.base_tension).at[tendon].set(pull))
         equilibrium = _solve(pulled)
-        return _where_good(equilibrium, (equilibrium.tip_tension[jnp.asarray(tendon)], equilibrium.tip_angle))
+        return where_good(equilibrium.result, (equilibrium.tip_tension[jnp.asarray(tendon)], equilibrium.tip_angle))
 
     return jax.vmap(at)(pulls)
 
@@ -281,29 +240,4 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     reached = _solve(asked)
     numbers = given.tension_loss[0], given.tip_angle, _peak_strain(given)
     there = reached.base_tension[0], _peak_strain(reached)
-    return *_where_good(given, numbers), *_where_good(reached, there)
-
-
-def _experiment(table: Measurements, body: Manipulator, setting: BenchSetting) -> Pulley | Bench:
-    """A table as an experiment, with a history if the order of its rows is known and can be followed."""
-    ordered = has_history(table, None) and _is_exact(table, body, setting)
-    return experiment_of(table, body, course=course_of(table)[0] if ordered else None, setting=setting)
-
-
-def _is_exact(table: Measurements, body: Manipulator, setting: BenchSetting) -> bool:
-    """Whether a history of these rows has an exact answer: one tendon without loads."""
-    loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
-    return body.num_tendons == 1 and not loaded and setting.loads is None
-
-
-@kept_program
-@eqx.filter_jit
-def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
-    shown = rows.shown(body, {}, NODES)
-    readings = rows.readings(shown, rows.columns, {})
-    return dict(zip(readings, _where_good(shown, tuple(readings.values())), strict=True))
-
-
-def _where_good(equilibrium: Equilibrium | Shown, numbers: tuple) -> tuple:
-    good = (equilibrium.result == GOOD[0]) | (equilibrium.result == GOOD[1])
-    return tuple(jnp.where(good, number, jnp.nan) for number in numbers)
+    return *where_good(given.result, numbers), *where_good(reached.result, there)

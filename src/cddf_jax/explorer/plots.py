@@ -25,8 +25,8 @@ from ..mechanics.fields import in_the_plane
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
+from .answers import Curve, Picture
 from .loop import Loop
-from .model import Curve, Picture
 
 Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know

@@ -6,30 +6,29 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import jax
 import numpy as np
 import panel as pn
 
 from ..errors import InputError, SolveError
-from ..estimation.determination import IDENTIFIED
-from ..identification.fit import Fit
 from ..quantities import QUANTITIES
-from ..reports.export import fields_csv
-from ..reports.fit_report import fit_in_words
-from ..reports.fit_results import make_report
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
+from .answers import Curve, Picture
 from .controls import from_si, rounded
 from .loop import Loop
-from .model import Curve, Exploration, Picture, Settings
+from .model import Exploration, Settings
 from .parts import column, grid, plot, slider, title, words
 from .past_moves import PastMoves
 from .past_part import PastPart
 from .plots import AlongPlots, BodyPlot, TableColumns, TensionPlots
 from .space import SpacePlot
 from .words import lines_html, numbers_html, tapers_html
+
+if TYPE_CHECKING:
+    from ..identification.fit import Fit
 
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 COMPILED: set[tuple[object, int]] = set()  # structures of cases with the number of arc lengths
@@ -137,6 +136,8 @@ class ExplorerView:
         if name == "body.toml":
             return io.BytesIO(self.exploration.toml(case).encode())
         if name == "fields.csv":
+            from ..reports.export import fields_csv
+
             return io.BytesIO(fields_csv(picture.along, self.notes).encode())
         from ..figures.body import equilibrium_figure
         from ..figures.style import render
@@ -291,6 +292,9 @@ class ExplorerView:
         self.threads.fits.submit(self._fit, self.settings.kinematics)
 
     def _fit(self, kinematics: Kinematics) -> None:
+        from ..reports.fit_report import fit_in_words
+        from ..reports.fit_results import make_report
+
         try:
             fitted = self.exploration.fit(kinematics)
             text = fit_in_words(make_report(fitted, with_profiles=False))
@@ -303,7 +307,7 @@ class ExplorerView:
                 logging.getLogger(__name__).exception("explorer")
             self._on_page(self._show_fit, None, str(error))
 
-    def _show_fit(self, fitted: Fit | None, text: str) -> None:
+    def _show_fit(self, fitted: "Fit | None", text: str) -> None:
         self.fitted, self.fit_button.loading = fitted, False
         self.verdict.object = lines_html(text)
         self.take_over.visible = bool(self._identified())
@@ -312,6 +316,8 @@ class ExplorerView:
         """The parameters that the data determine; only these are taken over."""
         if self.fitted is None or not self.fitted.success:
             return []
+        from ..estimation.determination import IDENTIFIED
+
         return [name for name in self.fitted.names if self.fitted.status[name] == IDENTIFIED]
 
     def _take_over(self) -> None:

@@ -6,8 +6,8 @@ from html import escape
 import numpy as np
 
 from ..statics.equilibrium import RESULTS
+from .answers import Picture, Taper
 from .loop import Loop
-from .model import Picture, Taper
 from .plots import tendon_look
 
 DOUBTFUL = (

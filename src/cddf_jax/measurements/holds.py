@@ -5,11 +5,11 @@ trial, is a repeat. Samples of one hold have slow drifts in common; repeats do n
 """
 
 from dataclasses import replace
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
 
 from .columns import ORDER, is_reading
 from .table import Measurements
@@ -23,7 +23,7 @@ MEDIAN_CHANGE = 0.954  # of the size of a change, for noise of standard deviatio
 MOST_STEPS = 0.2  # of the changes; with more steps the median of the changes is not noise
 ONE_WAY = 0.8  # net change over the sum of all changes within holds: where it is larger, the rows are a ramp
 LEAST_CHANGES = 4  # in a hold that can show a ramp
-ALARM = float(ndtri(1 - 1e-3))  # standard deviations of a correlation of independent readings
+ALARM = NormalDist().inv_cdf(1 - 1e-3)  # standard deviations of a correlation of independent readings
 LEAST_PAIRS = 10
 
 
