@@ -73,7 +73,7 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
     if stopped and (found := kink_of(minimum, evidence)):
         stopped, (kink, minimum) = False, found
         evidence = replace(_evidence(task, minimum), kink=kink)
-    determination = determine(evidence)
+    known, determination = evidence, determine(evidence)
     evidence, least_rise, lower = look_along_valleys(minimum, evidence, determination)
     result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
     if task.prefer_start and evidence.open_profile:
@@ -82,7 +82,8 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
         evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
         evidence = replace(evidence, failed=True, bounded_above=())
-    determination = determine(evidence)
+    if evidence is not known:
+        determination = determine(evidence)
     if result == SUCCESSFUL and not are_products(minimum, evidence, determination):
         evidence = replace(evidence, products=False)
         determination = determine(evidence)
@@ -238,8 +239,9 @@ def look_along_valleys(
     near = np.isfinite(space.lower) & (value - half_width <= space.lower) & np.isin(status, (NOT_IDENTIFIED, AT_BOUND))
     near &= np.isfinite(half_width) & (value + half_width < space.upper)
     limited = [i for i in np.flatnonzero(near).tolist() if closes(i, value[i] + half_width[i] * np.array([1.0, 2.0]))]
-    seen = replace(evidence, open_profile=tuple(opened), bounded_above=tuple(limited))
-    return seen, *min(tried, key=lambda place: place[0])
+    if opened or limited:
+        evidence = replace(evidence, open_profile=tuple(opened), bounded_above=tuple(limited))
+    return evidence, *min(tried, key=lambda place: place[0])
 
 
 def closing_rise(reach: Uncertainty) -> np.ndarray:

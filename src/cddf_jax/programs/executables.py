@@ -65,7 +65,8 @@ class Program:
 
     def __init__(self, executable: Any, interface: Interface):
         self.interface, self._executable, self._mesh = interface, executable, interface.mesh
-        self._inputs = [(one.aval, self._sharding(one)) for one in interface.inputs]
+        self._inputs = [(one.aval, np.dtype(one.dtype), self._sharding(one)) for one in interface.inputs]
+        self._devices = jax.local_devices()[:1]  # of a program without a mesh
         outputs = [(one.aval, self._sharding(one), self._mesh is not None) for one in interface.outputs]
         with _as_expected():
             self._results = [xla_client.array_result_handler(*one, _skip_checks=True) for one in outputs]
@@ -82,17 +83,15 @@ class Program:
             UnavailableError: if the arrays do not fit.
         """
         with _as_expected():
-            placed = [self._placed(*pair) for pair in zip(arrays, self._inputs, strict=True)]
+            placed = [self._placed(array, *wanted) for array, wanted in zip(arrays, self._inputs, strict=True)]
             return self._executable.execute_sharded(placed).consume_with_handlers(self._results)
 
-    def _placed(self, array: Any, wanted: tuple[ShapedArray, Sharding]) -> jax.Array:
-        aval, sharding = wanted
+    def _placed(self, array: Any, aval: ShapedArray, dtype: np.dtype, sharding: Sharding) -> jax.Array:
         if self._mesh is not None:
             return jax.device_put(array, sharding)
         if isinstance(array, jax.Array):
             return array
-        (device,) = sharding.device_set
-        return xla_client.batched_device_put(aval, sharding, [np.asarray(array, aval.dtype)], [device], False)
+        return xla_client.batched_device_put(aval, sharding, [np.asarray(array, dtype)], self._devices, False)
 
     def as_bytes(self) -> bytes:
         """Bytes from which `loaded` makes the program again."""
