@@ -243,6 +243,15 @@ def test_a_push_meets_a_stiffer_body_than_the_sliding_one():
 
 
 @pytest.mark.slow
+def test_a_push_as_small_as_rounding_is_nan_in_a_compiled_function():
+    """No error can be raised there."""
+    history = cddf.trace(ONE, [75.0], nodes=8)
+    compiled = jax.jit(lambda push: cddf.tip_compliance(history, push=push, short_steps=2))
+    assert np.all(np.isnan(compiled(jnp.array([0.0, -1e-6]))))
+    assert np.all(np.isfinite(compiled(jnp.array([0.0, -0.05]))))
+
+
+@pytest.mark.slow
 def test_friction_loads_and_a_second_tendon_do_nothing_where_there_is_none():
     """Without friction there is no past: every step is that of `solve`."""
     body = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(0.0))
