@@ -1,5 +1,6 @@
 """Pull and release of one tendon in space, against the plane, single pulls, and Coulomb's law at many discs."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import both_modes, codes, fields_at, lane
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import cddf_jax as cddf
@@ -243,6 +245,49 @@ def test_displacements_are_met():
     np.testing.assert_allclose(cddf.trace(robot, cddf.Displacement(wanted)).base_tension, path, rtol=1e-9)
 
 
+ANGLES = [1.0, 0.6, 0.8, 0.7, 0.45, 1.02, 0.2, 0.5]  # rad; loops that close
+
+
+@pytest.mark.slow
+def test_tip_angles_in_the_plane_and_in_space():
+    planar = replace(body(0.0), tendons=(cddf.Tendon(OFFSET),))
+    found, expected = (cddf.trace(robot, cddf.TipAngle(ANGLES)) for robot in (body(0.0), planar))
+    for name in ("base_tension", "tip_tension", "tip_angle", "front", "tendon_displacement", "num_turns"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-10)
+    np.testing.assert_allclose(found.tip_position[:, :2], expected.tip_position, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_tip_angles_of_a_helix_are_met():
+    """The tensions against Brent's method on traces of tensions: first release, pull within the loop, last release."""
+    robot = helix(0.5)
+    found = cddf.trace(robot, cddf.TipAngle(ANGLES))
+    np.testing.assert_allclose(found.tip_angle, ANGLES, rtol=1e-12)
+    for step in (1, 2, 6):
+        before = list(found.base_tension[:step])
+
+        def missed(tension, step=step, before=before):
+            path = [*before, *[tension] * (len(ANGLES) - step)]
+            return float(cddf.trace(robot, path).tip_angle[step]) - ANGLES[step]
+
+        np.testing.assert_allclose(found.base_tension[step], brentq(missed, 0.0, 95.0, xtol=1e-8), atol=2e-8)
+    on = cddf.trace(robot, cddf.TipAngle(ANGLES[5:]), start=found)
+    np.testing.assert_allclose(on.base_tension, found.base_tension[5:], rtol=1e-10)
+    with pytest.raises(cddf.SolveError, match="No base tension between slack"):
+        cddf.trace(robot, cddf.TipAngle([*ANGLES[:7], 3.1]))
+
+
+@pytest.mark.slow
+def test_a_tip_angle_that_grows_in_a_release_is_met_all_the_same():
+    """A tendon of one turn that is released from 75 N to 40 N bends the tip from 12.5 to 15.4 degrees."""
+    robot, angles = helix(1.0), [0.15, 0.1, 0.2, 0.05, 0.25, 0.5, 0.1, 0.2]
+    found = cddf.trace(robot, cddf.TipAngle(angles))
+    np.testing.assert_allclose(found.tip_angle, angles, rtol=1e-9)
+    again = cddf.trace(robot, found.base_tension)
+    for name in (*NUMBERS, "num_turns"):
+        np.testing.assert_allclose(getattr(found, name), getattr(again, name), rtol=1e-12, atol=1e-14)
+
+
 # --- transformations ----------------------------------------------------------------------------------
 
 
@@ -274,7 +319,6 @@ def test_derivatives_lanes_and_failures():
         (2, [[20.0, 5.0]], None),
         (1, [20.0], cddf.Loads()),
         (1, [20.0], [cddf.Loads()]),
-        (1, cddf.TipAngle([0.2]), None),
     ],
 )
 def test_what_is_refused(tendons, path, loads):
@@ -286,12 +330,7 @@ def test_what_is_refused(tendons, path, loads):
         youngs_modulus=MODULUS,
         friction_coefficient=MU,
     )
-    words = (
-        "in space give base tensions"
-        if isinstance(path, cddf.TipAngle)
-        else "only one tendon without loads can be followed"
-    )
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(ValueError, match="only one tendon without loads can be followed"):
         cddf.trace(robot, path, loads)
 
 

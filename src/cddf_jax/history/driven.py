@@ -3,6 +3,9 @@
 The displacement or tip angle that a motion adds since its turn comes only from the part of the body in which the tendon
 slides. It grows throughout the motion. So displacement or angle turns where the tension turns, and each step has one
 unknown. Just after a turn it grows with the square of the change in tension; so the search compares square roots.
+
+In space the tip angle also depends on how the rest of the body is turned, which is remembered at each turn. There it
+need not grow throughout a motion. Where it does not, the angle may be missed: the result is then `unreachable`.
 """
 
 from collections.abc import Callable
@@ -14,14 +17,23 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot.manipulator import Manipulator
-from .congruent_parts import ends_of_motion
+from .congruent_parts import Heading, ends_of_motion, pose_of_base, slid_up_to, tilt_of, turned_back, turned_on
 from .fronts import Motion
 from .turns import NO_STEP, Stack, Turns, go_on
 
 Number = Float[Array, ""]
-Gain = Callable[[Number, Number], Number]  # what a motion adds, from the tensions before and after it
 DOUBLINGS = 24  # of a tension, until it is large enough
 EVALUATIONS = 60  # at most; most searches take ten
+
+
+class Gained(NamedTuple):
+    """What a motion adds to the quantity since it turned."""
+
+    amount: Number
+    heading: Heading | None  # of the tip after it, for a tip angle in space
+
+
+Gain = Callable[[Number, Number], Gained]  # from the tensions before and after a motion
 
 
 class Drive(NamedTuple):
@@ -40,6 +52,7 @@ def driven(
     stack: Stack,
     tensions: Float[Array, " turns"],
     values: Float[Array, " turns"],
+    headings: Float[Array, "turns *axes"],
     first_step: int,
 ) -> tuple[Drive, Turns]:
     """Find the base tensions of a path.
@@ -50,11 +63,13 @@ def driven(
         quantity: "displacement", m, or "tip_angle", rad.
         wanted: its values after each step.
         stack: the remembered turns before the first step.
-        tensions, values: base tension, N, and quantity at the turns of the stack.
+        tensions, values, headings: base tension, N, quantity, and heading of the tip at the turns of the stack.
         first_step: the number of the first step.
     """
 
     constant = jax.lax.stop_gradient(body)
+    in_space = body.in_space and quantity == "tip_angle"
+    at_rest = _heading_at_rest(body, nodes, wanted) if in_space else None
 
     def advance(state: _Driven, given: tuple[Number, Int[Array, ""]]) -> tuple[_Driven, tuple[Drive, Turns]]:
         value, step = given
@@ -62,19 +77,31 @@ def driven(
         below = jnp.maximum(turn.place - 1, 0)
         from_rest = turn.before == NO_STEP
         turned_at, since = (jnp.where(from_rest, 0.0, x[below]) for x in (state.tensions, state.values))
+        heading = None
+        if at_rest is not None and state.headings is not None:
+            heading = jnp.where(from_rest, at_rest, state.headings[below])
+            since = tilt_of(heading)
         gain, constant_gain = (
-            partial(_gain, one, nodes, quantity, turn.direction, from_rest) for one in (body, constant)
+            partial(_gain, one, nodes, quantity, turn.direction, from_rest, there)
+            for one, there in ((body, heading), (constant, jax.lax.stop_gradient(heading)))
         )
         drive, added = _tension_for(gain, constant_gain, turned_at, turn.direction, value - since, first_try)
         here = jnp.arange(stack.step.size) == turn.place
-        values = jnp.where(here, since + added, state.values)
+        values = jnp.where(here, since + added.amount, state.values)
+        headings = state.headings
+        if headings is not None and added.heading is not None:
+            headings = jnp.where(here[:, None, None], added.heading, headings)
         new = _Driven(
-            stack._replace(value=jax.lax.stop_gradient(values)), jnp.where(here, drive.tension, state.tensions), values
+            stack._replace(value=jax.lax.stop_gradient(values)),
+            jnp.where(here, drive.tension, state.tensions),
+            values,
+            headings,
         )
         return new, (drive, turn)
 
     first_try = _first_try(constant)
-    start = _Driven(stack._replace(value=jax.lax.stop_gradient(values)), tensions, values)
+    remembered = headings if in_space else None
+    start = _Driven(stack._replace(value=jax.lax.stop_gradient(values)), tensions, values, remembered)
     return jax.lax.scan(advance, start, (wanted, first_step + jnp.arange(wanted.size)))[1]
 
 
@@ -82,6 +109,7 @@ class _Driven(NamedTuple):
     stack: Stack
     tensions: Float[Array, " turns"]  # at its turns, N
     values: Float[Array, " turns"]  # those of the stack, with their derivatives
+    headings: Float[Array, "turns 3 3"] | None  # of the tip, for a tip angle in space
 
 
 def _gain(
@@ -90,43 +118,59 @@ def _gain(
     quantity: str,
     direction: Number,
     from_rest: Bool[Array, ""],
+    heading: Heading | None,
     turned_at: Number,
     tension: Number,
-) -> Number:
-    """How much a motion adds to the quantity since it turned."""
+) -> Gained:
+    """How much a motion adds to the quantity since it turned, with the tip at `heading`."""
     _, own, other = ends_of_motion(body, nodes, Motion(tension, direction, turned_at, from_rest))
+    if heading is not None:  # beyond the front the body keeps its shape
+        rest = turned_on(turned_back(other.added.heading), heading)
+        turned = jnp.where(from_rest, own.added.heading, turned_on(own.added.heading, rest))
+        turned = jnp.where(own.added.solved & other.added.solved, turned, heading)
+        return Gained(tilt_of(turned) - tilt_of(heading), turned)
     values = own.added.heading, other.added.heading
     outside = 0.0
     if quantity == "displacement":
         values = own.added.pulled_in, other.added.pulled_in
         outside = (tension - turned_at) * jnp.sum(body.tendon_compliance * body.tendon_free_length)
-    return outside + values[0] - jnp.where(from_rest, 0.0, values[1])
+    return Gained(outside + values[0] - jnp.where(from_rest, 0.0, values[1]), None)
+
+
+def _heading_at_rest(body: Manipulator, nodes: int, like: Array) -> Heading:
+    """The heading of the tip without tension."""
+    zero = jnp.zeros_like(like[0])
+    if body.rest_curvature is None:
+        return pose_of_base(body, zero)[0]
+    return slid_up_to(body, nodes, zero, zero + 1, jnp.asarray(body.length)).added.heading
 
 
 def _tension_for(
     gain: Gain, constant_gain: Gain, turned_at: Number, direction: Number, wanted: Number, first_try: Number
-) -> tuple[Drive, Number]:
+) -> tuple[Drive, Gained]:
     """The tension of a motion that adds the wanted amount, and what it adds; the search itself has no derivatives."""
     fixed = jax.lax.stop_gradient
     start, aim = fixed(turned_at), fixed(wanted * direction)
     target = jnp.sqrt(jnp.maximum(aim, 0.0))
 
     def missing(change: Number) -> Number:
-        added = constant_gain(start, start + direction * change) * direction
+        added = constant_gain(start, start + direction * change).amount * direction
         return jnp.sqrt(jnp.maximum(added, 0.0)) - target
 
     most = jnp.where(aim > 0, jnp.where(direction > 0, first_try * 2.0**DOUBLINGS, start), 0.0)
     change, enough = _search(missing, -target, first_try, most)
     near = start + direction * change
 
-    value, slope = jax.jvp(partial(gain, turned_at), (near,), (jnp.ones_like(near),))
+    (value, heading), (slope, turning) = jax.jvp(partial(gain, turned_at), (near,), (jnp.ones_like(near),))
     moves = aim > 0
     exact = moves & enough & (fixed(slope) > 0)
     follows = near - (value - wanted) / fixed(jnp.where(exact, slope, 1.0))  # with the derivatives of the root
     tension = jnp.where(exact, follows, jnp.where(moves, near, turned_at))
     slack = jnp.where(direction > 0, (aim < 0) & (start == 0), moves & ~enough)
     added = jnp.where(exact, wanted, jnp.where(moves, value, 0.0))
-    return Drive(tension, slack, moves & ~slack & ~enough), added
+    if heading is not None:
+        heading = heading + jnp.where(exact, fixed(turning) * (tension - near), 0.0)
+    return Drive(tension, slack, moves & ~slack & ~enough), Gained(added, heading)
 
 
 def _first_try(body: Manipulator) -> Number:

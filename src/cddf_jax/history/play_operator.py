@@ -118,6 +118,8 @@ def congruent_history(
     usable = jnp.isfinite(wanted)
     added = tip.added
     good = added.solved & usable
+    if drive is not None and quantity == "tip_angle" and body.in_space:
+        drive = _as_reached(drive, jax.vmap(tilt_of)(added.heading) - wanted)
     outside = path[-num_steps:] * jnp.sum(body.tendon_compliance * body.tendon_free_length)
     numbers = tip.tension, added.heading, added.position, added.pulled_in + outside, added.error
     tension, heading, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
@@ -157,14 +159,23 @@ def _path(
         return path, open_turns(path, max_turns)[1], None
     stack, turns = open_turns(known, max_turns)
     tensions, values = jnp.zeros_like(stack.value), jnp.zeros_like(stack.value)
+    headings = jax.vmap(lambda zero: pose_of_base(body, zero)[0])(values)
     if known.size > 0:
-        tip = follow(body, nodes, known, turns)[1]
+        added = follow(body, nodes, known, turns)[1].added
         outside = known * jnp.sum(body.tendon_compliance * body.tendon_free_length)
-        reached = tip.added.heading if quantity == "tip_angle" else tip.added.pulled_in + outside
-        tensions, values = known[stack.step], reached[stack.step]
-    drive, more = driven(body, nodes, quantity, wanted, stack, tensions, values, known.size)
-    turns = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), turns, more)
-    return jnp.concatenate([known, drive.tension]), turns, drive
+        reached = jax.vmap(tilt_of)(added.heading) if quantity == "tip_angle" else added.pulled_in + outside
+        tensions, values, headings = known[stack.step], reached[stack.step], added.heading[stack.step]
+    drive, more = driven(body, nodes, quantity, wanted, stack, tensions, values, headings, known.size)
+    path = jnp.concatenate([known, drive.tension])
+    if quantity == "tip_angle" and body.in_space:  # it need not turn where the tension turns
+        return path, open_turns(path, max_turns)[1], drive
+    return path, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), turns, more), drive
+
+
+def _as_reached(drive: Drive, missed: Float[Array, " steps"]) -> Drive:
+    """The drive of a tip angle in space: what the tensions miss is unreachable, and no tendon is slack."""
+    far = jnp.abs(missed) > jnp.finfo(missed.dtype).eps ** 0.5
+    return drive._replace(slack=drive.slack & False, unreachable=drive.unreachable | drive.slack | far)
 
 
 def _with_drive(result: RESULTS, drive: Drive, usable: Bool[Array, ""]) -> RESULTS:

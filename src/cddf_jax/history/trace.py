@@ -52,7 +52,8 @@ def trace(
         manipulator: the body.
         base_tension: T_base >= 0, N, after each step, in the order of time: (steps,) for one tendon, or (steps,
             tendons). Between two steps the tensions change linearly. `Displacement([...])`, m, after each step is also
-            possible, and for one tendon in the plane without loads `TipAngle([...])`, rad; then the tensions are found.
+            possible, and for one tendon without loads `TipAngle([...])`, rad; then the tensions are found. In space a
+            tip angle must grow while the tendon is pulled; where it does not, the result of the step is `unreachable`.
             Several tendons may have an entry (steps,) each, some of them a `Displacement`. A tendon that would have to
             push is slack until it is pulled in again. The result of such a step is `slack`, which is not an error; its
             displacement is that at which the tendon became slack.
@@ -77,7 +78,7 @@ def trace(
         SolveError: with `throw`, when a step failed; it names the step.
         ValueError: for tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns
             below 1, short_steps below 2, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed;
-            in space for several tendons, loads or a `TipAngle`.
+            in space for several tendons or loads.
         TypeError: if an argument has the wrong type.
     """
     if not isinstance(manipulator, Manipulator):
@@ -126,10 +127,6 @@ def _as_known(
             "trace: in space only one tendon without loads can be followed; leave the other tendons and the loads out, "
             "or use solve with a direction for each tendon"
         )
-    if isinstance(base_tension, TipAngle) or (
-        isinstance(base_tension, tuple | list) and any(isinstance(entry, TipAngle) for entry in base_tension)
-    ):
-        raise ValueError("trace: TipAngle drives a tendon in the plane; in space give base tensions or a Displacement")
     return in_space(manipulator)
 
 
