@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from places import ROOT
+from refusals import refused
 
 import cddf_jax as cddf
 from cddf_jax import figures
@@ -329,12 +330,9 @@ REFUSED = {
 def test_bad_tasks_are_refused_in_one_line(what, task):
     change, message = REFUSED[what]
     path = task(change(TASK))
-    with pytest.raises(cddf.InputError) as caught:
-        read_task(path).design()
-    said = str(caught.value)
+    said = refused(lambda: read_task(path).design())
     assert said.startswith(f"{path}: ") or message == "cannot be read"
     assert message in said
-    assert "\n" not in said
 
 
 def test_a_bad_task_writes_nothing(run, task, tmp_path):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from bodies import paper_body
+from refusals import refused
 
 import cddf_jax as cddf
 from cddf_jax.cli.fit_options import read_before, read_bounds, read_noise, read_priors, read_setting
@@ -13,14 +14,6 @@ from cddf_jax.estimation.parameter_space import Prior, Uniform
 from cddf_jax.files.actuation import read_actuation, read_directions, read_loads
 
 ONE, TWO = paper_body("exact"), paper_body("exact", num_tendons=2)
-
-
-def refused(call, *arguments):
-    """What is said."""
-    with pytest.raises(cddf.InputError) as raised:
-        call(*arguments)
-    assert "\n" not in str(raised.value)
-    return str(raised.value)
 
 
 # --- tensions and targets ------------------------------------------------------------------------

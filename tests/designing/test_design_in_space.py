@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from refusals import refused
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 
@@ -232,9 +233,8 @@ HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
     ],
 )
 def test_what_has_no_meaning(body, objective, message):
-    with pytest.raises(cddf.InputError, match=message) as caught:
-        cddf.design(body, objective, free=("youngs_modulus",), cases=cddf.LoadCase(10.0, direction=1))
-    assert "\n" not in str(caught.value)
+    asked = {"free": ("youngs_modulus",), "cases": cddf.LoadCase(10.0, direction=1)}
+    assert message in refused(cddf.design, body, objective, **asked)
 
 
 def test_a_tendon_without_an_angle_has_none_to_free():

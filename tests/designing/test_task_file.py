@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import paper_body
+from refusals import refused
 
 import cddf_jax as cddf
 from cddf_jax.designing.body_quantities import BODY_QUANTITIES, quantity_named
 from cddf_jax.designing.free_numbers import free_numbers_of
-from cddf_jax.errors import InputError
 from cddf_jax.robot.profiles import Shifted
 from cddf_jax.robot.reshape import stretched
 
@@ -18,19 +18,9 @@ TENSION = cddf.Least("base_tension")
 WALL = cddf.Limit("wall_thickness", least=2e-3)
 
 
-def refused(message, function, *arguments, **options):
-    """The one line with which something is refused; `message` is a part of it."""
-    with pytest.raises(InputError) as caught:
-        function(*arguments, **options)
-    said = str(caught.value)
-    assert message in said
-    assert "\n" not in said
-    return said
-
-
 def refused_design(message, body=None, **changes):
     asked = {"objective": TENSION, "free": ("outer_radius",), "cases": cddf.LoadCase(50.0)} | changes
-    return refused(message, cddf.design, paper_body("exact") if body is None else body, **asked)
+    assert message in refused(cddf.design, paper_body("exact") if body is None else body, **asked)
 
 
 # --- what is free --------------------------------------------------------------------------------
@@ -90,9 +80,8 @@ def test_a_profile_of_an_unknown_kind():
     refused_design(
         "outer_radius is not one number; name a number of it: outer_radius.ends.0, outer_radius.pieces", inside
     )
-    refused(
-        "a profile of type Shifted cannot be stretched with the length; keep the length fixed", stretched, odd, 0.15
-    )
+    message = "a profile of type Shifted cannot be stretched with the length; keep the length fixed"
+    assert message in refused(stretched, odd, 0.15)
 
 
 def test_default_bounds():
@@ -149,15 +138,17 @@ def test_what_is_no_objective(objective, message):
 
 @pytest.mark.parametrize("kind", [cddf.Least, cddf.Most, cddf.Even, cddf.Near, quantity_named, cddf.Limit])
 def test_an_unknown_quantity_is_answered_with_the_known_ones(kind):
-    said = refused("'weight' is not a quantity of a body; there are ", kind, "weight")
+    said = refused(kind, "weight")
+    assert "'weight' is not a quantity of a body; there are " in said
     assert all(name in said for name in BODY_QUANTITIES)
 
 
 def test_what_does_not_vary_along_the_body():
-    refused("mass varies neither along the body nor between tendons; take Least or Most of it", cddf.Even, "mass")
-    said = "Near(at=...) takes a list of arc lengths, and a quantity that varies along the body"
-    refused(said, cddf.Near, "tip_angle", 1.0, at=[0.1])
-    refused(said, cddf.Near, "curvature", 1.0, at=0.1)
+    message = "mass varies neither along the body nor between tendons; take Least or Most of it"
+    assert message in refused(cddf.Even, "mass")
+    message = "Near(at=...) takes a list of arc lengths, and a quantity that varies along the body"
+    assert message in refused(cddf.Near, "tip_angle", 1.0, at=[0.1])
+    assert message in refused(cddf.Near, "curvature", 1.0, at=0.1)
 
 
 # --- what must be kept ---------------------------------------------------------------------------
@@ -176,7 +167,7 @@ def test_what_does_not_vary_along_the_body():
     ],
 )
 def test_what_is_no_limit(quantity, sides, message):
-    refused(message, cddf.Limit, quantity, **sides)
+    assert message in refused(cddf.Limit, quantity, **sides)
 
 
 def test_limits_of_a_design():
@@ -263,13 +254,14 @@ def test_numbers_and_names_of_another_kind(options, message):
     ],
 )
 def test_options_with_wrong_values(options, message):
-    refused(message, cddf.DesignOptions, **options)
+    assert message in refused(cddf.DesignOptions, **options)
 
 
 def test_a_front_has_one_start():
     options = cddf.DesignOptions(starts=2)
-    aims, case = (TENSION, MASS), cddf.LoadCase(50.0)
-    refused("starts must be 1, got 2", cddf.pareto_front, paper_body(), aims, ("length",), cases=case, options=options)
+    task = paper_body(), (TENSION, MASS), ("length",)
+    said = refused(cddf.pareto_front, *task, cases=cddf.LoadCase(50.0), options=options)
+    assert "starts must be 1, got 2" in said
 
 
 def test_a_start_without_equilibrium():

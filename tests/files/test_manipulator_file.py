@@ -9,6 +9,7 @@ import pytest
 from bodies import paper_body
 from hypothesis import given, settings, strategies as st
 from places import DATA
+from refusals import refused
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
@@ -144,11 +145,9 @@ CASES = [
 @pytest.mark.parametrize(("old", "new", "message"), CASES)
 def test_bad_files_are_refused(tmp_path, old, new, message):
     assert old in TEXT
-    with pytest.raises(InputError) as error:
-        read(tmp_path, TEXT.replace(old, new, 1))
-    assert message in str(error.value)
-    assert str(error.value).startswith(f"{tmp_path / 'body.toml'}: {'is not TOML: ' if new == '140 mm' else ''}")
-    assert "\n" not in str(error.value)
+    said = refused(read, tmp_path, TEXT.replace(old, new, 1))
+    assert message in said
+    assert said.startswith(f"{tmp_path / 'body.toml'}: {'is not TOML: ' if new == '140 mm' else ''}")
 
 
 @pytest.mark.parametrize(
@@ -247,10 +246,9 @@ def test_a_body_in_space(tmp_path, ratio):
 )
 def test_bad_files_of_bodies_in_space(tmp_path, old, new, message):
     assert old in SPACE
-    with pytest.raises(InputError, match=r"body\.toml: ") as error:
-        read(tmp_path, SPACE.replace(old, new, 1))
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
+    said = refused(read, tmp_path, SPACE.replace(old, new, 1))
+    assert message in said
+    assert "body.toml: " in said
 
 
 # --- round trips ---------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import pytest
 from bodies import paper_body
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
+from refusals import refused
 
 from cddf_jax import fit
 from cddf_jax.errors import InputError
@@ -215,12 +216,10 @@ CASES = [
 
 @pytest.mark.parametrize(("text", "message"), CASES)
 def test_bad_files_are_refused(tmp_path, text, message):
-    with pytest.raises(InputError) as error:
-        read(tmp_path, text)
-    assert message in str(error.value)
-    assert str(error.value).startswith(f"{tmp_path / 'table.csv'}: ")
-    assert "\n" not in str(error.value)
-    assert len(str(error.value)) < 600
+    said = refused(read, tmp_path, text)
+    assert message in said
+    assert said.startswith(f"{tmp_path / 'table.csv'}: ")
+    assert len(said) < 600
 
 
 def test_files_that_cannot_be_read(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from bodies import PAPER, both_modes, code, codes, paper_body
 from marching import Marching
+from refusals import refused
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -172,13 +173,6 @@ def test_a_modulus_that_varies_along_the_body():
 # --- what is refused --------------------------------------------------------------------------------
 
 
-def refused(function: Any, error: type[Exception] = cddf.InputError) -> str:
-    with pytest.raises(error) as caught:
-        function()
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
 REFUSED = {
     "both": ({"youngs_modulus": 1e6}, "youngs_modulus and bending_stiffness are both given"),
     "neither": ({"bending_stiffness": None}, "or bending_stiffness in their place"),
@@ -193,7 +187,7 @@ REFUSED = {
 def test_bodies_of_the_wrong_structure_are_refused(case):
     changes, message = REFUSED[case]
     told = {"length": L, "tendons": (cddf.Tendon(0.008),), "friction_coefficient": 0.2, "bending_stiffness": 0.02}
-    assert message in refused(lambda: cddf.Manipulator(**told | changes), ValueError)
+    assert message in refused(cddf.Manipulator, **told | changes, error=ValueError)
 
 
 INVALID = {

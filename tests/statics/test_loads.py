@@ -34,6 +34,7 @@ from loaded_bodies import (
     random_loaded,
 )
 from marching import Marching
+from refusals import refused
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
@@ -508,32 +509,25 @@ def test_a_hessian():
 # --- what is refused -----------------------------------------------------------------------------
 
 
-def refused(kind, call):
-    with pytest.raises(kind) as error:
-        call()
-    assert "\n" not in str(error.value)
-    return str(error.value)
-
-
 def test_loads_of_the_wrong_shape():
-    assert refused(ValueError, lambda: cddf.Loads(tip_force=3.0)) == (  # pyright: ignore[reportArgumentType]
+    assert refused(cddf.Loads, tip_force=3.0, error=ValueError) == (
         "Loads: tip_force must have two or three components (X, Y, Z), got shape ()"
     )
-    assert "gravity must have two or three components" in refused(ValueError, lambda: cddf.Loads(gravity=(0.0,)))  # pyright: ignore[reportArgumentType]
+    assert "gravity must have two or three components" in refused(cddf.Loads, gravity=(0.0,), error=ValueError)
 
 
 @pytest.mark.parametrize("loads", [5, (0.0, -1.0), {"tip_force": (0.0, -1.0)}, cddf.Loads], ids=repr)
 def test_loads_of_the_wrong_type(loads):
-    message = refused(TypeError, lambda: cddf.solve(opposed(), 60.0, loads))
+    message = refused(cddf.solve, opposed(), 60.0, loads, error=TypeError)
     assert re.match(r"solve: loads must be a Loads, as in Loads\(tip_force=\(0.0, -1.0\)\), got ", message)
 
 
 def test_batched_loads_want_vmap():
     batch = cddf.Loads(np.zeros((3, 2)), np.zeros(3), np.zeros((3, 2)))
-    message = refused(ValueError, lambda: cddf.solve(opposed(), 60.0, batch))
+    message = refused(cddf.solve, opposed(), 60.0, batch, error=ValueError)
     assert message == "solve: loads.tip_force must have shape (2,) or (3,), got (3, 2); batch with jax.vmap"
     one = eqx.tree_at(lambda loads: loads.tip_moment, cddf.Loads(), np.zeros(4))
-    message = refused(ValueError, lambda: cddf.solve(opposed(), 60.0, one))
+    message = refused(cddf.solve, opposed(), 60.0, one, error=ValueError)
     assert "loads.tip_moment must have shape () or (3,), got (4,)" in message
 
 

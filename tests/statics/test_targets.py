@@ -16,6 +16,7 @@ import pytest
 from bodies import PAPER, code, codes, constant, lane, paper_body, paper_plain, replaced, stack
 from jax.sharding import AxisType, PartitionSpec
 from loaded_bodies import PlainLoads, largest_difference, loaded_reference, random_loaded
+from refusals import refused
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -429,10 +430,7 @@ def test_a_target_of_one_tendon_needs_no_tuple():
     ids=repr,
 )
 def test_refusals(tension, error, message):
-    with pytest.raises(error) as refusal:
-        cddf.solve(PAIR, tension)
-    assert message in str(refusal.value)
-    assert "\n" not in str(refusal.value)
+    assert message in refused(cddf.solve, PAIR, tension, error=error)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Sweeps: against the closed form and against single solves; errors of an axis name the axis."""
 
+import re
 from dataclasses import replace
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import pytest
 from bodies import paper_body, paper_plain
 from loaded_bodies import PlainLoads, loaded_reference
 from marching import Marching
+from refusals import refused
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -495,9 +497,7 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_named(case):
     axes, options, message = BAD[case]
-    with pytest.raises(cddf.InputError, match=message) as error:
-        cddf.sweep(axes=axes, **({"manipulator": paper_body()} | options))
-    assert "\n" not in str(error.value)
+    assert re.search(message, refused(cddf.sweep, axes=axes, **({"manipulator": paper_body()} | options)))
 
 
 def test_bodies_that_differ_in_a_plain_function_are_not_the_same_work():
