@@ -26,17 +26,20 @@ def fails(cddf_command, tmp_path, monkeypatch):
     """Run in an empty folder; the command must end in one line on standard error, and write nothing."""
     monkeypatch.chdir(tmp_path)
 
+    def content():
+        return {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
+
     def run(*arguments, code=2, files=None):
         for name, text in (files or {}).items():
             (tmp_path / name).write_text(text)
-        before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+        before = content()
         ended, out, err = cddf_command(*arguments)
         assert (ended, out) == (code, "")
         assert err.startswith("error: ")
         assert err.endswith("\n")
         assert err.count("\n") == 1
         assert "Traceback" not in err
-        assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+        assert content() == before
         return err.removeprefix("error: ").rstrip("\n")
 
     return run
