@@ -1,7 +1,7 @@
 """Bodies for the tests, and the same bodies in plain numbers for SciPy, see loaded_bodies.py."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -34,6 +34,11 @@ one_kinematics_at_once = pytest.mark.parametrize(
 
 def paper_body(kinematics: str = "published", **changes: Any) -> cddf.Manipulator:
     return cddf.conical(**{**PAPER, "kinematics": kinematics, **changes})
+
+
+def paper_with(*tendons: cddf.Tendon, kinematics: str = "exact", **changes: Any) -> cddf.Manipulator:
+    """The paper's body with other tendons."""
+    return replace(paper_body(kinematics), tendons=tendons, **changes)
 
 
 def two_slanted_tendons(kinematics: str = "exact", **changes: Any) -> cddf.Manipulator:

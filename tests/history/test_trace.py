@@ -364,15 +364,8 @@ def test_the_front_has_its_derivatives(offset, drag):
 
     def front(numbers):
         mu, modulus, high, low = numbers
-        body = cddf.conical(
-            length=0.140,
-            outer_radius=(0.020, 0.013),
-            inner_radius=0.007,
-            tendon_offset=offset,
-            youngs_modulus=1.4e6 * modulus,
-            friction_coefficient=mu,
-            drag=drag,
-        )
+        changes = {"tendon_offset": offset, "youngs_modulus": 1.4e6 * modulus, "friction_coefficient": mu, "drag": drag}
+        body = paper_body("exact", **changes)
         return cddf.trace(body, jnp.stack([75.0 * high, 40.0 * low, 55.0])).front
 
     derivatives, at = both_modes(front), np.array([0.42, 1.0, 1.0, 1.0])

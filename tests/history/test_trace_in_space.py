@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import both_modes, codes, fields_at, lane
+from bodies import both_modes, codes, fields_at, lane, paper_body, paper_with
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
@@ -19,16 +19,7 @@ NUMBERS = ("tip_tension", "tip_angle", "tip_position", "front", "tendon_displace
 
 
 def body(angle, friction=MU, **others):
-    tendon = cddf.Tendon(OFFSET, angle=angle)
-    return cddf.Manipulator(
-        length=LENGTH,
-        outer_radius=cddf.Linear(*RADII, LENGTH),
-        inner_radius=INNER,
-        tendons=(tendon,),
-        youngs_modulus=MODULUS,
-        friction_coefficient=friction,
-        **others,
-    )
+    return paper_with(cddf.Tendon(OFFSET, angle=angle), friction_coefficient=friction, **others)
 
 
 def helix(turns, friction=MU, **others):
@@ -37,15 +28,7 @@ def helix(turns, friction=MU, **others):
 
 def test_a_parallel_tendon_is_that_of_the_plane_turned_about_the_axis():
     angle, path = 0.7, [*LOOP[:4], 200.0, 150.0]  # far above 113 N, where a tendon that is released would lock
-    planar = cddf.Manipulator(
-        length=LENGTH,
-        outer_radius=cddf.Linear(*RADII, LENGTH),
-        inner_radius=INNER,
-        tendons=(cddf.Tendon(OFFSET),),
-        youngs_modulus=MODULUS,
-        friction_coefficient=MU,
-    )
-    history, expected = cddf.trace(body(angle), path), cddf.trace(planar, path)
+    history, expected = cddf.trace(body(angle), path), cddf.trace(paper_body("exact"), path)
     for name in ("tip_tension", "tip_angle", "front", "tendon_displacement", "num_turns", "direction"):
         np.testing.assert_allclose(getattr(history, name), getattr(expected, name), rtol=1e-12)
     turn = Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
@@ -322,14 +305,7 @@ def test_derivatives_lanes_and_failures():
     ],
 )
 def test_what_is_refused(tendons, path, loads):
-    robot = cddf.Manipulator(
-        length=LENGTH,
-        outer_radius=0.02,
-        inner_radius=INNER,
-        tendons=[cddf.Tendon(OFFSET, angle=1.5 * i) for i in range(tendons)],
-        youngs_modulus=MODULUS,
-        friction_coefficient=MU,
-    )
+    robot = paper_with(*(cddf.Tendon(OFFSET, angle=1.5 * i) for i in range(tendons)))
     with pytest.raises(ValueError, match="only one tendon without loads can be followed"):
         cddf.trace(robot, path, loads)
 

@@ -10,6 +10,7 @@ from bodies import (
     one_kinematics_at_once,
     paper_body,
     paper_plain,
+    paper_with,
     plain_of,
     random_draws,
     stack,
@@ -167,8 +168,7 @@ def test_more_nodes_resolve_a_wiggle():
 def test_a_change_of_sign_of_the_curvature_is_not_passed_over():
     """Two tendons whose moments cross inside the body: |kappa| has a kink, design.md section 2."""
     offsets = cddf.Linear(0.012, 0.007, 0.14), cddf.Linear(0.008, 0.0115, 0.14)
-    tendons = cddf.Tendon(offsets[0]), cddf.Tendon(offsets[1], -1)
-    body = cddf.Manipulator(0.14, cddf.Linear(0.02, 0.013, 0.14), 0.007, tendons, 1.4e6, 0.42, 0.0, "published")
+    body = paper_with(cddf.Tendon(offsets[0]), cddf.Tendon(offsets[1], -1), kinematics="published")
     plain = paper_plain(
         "published",
         (+1, -1),

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body, replaced
+from bodies import paper_body, paper_with, replaced
 
 import cddf_jax as cddf
 from cddf_jax.mechanics.directions import find_directions, stated_directions
@@ -39,15 +39,7 @@ def test_antagonists():
 def three_tendons(kinematics):
     """Of which the last ends halfway, so that the body may bend both ways."""
     ends = (0.010, +1, None), (0.008, -1, None), (0.010, -1, 0.07)
-    return cddf.Manipulator(
-        length=PAPER["length"],
-        outer_radius=cddf.Linear(*PAPER["outer_radius"], PAPER["length"]),
-        inner_radius=0.007,
-        tendons=tuple(cddf.Tendon(offset, side, end=end) for offset, side, end in ends),
-        youngs_modulus=1.4e6,
-        friction_coefficient=0.42,
-        kinematics=kinematics,
-    )
+    return paper_with(*(cddf.Tendon(offset, side, end=end) for offset, side, end in ends), kinematics=kinematics)
 
 
 @pytest.mark.parametrize("kinematics", [pytest.param("published", marks=pytest.mark.slow), "exact"])

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, PlainBody, both_modes, code, codes, fields_at, paper_body, paper_plain, slow_where
+from bodies import PAPER, PlainBody, both_modes, code, codes, fields_at, paper_body, paper_plain, paper_with, slow_where
 from loaded_bodies import PlainLoads, largest_difference, loaded_reference
 from scipy.integrate import quad
 
@@ -58,8 +58,8 @@ def manipulator(kinematics, *offsets, friction=0.42, youngs_modulus=1.4e6):
         cddf.Tendon(offset.bow() if isinstance(offset, Offset) else offset, side)
         for offset, side in zip(offsets, (+1, -1), strict=False)
     )
-    taper = cddf.Linear(0.020, 0.013, LENGTH)
-    return cddf.Manipulator(LENGTH, taper, 0.007, tendons, youngs_modulus, friction, kinematics=kinematics)
+    numbers = {"friction_coefficient": friction, "youngs_modulus": youngs_modulus}
+    return paper_with(*tendons, kinematics=kinematics, **numbers)
 
 
 def plain(kinematics, *offsets, friction=0.42, youngs_modulus=1.4e6) -> PlainBody:

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body, paper_plain, replaced, two_slanted_tendons
+from bodies import PAPER, paper_body, paper_plain, paper_with, replaced, two_slanted_tendons
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -130,8 +130,7 @@ def test_equal_pulls_on_both_sides_keep_a_body_straight():
 
 def test_a_passive_end_does_not_change_the_rest():
     """A body whose tendon ends before the tip goes on straight: u(L) = u(end) + (L - end) t."""
-    tendon = cddf.Tendon(0.010, end=0.10)
-    body = cddf.Manipulator(0.14, cddf.Linear(0.020, 0.013, 0.14), 0.007, (tendon,), 1.4e6, 0.42)
+    body = paper_with(cddf.Tendon(0.010, end=0.10))
     a, b = cddf.solve(body, 40.0), cddf.solve(replaced(body, length=0.12), 40.0)
     axis = np.array([np.cos(a.tip_angle), np.sin(a.tip_angle)])
     np.testing.assert_allclose(a.tip_position - b.tip_position, 0.02 * axis, atol=ROUNDING)

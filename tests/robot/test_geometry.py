@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body, two_slanted_tendons
+from bodies import PAPER, paper_body, paper_with, two_slanted_tendons
 from scipy.integrate import dblquad
 
 import cddf_jax as cddf
@@ -63,7 +63,7 @@ def test_breaks_of_body_and_tendons_are_gathered():
 
 def test_a_cross_section_has_the_derivatives_of_the_profiles():
     offset = cddf.Spline([0, 0.04, 0.09, 0.14], [0.010, 0.012, 0.011, 0.009])
-    body = cddf.Manipulator(0.14, cddf.Linear(0.02, 0.013, 0.14), 0.007, (cddf.Tendon(offset, -1),), 1.4e6, 0.42)
+    body = paper_with(cddf.Tendon(offset, -1))
     s, h = 0.06, 1e-4
     section = body.cross_section(s)
     cubic = np.polyfit([0, 0.04, 0.09, 0.14], [0.010, 0.012, 0.011, 0.009], 3)  # four knots: one cubic

@@ -10,6 +10,7 @@ from bodies import (
     one_kinematics_at_once,
     paper_body,
     paper_plain,
+    paper_with,
     straight,
 )
 from loaded_bodies import reference_solution
@@ -22,18 +23,13 @@ TENSION = 1e-8  # relative; the accuracy that issue 2 asks of the default
 POSITION = 1e-7  # per length
 ALONG = 1e-6  # rad and per length: between the nodes the interpolant has degree 8, not the order 16 of the ends
 
-TAPER = cddf.Linear(0.020, 0.013, LENGTH)
 PAIR = (+1, -1)
-
-
-def manipulator(kinematics, *tendons, outer_radius=TAPER):
-    return cddf.Manipulator(LENGTH, outer_radius, 0.007, tendons, 1.4e6, 0.42, kinematics=kinematics)
 
 
 def pair(kinematics, first, second, end=None):
     """Antagonists by their offsets at base and tip; `end` of the first. One structure for slanted and parallel ones."""
     one = cddf.Tendon(cddf.Linear(*first, LENGTH), end=end)
-    return manipulator(kinematics, one, cddf.Tendon(cddf.Linear(*second, LENGTH), -1))
+    return paper_with(one, cddf.Tendon(cddf.Linear(*second, LENGTH), -1), kinematics=kinematics)
 
 
 def pair_plain(kinematics, first, second, end=None):
@@ -82,7 +78,7 @@ def test_three_tendons_with_their_own_friction():
     offsets, friction, sides = (0.010, 0.012, 0.008), (0.42, 0.1, 0.3), (+1, -1, +1)
     tendons = [cddf.Tendon(*numbers[:2], None, numbers[2]) for numbers in zip(offsets, sides, friction, strict=True)]
     plain = paper_plain("exact", sides, offsets=[constant(d) for d in offsets], friction=list(friction))
-    compare(manipulator("exact", *tendons), plain, (40.0, 10.0, 15.0), (+1, -1, +1))
+    compare(paper_with(*tendons), plain, (40.0, 10.0, 15.0), (+1, -1, +1))
 
 
 KNOTS = np.array([0.0, 0.05, 0.10, LENGTH])
@@ -90,7 +86,7 @@ KNOTS = np.array([0.0, 0.05, 0.10, LENGTH])
 
 def bent(kinematics, heights):
     """One tendon along straight lines through four points."""
-    return manipulator(kinematics, cddf.Tendon(cddf.Piecewise.linear(KNOTS, heights)))
+    return paper_with(cddf.Tendon(cddf.Piecewise.linear(KNOTS, heights)), kinematics=kinematics)
 
 
 def bent_plain(kinematics, heights):
@@ -130,7 +126,8 @@ def test_a_spline_offset(kinematics):
     plain = paper_plain(
         kinematics, offsets=[scipy_spline], slopes=[scipy_spline.derivative()], breaks=tuple(SPLINE_KNOTS[1:-1])
     )
-    compare(manipulator(kinematics, cddf.Tendon(cddf.Spline(SPLINE_KNOTS, SPLINE_HEIGHTS))), plain, 60.0)
+    tendon = cddf.Tendon(cddf.Spline(SPLINE_KNOTS, SPLINE_HEIGHTS))
+    compare(paper_with(tendon, kinematics=kinematics), plain, 60.0)
 
 
 @pytest.mark.slow
@@ -144,7 +141,7 @@ def test_a_tendon_that_ends_before_the_tip(kinematics, other):
 
 
 def test_nothing_bends_beyond_the_last_anchor():
-    solution = cddf.solve(manipulator("exact", cddf.Tendon(0.010, end=0.08)), 40.0)
+    solution = cddf.solve(paper_with(cddf.Tendon(0.010, end=0.08)), 40.0)
     beyond = fields_at(solution, np.array([0.0800001, 0.1, 0.14]))
     np.testing.assert_array_equal(beyond.curvature, 0.0)
     np.testing.assert_array_equal(beyond.tension, 0.0)
@@ -159,7 +156,7 @@ def test_a_step_of_the_section(kinematics):
     plain = paper_plain(
         kinematics, outer_radius=lambda s: 0.020 if s < 0.05 else 0.014 if s < 0.09 else 0.017, breaks=(0.05, 0.09)
     )
-    compare(manipulator(kinematics, cddf.Tendon(0.010), outer_radius=step), plain, 40.0)
+    compare(paper_with(cddf.Tendon(0.010), kinematics=kinematics, outer_radius=step), plain, 40.0)
 
 
 @pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])

@@ -6,18 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import both_modes, fields_at, paper_body
+from bodies import both_modes, fields_at, paper_body, paper_with
 from scipy.integrate import solve_ivp
 
 import cddf_jax as cddf
 
 LENGTH = 0.14
-
-
-def in_space(*tendons, **others):
-    numbers = {"outer_radius": cddf.Linear(0.020, 0.013, LENGTH), "inner_radius": 0.007}
-    numbers |= {"youngs_modulus": 1.4e6, "friction_coefficient": 0.42} | others
-    return cddf.Manipulator(length=LENGTH, tendons=tendons, **numbers)
 
 
 def at_angle(angle, offset=0.010):
@@ -30,19 +24,19 @@ def helix(turns):
 
 # name: body, base tension, loads, tip tension (N), tip position (mm); from two independent derivations and codes
 CASES = {
-    "no angle": (in_space(at_angle(0.0)), 75.0, None, [45.12292701], (117.34384, 60.28179, 0.0)),
-    "quarter of a turn": (in_space(helix(0.25)), 75.0, None, [47.41876687], (118.67079545, 47.51777947, 32.74408991)),
-    "half a turn": (in_space(helix(0.5)), 75.0, None, [54.52936051], (122.12680351, 17.21060405, 47.09759111)),
-    "one turn": (in_space(helix(1.0)), 75.0, None, [42.13217899], (137.46753785, -5.67019229, 12.15926669)),
+    "no angle": (paper_with(at_angle(0.0)), 75.0, None, [45.12292701], (117.34384, 60.28179, 0.0)),
+    "quarter of a turn": (paper_with(helix(0.25)), 75.0, None, [47.41876687], (118.67079545, 47.51777947, 32.74408991)),
+    "half a turn": (paper_with(helix(0.5)), 75.0, None, [54.52936051], (122.12680351, 17.21060405, 47.09759111)),
+    "one turn": (paper_with(helix(1.0)), 75.0, None, [42.13217899], (137.46753785, -5.67019229, 12.15926669)),
     "two tendons": (
-        in_space(at_angle(0.0), at_angle(np.pi / 2)),
+        paper_with(at_angle(0.0), at_angle(np.pi / 2)),
         (40.0, 20.0),
         None,
         [28.6776219, 14.33881095],
         (130.40912322, 36.19224489, 18.09612245),
     ),
     "a force across": (
-        in_space(at_angle(0.0)),
+        paper_with(at_angle(0.0)),
         40.0,
         cddf.Loads(tip_force=(0.0, 0.0, 0.5)),
         [29.537997],
@@ -65,14 +59,14 @@ def test_numbers_of_two_independent_codes(name):
 
 @pytest.mark.slow
 def test_a_tendon_that_converges_bends_as_in_the_plane():
-    found = cddf.solve(in_space(at_angle(0.0, cddf.Linear(0.010, 0.005, LENGTH))), 75.0)
+    found = cddf.solve(paper_with(at_angle(0.0, cddf.Linear(0.010, 0.005, LENGTH))), 75.0)
     np.testing.assert_allclose(found.tip_tension, 51.784572, rtol=1e-8)  # of the planar model
     np.testing.assert_allclose(np.degrees(found.tip_angle), 50.532713, atol=5e-7)
 
 
 def test_a_rigid_helix_has_a_closed_form():
     turns, offset = 2 * np.pi / LENGTH, 0.010
-    found = cddf.solve(in_space(helix(1.0), youngs_modulus=1.4e16), 75.0)
+    found = cddf.solve(paper_with(helix(1.0), youngs_modulus=1.4e16), 75.0)
     # the tendon turns by a w^2 per arc length of the axis, over sqrt(1 + a^2 w^2)
     expected = 75.0 * np.exp(-0.42 * offset * turns**2 * LENGTH / np.sqrt(1 + (offset * turns) ** 2))
     np.testing.assert_allclose(expected, 25.4563817, rtol=2e-9)
@@ -118,10 +112,10 @@ def about_the_axis(vector, angle):
 def test_a_body_and_its_loads_may_be_turned_about_the_axis():
     tendons = (0.3, cddf.Linear(1.2, 2.9, LENGTH))
     force, by = np.array([0.1, -0.2, 0.3]), 0.9
-    one = cddf.solve(in_space(*map(at_angle, tendons)), (30.0, 10.0), cddf.Loads(tip_force=tuple(force)))
+    one = cddf.solve(paper_with(*map(at_angle, tendons)), (30.0, 10.0), cddf.Loads(tip_force=tuple(force)))
     other_tendons = (0.3 + by, cddf.Linear(1.2 + by, 2.9 + by, LENGTH))
     other_loads = cddf.Loads(tip_force=tuple(about_the_axis(force, by)))
-    other = cddf.solve(in_space(*map(at_angle, other_tendons)), (30.0, 10.0), other_loads)
+    other = cddf.solve(paper_with(*map(at_angle, other_tendons)), (30.0, 10.0), other_loads)
     np.testing.assert_allclose(other.tip_tension, one.tip_tension, rtol=1e-11)
     np.testing.assert_allclose(other.tip_position, about_the_axis(one.tip_position, by), atol=1e-12)
     np.testing.assert_allclose(other.base_moment, about_the_axis(one.base_moment, by), atol=1e-12)
@@ -154,7 +148,7 @@ def test_a_body_of_the_plane_in_space(loads):
 @pytest.mark.slow
 def test_forces_on_the_body_balance():
     """Tendon forces along the body, at the anchors and at the base, in sum: T_base t(0) less T_tip t(L)."""
-    found = cddf.solve(in_space(helix(0.25), at_angle(2.0)), (40.0, 25.0), cddf.Loads(tip_force=(0.0, 0.1, 0.2)))
+    found = cddf.solve(paper_with(helix(0.25), at_angle(2.0)), (40.0, 25.0), cddf.Loads(tip_force=(0.0, 0.1, 0.2)))
     x, weights = np.polynomial.legendre.leggauss(40)
     along = found.at((x + 1) / 2 * LENGTH)
     total = LENGTH / 2 * np.einsum("p,tpi->ti", weights, along.normal_force + along.friction_force)
@@ -173,7 +167,7 @@ def test_forces_on_the_body_balance():
 @pytest.mark.slow
 def test_work_of_the_tendons_is_stored_without_friction():
     """Virtual work: dU/dT = T d(displacement)/dT, with the elastic energy integrated from the curvature."""
-    body = in_space(helix(0.25), friction_coefficient=0.0)
+    body = paper_with(helix(0.25), friction_coefficient=0.0)
     x, weights = np.polynomial.legendre.leggauss(24)
     s = (x + 1) / 2 * LENGTH
     stiffness = jax.vmap(body.strain_stiffness)(jnp.asarray(s))
@@ -193,7 +187,7 @@ def test_derivatives_against_differences_in_both_modes():
 
     def tip(numbers):
         angle, tension, mu = numbers
-        body = in_space(at_angle(cddf.Linear(0.2, 0.2 + angle, LENGTH)), friction_coefficient=mu)
+        body = paper_with(at_angle(cddf.Linear(0.2, 0.2 + angle, LENGTH)), friction_coefficient=mu)
         found = cddf.solve(body, tension, loads, throw=False)
         return jnp.concatenate([found.tip_position, found.tip_tension, found.tip_angle[None]])
 
@@ -212,7 +206,7 @@ def test_a_body_that_bears_almost_no_load_is_stable():
     Some of these bodies have a sharp minimum of the turning so near to the base that a panel there has no width.
     """
     tension = jnp.array([20.0, 60.0, 73.0, 76.0, 80.0])
-    body = in_space(helix(0.5), friction_coefficient=0.0)
+    body = paper_with(helix(0.5), friction_coefficient=0.0)
 
     def judged(tension):
         found = cddf.solve(body, tension, cddf.Loads(tip_force=(0.0, 0.0, 1e-6)), throw=False)
@@ -225,7 +219,7 @@ def test_a_body_that_bears_almost_no_load_is_stable():
 
 @pytest.mark.slow
 def test_a_failing_lane_spoils_no_other():
-    body = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
+    body = paper_with(at_angle(0.0), at_angle(2.1), at_angle(4.2))
     tensions = jnp.array([[20.0, 5.0, 5.0], [jnp.nan, 5.0, 5.0], [5000.0, 0.0, 0.0]])
 
     def tip(tension):
@@ -240,7 +234,7 @@ def test_a_failing_lane_spoils_no_other():
 
 
 def test_the_tip_angle_at_zero_has_a_derivative():
-    slope = jax.grad(lambda tension: cddf.solve(in_space(at_angle(0.0)), tension, throw=False).tip_angle)(0.0)
+    slope = jax.grad(lambda tension: cddf.solve(paper_with(at_angle(0.0)), tension, throw=False).tip_angle)(0.0)
     assert np.isfinite(slope)
 
 
@@ -254,7 +248,7 @@ def test_stiffnesses_by_hand():
         "poissons_ratio": nu,
         "stiffness_factor": 1.5,
     }
-    body = in_space(at_angle(0.0, 0.005), extensible=True, axial_factor=0.7, shear_factor=0.8, **numbers)
+    body = paper_with(at_angle(0.0, 0.005), extensible=True, axial_factor=0.7, shear_factor=0.8, **numbers)
     J, A, G = np.pi * r**4 / 4, np.pi * r**2, E / (2 * (1 + nu))
     expected = 1.5 * np.array([2 * G * J, E * J, E * J, 0.7 * E * A, 0.8 * G * A, 0.8 * G * A])
     np.testing.assert_allclose(body.strain_stiffness(0.05), expected, rtol=1e-14)
@@ -265,7 +259,7 @@ def test_stiffnesses_by_hand():
 
 @pytest.mark.slow
 def test_an_axis_that_stretches_is_shortened_by_its_tendons():
-    stiff = in_space(at_angle(0.0), at_angle(np.pi), extensible=True, friction_coefficient=0.0)
+    stiff = paper_with(at_angle(0.0), at_angle(np.pi), extensible=True, friction_coefficient=0.0)
     found = cddf.solve(stiff, (20.0, 20.0))
     # no bend: the force -40 N along the axis shortens it by the integral of 40 / (E A)
     area = np.pi * (np.linspace(0.020, 0.013, 20001) ** 2 - 0.007**2)
@@ -275,23 +269,23 @@ def test_an_axis_that_stretches_is_shortened_by_its_tendons():
 
 def test_what_is_not_possible_in_space_is_refused():
     with pytest.raises(ValueError, match="published kinematics are those of the plane"):
-        in_space(at_angle(0.0), kinematics="published")
+        paper_with(at_angle(0.0), kinematics="published")
     with pytest.raises(ValueError, match="needs torsional_stiffness"):
         cddf.Manipulator(length=0.1, tendons=(at_angle(0.0),), bending_stiffness=1e-3, friction_coefficient=0.1)
     with pytest.raises(ValueError, match="three components"):
-        in_space(at_angle(0.0), rest_curvature=(1.0, 2.0))
+        paper_with(at_angle(0.0), rest_curvature=(1.0, 2.0))
     with pytest.raises(ValueError, match="is the angle pi"):
         cddf.Tendon(0.01, side=-1, angle=0.0)
 
 
 @pytest.mark.slow
 def test_targets_in_space():
-    body = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
+    body = paper_with(at_angle(0.0), at_angle(2.1), at_angle(4.2))
     given = cddf.solve(body, (30.0, 10.0, 5.0))
     wanted = tuple(cddf.Displacement(x) for x in given.tendon_displacement[:2])
     found = cddf.solve(body, (*wanted, 5.0), direction=given.direction)
     np.testing.assert_allclose(found.base_tension, given.base_tension, rtol=1e-7)
-    bent = cddf.solve(in_space(at_angle(0.7)), cddf.TipAngle(0.5))
+    bent = cddf.solve(paper_with(at_angle(0.7)), cddf.TipAngle(0.5))
     np.testing.assert_allclose(bent.tip_angle, 0.5, atol=1e-9)
 
 
@@ -299,7 +293,7 @@ def test_targets_in_space():
 def test_curvature_and_stiffness_as_targets():
     # a body of the plane: the tensions of the planar core
     flat = paper_body("exact", num_tendons=2)
-    helix = in_space(at_angle(cddf.Linear(0.0, 3.0, LENGTH)), at_angle(2.0))
+    helix = paper_with(at_angle(cddf.Linear(0.0, 3.0, LENGTH)), at_angle(2.0))
     wanted = cddf.TipStiffness(120.0), 5.0
     found = cddf.solve(flat, wanted, direction=(1.0, -1.0), space=True)
     expected = cddf.solve(flat, wanted, direction=(1.0, -1.0))
@@ -318,7 +312,7 @@ def test_curvature_and_stiffness_as_targets():
 @pytest.mark.slow
 def test_the_tip_angle_of_a_winding_tendon_is_reached():
     """The tension that gave the angle; its slope is one over that of the angle."""
-    body = in_space(helix(0.25))
+    body = paper_with(helix(0.25))
 
     def angle(tension):
         return cddf.solve(body, tension, direction=1, throw=False).tip_angle
@@ -334,7 +328,7 @@ def test_the_tip_angle_of_a_winding_tendon_is_reached():
 
 @pytest.mark.slow
 def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
-    body = in_space(helix(0.25), friction_coefficient=0.0)
+    body = paper_with(helix(0.25), friction_coefficient=0.0)
     compliance = cddf.tip_compliance(body, 30.0)
     assert compliance.shape == (6, 6)
     np.testing.assert_allclose(compliance, compliance.T, atol=1e-9 * np.max(np.abs(compliance)))  # Maxwell and Betti
@@ -342,7 +336,7 @@ def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
     moved = [cddf.solve(body, 30.0, cddf.Loads(tip_force=(0.0, 0.0, sign * step))) for sign in (1, -1)]
     difference = (moved[0].tip_position - moved[1].tip_position) / (2 * step)
     np.testing.assert_allclose(compliance[:3, 2], difference, rtol=1e-6, atol=1e-9)
-    three = in_space(at_angle(0.0), at_angle(2.1), at_angle(4.2))
+    three = paper_with(at_angle(0.0), at_angle(2.1), at_angle(4.2))
     assert cddf.tip_jacobian(three, jnp.array([20.0, 5.0, 5.0])).base_tension.shape == (6, 3)
 
 
@@ -360,7 +354,7 @@ def test_parallel_tendons_that_slide_both_ways():
     """T' = -direction mu |u| T, u = sum T (z, -y) / (E J) up to signs, by SciPy; the moment passes near zero."""
     angles, friction, direction = np.radians([0.0, 120.0, 240.0]), np.array([0.9, 0.3, 0.5]), np.array([1.0, -1.0, 1.0])
     tendons = [cddf.Tendon(0.010, angle=a, friction_coefficient=mu) for a, mu in zip(angles, friction, strict=True)]
-    body, pull = in_space(*tendons), np.array([60.0, 40.0, 45.0])
+    body, pull = paper_with(*tendons), np.array([60.0, 40.0, 45.0])
     arms = 0.010 * np.stack([np.cos(angles), np.sin(angles)])
 
     def rate(s, tension):

@@ -259,22 +259,11 @@ def test_what_has_no_history_of_several_tendons(axes, options, message):
 def test_with_the_length_the_taper_varies_too():
     """Against bodies of these lengths, made anew; their radii at base and tip stay."""
     lengths = [0.10, 0.14, 0.21]
-
-    def body(length):
-        return cddf.conical(
-            length=length,
-            outer_radius=(0.020, 0.013),
-            inner_radius=0.007,
-            tendon_offset=0.010,
-            youngs_modulus=1.4e6,
-            friction_coefficient=0.42,
-        )
-
-    swept = cddf.sweep(body(0.14), {"length": lengths}, base_tension=40.0, sensitivities=("length",))
+    swept = cddf.sweep(paper_body("exact"), {"length": lengths}, base_tension=40.0, sensitivities=("length",))
     for i, length in enumerate(lengths):
-        alone, step = cddf.solve(body(length), 40.0), 1e-6
+        alone, step = cddf.solve(paper_body("exact", length=length), 40.0), 1e-6
         assert float(swept.tip_tension[i, 0]) == pytest.approx(float(alone.tip_tension[0]), rel=SAME)
-        ahead, behind = (cddf.solve(body(length + h), 40.0).tip_tension[0] for h in (step, -step))
+        ahead, behind = (cddf.solve(paper_body("exact", length=length + h), 40.0).tip_tension[0] for h in (step, -step))
         slope = float(swept["tip_tension_by_length"][i, 0])
         assert slope == pytest.approx(float(ahead - behind) / (2 * step), rel=1e-6)
 

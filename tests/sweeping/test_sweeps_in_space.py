@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from bodies import paper_body
+from bodies import paper_body, paper_with
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
@@ -15,14 +15,7 @@ from cddf_jax.sweeping.sweep import Sweep
 
 pytest.importorskip("xarray")
 LENGTH, THIRD = 0.14, 2 * np.pi / 3
-BODY = {
-    "length": LENGTH,
-    "outer_radius": cddf.Linear(0.020, 0.013, LENGTH),
-    "inner_radius": 0.007,
-    "youngs_modulus": 1.4e6,
-    "friction_coefficient": 0.42,
-}
-THREE = cddf.Manipulator(tendons=[cddf.Tendon(0.010, angle=i * THIRD) for i in range(3)], **BODY)
+THREE = paper_with(*(cddf.Tendon(0.010, angle=i * THIRD) for i in range(3)))
 TENSIONS = {f"base_tension_{i}": [0.0, 30.0] for i in (1, 2, 3)}
 
 
@@ -90,7 +83,7 @@ def test_what_is_refused(body, axes, others, message):
 def test_a_helix_follows_the_length():
     """Half a turn stays half a turn, and a bend at rest reaches as far along the body."""
     helix = cddf.Tendon(0.010, angle=cddf.Linear(0.0, np.pi, LENGTH))
-    body = cddf.Manipulator(tendons=[helix], rest_curvature=(0.0, cddf.Linear(1.0, 3.0, LENGTH), 0.0), **BODY)
+    body = paper_with(helix, rest_curvature=(0.0, cddf.Linear(1.0, 3.0, LENGTH), 0.0))
     assert body.rest_curvature is not None
     longer, s = stretched(body, 2 * LENGTH), np.linspace(0.0, LENGTH, 5)
     np.testing.assert_allclose(jax.vmap(longer.arms)(2 * s), jax.vmap(body.arms)(s), atol=1e-15)
