@@ -211,14 +211,13 @@ def _draw_body(fig: Plot, seen: dict[str, ColumnDataSource], size: int) -> None:
 
 def body_rows(what: Drawn) -> list[Row]:
     """The body, its plate, and the straight body."""
-    body, straight, angles = what.body, what.straight, np.linspace(0.0, 2 * np.pi, 61)
-    plate = what.plate * np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
+    body, straight = what.body, what.straight
     return [
         *(Row("ring", ring) for ring in body.rings[_some(straight.midline[:, 0]), :-1]),
         Row("axis", body.midline),
         Row("radius", np.outer(body.outer_radius, [1.0, 0.0, 0.0])),
         Row("ahead", body.frame[-1, :, 0]),
-        Row("plate", plate, BLACK),
+        Row("plate", what.plate_edge, BLACK),
         *(Row("rest", line, dash=(2, 4)) for line in (straight.midline, straight.rings[-1])),
     ]
 

@@ -345,7 +345,7 @@ def experiment_of(
             np.stack([table[column] for column in of_tendons("base_tension", manipulator.num_tendons)], axis=1),
             tuple(map(table.columns.get, of_tendons("direction", manipulator.num_tendons))),
             force if np.any(force) else None,
-            first_trial + table["trial"].astype(int) if "trial" in table else None,
+            first_trial + table.trial if "trial" in table else None,
             tuple(columns),
             table.name,
             {column: np.flatnonzero(table.has(column)) for column in columns if not np.all(table.has(column))},

@@ -264,20 +264,19 @@ def course_of(
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
             tension before a trial that is below that of its first row, or a past of another number of tendons.
     """
-    rows, labels = len(table), table.columns.get("trial", np.zeros(len(table))).astype(int)
+    rows = len(table)
     pulled = [column for column in table.columns if column.startswith("base_tension")]
     force = np.stack([table.columns.get(f"tip_force_{axis}", np.zeros(rows)) for axis in "xy"], axis=1)
     exact = len(pulled) == 1 and not np.any(force) and not loaded
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
     paths, forces, found, first = [], [], [], []
-    starts = [Start()] * np.unique(labels).size if starts is None else starts
+    starts = [Start()] * len(table.trials) if starts is None else starts
     for start in (start for start in starts if not start.from_rest and len(start.tension) != len(pulled)):
         raise InputError(
             f"{table.name}: before holds tensions of {len(start.tension)} tendons, but there are {len(pulled)} columns "
             "of base tensions; give one tension for each column"
         )
-    for label, start in zip(np.unique(labels), starts, strict=True):
-        own = table.order[labels[table.order] == label]
+    for own, start in zip(table.trials, starts, strict=True):
         steadied = [without_jitter(table[column][own], noise) for column in pulled]
         if exact:
             _check_directions(table, own, steadied[0], start)
@@ -296,11 +295,6 @@ def course_of(
     else:
         course = _stepped_course(paths, forces, *of_rows, past, short_steps)
     return course, _together(found, tension)
-
-
-def num_paths(table: Measurements) -> int:
-    """How many trials a table holds."""
-    return np.unique(table.columns["trial"]).size if "trial" in table else 1
 
 
 def _together(found: list[Steady], tension: np.ndarray) -> Steady:

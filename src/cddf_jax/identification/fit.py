@@ -18,7 +18,7 @@ from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from . import bench
-from .course import SHORT_STEPS, Course, course_of, has_history, num_paths
+from .course import SHORT_STEPS, Course, course_of, has_history
 from .order_checks import order_remarks
 from .parameters import (
     PLAIN,
@@ -335,7 +335,7 @@ def _courses(
     predicted = {column: given for column, given in noise.items() if column != "base_tension"}
     own = noise.get("base_tension", np.nan)
     with_history = [has_history(table, history) for table in tables]
-    counts = [num_paths(table) if on else 0 for table, on in zip(tables, with_history, strict=True)]
+    counts = [len(table.trials) if on else 0 for table, on in zip(tables, with_history, strict=True)]
     starts = starts_of(counts, before, free, manipulator.num_tendons)
     if "base_tension" in noise and not any(with_history):
         raise InputError("noise of base_tension is used with a history only; leave it out, or give history=True")

@@ -117,10 +117,9 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
 
 def _has_slid_out(table: Measurements, loss: float) -> np.ndarray:
     """(rows,), whether the front of the release has reached the tip."""
-    trial = table.columns.get("trial", np.zeros(len(table))).astype(int)
-    largest = np.zeros(trial.max() + 1)
-    np.maximum.at(largest, trial, table["base_tension"])
-    return 1 / np.maximum(table["base_tension"], 1e-300) >= 1 / largest[trial] + 2 * max(loss, 0.0)
+    largest = np.zeros(table.trial.max() + 1)
+    np.maximum.at(largest, table.trial, table["base_tension"])
+    return 1 / np.maximum(table["base_tension"], 1e-300) >= 1 / largest[table.trial] + 2 * max(loss, 0.0)
 
 
 def _regression(

@@ -12,9 +12,7 @@ def branches(table: Measurements) -> np.ndarray:
     0 where it is neither: within a smaller loop, or pulled again. Jitter of the cell is ignored.
     """
     found = np.zeros(len(table))
-    labels = table.columns.get("trial", np.zeros(len(table)))
-    for label in np.unique(labels):
-        rows = table.order[labels[table.order] == label]
+    for rows in table.trials:
         tension = without_jitter(table["base_tension"][rows]).tension
         behind = np.arange(rows.size) > np.flatnonzero(tension == np.max(tension))[-1]
         up = ~behind & (tension >= np.maximum.accumulate(tension))

@@ -159,6 +159,17 @@ class Measurements:
         keys = [self.columns[column] for column in (*reversed(ORDER), "trial") if column in self]
         return np.lexsort(keys) if keys else np.arange(len(self))
 
+    @cached_property
+    def trial(self) -> np.ndarray:
+        """(rows,), the number of the trial of each row, from 0; 0 without a column of trials."""
+        return self.columns.get("trial", np.zeros(len(self))).astype(int)
+
+    @cached_property
+    def trials(self) -> list[np.ndarray]:
+        """The rows of each trial, 0, 1, ..., in the order in which they were measured."""
+        trial = self.trial[self.order]
+        return [self.order[trial == number] for number in np.unique(trial)]
+
     def in_order(self) -> "Measurements":
         """The same rows in the order in which they were measured."""
         if np.all(np.diff(self.order) == 1):
@@ -176,7 +187,7 @@ class Measurements:
         """
         if not self.files:
             return f"row {self.rows[row]}"
-        trial = int(self.columns["trial"][row])
+        trial = int(self.trial[row])
         file = self.files[trial]
         return f"row {self.rows[row]} of {file if self.files.count(file) == 1 else self.trial_labels[trial]}"
 

@@ -36,12 +36,11 @@ def warnings_of(table: "Measurements", *, in_order: bool, from_rest: bool = True
 def _too_few_rows(table: "Measurements") -> str:
     if len(table) == 1:
         return "there is one row only, from which no scatter can be estimated"
-    trials = table.columns.get("trial", np.zeros(0)).astype(int)
-    counts = np.bincount(trials)
+    counts = np.bincount(table.trial)
     alone = np.flatnonzero(counts == 1)
     if alone.size == 0 or counts.max() == 1:  # one row in each trial: the trial is only a label of the row
         return ""
-    first = table.place(int(np.flatnonzero(trials == alone[0])[0]))
+    first = table.place(int(np.flatnonzero(table.trial == alone[0])[0]))
     return (
         f"trials of one row only: {alone.size} of {counts.size} (trial {table.trial_labels[alone[0]]}, {first}); "
         "is the rest missing?"
@@ -96,10 +95,8 @@ def _tip_above_base_on_the_way_up(table: "Measurements", column: str) -> str:
     """As `_tip_above_base`, for rows at the largest base tension so far, where all of the tendon slides in."""
     if not column.startswith("tip_tension") or "base_tension_2" in table.columns:
         return ""  # of several tendons any may slide out while another is pulled
-    base, trial = table["base_tension"], table.columns.get("trial", np.zeros(len(table)))
-    highest = np.zeros(len(table), bool)
-    for label in np.unique(trial):
-        rows = table.order[trial[table.order] == label]
+    base, highest = table["base_tension"], np.zeros(len(table), bool)
+    for rows in table.trials:
         highest[rows] = base[rows] >= np.maximum.accumulate(base[rows])
     return _above(table, column, highest)
 
@@ -108,7 +105,7 @@ def _starts_anew(table: "Measurements", column: str) -> str:
     """Rows at the lowest level of their trial, after twice that level or more, before a new pull: perhaps from rest."""
     if column != "base_tension":
         return ""
-    base, trial = table[column][table.order], table.columns.get("trial", np.zeros(len(table))).astype(int)[table.order]
+    base, trial = table[column][table.order], table.trial[table.order]
     least = np.full(trial.max() + 1, np.inf)
     np.minimum.at(least, trial, base)
     slack, alike = ONE_LEVEL * base.max(), np.diff(trial) == 0
@@ -140,7 +137,7 @@ def _coming_down(table: "Measurements", column: str) -> str:
     if not column.startswith("base_tension") or (stated in table.columns and not with_history):
         return ""
     order = table.order
-    base, trial = table[column][order], table.columns.get("trial", np.zeros(len(table))).astype(int)[order]
+    base, trial = table[column][order], table.trial[order]
     slack, least = ONE_LEVEL * base.max(), np.full(trial.max() + 1, np.inf)
     np.minimum.at(least, trial, base)
     falls = np.append(False, (np.diff(base) < -slack) & (np.diff(trial) == 0))
