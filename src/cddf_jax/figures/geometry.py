@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -13,7 +12,7 @@ from ..programs.evaluated import evaluated
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.validation import joints
-from ..statics.equilibrium import Equilibrium, fields_on
+from ..statics.equilibrium import Equilibrium
 
 AROUND = 32  # points around a cross-section
 ELEVATION, AZIMUTH = 24.0, -58.0  # deg, from where a body in space is seen
@@ -139,7 +138,7 @@ def with_joints(grid: np.ndarray, joints: ArrayLike) -> np.ndarray:
 
 def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> AnyFields:
     """The fields at some arc lengths as NumPy arrays; a solve that failed is refused."""
-    fields = jax.tree.map(np.asarray, fields_on(equilibrium, arc_length))
+    fields = evaluated(Equilibrium.at, equilibrium, arc_length)
     if not np.all(np.isfinite(fields.position)):
         raise InputError("the solve failed, there is no shape to draw; see its result")
     return fields

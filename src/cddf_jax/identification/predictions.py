@@ -8,19 +8,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..mechanics.capstan import pulling_tension
-from ..programs.kept import kept_program
-from ..robot.manipulator import Manipulator
+from ..programs.evaluated import evaluated
 from .bench import AllRows, Bench, BenchModel, Group
 from .course import SHORT_STEPS, between, course_along
-from .parameters import TRIALS, Parameters
+from .parameters import TRIALS
 from .tension_before import REST, Before
 
 if TYPE_CHECKING:
@@ -123,9 +121,9 @@ def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
             continue
         found = True
         finer = replace(one, course=replace(one.course, short_steps=2 * one.course.short_steps), name="")
-        read = _read(finer, body, parameters, 2 * nodes)
+        read = evaluated(Bench.predict, finer, body, parameters, 2 * nodes)
         for group in (group for group in fit.groups if group.name == name):
-            apart = np.asarray(read[group.column]) - (group.observed - fit.residuals[group.label])
+            apart = read[group.column] - (group.observed - fit.residuals[group.label])
             noise = noise_of_readings(fit, group)
             moved += spectrum.covariance @ (fit.evidence.rows[group.label].T @ (2 * apart / noise))
     with np.errstate(invalid="ignore"):
@@ -138,12 +136,6 @@ def noise_of_readings(fit: "Fit", group: Group) -> np.ndarray:
     """(readings,), the standard deviations of the noise."""
     problem = fit.minimum.problem
     return np.ravel(problem.data.noise[problem.groups.index(group.label)])
-
-
-@kept_program
-@eqx.filter_jit
-def _read(bench: Bench, manipulator: Manipulator, parameters: Parameters, nodes: int) -> dict[str, Array]:
-    return bench.predict(manipulator, parameters, nodes)
 
 
 # --- names of what was fitted ---------------------------------------------------------------------

@@ -19,8 +19,9 @@ from ..identification.parameters import unit_of
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..mechanics.fields import AnyFields, SpatialFields
+from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES
-from ..statics.equilibrium import Equilibrium, fields_on
+from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import result_in_words
 from ..sweeping.one_solve import AXES, COMPONENTS, IN_SPACE, OUTPUTS
 from ..units import Dimension, si_unit
@@ -56,7 +57,7 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
     if isinstance(equilibrium, History):
         raise InputError("as_dataset: needs an equilibrium, got a history; `as_frame` tables its steps")
     s = _stations(equilibrium, arc_length)
-    fields = fields_on(equilibrium, s)
+    fields = evaluated(Equilibrium.at, equilibrium, s)
     data, in_space = {}, equilibrium.tip_frame is not None
     for name, own in (IN_SPACE if in_space else OUTPUTS).items():
         if name == "arc_length" or (name.startswith("peak_strain") and not equilibrium.has_wall):
@@ -123,7 +124,7 @@ def fields_csv(fields: AnyFields, notes: Sequence[str] = ()) -> str:
 
 def fields_on_grid(equilibrium: Equilibrium) -> AnyFields:
     """The fields at 201 arc lengths from base to tip."""
-    return fields_on(equilibrium, _stations(equilibrium, None))
+    return evaluated(Equilibrium.at, equilibrium, _stations(equilibrium, None))
 
 
 def field_columns(fields: AnyFields) -> dict[str, np.ndarray]:

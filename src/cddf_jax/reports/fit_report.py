@@ -13,7 +13,7 @@ from ..files.writing import as_json, markdown_table, write_all
 from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
-from ..identification.predictions import correlated_names, moving_names, tables_without_numbers
+from ..identification.predictions import correlated_names, moving_names, own_names, tables_without_numbers
 from ..identification.verdict import error_in_words, parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
 from ..progress import each, stage
@@ -234,8 +234,7 @@ def way_back_rows(fit: Fit) -> list[list[str]]:
     pull = fit.pull_alone
     if pull is None or not fit.success:
         return []
-    names = [name for name in fit.names if not name.startswith(TRIALS)]
-    rows = [[name, error_in_words(pull, name), error_in_words(fit, name)] for name in names]
+    rows = [[name, error_in_words(pull, name), error_in_words(fit, name)] for name in own_names(fit)]
     for name in fit.combinations:
         both = (found.combinations.get(name) for found in (pull, fit))
         rows.append([name, *(f"{100 * e.standard_error / e.value:.2g} %" if e else "-" for e in both)])

@@ -305,13 +305,6 @@ class Dense(eqx.Module):
 _peak_strain = kept_program(eqx.filter_jit(Dense.peak_strain))
 
 
-@kept_program
-@eqx.filter_jit
-def fields_on(equilibrium: Equilibrium, arc_length: ArrayLike) -> AnyFields:
-    """`equilibrium.at`, compiled once for each number of arc lengths."""
-    return equilibrium.at(arc_length)
-
-
 def ended_as(equilibrium: Equilibrium, *results: RESULTS) -> bool:
     """Whether one solve, whose numbers are known, ended with one of these results."""
     return int(code_of(equilibrium.result)) in [int(code_of(result)) for result in results]
