@@ -146,39 +146,50 @@ def test_a_body_of_the_plane_in_space(loads):
 
 
 @pytest.mark.slow
-def test_forces_on_the_body_balance():
-    """Tendon forces along the body, at the anchors and at the base, in sum: T_base t(0) less T_tip t(L)."""
-    found = cddf.solve(paper_with(helix(0.25), at_angle(2.0)), (40.0, 25.0), cddf.Loads(tip_force=(0.0, 0.1, 0.2)))
+def test_forces_on_the_body_balance_the_reactions_at_the_base():
+    """The tendon forces in sum are T t at the anchor less T t at the base; their moment and the load's bend the base.
+
+    The direction t of a tendon follows from strain and routing, space.md section 1: v + u x rho + rho' with v = e_x.
+    """
+    turns, first, force = np.array([0.25, 0.0]), np.array([0.0, 2.0]), np.array([0.0, 0.1, 0.2])
+    body = paper_with(helix(0.25), at_angle(2.0))
+    found = cddf.solve(body, (40.0, 25.0), cddf.Loads(tip_force=force))
     x, weights = np.polynomial.legendre.leggauss(40)
-    along = found.at((x + 1) / 2 * LENGTH)
-    total = LENGTH / 2 * np.einsum("p,tpi->ti", weights, along.normal_force + along.friction_force)
-    ends = found.at(np.array([0.0, LENGTH]))
+    along, weights = found.at((x + 1) / 2 * LENGTH), LENGTH / 2 * weights
+    forces, ends = along.normal_force + along.friction_force, found.at(np.array([0.0, LENGTH]))
 
-    def pull(tension, place):  # T t: the unit tangent of the path by differences, which is independent of the solver
-        step = 1e-6
-        near = found.at(np.clip(place + step * np.array([-1.0, 0.0, 1.0]), 0.0, LENGTH)).path
-        direction = near[:, 2] - near[:, 0]
-        return tension[:, None] * direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    def pull(end):  # T t, (tendons, 3), in the fixed frame
+        rate = 2 * np.pi * turns / LENGTH
+        angle, zero = first + rate * LENGTH * end, np.zeros(2)
+        arm = 0.010 * np.stack([zero, np.cos(angle), np.sin(angle)], axis=-1)
+        slope = 0.010 * rate[:, None] * np.stack([zero, -np.sin(angle), np.cos(angle)], axis=-1)
+        direction = (np.array([1.0, 0.0, 0.0]) + np.cross(ends.curvature[end], arm) + slope) @ ends.frame[end].T
+        return ends.tension[:, end, None] * direction / np.linalg.norm(direction, axis=-1, keepdims=True)
 
-    expected = pull(ends.tension[:, 1], LENGTH) - pull(ends.tension[:, 0], 0.0)
-    np.testing.assert_allclose(total, expected, atol=2e-3)
+    np.testing.assert_allclose(np.einsum("p,tpi->ti", weights, forces), pull(1) - pull(0), atol=1e-10)
+    moment = np.einsum("p,tpi->i", weights, np.cross(along.path, forces))
+    moment = moment - np.cross(ends.path[:, 1], pull(1)).sum(axis=0) + np.cross(found.tip_position, force)
+    base = body.strain_stiffness(jnp.asarray(0.0)) * ends.curvature[0]
+    np.testing.assert_allclose(moment, base, atol=1e-11)
 
 
 @pytest.mark.slow
-def test_work_of_the_tendons_is_stored_without_friction():
-    """Virtual work: dU/dT = T d(displacement)/dT, with the elastic energy integrated from the curvature."""
-    body = paper_with(helix(0.25), friction_coefficient=0.0)
+@pytest.mark.parametrize("force", [None, np.array([0.0, 0.1, 0.2])], ids=["no load", "a tip force"])
+def test_work_of_tendon_and_load_is_stored_without_friction(force):
+    """Virtual work: dU/dT = T d(displacement)/dT + F dr/dT, with the elastic energy integrated from the curvature."""
+    body, loads = paper_with(helix(0.25), friction_coefficient=0.0), force if force is None else cddf.Loads(force)
     x, weights = np.polynomial.legendre.leggauss(24)
     s = (x + 1) / 2 * LENGTH
     stiffness = jax.vmap(body.strain_stiffness)(jnp.asarray(s))
 
-    def energy_and_travel(tension):
-        found = cddf.solve(body, tension, throw=False)
+    def energy_travel_and_tip(tension):
+        found = cddf.solve(body, tension, loads, throw=False)
         energy = LENGTH / 4 * jnp.sum(weights[:, None] * stiffness * found.at(s).curvature ** 2)
-        return energy, found.tendon_displacement[0]
+        return energy, found.tendon_displacement[0], found.tip_position
 
-    (_, _), (rise, travel) = jax.jvp(energy_and_travel, (30.0,), (1.0,))
-    np.testing.assert_allclose(rise, 30.0 * travel, rtol=1e-9)
+    _, (rise, travel, moved) = jax.jvp(energy_travel_and_tip, (30.0,), (1.0,))
+    of_load = 0.0 if force is None else force @ np.asarray(moved)
+    np.testing.assert_allclose(rise, 30.0 * travel + of_load, rtol=1e-9)
 
 
 @pytest.mark.slow
