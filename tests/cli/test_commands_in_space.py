@@ -146,7 +146,6 @@ def test_a_fit_to_markers_that_a_camera_sees(cddf_command, tmp_path):
             ("trace", THREE, *["--path", "0 N, 5 N"] * 3),
             "in space only one tendon without loads can be followed",
         ),
-        (("trace", HELIX, "--path", "0 deg, 5 deg"), "trace: TipAngle drives a tendon in the plane; in space give"),
         (
             ("reproduce", HELIX, str(DATA / "load_cells_simulated.csv")),
             "in a plane, this one is in space; remove the angle",
