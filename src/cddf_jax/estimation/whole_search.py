@@ -73,7 +73,7 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
     if stopped and (found := kink_of(minimum, evidence)):
         stopped, (kink, minimum) = False, found
         evidence = replace(_evidence(task, minimum), kink=kink)
-    known, determination = evidence, determine(evidence)
+    first, determination = evidence, determine(evidence)
     evidence, least_rise, lower = look_along_valleys(minimum, evidence, determination)
     result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
     if task.prefer_start and evidence.open_profile:
@@ -82,7 +82,7 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
         evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
         evidence = replace(evidence, failed=True, bounded_above=())
-    if evidence is not known:
+    if evidence is not first:  # the look along the valleys added something
         determination = determine(evidence)
     if result == SUCCESSFUL and not are_products(minimum, evidence, determination):
         evidence = replace(evidence, products=False)
