@@ -4,6 +4,7 @@ All uses of jaxlib's client are in this file. The public functions of JAX for th
 version differs, `UnavailableError` is raised, and nothing is kept.
 """
 
+import math
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from jaxlib import xla_client
 from ..application import is_tested_jaxlib
 
 CALLED = ("lapack_", "Sharding", "SPMD", "xla.sdy")  # calls that every process finds; others may be this process's own
+SMALL = 64  # numbers of an array that goes in with others, because a transfer of its own takes longer than a copy
 EMITTERS = "xla_cpu_use_fusion_emitters"  # of jaxlib 0.10; with them compiling takes twice as long for code no faster
 
 
@@ -55,6 +57,58 @@ class Interface(NamedTuple):
     lapack: bool  # whether it calls LAPACK
 
 
+class Pack(NamedTuple):
+    """Small arrays of one type, which go into a program as one row of numbers."""
+
+    dtype: str
+    members: tuple[int, ...]  # their numbers among all inputs
+    shapes: tuple[tuple[int, ...], ...]
+
+    def row(self, arrays: Sequence[Any]) -> np.ndarray:
+        """All numbers in one row."""
+        return np.concatenate([np.ravel(np.asarray(arrays[i], self.dtype)) for i in self.members])
+
+    def parts(self, row: jax.Array) -> dict[int, jax.Array]:
+        """The arrays again, by their numbers."""
+        ends = np.cumsum([math.prod(shape) for shape in self.shapes])[:-1].tolist()
+        parts = zip(self.members, jax.numpy.split(row, ends), self.shapes, strict=True)
+        return {i: part.reshape(shape) for i, part, shape in parts}
+
+
+class Packing(NamedTuple):
+    """How the arrays of a call become the inputs of its program: packs first, then the arrays that go in alone."""
+
+    packs: tuple[Pack, ...]
+    alone: tuple[int, ...]
+
+    @staticmethod
+    def of(inputs: Sequence[Signature], mesh: Mesh | None) -> "Packing":
+        """The packing that follows from the shapes and types."""
+        small: dict[str, list[int]] = {}
+        for i, one in enumerate(inputs):
+            if mesh is None and not one.weak and one.spec is None and math.prod(one.shape) <= SMALL:
+                small.setdefault(one.dtype, []).append(i)
+        packs = [Pack(dtype, tuple(at), tuple(inputs[i].shape for i in at)) for dtype, at in small.items()]
+        packed = {i for pack in packs for i in pack.members}
+        return Packing(tuple(packs), tuple(i for i in range(len(inputs)) if i not in packed))
+
+    def packed(self, arrays: Sequence[Any]) -> list[Any]:
+        """The inputs of the program."""
+        return [*[pack.row(arrays) for pack in self.packs], *[arrays[i] for i in self.alone]]
+
+    def unpacked(self, inputs: Sequence[jax.Array]) -> list[jax.Array]:
+        """The arrays, from the inputs of the program; traced."""
+        found = dict(zip(self.alone, inputs[len(self.packs) :], strict=True))
+        for pack, row in zip(self.packs, inputs, strict=False):
+            found |= pack.parts(row)
+        return [found[i] for i in range(len(found))]
+
+    def signatures(self, inputs: Sequence[Signature]) -> list[Signature]:
+        """Those of the inputs of the program."""
+        rows = [Signature((sum(map(math.prod, pack.shapes)),), pack.dtype) for pack in self.packs]
+        return [*rows, *[inputs[i] for i in self.alone]]
+
+
 class Program:
     """A compiled program with flat lists of arrays in and out.
 
@@ -65,7 +119,9 @@ class Program:
 
     def __init__(self, executable: Any, interface: Interface):
         self.interface, self._executable, self._mesh = interface, executable, interface.mesh
-        self._inputs = [(one.aval, np.dtype(one.dtype), self._sharding(one)) for one in interface.inputs]
+        self._packing = Packing.of(interface.inputs, interface.mesh)
+        inputs = self._packing.signatures(interface.inputs)
+        self._inputs = [(one.aval, np.dtype(one.dtype), self._sharding(one)) for one in inputs]
         self._devices = jax.local_devices()[:1]  # of a program without a mesh
         outputs = [(one.aval, self._sharding(one), self._mesh is not None) for one in interface.outputs]
         with _as_expected():
@@ -83,7 +139,8 @@ class Program:
             UnavailableError: if the arrays do not fit.
         """
         with _as_expected():
-            placed = [self._placed(array, *wanted) for array, wanted in zip(arrays, self._inputs, strict=True)]
+            packed = self._packing.packed(arrays)
+            placed = [self._placed(array, *wanted) for array, wanted in zip(packed, self._inputs, strict=True)]
             return self._executable.execute_sharded(placed).consume_with_handlers(self._results)
 
     def _placed(self, array: Any, aval: ShapedArray, dtype: np.dtype, sharding: Sharding) -> jax.Array:
@@ -107,8 +164,9 @@ def compiled(
     Raises:
         UnavailableError: for a program that only this process can run, because it calls back into Python.
     """
-    placed = arrays if mesh is None else _on_mesh(arrays, inputs, mesh)
-    traced = jax.jit(function, keep_unused=True).trace(*placed)
+    packing = Packing.of(inputs, mesh)
+    placed = packing.packed(arrays) if mesh is None else _on_mesh(arrays, inputs, mesh)
+    traced = jax.jit(lambda *given: function(*packing.unpacked(given)), keep_unused=True).trace(*placed)
     lowered = traced.lower()
     called = set(re.findall(r"custom_call @([\w.]+)", lowered.as_text()))
     others = sorted(name for name in called if not name.startswith(CALLED))

@@ -124,7 +124,7 @@ def solve(
     if loads is None and any(isinstance(target, TipStiffness) for target in targets):
         loads = Loads()
     if space or manipulator.in_space or (loads is not None and loads.in_space):
-        manipulator, loads = in_space(manipulator), None if loads is None else loads_in_space(loads)
+        manipulator = in_space(manipulator)
         check_in_space(method)
     check_place(manipulator, targets)
     check_weight(manipulator, loads)
@@ -165,6 +165,8 @@ def _solve(
     nodes: int,
 ) -> Equilibrium:
     to_find = not_stated(direction)
+    if manipulator.in_space and loads is not None:
+        loads = loads_in_space(loads)
     asked = one_precision(manipulator, given, direction, (targets, loads))
     numbers = jax.tree.leaves(eqx.filter(asked, eqx.is_inexact_array))
     finite = jnp.all(jnp.isfinite(jnp.concatenate([x.ravel() for x in numbers])))
