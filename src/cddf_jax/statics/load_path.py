@@ -17,7 +17,7 @@ from ..numerics.arrays import computed_once, largest_size
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
 
 LARGEST_TURN = 1.0  # rad: the largest turn of a cross-section in one step along the path
-FIRST_TURN = 0.5  # rad: the turn at which the first step aims, because no prediction has been compared yet
+FIRST_TURN = 0.35  # rad: the turn at which the first step aims, because no prediction has been compared yet
 LARGEST_MISS = 0.2  # rad: the largest difference of a heading from its prediction
 LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: a longer step in which stability changes may have reached another branch
@@ -65,16 +65,7 @@ class _Walk(NamedTuple):
     def over(self) -> Flag:
         trial = self.trial
         done = trial.settled | trial.lost | (trial.num_passes >= MAX_SETTLING)
-        return self.ended | (self.arrived & (done | _bends_both_ways(trial)))
-
-
-def _bends_both_ways(trial: Trial) -> Flag:
-    """Whether a body in the plane bends both ways; it settles sooner on panels that end at its sign changes."""
-    assert trial.heading is not None
-    if trial.moment is not None and trial.moment.ndim:
-        return trial.lost & False
-    turned = jnp.diff(trial.heading.nodes.ravel())
-    return jnp.any(turned > 0) & jnp.any(turned < 0)
+        return self.ended | (self.arrived & done)
 
 
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
@@ -213,7 +204,7 @@ def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_p
         on_path: whether it led to an equilibrium that may lie on the path.
         first: whether the step is the first one, from the body without loads.
     """
-    ideal = jnp.sqrt(0.5 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
+    ideal = jnp.sqrt(0.3 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
     shorter = step * jnp.where(on_path, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = step * jnp.clip(ideal, 0.3, 4.0)
     turn = jnp.where(first, FIRST_TURN, 0.8 * LARGEST_TURN)
