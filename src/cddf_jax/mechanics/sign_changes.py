@@ -47,23 +47,21 @@ SHARP = 0.25  # of the length: a minimum less near to a kink does no harm
 REFINEMENTS = 5  # by the Illinois rule
 
 
-def only_if(needed: Bool[Array, ""], compute: Callable[[Number], Values], otherwise: Values) -> Values:
-    """The result of `compute` where it is needed, and `otherwise` elsewhere.
+def only_if(needed: Bool[Array, ""], compute: Callable[[Values], Values], values: Values) -> Values:
+    """The values where nothing is needed, and elsewhere what `compute` makes of them.
 
     Nothing is computed where no lane of a batch needs it. This is a loop of one pass or none, because `lax.cond` would
     always compute for the whole batch. There are no derivatives in reverse mode.
 
     Args:
         needed: whether this lane needs it.
-        compute: its argument is a zero, to be added to what it works on. XLA would move the rest out of the loop.
-        otherwise: the result where it is not needed.
+        compute: a function of the values. XLA moves out of the loop what does not depend on its argument.
+        values: its argument.
     """
     turns = jnp.where(needed, 1.0, 0.0)
-
-    def once(carry):
-        return carry[0] - 1.0, compute(0.0 * carry[0])
-
-    return jax.lax.while_loop(lambda carry: carry[0] > 0, once, (turns, otherwise))[1]
+    return jax.lax.while_loop(
+        lambda carry: carry[0] > 0, lambda carry: (carry[0] - 1, compute(carry[1])), (turns, values)
+    )[1]
 
 
 class Splits(NamedTuple):
@@ -132,7 +130,7 @@ def locate(problem: Problem, state: AnyState) -> Splits:
     points = with_ends(problem.panels, turning)
     both, least = _has_both_signs(problem, points)
     none = varying_as(unsplit(problem.manipulator, problem.loads), zero_as(least))
-    return only_if(both, lambda zero: _first_changes(problem, points + zero, least, none), none)
+    return only_if(both, lambda none: _first_changes(problem, points + 0.0 * none.arc_length[0], least, none), none)
 
 
 def with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:

@@ -203,8 +203,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     problem = setup.lay_out(base_tension, ends, state.cut)
     body = LoadedBody(problem, setup.method)
 
-    def corrected(zero: Number) -> Trial:
-        start = jax.tree.map(lambda x: x + zero if eqx.is_inexact_array(x) else x, state.trial)
+    def corrected(start: Trial) -> Trial:
         trial = body.correct(start, fraction, fraction < 0)
         kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), _kept(start), _kept(trial))
         return trial._replace(**kept)
@@ -218,19 +217,19 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     move = (distance > in_place) & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
     over = trial.lost | (trial.settled & ~move)
 
-    def travelled(zero: Number) -> PerTendon:
-        here = body.travel(trial, fraction + zero)
+    def travelled(before: PerTendon) -> PerTendon:
+        here = body.travel(trial, fraction + 0.0 * before[0])
         return travel_under_tension(problem, pull_at_nodes(problem, trial.nodal), here)
 
     ends = jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends) if moves.size else ends
     new = _cut(setup, ends)
 
-    def moved(_: Number) -> Trial:
+    def moved(trial: Trial) -> Trial:
         here, unstacked = _stacked(trial)
         near = problem.panels.shifted(here, new)
 
-        def far(zero: Number) -> Array:
-            weights = problem.panels.weights_on(Panels.between(new.edges + zero, new.order))
+        def far(near: Array) -> Array:
+            weights = problem.panels.weights_on(Panels.between(new.edges + 0.0 * near[0, 0, 0], new.order))
             return (weights @ here.reshape(weights.shape[1], -1)).reshape(here.shape)
 
         return unstacked(only_if(distance > FAR, far, near))

@@ -90,7 +90,7 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
         walk = walk._replace(trial=body.correct(walk.trial, walk.fraction, walk.fraction < 1.0))
         hopeless = walk.trial.lost | ((walk.num_steps > 0) & (walk.trial.num_passes >= MAX_SETTLING))
         tried = ~walk.arrived & (walk.trial.near | hopeless)
-        return only_if(tried, lambda zero: _decide(walk._replace(fraction=walk.fraction + zero)), walk)
+        return only_if(tried, _decide, walk)
 
     walk = jax.lax.while_loop(lambda walk: ~walk.over, advance, _first_walk(body, guess, zero))
     place = walk.place
