@@ -177,7 +177,7 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
         found, near = follow_loads(LoadedBody(problem, setup.method), guess, zero)
         here, unstacked = _stacked(near)
         count = cut.nodes.shape[0] - guess.ratio.shape[0]
-        trial, num_moves = unstacked(problem.panels.with_empty(here, count)), zero - 1.0
+        trial, num_moves = unstacked(jax.vmap(partial(problem.panels.with_empty, count=count))(here)), zero - 1.0
 
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
     start = _Following(trial, base_tension + zero, blank.splits, cut, num_moves, ~found.converged | trial.lost)
@@ -225,12 +225,12 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     new = _cut(setup, ends)
 
     def moved(trial: Trial) -> Trial:
-        here, unstacked = _stacked(trial)
-        near = problem.panels.shifted(here, new)
+        here, unstacked = _stacked(trial, headings=False)
+        near = jax.vmap(problem.panels.shifted, (0, None))(here, new)
 
         def far(near: Array) -> Array:
             weights = problem.panels.weights_on(Panels.between(new.edges + 0.0 * near[0, 0, 0], new.order))
-            return (weights @ here.reshape(weights.shape[1], -1)).reshape(here.shape)
+            return (here.reshape(here.shape[0], -1) @ weights.T).reshape(here.shape)
 
         return unstacked(only_if(distance > FAR, far, near))
 
@@ -258,23 +258,44 @@ def _kept(trial: Trial) -> dict[str, Nodal | Moment | Array | None]:
     return {name: getattr(trial, name) for name in names}
 
 
-def _stacked(trial: Trial) -> tuple[Float[Array, "P p numbers"], Callable[[Array], Trial]]:
-    """All values and slopes at the nodes in one array, and the trial with such an array in their place."""
-    values = trial.nodal, trial.strain, None if trial.heading is None else trial.heading.nodes
-    slopes = None if trial.slopes is None else (trial.slopes.nodal, trial.slopes.heading.nodes)
-    slopes = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), slopes)
+def _stacked(trial: Trial, headings: bool = True) -> tuple[Float[Array, "numbers P p"], Callable[[Array], Trial]]:
+    """All values and slopes at the nodes in one array, and the trial with such an array in their place.
+
+    Args:
+        trial: at the nodes.
+        headings: whether headings are part of it. A pass does not need those before it.
+    """
+    values = trial.nodal, trial.strain, trial.heading.nodes if headings and trial.heading is not None else None
+    slopes = None if trial.slopes is None else (trial.slopes.nodal, trial.slopes.heading.nodes if headings else None)
     arrays, structure = jax.tree.flatten((values, slopes))
-    columns = [x.reshape(*x.shape[:2], -1) for x in arrays]
-    ends = np.cumsum([column.shape[2] for column in columns])[:-1].tolist()
+    leading = [0] * len(jax.tree.leaves(values)) + [1] * len(jax.tree.leaves(slopes))  # axes before panels and nodes
+    rows = [_rows_of(*each) for each in zip(arrays, leading, strict=True)]
+    ends = np.cumsum([len(each) for each in rows])[:-1].tolist()
 
     def unstacked(stack: Array) -> Trial:
-        parts = zip(jnp.split(stack, ends, axis=2), arrays, strict=True)
-        leaves = [part.reshape(*stack.shape[:2], *old.shape[2:]) for part, old in parts]
-        (nodal, strain, heading), slopes = structure.unflatten(leaves)
+        parts = zip(jnp.split(stack, ends), arrays, leading, strict=True)
+        (nodal, strain, heading), slopes = structure.unflatten([_of_rows(*each) for each in parts])
+        moved = trial._replace(nodal=nodal, strain=strain)
         if trial.heading is None or trial.slopes is None:
-            return trial._replace(nodal=nodal, strain=strain)
-        by_nodal, by_heading = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
-        slopes = trial.slopes._replace(nodal=by_nodal, heading=trial.slopes.heading._replace(nodes=by_heading))
-        return trial._replace(nodal=nodal, strain=strain, heading=trial.heading._replace(nodes=heading), slopes=slopes)
+            return moved
+        by_nodal, by_heading = slopes
+        slopes = trial.slopes._replace(nodal=by_nodal)
+        if headings:
+            slopes = slopes._replace(heading=slopes.heading._replace(nodes=by_heading))
+            moved = moved._replace(heading=trial.heading._replace(nodes=heading))
+        return moved._replace(slopes=slopes)
 
-    return jnp.concatenate(columns, axis=2), unstacked
+    return jnp.concatenate(rows), unstacked
+
+
+def _rows_of(array: Float[Array, "..."], leading: int) -> Float[Array, "numbers P p"]:
+    """An array whose axes are `leading` ones, panels, nodes and components, as rows: one for each number at a node."""
+    flat = array.reshape(*array.shape[: leading + 2], -1)
+    return jnp.moveaxis(flat, -1, leading).reshape(-1, *array.shape[leading : leading + 2])
+
+
+def _of_rows(rows: Float[Array, "numbers P p"], array: Float[Array, "..."], leading: int) -> Float[Array, "..."]:
+    """The inverse of `_rows_of`, with the axes of `array` but for panels and nodes."""
+    before, after = array.shape[:leading], array.shape[leading + 2 :]
+    flat = rows.reshape(*before, -1, *rows.shape[1:])
+    return jnp.moveaxis(flat, leading, -1).reshape(*before, *rows.shape[1:], *after)
