@@ -63,7 +63,7 @@ def axis_in_fixed_frame(frame: Quaternion, strain: Float[Array, "*points strains
 
 def path_rate(section: SpatialSection, strain: Strain) -> Vectors:
     """The derivative w of each tendon's position along s, in the frame of the cross-section."""
-    return section.lever @ strain + section.ahead
+    return jnp.sum(section.lever * strain, axis=-1) + section.ahead
 
 
 def tangents(section: SpatialSection, strain: Strain) -> Vectors:
@@ -139,7 +139,7 @@ def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTend
 
 def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loads: Wrench | None) -> Strain:
     """The derivative of the energy with respect to the strain, without the elastic part."""
-    pull = jnp.einsum("ijk,ij->k", section.lever, tension[:, None] * tangent)
+    pull = jnp.sum(section.lever * (tension[:, None] * tangent)[..., None], axis=(0, 1))
     if loads is None:
         return pull
     acting = loads.moment if loads.force is None else jnp.concatenate([loads.moment, loads.force])
@@ -179,7 +179,7 @@ def _tangent_stiffness(section: SpatialSection, tension: PerTendon, strain: Stra
     w = path_rate(section, strain)
     size = jnp.sqrt(jnp.sum(w**2, axis=-1))
     t = w / size[:, None]
-    along = jnp.einsum("ijk,ij->ik", section.lever, t)
-    per_length = tension / size
-    across = jnp.einsum("ijk,ijl->kl", per_length[:, None, None] * section.lever, section.lever)
-    return jnp.diag(section.stiffness) + across - jnp.einsum("ik,il->kl", per_length[:, None] * along, along)
+    along = jnp.sum(section.lever * t[..., None], axis=1)
+    squares = jnp.sum(section.lever[..., None] * section.lever[..., None, :], axis=1)
+    across = squares - along[..., None] * along[:, None, :]
+    return jnp.diag(section.stiffness) + jnp.sum((tension / size)[:, None, None] * across, axis=0)
