@@ -70,7 +70,8 @@ class _Shape(NamedTuple):
     """The shape that follows from the tensions and moments at the nodes."""
 
     turning: Float[Array, "P p tendons"]  # of the tendons, 1/m
-    heading: tuple[Array, Array] | None  # at the edges and the nodes; None in space without loads
+    heading: tuple[Array, Array] | None  # at the edges and the nodes; None in space
+    frame_rate: Float[Array, "P p 4"] | None  # the derivative of the rotation in space; None without loads
     axis: Float[Array, "P p components"] | None  # the derivative of the position; None without loads
     moment_rate: Float[Array, "P p *components"] | None  # M_ext', N; None without loads
     strain: Float[Array, "P p strains"] | None  # of a body in space
@@ -180,15 +181,15 @@ def _pass(problem: Problem, guess: Nodal, strain: Array | None = None) -> tuple[
     tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent_at_nodes))
     shape = (_shape_in_space if problem.in_space else _shape)(problem, guess, tension, strain)
     scaled = None if shape.moment_rate is None else shape.moment_rate * (1.0 / problem.moment_scale)
-    bending, bending_at_nodes = _integral(cut, base.moment, scaled)
-    heading, heading_at_nodes = (None, None) if shape.heading is None else shape.heading
-    frame, frame_at_nodes = (heading, heading_at_nodes) if problem.in_space else (None, None)
-    gains, within = cut.integrate(_ratio_rates(problem.direction, section, shape.turning, guess.ratio))
-    starts, tip, turns = _across_joints(problem, Nodal(base.ratio + gains, bending, frame), spent)
-    ratio = (starts - gains[:-1])[:, None] + within
-    nodes = _Point(Nodal(ratio, bending_at_nodes, frame_at_nodes), heading_at_nodes, spent_at_nodes)
+    growth = _ratio_rates(problem.direction, section, shape.turning, guess.ratio)
+    integrals = cut.integrate_together(Nodal(growth, scaled, shape.frame_rate))
+    edges, inside = (jax.tree.map(jnp.add, base, integral) for integral in integrals)
+    heading, heading_at_nodes = (edges.frame, inside.frame) if shape.heading is None else shape.heading
+    starts, tip, turns = _across_joints(problem, edges, spent)
+    inside = inside._replace(ratio=(starts - edges.ratio[:-1])[:, None] + inside.ratio)
+    nodes = _Point(inside, heading_at_nodes, spent_at_nodes)
 
-    at_edges = bending, frame, heading, spent
+    at_edges = edges.moment, edges.frame, heading, spent
     at_starts = _point(starts, *jax.tree.map(lambda x: x[:-1], at_edges))
     at_tip = _point(tip, *jax.tree.map(lambda x: x[-1], at_edges))
     return _Pass(at_starts, nodes, turns, shape), at_tip
@@ -202,7 +203,7 @@ def _shape(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"],
     axis = axis_of(heading[1]) if loaded else None
     moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, problem.outboard.nodes)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
-    return _Shape(turning, heading, axis, moment_rate if loaded else None, None, kappa)
+    return _Shape(turning, heading, None, axis, moment_rate if loaded else None, None, kappa)
 
 
 def _shape_in_space(
@@ -218,12 +219,10 @@ def _shape_in_space(
     else:
         turning = turning_in_space(section, strain, *_tangents(cut, section, strain))
     if guess.frame is None:
-        return _Shape(turning, None, None, None, strain, elastic)
+        return _Shape(turning, None, None, None, None, strain, elastic)
     rate = turned_by(guess.frame, space.curvature_of_strain(strain))
-    edges, nodes = cut.integrate(rate)
-    frame = identity_as(tension) + edges, identity_as(tension) + nodes
     axis = space.axis_in_fixed_frame(guess.frame, strain)
-    return _Shape(turning, frame, axis, -cross(axis, problem.outboard.nodes), strain, elastic)
+    return _Shape(turning, None, rate, axis, -cross(axis, problem.outboard.nodes), strain, elastic)
 
 
 def follow_the_axis(problem: Problem) -> bool:
@@ -346,7 +345,7 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
 def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) -> Solution[State]:
     """The solution with wrap angle and position, which the passes do not need."""
     cut, shape, axis = problem.panels, along.shape, along.shape.axis
-    if shape.strain is not None and shape.heading is None:
+    if shape.strain is not None and shape.frame_rate is None:
         frame, frame_at_nodes = _frames(cut, shape.strain)
         axis = space.axis_in_fixed_frame(frame_at_nodes, shape.strain)
         solution = eqx.tree_at(

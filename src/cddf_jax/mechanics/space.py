@@ -180,6 +180,6 @@ def _tangent_stiffness(section: SpatialSection, tension: PerTendon, strain: Stra
     size = jnp.sqrt(jnp.sum(w**2, axis=-1))
     t = w / size[:, None]
     along = jnp.sum(section.lever * t[..., None], axis=1)
-    squares = jnp.sum(section.lever[..., None] * section.lever[..., None, :], axis=1)
+    squares = jnp.einsum("ijk,ijl->ikl", section.lever, section.lever)
     across = squares - along[..., None] * along[:, None, :]
     return jnp.diag(section.stiffness) + jnp.sum((tension / size)[:, None, None] * across, axis=0)

@@ -105,6 +105,17 @@ class Panels(eqx.Module):
         at_edges = self._sums_before_edges(jnp.moveaxis(scaled, 1, -1) @ self.constant("weights"))
         return at_edges, at_edges[:-1, None] + self.accumulate(scaled, 1)
 
+    def integrate_together(self, rates: Tree) -> tuple[Tree, Tree]:
+        """As `integrate`, for a tree of rates of any shapes (P, p, *k): one product of matrices for all of them."""
+        arrays, structure = jax.tree.flatten(rates)
+        rows = [rows_of(rate) for rate in arrays]
+        ends = np.cumsum([len(each) for each in rows])[:-1].tolist()
+        found = jax.vmap(self.integrate)(jnp.concatenate(rows))
+        parts = zip(*[jnp.split(each, ends) for each in found], arrays, strict=True)
+        integrals = [(edges.T.reshape(-1, *rate.shape[2:]), of_rows(nodes, rate)) for edges, nodes, rate in parts]
+        edges, nodes = zip(*integrals, strict=True)
+        return structure.unflatten(edges), structure.unflatten(nodes)
+
     def _sums_before_edges(self, gain: Float[Array, "P *k"]) -> Float[Array, "edges *k"]:
         """The sum over the panels before each edge."""
         count = gain.shape[0]
@@ -213,6 +224,19 @@ class Panels(eqx.Module):
             basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
         weights = jnp.stack(basis) @ self.constant("interpolation")
         return jax.tree.map(lambda a, b: jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i]]), 1), start, values)
+
+
+def rows_of(array: Float[Array, "..."], leading: int = 0) -> Float[Array, "numbers P p"]:
+    """An array whose axes are `leading` ones, panels, nodes and components, as rows: one for each number at a node."""
+    flat = array.reshape(*array.shape[: leading + 2], -1)
+    return jnp.moveaxis(flat, -1, leading).reshape(-1, *array.shape[leading : leading + 2])
+
+
+def of_rows(rows: Float[Array, "numbers P p"], array: Float[Array, "..."], leading: int = 0) -> Float[Array, "..."]:
+    """The inverse of `rows_of`, with the axes of `array` but for panels and nodes."""
+    before, after = array.shape[:leading], array.shape[leading + 2 :]
+    flat = rows.reshape(*before, -1, *rows.shape[1:])
+    return jnp.moveaxis(flat, leading, -1).reshape(*before, *rows.shape[1:], *after)
 
 
 def panels(length: Float[Array, ""], breakpoints: Float[Array, " n"], nodes: int) -> Panels:

@@ -33,7 +33,7 @@ from ..mechanics.problem import (
 )
 from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, unsplit
 from ..numerics.arrays import largest_size, varying_as, zero_as
-from ..numerics.quadrature import Panels
+from ..numerics.quadrature import Panels, of_rows, rows_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .corrector import Flag, LoadedBody, Trial, start_from
@@ -269,12 +269,12 @@ def _stacked(trial: Trial, headings: bool = True) -> tuple[Float[Array, "numbers
     slopes = None if trial.slopes is None else (trial.slopes.nodal, trial.slopes.heading.nodes if headings else None)
     arrays, structure = jax.tree.flatten((values, slopes))
     leading = [0] * len(jax.tree.leaves(values)) + [1] * len(jax.tree.leaves(slopes))  # axes before panels and nodes
-    rows = [_rows_of(*each) for each in zip(arrays, leading, strict=True)]
+    rows = [rows_of(*each) for each in zip(arrays, leading, strict=True)]
     ends = np.cumsum([len(each) for each in rows])[:-1].tolist()
 
     def unstacked(stack: Array) -> Trial:
         parts = zip(jnp.split(stack, ends), arrays, leading, strict=True)
-        (nodal, strain, heading), slopes = structure.unflatten([_of_rows(*each) for each in parts])
+        (nodal, strain, heading), slopes = structure.unflatten([of_rows(*each) for each in parts])
         moved = trial._replace(nodal=nodal, strain=strain)
         if trial.heading is None or trial.slopes is None:
             return moved
@@ -286,16 +286,3 @@ def _stacked(trial: Trial, headings: bool = True) -> tuple[Float[Array, "numbers
         return moved._replace(slopes=slopes)
 
     return jnp.concatenate(rows), unstacked
-
-
-def _rows_of(array: Float[Array, "..."], leading: int) -> Float[Array, "numbers P p"]:
-    """An array whose axes are `leading` ones, panels, nodes and components, as rows: one for each number at a node."""
-    flat = array.reshape(*array.shape[: leading + 2], -1)
-    return jnp.moveaxis(flat, -1, leading).reshape(-1, *array.shape[leading : leading + 2])
-
-
-def _of_rows(rows: Float[Array, "numbers P p"], array: Float[Array, "..."], leading: int) -> Float[Array, "..."]:
-    """The inverse of `_rows_of`, with the axes of `array` but for panels and nodes."""
-    before, after = array.shape[:leading], array.shape[leading + 2 :]
-    flat = rows.reshape(*before, -1, *rows.shape[1:])
-    return jnp.moveaxis(flat, leading, -1).reshape(*before, *rows.shape[1:], *after)
