@@ -68,8 +68,14 @@ def path_rate(section: SpatialSection, strain: Strain) -> Vectors:
 
 def tangents(section: SpatialSection, strain: Strain) -> Vectors:
     """The unit tangent t of each tendon in the frame of the cross-section."""
+    return _pointing(section, strain)[0]
+
+
+def _pointing(section: SpatialSection, strain: Strain) -> tuple[Vectors, PerTendon]:
+    """The unit tangents, and the length |w| of each tendon per length of the axis."""
     w = path_rate(section, strain)
-    return w / jnp.sqrt(jnp.sum(w**2, axis=-1, keepdims=True))
+    size = jnp.sqrt(jnp.sum(w**2, axis=-1))
+    return w / size[:, None], size
 
 
 def turn_vectors(strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> Vectors:
@@ -151,8 +157,9 @@ def _strain_of_least_energy(
     section: SpatialSection, tension: PerTendon, loads: Wrench | None, start: Strain | None
 ) -> Strain:
     def newton_step(_, strain):
-        stiffness = _tangent_stiffness(section, tension, strain)
-        return strain - solve_definite(stiffness, _residual(section, tension, loads, strain))
+        pointing = _pointing(section, strain)
+        stiffness = _tangent_stiffness(section, tension, *pointing)
+        return strain - solve_definite(stiffness, _residual(section, tension, loads, strain, pointing[0]))
 
     if start is not None:
         return newton_step(0, section.rest + start)
@@ -165,21 +172,26 @@ def _strain_of_least_energy(
 def _(primals, directions):
     section, tension, *_ = primals
     found = _strain_of_least_energy(*primals)
-    pushed = slope_along(lambda given: _residual(given[0], given[1], given[2], found), primals[:3], directions[:3])
-    return found, -solve_definite(_tangent_stiffness(section, tension, found), pushed)
+
+    def residual(given):
+        section, tension, loads = given
+        return _residual(section, tension, loads, found, tangents(section, found))
+
+    stiffness = _tangent_stiffness(section, tension, *_pointing(section, found))
+    return found, -solve_definite(stiffness, slope_along(residual, primals[:3], directions[:3]))
 
 
-def _residual(section: SpatialSection, tension: PerTendon, loads: Wrench | None, strain: Strain) -> Strain:
-    elastic = section.stiffness * (strain - section.rest)
-    return elastic + _gradient(section, tension, tangents(section, strain), loads)
+def _residual(
+    section: SpatialSection, tension: PerTendon, loads: Wrench | None, strain: Strain, tangent: Vectors
+) -> Strain:
+    return section.stiffness * (strain - section.rest) + _gradient(section, tension, tangent, loads)
 
 
-def _tangent_stiffness(section: SpatialSection, tension: PerTendon, strain: Strain) -> Float[Array, "strains strains"]:
+def _tangent_stiffness(
+    section: SpatialSection, tension: PerTendon, tangent: Vectors, size: PerTendon
+) -> Float[Array, "strains strains"]:
     """The second derivative of the energy: K + sum T / |w| lever^T (1 - t t^T) lever."""
-    w = path_rate(section, strain)
-    size = jnp.sqrt(jnp.sum(w**2, axis=-1))
-    t = w / size[:, None]
-    along = jnp.sum(section.lever * t[..., None], axis=1)
+    along = jnp.sum(section.lever * tangent[..., None], axis=1)
     squares = jnp.einsum("ijk,ijl->ikl", section.lever, section.lever)
     across = squares - along[..., None] * along[:, None, :]
     return jnp.diag(section.stiffness) + jnp.sum((tension / size)[:, None, None] * across, axis=0)

@@ -4,6 +4,7 @@ Integration by Gauss nodes keeps the length of a quaternion from one end of a pa
 themselves the length has the error of the quadrature; every function here divides by it.
 """
 
+from collections.abc import Callable
 from functools import reduce
 
 import jax
@@ -29,13 +30,14 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 def cofactors(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """The cofactors: each row times that of the matrix is the determinant, and the other rows are at right angles."""
-    return cross(jnp.roll(matrix, -1, axis=0), jnp.roll(matrix, -2, axis=0))
+    twice = jnp.concatenate([matrix, matrix])
+    return cross(twice[1:4], twice[2:5])
 
 
 def solve_three(matrix: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Float[Array, "3"]:
     """The solution of three linear equations by Cramer's rule; not finite where the matrix is singular."""
-    by_columns = cofactors(matrix.T)
-    return by_columns @ vector / (matrix[:, 0] @ by_columns[0])
+    by_rows = cofactors(matrix)
+    return vector @ by_rows / (matrix[0] @ by_rows[0])
 
 
 def product(p: Quaternion, q: Quaternion) -> Quaternion:
@@ -59,11 +61,6 @@ def about(axis: Float[Array, "3"], angle: Float[Array, "*points"]) -> Quaternion
     return jnp.concatenate([cosine, *(sine * part for part in axis)], axis=-1)
 
 
-def inverse(q: Quaternion) -> Quaternion:
-    """The inverse rotation; the quaternion keeps its length."""
-    return jnp.concatenate([q[..., :1], -q[..., 1:]], axis=-1)
-
-
 def turned_by(q: Quaternion, rate: Vector) -> Quaternion:
     """The derivative q (0, rate) / 2 of a rotation; `rate` is the rate of turning in its own axes, rad per unit."""
     (w, *axis), rates = parts_of(0.5 * q), parts_of(rate)
@@ -73,10 +70,20 @@ def turned_by(q: Quaternion, rate: Vector) -> Quaternion:
 
 def in_fixed_frame(q: Quaternion, vector: Vector) -> Vector:
     """The components in the fixed frame of a vector v given in the axes of the rotation: R v."""
+    return _rotated(q, vector, jnp.add)
+
+
+def in_own_frame(q: Quaternion, vector: Vector) -> Vector:
+    """The components in the axes of the rotation of a vector v given in the fixed frame: R^T v."""
+    return _rotated(q, vector, jnp.subtract)
+
+
+def _rotated(q: Quaternion, vector: Vector, plus: Callable[[Array, Array], Array]) -> Vector:
+    """R v = v + 2 a x (a x v + w v) / |q|^2 for a quaternion (w, a); R^T v with a minus sign in the place of `plus`."""
     w, *axis = parts = parts_of(q)
-    twice, across = 2.0 / _dot(parts, parts), _cross(axis, parts_of(vector))
-    change = [twice * (w * x + y) for x, y in zip(across, _cross(axis, across), strict=True)]
-    return vector + jnp.concatenate(change, axis=-1)
+    along = parts_of(vector)
+    inner = [plus(x, w * y) for x, y in zip(_cross(axis, along), along, strict=True)]
+    return vector + 2.0 / _dot(parts, parts) * jnp.concatenate(_cross(axis, inner), axis=-1)
 
 
 def turned_across(q: Quaternion, vector: Vector) -> Vector:
@@ -92,11 +99,6 @@ def first_axis(q: Quaternion) -> Vector:
     w, x, y, z = parts = parts_of(q)
     twice = 2.0 / _dot(parts, parts)
     return jnp.concatenate([1.0 - twice * (y * y + z * z), twice * (x * y + w * z), twice * (x * z - w * y)], axis=-1)
-
-
-def in_own_frame(q: Quaternion, vector: Vector) -> Vector:
-    """The components in the axes of the rotation of a vector v given in the fixed frame: R^T v."""
-    return in_fixed_frame(inverse(q), vector)
 
 
 def as_matrix(q: Quaternion) -> Float[Array, "*points 3 3"]:
