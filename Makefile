@@ -54,6 +54,7 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/fits.py
 	$(BIN)/python benchmarks/seventeen_levels.py
 	$(BIN)/python benchmarks/batch.py
+	$(BIN)/python benchmarks/single_solve.py
 	$(BIN)/python benchmarks/space.py
 	$(BIN)/python benchmarks/space_loads.py
 	$(BIN)/python benchmarks/traces.py

@@ -19,6 +19,7 @@ FOLDER = Path("out/benchmark")
 KEPT = Path("benchmarks")
 PARTS = {
     "batch": "One solve, batches, gradients, loads",
+    "single_solve": "One solve at a time",
     "space": "Batches in space",
     "space_loads": "Batches in space under a tip force",
     "traces": "Pull and release of one tendon",

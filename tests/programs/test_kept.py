@@ -39,6 +39,13 @@ def inverse(x, n):
 
 @kept_program
 @eqx.filter_jit
+def same(numbers):
+    TRACED.append(numbers)
+    return numbers
+
+
+@kept_program
+@eqx.filter_jit
 def watched(numbers):
     TRACED.append([stage.what for stage in SHOWN.get().now])
     return numbers
@@ -114,6 +121,27 @@ def test_a_setting_of_jax_makes_a_new_program():
     with jax.default_matmul_precision("float32"):
         raised(x(1.0))
     assert len(TRACED) == 2
+
+
+@pytest.mark.parametrize("first", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
+def test_small_and_large_arrays_of_all_types_come_out_as_they_went_in(first):
+    """Small ones go in as one row; the property is that nothing is seen of it."""
+    numbers = {
+        "x": first(np.arange(6.0).reshape(2, 3)),
+        "number": np.float64(0.1),
+        "none": np.zeros((0, 3)),
+        "single": jnp.asarray([1 / 3], jnp.float32),
+        "whole": np.array([2**53 + 1]),
+        "flag": np.array([True, False]),
+        "weak": jnp.asarray(2.0),
+        "complex": np.array([1.0 + 2.0j]),
+        "large": jnp.linspace(0.0, 1.0, 1000),
+    }
+    wanted = jax.tree.map(lambda x: (np.asarray(x).dtype, np.asarray(x).tolist()), numbers)
+    for _ in range(2):
+        found = same(numbers)
+        assert jax.tree.map(lambda x: (np.asarray(x).dtype, np.asarray(x).tolist()), found) == wanted
+    assert len(TRACED) == 1
 
 
 def test_the_key_knows_versions_source_machine_and_flags(monkeypatch):

@@ -5,8 +5,10 @@ import logging
 import os
 import platform
 import sys
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from operator import attrgetter
 from pathlib import Path
 
 import jax
@@ -34,7 +36,7 @@ def machine_and_versions() -> tuple[str, ...]:
 
 def settings() -> tuple[object, ...]:
     """JAX's settings, as they hold in this thread now."""
-    return tuple(getattr(jax.config, name) for name in _names())
+    return _of_names()(jax.config)
 
 
 def are_special() -> bool:
@@ -52,6 +54,11 @@ def named_settings() -> dict[str, str]:
 @cache
 def _names() -> tuple[str, ...]:
     return tuple(n for n in sorted(jax.config.values) if hasattr(jax.config, n) and not n.startswith(WITHOUT_EFFECT))
+
+
+@cache
+def _of_names() -> Callable[[object], tuple[object, ...]]:
+    return attrgetter(*_names())
 
 
 def _version(package: str) -> str:

@@ -121,9 +121,11 @@ def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Direct
     count, precision = manipulator.num_tendons, _precision(manipulator)
 
     def checked(name: str, value: PyTree, shapes=((), (count,))):
-        traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
-        value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision)
-        value = value.astype(value.dtype)  # a weakly typed number would be compiled for again
+        if not isinstance(value, jax.Array):
+            traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
+            value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision)
+        if isinstance(value, jax.Array) and value.weak_type:  # a weakly typed number would be compiled for again
+            value = value.astype(value.dtype)
         if value.shape not in shapes:
             raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got shape {value.shape}")
         return value
