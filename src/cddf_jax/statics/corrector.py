@@ -33,6 +33,7 @@ from ..numerics.rotations import cofactors, cross, small_turn, solve_three
 
 ROUGH = 1e-3  # relative tolerance of the states along the path of the loads
 STEADY = 1e-2  # relative tolerance of the slopes along the path of the loads
+ROUGH_AT_START, STEADY_AT_START = 2e-2, 2e-1  # the same without loads, whence only the first prediction starts
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
@@ -171,18 +172,22 @@ class LoadedBody(NamedTuple):
         correction = jnp.where(rough, 0.0, newton)
         sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(slopes.residual - trial.slopes.residual, slopes.residual)
-        enough = ROUGH * jnp.minimum(1.0, steepness(slopes.residual))  # the sign of that slope must be known
+        start = fraction == 0
+        enough = jnp.where(start, ROUGH_AT_START, ROUGH) * jnp.minimum(
+            1.0, steepness(slopes.residual)
+        )  # the sign of that slope must be known
         settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5)
         near = sane & (jnp.maximum(off, solution.residual) <= enough)
         drifted = magnitude(by_moment(slopes.residual) - by_moment(trial.slopes.residual))
-        steady = drifted <= STEADY * steepness(slopes.residual)
+        little = jnp.where(start, STEADY_AT_START, STEADY)
+        steady = (drifted <= little * steepness(slopes.residual)) & (changed <= little)
         return trial._replace(
             moment=trial.moment + correction,
             nodal=_moved(values, slopes.nodal, correction),
             heading=_moved(heading, slopes.heading, correction),
             slopes=slopes,
             strain=solution.nodes.strain,
-            near=settled | (near & steady & (changed <= STEADY)),
+            near=settled | (near & steady),
             settled=settled,
             locked=solution.locked,
             lost=~sane | (trial.num_passes + 1 >= self.method.max_passes),
