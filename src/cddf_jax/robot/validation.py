@@ -63,9 +63,9 @@ def check_weight(manipulator: Manipulator, loads: Loads | None) -> None:
     Raises:
         InputError: names what is missing and the remedy.
     """
-    if loads is None or isinstance(loads.gravity, Tracer) or manipulator.has_mass:
+    if loads is None or isinstance(loads.gravity, Tracer) or not np.any(np.asarray(loads.gravity)):
         return
-    if np.any(np.asarray(loads.gravity)):
+    if not manipulator.has_mass:
         raise InputError(
             "loads.gravity: the body has no weight, since its density is 0; give it density, mass_per_length or "
             "point_masses, or leave gravity out"
