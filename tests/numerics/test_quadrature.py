@@ -5,7 +5,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose
 
-from cddf_jax.numerics.quadrature import Panels
+from cddf_jax.numerics.quadrature import Panels, of_rows, rows_of
 
 OLD = Panels.between(jnp.array([0.0, 0.3, 0.3, 1.0]), 6)  # the one in the middle is empty
 NEW = Panels.between(jnp.array([0.0, 0.5, 0.8, 1.0]), 6)
@@ -38,3 +38,22 @@ def test_the_rule_of_the_check_finds_what_the_nodes_miss():
     missed = np.sin(9.0) / 9 - panel.gain(jnp.cos(9 * panel.nodes))[0]
     assert abs(missed) > 1e-7
     assert_allclose(np.cos(9 * places) @ weights, missed, rtol=1e-4)
+
+
+def test_rows_keep_every_number():
+    numbers = jnp.arange(2.0 * 3 * 4 * 5 * 6).reshape(2, 3, 4, 5, 6)
+    rows = rows_of(numbers, 1)
+    assert rows.shape == (60, 3, 4)
+    assert_allclose(rows[0], numbers[0, :, :, 0, 0])
+    assert_allclose(rows[-1], numbers[1, :, :, -1, -1])
+    assert_allclose(of_rows(rows, numbers, 1), numbers)
+
+
+def test_integrals_together_are_those_of_each():
+    cut, at = OLD, OLD.nodes
+    rates = {"number": CURVE(at), "vector": jnp.stack([at, at**2, jnp.cos(at)], axis=-1), "none": None}
+    edges, nodes = cut.integrate_together(rates)
+    for name in ("number", "vector"):
+        at_edges, at_nodes = cut.integrate(rates[name])
+        assert_allclose(edges[name], at_edges, rtol=1e-15, atol=1e-16)
+        assert_allclose(nodes[name], at_nodes, rtol=1e-15, atol=1e-16)

@@ -11,7 +11,7 @@ with pytest.MonkeyPatch.context() as patch:
     patch.syspath_prepend(ROOT / "benchmarks")
     SIZES = importlib.import_module("program_size")
 
-# what benchmarks/program_size.py counts, and 2 to 3 % more
+# what benchmarks/program_size.py counts, and up to 3 % more
 LARGEST = {
     "one tendon": 1_210,
     "two tendons, directions stated": 1_370,

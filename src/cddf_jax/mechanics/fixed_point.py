@@ -157,14 +157,6 @@ class FixedPoint(eqx.Module):
         return max(1e-12, round_off(problem.panels.edges.dtype)) if self.tolerance is None else self.tolerance
 
 
-def _integral(cut: Panels, start: Array | float | None, rate: Array | None) -> tuple[Array | None, Array | None]:
-    """The integral of a rate from a start value on, at the edges and at the nodes; None where there is no rate."""
-    if rate is None or start is None:
-        return None, None
-    edges, nodes = cut.integrate(rate)
-    return start + edges, start + nodes
-
-
 def _pass(problem: Problem, guess: Nodal, strain: Array | None = None) -> tuple[_Pass, _Point]:
     """Shape and turning that follow from a guess of r and M_ext, and the better r and M_ext that follow from these.
 
@@ -177,7 +169,8 @@ def _pass(problem: Problem, guess: Nodal, strain: Array | None = None) -> tuple[
         The values along the body, and those at its tip.
     """
     cut, section, base = problem.panels, problem.nodes, at_base(problem)
-    spent, spent_at_nodes = _integral(cut, 0.0, spent_rate(problem.direction, section, guess.ratio))
+    spending = spent_rate(problem.direction, section, guess.ratio)
+    spent, spent_at_nodes = (None, None) if spending is None else cut.integrate(spending)
     tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent_at_nodes))
     shape = (_shape_in_space if problem.in_space else _shape)(problem, guess, tension, strain)
     scaled = None if shape.moment_rate is None else shape.moment_rate * (1.0 / problem.moment_scale)

@@ -64,6 +64,12 @@ def only_if(needed: Bool[Array, ""], compute: Callable[[Values], Values], values
     )[1]
 
 
+def tied_to(values: Float[Array, "..."]) -> Number:
+    """0 as a number that follows from values: what it is added to stays in the loop that carries them, as `only_if`."""
+    first = values.ravel()[0]
+    return jnp.where(jnp.isfinite(first), 0.0 * first, 0.0)
+
+
 class Splits(NamedTuple):
     """Where the panels are to end. Places that are not needed lie at the tip, and belong to no tendon."""
 
@@ -130,7 +136,11 @@ def locate(problem: Problem, state: AnyState) -> Splits:
     points = with_ends(problem.panels, turning)
     both, least = _has_both_signs(problem, points)
     none = varying_as(unsplit(problem.manipulator, problem.loads), zero_as(least))
-    return only_if(both, lambda none: _first_changes(problem, points + 0.0 * none.arc_length[0], least, none), none)
+
+    def changes(before: Splits) -> Splits:
+        return _first_changes(problem, points + tied_to(before.arc_length), least, before)
+
+    return only_if(both, changes, none)
 
 
 def with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:

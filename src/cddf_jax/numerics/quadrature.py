@@ -233,7 +233,7 @@ def rows_of(array: Float[Array, "..."], leading: int = 0) -> Float[Array, "numbe
 
 
 def of_rows(rows: Float[Array, "numbers P p"], array: Float[Array, "..."], leading: int = 0) -> Float[Array, "..."]:
-    """The inverse of `rows_of`, with the axes of `array` but for panels and nodes."""
+    """The inverse of `rows_of`: the shape of `array`, but with the panels and nodes of the rows."""
     before, after = array.shape[:leading], array.shape[leading + 2 :]
     flat = rows.reshape(*before, -1, *rows.shape[1:])
     return jnp.moveaxis(flat, leading, -1).reshape(*before, *rows.shape[1:], *after)

@@ -85,8 +85,10 @@ class Packing(NamedTuple):
     def of(inputs: Sequence[Signature], mesh: Mesh | None) -> "Packing":
         """The packing that follows from the shapes and types."""
         small: dict[str, list[int]] = {}
+        on_cpu = jax.default_backend() == "cpu"  # elsewhere arrays of JAX would go to the host and back
         for i, one in enumerate(inputs):
-            if mesh is None and not one.weak and one.spec is None and math.prod(one.shape) <= SMALL:
+            alone = mesh is not None or one.weak or one.spec is not None or math.prod(one.shape) > SMALL
+            if on_cpu and not alone:
                 small.setdefault(one.dtype, []).append(i)
         packs = [Pack(dtype, tuple(at), tuple(inputs[i].shape for i in at)) for dtype, at in small.items()]
         packed = {i for pack in packs for i in pack.members}

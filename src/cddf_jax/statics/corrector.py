@@ -33,7 +33,7 @@ from ..numerics.rotations import cofactors, cross, small_turn, solve_three
 
 ROUGH = 1e-3  # relative tolerance of the states along the path of the loads
 STEADY = 1e-2  # relative tolerance of the slopes along the path of the loads
-ROUGH_AT_START, STEADY_AT_START = 2e-2, 2e-1  # the same without loads, whence only the first prediction starts
+ROUGH_AT_START, STEADY_AT_START = 2e-2, 2e-1  # looser at load fraction 0: its state serves the first prediction only
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
@@ -172,15 +172,15 @@ class LoadedBody(NamedTuple):
         correction = jnp.where(rough, 0.0, newton)
         sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(slopes.residual - trial.slopes.residual, slopes.residual)
-        start = fraction == 0
+        start, slope = fraction == 0, steepness(slopes.residual)
         enough = jnp.where(start, ROUGH_AT_START, ROUGH) * jnp.minimum(
-            1.0, steepness(slopes.residual)
-        )  # the sign of that slope must be known
+            1.0, slope
+        )  # the sign of the slope must be known
         settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5)
         near = sane & (jnp.maximum(off, solution.residual) <= enough)
         drifted = magnitude(by_moment(slopes.residual) - by_moment(trial.slopes.residual))
         little = jnp.where(start, STEADY_AT_START, STEADY)
-        steady = (drifted <= little * steepness(slopes.residual)) & (changed <= little)
+        steady = (drifted <= little * slope) & (changed <= little)
         return trial._replace(
             moment=trial.moment + correction,
             nodal=_moved(values, slopes.nodal, correction),

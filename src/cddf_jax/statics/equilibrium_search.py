@@ -31,7 +31,7 @@ from ..mechanics.problem import (
     unloaded,
     unstrained,
 )
-from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, unsplit
+from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, tied_to, unsplit
 from ..numerics.arrays import largest_size, varying_as, zero_as
 from ..numerics.quadrature import Panels, of_rows, rows_of
 from ..robot.loads import Loads
@@ -218,7 +218,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     over = trial.lost | (trial.settled & ~move)
 
     def travelled(before: PerTendon) -> PerTendon:
-        here = body.travel(trial, fraction + 0.0 * before[0])
+        here = body.travel(trial, fraction + tied_to(before))
         return travel_under_tension(problem, pull_at_nodes(problem, trial.nodal), here)
 
     ends = jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends) if moves.size else ends
@@ -229,7 +229,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
         near = jax.vmap(problem.panels.shifted, (0, None))(here, new)
 
         def far(near: Array) -> Array:
-            weights = problem.panels.weights_on(Panels.between(new.edges + 0.0 * near[0, 0, 0], new.order))
+            weights = problem.panels.weights_on(Panels.between(new.edges + tied_to(near), new.order))
             return (here.reshape(here.shape[0], -1) @ weights.T).reshape(here.shape)
 
         return unstacked(only_if(distance > FAR, far, near))
@@ -263,7 +263,7 @@ def _stacked(trial: Trial, headings: bool = True) -> tuple[Float[Array, "numbers
 
     Args:
         trial: at the nodes.
-        headings: whether headings are part of it. A pass does not need those before it.
+        headings: whether headings are part of it. The next pass computes them anew.
     """
     values = trial.nodal, trial.strain, trial.heading.nodes if headings and trial.heading is not None else None
     slopes = None if trial.slopes is None else (trial.slopes.nodal, trial.slopes.heading.nodes if headings else None)
