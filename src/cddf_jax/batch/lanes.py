@@ -11,7 +11,7 @@ from jaxtyping import Array, Int
 
 from ..programs.kept import kept_program
 
-CPU_BATCH = 512  # lanes at once on a core: they stay in its cache
+CPU_BATCH = 256  # lanes at once on a core: they stay in its cache, and a slow one holds up few
 ACCELERATOR_BATCH = 65536
 CALL = 32  # batches of each device in one call, at most
 LANES = PartitionSpec("lanes")
