@@ -22,18 +22,21 @@ import cddf_jax as cddf
 from cddf_jax.application import configure_jax
 
 CALLS, ROUNDS = 200, 7
-DATA = Path(__file__).parents[1] / "data"
+HELIX = Path(__file__).parents[1] / "data" / "helix_made_up.toml"
+
+
+def helix() -> cddf.Manipulator:
+    """The made-up body whose tendon winds by half a turn."""
+    return cddf.read_manipulator(HELIX)
+
+
 CASES: dict[str, tuple[Callable[[], cddf.Manipulator], tuple[float, ...], tuple[float, ...] | None]] = {
     "one tendon in the plane": (paper, (40.0,), None),
     "the same under (0, -1) N": (paper, (40.0,), (0.0, -1.0)),
     "three tendons": (three_tendons, (20.0, 5.0, 10.0), None),
     "the same under (0.3, -0.5, 0.7) N": (three_tendons, (20.0, 5.0, 10.0), (0.3, -0.5, 0.7)),
-    "half a helix": (lambda: cddf.read_manipulator(DATA / "helix_made_up.toml"), (40.0,), None),
-    "the same under (0, 0.1, 0.2) N": (
-        lambda: cddf.read_manipulator(DATA / "helix_made_up.toml"),
-        (40.0,),
-        (0.0, 0.1, 0.2),
-    ),
+    "half a helix": (helix, (40.0,), None),
+    "the same under (0, 0.1, 0.2) N": (helix, (40.0,), (0.0, 0.1, 0.2)),
 }
 
 

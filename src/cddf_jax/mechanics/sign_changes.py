@@ -48,7 +48,7 @@ REFINEMENTS = 5  # by the Illinois rule
 
 
 def only_if(needed: Bool[Array, ""], compute: Callable[[Values], Values], values: Values) -> Values:
-    """The values where nothing is needed, and elsewhere what `compute` makes of them.
+    """Apply a function to values where it is needed, and return them unchanged elsewhere.
 
     Nothing is computed where no lane of a batch needs it. This is a loop of one pass or none, because `lax.cond` would
     always compute for the whole batch. There are no derivatives in reverse mode.
@@ -65,7 +65,7 @@ def only_if(needed: Bool[Array, ""], compute: Callable[[Values], Values], values
 
 
 def tied_to(values: Float[Array, "..."]) -> Number:
-    """0 as a number that follows from values: what it is added to stays in the loop that carries them, as `only_if`."""
+    """Zero, computed from values that a loop carries. XLA does not move what it is added to out of that loop."""
     first = values.ravel()[0]
     return jnp.where(jnp.isfinite(first), 0.0 * first, 0.0)
 

@@ -6,7 +6,7 @@ Gauss weights integrate it to the end of the panel; for an analytic function the
 rho^(-2 order).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
@@ -109,9 +109,8 @@ class Panels(eqx.Module):
         """As `integrate`, for a tree of rates of any shapes (P, p, *k): one product of matrices for all of them."""
         arrays, structure = jax.tree.flatten(rates)
         rows = [rows_of(rate) for rate in arrays]
-        ends = np.cumsum([len(each) for each in rows])[:-1].tolist()
         found = jax.vmap(self.integrate)(jnp.concatenate(rows))
-        parts = zip(*[jnp.split(each, ends) for each in found], arrays, strict=True)
+        parts = zip(*[apart(each, rows) for each in found], arrays, strict=True)
         integrals = [(edges.T.reshape(-1, *rate.shape[2:]), of_rows(nodes, rate)) for edges, nodes, rate in parts]
         edges, nodes = zip(*integrals, strict=True)
         return structure.unflatten(edges), structure.unflatten(nodes)
@@ -237,6 +236,11 @@ def of_rows(rows: Float[Array, "numbers P p"], array: Float[Array, "..."], leadi
     before, after = array.shape[:leading], array.shape[leading + 2 :]
     flat = rows.reshape(*before, -1, *rows.shape[1:])
     return jnp.moveaxis(flat, leading, -1).reshape(*before, *rows.shape[1:], *after)
+
+
+def apart(joined: Float[Array, "numbers ..."], rows: Sequence[Array]) -> list[Array]:
+    """The parts of an array, as long as those of which it was made by `jnp.concatenate`."""
+    return jnp.split(joined, np.cumsum([len(each) for each in rows])[:-1].tolist())
 
 
 def panels(length: Float[Array, ""], breakpoints: Float[Array, " n"], nodes: int) -> Panels:

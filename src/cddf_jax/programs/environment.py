@@ -36,7 +36,7 @@ def machine_and_versions() -> tuple[str, ...]:
 
 def settings() -> tuple[object, ...]:
     """JAX's settings, as they hold in this thread now."""
-    return _of_names()(jax.config)
+    return _getter()(jax.config)
 
 
 def are_special() -> bool:
@@ -57,7 +57,7 @@ def _names() -> tuple[str, ...]:
 
 
 @cache
-def _of_names() -> Callable[[object], tuple[object, ...]]:
+def _getter() -> Callable[[object], tuple[object, ...]]:
     return attrgetter(*_names())
 
 

@@ -168,14 +168,13 @@ class LoadedBody(NamedTuple):
         slopes = Slopes(*slopes)
         newton, off = _newton(trial.moment, residual, slopes)
         # where the pass is less accurate than the residual is large, the residual may be an error of the pass
-        rough = (solution.residual > magnitude(residual)) & ~solution.converged
-        correction = jnp.where(rough, 0.0, newton)
+        inaccurate = (solution.residual > magnitude(residual)) & ~solution.converged
+        correction = jnp.where(inaccurate, 0.0, newton)
         sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(slopes.residual - trial.slopes.residual, slopes.residual)
         start, slope = fraction == 0, steepness(slopes.residual)
-        enough = jnp.where(start, ROUGH_AT_START, ROUGH) * jnp.minimum(
-            1.0, slope
-        )  # the sign of the slope must be known
+        rough = jnp.where(start, ROUGH_AT_START, ROUGH)
+        enough = rough * jnp.minimum(1.0, slope)  # the sign of the slope must be known
         settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5)
         near = sane & (jnp.maximum(off, solution.residual) <= enough)
         drifted = magnitude(by_moment(slopes.residual) - by_moment(trial.slopes.residual))

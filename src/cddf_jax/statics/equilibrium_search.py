@@ -10,7 +10,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..mechanics.directions import find_directions, travel_under_tension
@@ -33,7 +32,7 @@ from ..mechanics.problem import (
 )
 from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, tied_to, unsplit
 from ..numerics.arrays import largest_size, varying_as, zero_as
-from ..numerics.quadrature import Panels, of_rows, rows_of
+from ..numerics.quadrature import Panels, apart, of_rows, rows_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .corrector import Flag, LoadedBody, Trial, start_from
@@ -270,10 +269,9 @@ def _stacked(trial: Trial, headings: bool = True) -> tuple[Float[Array, "numbers
     arrays, structure = jax.tree.flatten((values, slopes))
     leading = [0] * len(jax.tree.leaves(values)) + [1] * len(jax.tree.leaves(slopes))  # axes before panels and nodes
     rows = [rows_of(*each) for each in zip(arrays, leading, strict=True)]
-    ends = np.cumsum([len(each) for each in rows])[:-1].tolist()
 
     def unstacked(stack: Array) -> Trial:
-        parts = zip(jnp.split(stack, ends), arrays, leading, strict=True)
+        parts = zip(apart(stack, rows), arrays, leading, strict=True)
         (nodal, strain, heading), slopes = structure.unflatten([of_rows(*each) for each in parts])
         moved = trial._replace(nodal=nodal, strain=strain)
         if trial.heading is None or trial.slopes is None:
