@@ -70,8 +70,7 @@ class _Shape(NamedTuple):
     """The shape that follows from the tensions and moments at the nodes."""
 
     turning: Float[Array, "P p tendons"]  # of the tendons, 1/m
-    heading: tuple[Array, Array] | None  # at the edges and the nodes; None in space
-    frame_rate: Float[Array, "P p 4"] | None  # the derivative of the rotation in space; None without loads
+    heading: tuple[Array, Array] | None  # at the edges and the nodes; None in space without loads
     axis: Float[Array, "P p components"] | None  # the derivative of the position; None without loads
     moment_rate: Float[Array, "P p *components"] | None  # M_ext', N; None without loads
     strain: Float[Array, "P p strains"] | None  # of a body in space
@@ -175,9 +174,11 @@ def _pass(problem: Problem, guess: Nodal, strain: Array | None = None) -> tuple[
     shape = (_shape_in_space if problem.in_space else _shape)(problem, guess, tension, strain)
     scaled = None if shape.moment_rate is None else shape.moment_rate * (1.0 / problem.moment_scale)
     growth = _ratio_rates(problem.direction, section, shape.turning, guess.ratio)
-    integrals = cut.integrate_together(Nodal(growth, scaled, shape.frame_rate))
-    edges, inside = (jax.tree.map(jnp.add, base, integral) for integral in integrals)
-    heading, heading_at_nodes = (edges.frame, inside.frame) if shape.heading is None else shape.heading
+    integrals = cut.integrate_together(Nodal(growth, scaled))
+    edges, inside = (jax.tree.map(jnp.add, base._replace(frame=None), integral) for integral in integrals)
+    heading, heading_at_nodes = (None, None) if shape.heading is None else shape.heading
+    if problem.in_space:
+        edges, inside = edges._replace(frame=heading), inside._replace(frame=heading_at_nodes)
     starts, tip, turns = _across_joints(problem, edges, spent)
     inside = inside._replace(ratio=(starts - edges.ratio[:-1])[:, None] + inside.ratio)
     nodes = _Point(inside, heading_at_nodes, spent_at_nodes)
@@ -196,7 +197,7 @@ def _shape(problem: Problem, guess: Nodal, tension: Float[Array, "P p tendons"],
     axis = axis_of(heading[1]) if loaded else None
     moment_rate = jnp.zeros_like(kappa) if axis is None else -planar_cross(axis, problem.outboard.nodes)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
-    return _Shape(turning, heading, None, axis, moment_rate if loaded else None, None, kappa)
+    return _Shape(turning, heading, axis, moment_rate if loaded else None, None, kappa)
 
 
 def _shape_in_space(
@@ -212,10 +213,11 @@ def _shape_in_space(
     else:
         turning = turning_in_space(section, strain, *_tangents(cut, section, strain))
     if guess.frame is None:
-        return _Shape(turning, None, None, None, None, strain, elastic)
-    rate = turned_by(guess.frame, space.curvature_of_strain(strain))
-    axis = space.axis_in_fixed_frame(guess.frame, strain)
-    return _Shape(turning, None, rate, axis, -cross(axis, problem.outboard.nodes), strain, elastic)
+        return _Shape(turning, None, None, None, strain, elastic)
+    turns = cut.integrate(turned_by(guess.frame, space.curvature_of_strain(strain)))
+    frames = jax.tree.map(lambda turn: turn + identity_as(turn), turns)
+    axis = space.axis_in_fixed_frame(frames[1], strain)  # with the new rotations passes converge faster
+    return _Shape(turning, frames, axis, -cross(axis, problem.outboard.nodes), strain, elastic)
 
 
 def follow_the_axis(problem: Problem) -> bool:
@@ -338,7 +340,7 @@ def _solution(problem: Problem, along: _Pass, tip: _Point, **outcome: Array) -> 
 def _with_path(problem: Problem, along: _Pass, solution: Solution[PassState]) -> Solution[State]:
     """The solution with wrap angle and position, which the passes do not need."""
     cut, shape, axis = problem.panels, along.shape, along.shape.axis
-    if shape.strain is not None and shape.frame_rate is None:
+    if shape.strain is not None and shape.heading is None:
         frame, frame_at_nodes = _frames(cut, shape.strain)
         axis = space.axis_in_fixed_frame(frame_at_nodes, shape.strain)
         solution = eqx.tree_at(

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from ..numerics.arrays import largest, largest_size, varying_as, zero_as
+from ..numerics.arrays import largest, varying_as, zero_as
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import cross, length_of
 from ..robot.cross_section import spatial, where_present
@@ -42,7 +42,6 @@ from .problem import (
 
 NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
 Values = TypeVar("Values")
-MINIMA = 4  # of the turning of tendons in space, of which the sharpest counts
 SHARP = 0.25  # of the length: a minimum less near to a kink does no harm
 REFINEMENTS = 5  # by the Illinois rule
 
@@ -126,12 +125,18 @@ def signed_turning(problem: Problem, state: AnyState) -> Turning:
     return jnp.concatenate([turning, left], axis=-1)
 
 
-def locate(problem: Problem, state: AnyState) -> Splits:
-    """The first sign changes from the base, between neighbouring nodes and on the polynomials through them."""
+def locate(problem: Problem, state: AnyState, ends: Splits) -> Splits:
+    """The first sign changes from the base, between neighbouring nodes and on the polynomials through them.
+
+    Args:
+        problem: the body.
+        state: at its nodes.
+        ends: where its panels end now.
+    """
     if num_splits(problem.manipulator, problem.loads) == 0:
         return unsplit(problem.manipulator, problem.loads)
     if problem.in_space:
-        return _around_sharpest_minimum(problem, state)
+        return _around_sharpest_minimum(problem, state, ends)
     turning = signed_turning(problem, state)
     points = with_ends(problem.panels, turning)
     both, least = _has_both_signs(problem, points)
@@ -149,12 +154,29 @@ def with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:
     return jnp.concatenate([starts[:, None], turning, ends[:, None]], axis=1)
 
 
-def _around_sharpest_minimum(problem: Problem, state: AnyState) -> Splits:
-    """Three arc lengths: the minimum of the turning of a tendon that is nearest to a kink, and one on either side.
+def _around_sharpest_minimum(problem: Problem, state: AnyState, ends: Splits) -> Splits:
+    """Three arc lengths: the sharpest minimum of the turning of a tendon, and one on either side.
+
+    The panels beside the minimum are short compared with the body, but not much longer than it is apart from a kink.
+    Where there is no sharp minimum, panels stay as they are, so that they do not go back and forth.
+    """
+    (place, apart), length = _sharpest_minimum(problem, state), problem.panels.edges[-1]
+    beside = jnp.sqrt(apart * length)
+    around = jnp.clip(jnp.stack([place - beside, place, place + beside]), 0.0, length)
+    return ends._replace(arc_length=jnp.where(apart < SHARP * length, around, ends.arc_length))
+
+
+def has_sharp_minimum(problem: Problem, state: AnyState) -> Bool[Array, ""]:
+    """Whether the turning of a tendon of a body in space has a minimum at which panels end."""
+    return _sharpest_minimum(problem, state)[1] < SHARP * problem.panels.edges[-1]
+
+
+def _sharpest_minimum(problem: Problem, state: AnyState) -> tuple[Number, Number]:
+    """The minimum of the turning of a tendon that is nearest to a kink: its arc length, m, and how far it is apart, m.
 
     Near its minimum the turning is the length of a vector c that passes zero at a distance: about the square root of
-    c'^2 ((s - s0)^2 + apart^2). The panels beside the minimum are short compared with the body, but not much longer
-    than apart.
+    c'^2 ((s - s0)^2 + apart^2). From c and c' each node finds s0 and apart; the minimum counts if it lies between
+    the neighbours of the node. Without a minimum it is infinitely far apart.
     """
     cut, nodes = problem.panels, problem.nodes
     if state.strain is None:
@@ -164,20 +186,16 @@ def _around_sharpest_minimum(problem: Problem, state: AnyState) -> Splits:
     tangent = at_nodes(space.tangents, (0, 0))(nodes, strain)
     turn = at_nodes(space.turn_vectors, (0, 0, 0))(strain, tangent, cut.differentiate(tangent))
     rate = cut.differentiate(turn)
-    speed = jnp.sum(rate**2, axis=-1)
-    apart = length_of(cross(turn, rate)) / jnp.where(speed > 0, speed, 1.0)
-    growth = where_present(nodes, jnp.sum(turn * rate, axis=-1))
-    length, none = cut.edges[-1], varying_as(unsplit(problem.manipulator, problem.loads), zero_as(growth))
-    places = varying_as(Splits(none.arc_length[:1] + jnp.zeros(MINIMA), jnp.full(MINIMA, -1)), zero_as(growth))
-    places = _first_changes(problem, with_ends(cut, growth), NEGLIGIBLE * largest_size(growth), places, upwards=True)
-    nearest = jnp.argmin(jnp.abs(cut.nodes.ravel() - places.arc_length[:, None]), axis=1)
-    apart = apart.reshape(-1, apart.shape[-1])[nearest, jnp.maximum(places.owner, 0)]
-    apart = jnp.where((places.owner >= 0) & (speed.max() > 0), apart, length)
+    growth, speed = (jnp.sum(each * rate, axis=-1) for each in (turn, rate))
+    steep = speed > NEGLIGIBLE**2 * largest(speed)
+    place = cut.nodes[..., None] - growth / jnp.where(steep, speed, 1.0)
+    (before, after), length = cut.neighbours, cut.edges[-1]
+    near = (before[..., None] <= place) & (place <= after[..., None]) & (place > 0) & (place < length)
+    minimum = steep & near & (cut.differentiate(growth) > 0)
+    apart = length_of(cross(turn, rate)) / jnp.where(steep, speed, 1.0)
+    apart = where_present(nodes, jnp.where(minimum, apart, jnp.inf), jnp.inf).ravel()
     sharpest = jnp.argmin(apart)
-    place, apart = places.arc_length[sharpest], apart[sharpest]
-    beside = jnp.sqrt(apart * length)
-    around = jnp.clip(jnp.stack([place - beside, place, place + beside]), 0.0, length)
-    return Splits(jnp.where(apart < SHARP * length, around, none.arc_length), none.owner)
+    return place.ravel()[sharpest], apart[sharpest]
 
 
 def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tuple[Bool[Array, ""], Number]:
@@ -191,10 +209,8 @@ def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tu
     return (ahead > least) & (back > least), least
 
 
-def _first_changes(
-    problem: Problem, turning: Float[Array, "P q owners"], least: Number, none: Splits, upwards: bool = False
-) -> Splits:
-    """The first changes of sign; if it is asked for, only those from below zero to above.
+def _first_changes(problem: Problem, turning: Float[Array, "P q owners"], least: Number, none: Splits) -> Splits:
+    """The first changes of sign.
 
     Negligible turning counts as turning to the right. Between two pieces of the body the sign changes in a jump,
     and a panel ends there already.
@@ -202,7 +218,7 @@ def _first_changes(
     cut = problem.panels
     per_panel, owners = turning.shape[1:]
     left = turning.reshape(-1, owners) > least
-    changes = left[1:] & ~left[:-1] if upwards else left[1:] != left[:-1]
+    changes = left[1:] != left[:-1]
     changes = jnp.concatenate([jnp.zeros_like(changes[:1]), changes]).reshape(turning.shape)
     at_joint = _is_joint(problem, cut.edges[:-1])[:, None, None] & (jnp.arange(per_panel) == 0)[:, None]
 

@@ -79,6 +79,14 @@ class Panels(eqx.Module):
         """The weight of each node in a mean along the body; their sum is 1."""
         return self.width[:, None] * self.constant("weights") / self.edges[-1]
 
+    @property
+    def neighbours(self) -> tuple[Float[Array, "P p"], Float[Array, "P p"]]:
+        """The arc lengths of the nodes before and after each node of a panel; the ends have mirrored nodes beyond."""
+        first = self.rule.nodes[0]
+        places = jnp.asarray([-first, *self.rule.nodes, 1.0 + first], self.edges.dtype)
+        along = self.edges[:-1, None] + self.width[:, None] * places
+        return along[:, :-2], along[:, 2:]
+
     def constant(self, name: str) -> Float[Array, "..."]:
         """A matrix of the rule in the precision of the edges."""
         return jnp.asarray(getattr(self.rule, name), self.edges.dtype)

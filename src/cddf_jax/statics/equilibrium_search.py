@@ -41,8 +41,10 @@ from .load_path import LoadPath, follow_loads
 MAX_ROUNDS = 6
 MAX_MOVES = 12  # moves of the panels from pass to pass; then MAX_ROUNDS more, each from a settled body
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
+NEARLY = 1e-3  # relative change in a pass below which a minimum in space hardly moves any more
 FAR = 1e-3  # of the length: where panels move less, the values at their nodes follow to second order
-NEAR_MINIMUM = 1e-5  # of the length: panels may end so far from a sharp minimum in space
+NEAR = 0.1  # of its distance from a kink: panels may end so far from a sharp minimum in space
+NEAR_KINK = 1e-5  # of the length: or so far, where it is nearly a kink
 SETTLED = 1e-7  # of the length: panels may end so far from a kink, at the cost of an error of 1e-14
 
 
@@ -157,6 +159,7 @@ class _Following(NamedTuple):
     travel: PerTendon
     ends: Splits  # where the panels end
     cut: Panels
+    placed: Flag  # whether the panels end near enough to a sharp minimum to wait until the body has settled
     num_moves: Number  # -1 at the end of a path of loads, where the panels move before the first pass
     over: Flag
 
@@ -179,7 +182,8 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
         trial, num_moves = unstacked(jax.vmap(partial(problem.panels.with_empty, count=count))(here)), zero - 1.0
 
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
-    start = _Following(trial, base_tension + zero, blank.splits, cut, num_moves, ~found.converged | trial.lost)
+    over = ~found.converged | trial.lost
+    start = _Following(trial, base_tension + zero, blank.splits, cut, zero > 0, num_moves, over)
     end = jax.lax.while_loop(lambda state: ~state.over, follow, start)
     trial = end.trial
     found = found._replace(
@@ -192,28 +196,32 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
 
 
 def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number, state: _Following) -> _Following:
-    """Make one pass unless the body has settled, locate the sign changes, and decide whether to move the panels there.
+    """Make a pass unless the body has settled, locate the sign changes, and decide whether to move the panels there.
 
     At the end of a path of loads the panels move before the first pass, which would be wasted on other panels.
     Panels move at once where a pass changes little. Where sign changes appear and disappear, the panels move only after
-    the body has settled.
+    the body has settled. In space panels need only end near a minimum: once they do, passes follow each other until the
+    body has settled.
     """
     ends, num_moves = state.ends, state.num_moves
     problem = setup.lay_out(base_tension, ends, state.cut)
     body = LoadedBody(problem, setup.method)
 
-    def corrected(start: Trial) -> Trial:
+    def one_more(passes: tuple[Flag, Trial]) -> tuple[Flag, Trial]:
+        _, start = passes
         trial = body.correct(start, fraction, fraction < 0)
         kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), _kept(start), _kept(trial))
-        return trial._replace(**kept)
+        trial = trial._replace(**kept)
+        return state.placed & ~(trial.settled | trial.lost), trial
 
-    trial = only_if(~state.trial.settled & (num_moves >= 0), corrected, state.trial)
-    splits = locate(problem, body.state(trial, fraction))
+    passes = ~state.trial.settled & (num_moves >= 0), state.trial
+    trial = jax.lax.while_loop(lambda at: at[0], one_more, passes)[1]
+    splits = locate(problem, body.state(trial, fraction), ends)
     moves = splits.arc_length - ends.arc_length
     distance = (largest_size(moves) if moves.size else jnp.zeros_like(fraction)) / problem.panels.edges[-1]
     calm = (num_moves < MAX_MOVES) & (trial.change <= ROUGHLY)
-    in_place = max(_in_place(fraction), NEAR_MINIMUM if problem.in_space else 0.0)
-    move = (distance > in_place) & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
+    away = distance > _in_place(problem, splits)
+    move = away & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
     over = trial.lost | (trial.settled & ~move)
 
     def travelled(before: PerTendon) -> PerTendon:
@@ -241,14 +249,18 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
         travel=travel,
         ends=ends,
         cut=new,
+        placed=~away & (trial.change <= NEARLY) & problem.in_space,
         num_moves=jnp.maximum(num_moves, 0.0) + jnp.where(move, 1.0, 0.0),
         over=over,
     )
 
 
-def _in_place(number: Number) -> float:
+def _in_place(problem: Problem, splits: Splits) -> Number | float:
     """How far from the sign changes the panels may end, of the length."""
-    return max(SETTLED, 16 * float(jnp.finfo(number.dtype).eps))
+    if problem.in_space:
+        beside = jnp.max(jnp.diff(splits.arc_length), initial=0.0) / problem.panels.edges[-1]
+        return jnp.maximum(NEAR_KINK, NEAR * beside**2)  # beside^2 is that distance
+    return max(SETTLED, 16 * float(jnp.finfo(splits.arc_length.dtype).eps))
 
 
 def _kept(trial: Trial) -> dict[str, Nodal | Moment | Array | None]:

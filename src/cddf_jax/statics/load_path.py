@@ -5,6 +5,7 @@ then all loads grow together from 0 to 1. `follow_loads` follows this path in st
 prediction, then a `Trial` that is corrected.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..mechanics.problem import Moment, Nodal, Number, unstrained
-from ..mechanics.sign_changes import only_if
+from ..mechanics.sign_changes import has_sharp_minimum, only_if
 from ..numerics.arrays import computed_once, largest_size
 from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
 
@@ -59,13 +60,14 @@ class _Walk(NamedTuple):
     num_tries: Number
     arrived: Flag  # at the full loads
     ended: Flag  # before them
+    unsmooth: Flag  # arrived in space, where the panels have to move before the body settles
     resolved: Flag
 
     @property
     def over(self) -> Flag:
         trial = self.trial
         done = trial.settled | trial.lost | (trial.num_passes >= MAX_SETTLING)
-        return self.ended | (self.arrived & done)
+        return self.ended | self.unsmooth | (self.arrived & done)
 
 
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
@@ -90,7 +92,7 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
         walk = walk._replace(trial=body.correct(walk.trial, walk.fraction, walk.fraction < 1.0))
         hopeless = walk.trial.lost | ((walk.num_steps > 0) & (walk.trial.num_passes >= MAX_SETTLING))
         tried = ~walk.arrived & (walk.trial.near | hopeless)
-        return only_if(tried, _decide, walk)
+        return only_if(tried, partial(_decide, body), walk)
 
     walk = jax.lax.while_loop(lambda walk: ~walk.over, advance, _first_walk(body, guess, zero))
     place = walk.place
@@ -133,6 +135,7 @@ def _first_walk(body: LoadedBody, guess: Nodal, zero: Number) -> _Walk:
         num_tries=zero,
         arrived=false,
         ended=false,
+        unsmooth=false,
         resolved=true,
     )
 
@@ -160,7 +163,7 @@ def _arrive(trial: Trial, fraction: Number) -> _Place:
     )
 
 
-def _decide(walk: _Walk) -> _Walk:
+def _decide(body: LoadedBody, walk: _Walk) -> _Walk:
     """Accept the trial and go on, or take the step back and shorten it."""
     first, old, trial = walk.num_steps == 0, walk.place, walk.trial
     new = _arrive(trial, walk.fraction)
@@ -179,6 +182,9 @@ def _decide(walk: _Walk) -> _Walk:
     tries = walk.num_tries + 1.0
     arrived = accepted & (place.fraction >= 1.0)
     ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
+    unsmooth = walk.unsmooth
+    if body.problem.in_space:
+        unsmooth = arrived & has_sharp_minimum(body.problem, body.state(trial, walk.fraction))
     predicted = _predict(place, jnp.where(ended | arrived, 0.0, step), trial)
     return _Walk(
         place,
@@ -189,6 +195,7 @@ def _decide(walk: _Walk) -> _Walk:
         num_tries=tries,
         arrived=arrived,
         ended=ended,
+        unsmooth=unsmooth,
         resolved=trial.sane,
     )
 
