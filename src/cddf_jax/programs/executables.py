@@ -66,7 +66,9 @@ class Pack(NamedTuple):
 
     def row(self, arrays: Sequence[Any]) -> np.ndarray:
         """All numbers in one row."""
-        return np.concatenate([np.ravel(np.asarray(arrays[i], self.dtype)) for i in self.members])
+        members = [arrays[i] for i in self.members]
+        flat = [x.ravel() if type(x) is np.ndarray else np.asarray(x).ravel() for x in members]
+        return np.concatenate(flat, dtype=self.dtype, casting="same_kind")
 
     def parts(self, row: jax.Array) -> dict[int, jax.Array]:
         """The arrays again, by their numbers."""

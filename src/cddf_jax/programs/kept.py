@@ -35,11 +35,12 @@ class Call(NamedTuple):
     """A program, and the structure of its answer."""
 
     program: Program
+    inputs: tuple[int, ...]  # the arrays among the leaves of the arguments
     structure: Any  # of `jax.tree.structure`
     leaves: tuple[Any, ...]  # of the answer: the number of an output as a `Place`, or a value
 
-    def __call__(self, arrays: Sequence[Any]) -> Any:
-        outputs = self.program(arrays)
+    def __call__(self, arguments: Sequence[Any]) -> Any:
+        outputs = self.program([arguments[i] for i in self.inputs])
         return self.structure.unflatten([outputs[x.of] if isinstance(x, Place) else x for x in self.leaves])
 
 
@@ -49,6 +50,11 @@ class Question(NamedTuple):
     function: Callable[..., Any]  # compiled by JAX
     structure: Any  # of (args, kwargs), of `jax.tree.structure`
     leaves: tuple[Any, ...]  # a `Signature` in place of every array
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """Where the arrays are among the leaves."""
+        return tuple(i for i, leaf in enumerate(self.leaves) if isinstance(leaf, Signature))
 
     @property
     def inputs(self) -> tuple[Signature, ...]:
@@ -62,6 +68,8 @@ class Question(NamedTuple):
 
 PROGRAMS: dict[Hashable, Call | None] = {}  # None: left to JAX
 UNKNOWN: Any = object()
+LEFT_TO_JAX: Any = object()
+ON_HOST = np.ndarray, np.generic
 
 
 def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
@@ -74,16 +82,19 @@ def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, A
     @wraps(function)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
         leaves, structure = jax.tree.flatten((args, kwargs))
-        if not _can_be_kept(leaves, (*args, *kwargs.values())):
+        kinds = [_kind_of(leaf) for leaf in leaves]
+        if LEFT_TO_JAX in kinds or not jax.sharding.get_abstract_mesh().empty:
             return function(*args, **kwargs)
-        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-        question = Question(function, structure, tuple(map(_signature, leaves)))
-        at = (call, *question[1:], *map(type, leaves), settings())  # the types, because 1 equals True
+        at = (call, structure, *kinds, settings())
         try:
             known = PROGRAMS.get(at, UNKNOWN)
-            known = _remember(at, _answer_to(question, arrays)) if known is UNKNOWN else known
+            if known is UNKNOWN:
+                if not _can_be_kept(leaves, (*args, *kwargs.values())):
+                    raise UnavailableError("arrays out of reach, or a number inside an argument")
+                question = Question(function, structure, tuple(map(_signature, leaves)))
+                known = _remember(at, _answer_to(question, [leaf for leaf in leaves if eqx.is_array(leaf)]))
             if known is not None:
-                return known(arrays)
+                return known(leaves)
         except UnavailableError as error:
             LOG.debug("%s is left to JAX: %s", function.__qualname__, error)
             _remember(at, None)
@@ -111,6 +122,17 @@ def shapes_of(function: Callable[..., Any], *arguments: Any) -> Any:
         return found
     places, answer = jax.tree.flatten(rebuild(entry.about["answer"]), is_leaf=lambda x: isinstance(x, Place))
     return answer.unflatten([jax.ShapeDtypeStruct(tuple(place.of[0]), place.of[1]) for place in places])
+
+
+def _kind_of(leaf: Any) -> Any:
+    """What the choice of a program depends on: the type with a value (because 1 equals True) or a shape."""
+    kind = type(leaf)
+    if isinstance(leaf, ON_HOST):
+        return kind, leaf.shape, leaf.dtype
+    if isinstance(leaf, jax.Array):
+        known = not isinstance(leaf, Tracer)
+        return (kind, leaf.shape, leaf.dtype, leaf.weak_type, leaf.sharding) if known else LEFT_TO_JAX
+    return LEFT_TO_JAX if kind.__hash__ is None else (kind, leaf)
 
 
 def _can_be_kept(leaves: Sequence[Any], arguments: tuple[Any, ...]) -> bool:
@@ -184,7 +206,7 @@ def _found(key: str, question: Question) -> Call | None:
         outputs = tuple(Signature.read(*one) for one in entry.about["outputs"])
         interface = Interface(question.inputs, outputs, question.mesh, entry.about["lapack"])
         leaves, structure = jax.tree.flatten(rebuild(entry.about["answer"]), is_leaf=lambda x: isinstance(x, Place))
-        return Call(loaded(entry.content, interface), structure, tuple(leaves))
+        return Call(loaded(entry.content, interface), question.places, structure, tuple(leaves))
     except (UnavailableError, NotDescribedError, AttributeError, ImportError, KeyError, TypeError) as error:
         LOG.debug("%s is made again: %s", key, error)
         return None
@@ -205,7 +227,7 @@ def _made(key: str, question: Question, arrays: Sequence[Any]) -> Call:
         return [jnp.asarray(x, x.dtype).astype(x.dtype) for x in found if eqx.is_array(x)]  # none typed weakly
 
     program = compiled(flat, arrays, question.inputs, question.mesh)
-    call = Call(program, *answers)
+    call = Call(program, question.places, *answers)
     _keep(key, call)
     return call
 

@@ -25,6 +25,7 @@ from .tension_search import Targets
 
 PerTendon = Float[Array, " tendons"]
 Tree = TypeVar("Tree")
+DOUBLE = np.dtype(np.float64)  # of directions, which are exact in any precision
 GivenDirections = Number | tuple[Number | None, ...]
 
 
@@ -118,12 +119,12 @@ def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Direct
     Raises:
         ValueError: when there is neither one for all nor one per tendon.
     """
-    count, precision = manipulator.num_tendons, _precision(manipulator)
+    count = manipulator.num_tendons
 
-    def checked(name: str, value: PyTree, shapes=((), (count,))):
+    def checked(name: str, value: PyTree, precision: np.dtype | None = None, shapes=((), (count,))):
         if not isinstance(value, jax.Array):
             traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
-            value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision)
+            value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision or _precision(manipulator))
         if isinstance(value, jax.Array) and value.weak_type:  # a weakly typed number would be compiled for again
             value = value.astype(value.dtype)
         if value.shape not in shapes:
@@ -136,9 +137,9 @@ def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Direct
         raise ValueError(f"solve: {error}") from None
     if not_stated(direction):
         assert isinstance(direction, tuple)
-        direction = tuple(None if x is None else checked("direction", x, ((),)) for x in direction)
+        direction = tuple(None if x is None else checked("direction", x, DOUBLE, ((),)) for x in direction)
     else:
-        direction = checked("direction", direction)
+        direction = checked("direction", direction, DOUBLE)
     return checked("base_tension", base_tension), direction
 
 

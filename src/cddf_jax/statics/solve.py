@@ -44,7 +44,6 @@ from .equilibrium import (
     Dense,
     Equilibrium,
     code_of,
-    ended_as,
     first_of,
     nan_unless,
 )
@@ -55,6 +54,7 @@ from .targets import Actuation, Displacement, TipAngle, TipStiffness
 from .tension_search import Found, Targets, reach
 
 PerTendon = Float[Array, " tendons"]
+SOLVED = frozenset(int(code_of(result)) for result in (RESULTS.successful, RESULTS.direction_contradicted))
 
 
 def solve(
@@ -136,9 +136,7 @@ def solve(
 
 def _raise_if_failed(equilibrium: Equilibrium, targets: Targets) -> None:
     code = code_of(equilibrium.result)
-    if isinstance(code, Tracer) or np.ndim(code) > 0:
-        return
-    if ended_as(equilibrium, RESULTS.successful, RESULTS.direction_contradicted):
+    if isinstance(code, Tracer) or np.ndim(code) > 0 or int(code) in SOLVED:
         return
     raise SolveError(result_in_words(equilibrium) + _units_of(targets, float(equilibrium.arc_length[-1])))
 
