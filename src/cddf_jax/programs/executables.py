@@ -22,7 +22,13 @@ from ..application import is_tested_jaxlib
 
 CALLED = ("lapack_", "Sharding", "SPMD", "xla.sdy")  # calls that every process finds; others may be this process's own
 SMALL = 64  # numbers of an array that goes in with others, because a transfer of its own takes longer than a copy
-EMITTERS = "xla_cpu_use_fusion_emitters"  # of jaxlib 0.10; with them compiling takes twice as long for code no faster
+# What XLA is asked for on the CPU, in the words of jaxlib 0.10. With fusion emitters compiling takes twice as long, for
+# code no faster. The order of least memory lets a small operation begin when the one before ends; otherwise two cores
+# share them, and wait for each other longer than the operations take.
+OPTIONS: dict[str, str | bool] = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
+}
 
 
 class UnavailableError(Exception):
@@ -187,8 +193,10 @@ def compiled(
 
 def _options() -> dict[str, str | bool]:
     """What XLA is asked for, unless the user's flags say it."""
-    left_to_us = EMITTERS not in os.environ.get("XLA_FLAGS", "") and jax.default_backend() == "cpu"
-    return {EMITTERS: False} if left_to_us and is_tested_jaxlib() else {}
+    if not is_tested_jaxlib() or jax.default_backend() != "cpu":
+        return {}
+    given = os.environ.get("XLA_FLAGS", "")
+    return {name: value for name, value in OPTIONS.items() if name not in given}
 
 
 def loaded(content: bytes, interface: Interface) -> Program:
