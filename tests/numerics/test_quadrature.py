@@ -57,3 +57,11 @@ def test_integrals_together_are_those_of_each():
         at_edges, at_nodes = cut.integrate(rates[name])
         assert_allclose(edges[name], at_edges, rtol=1e-15, atol=1e-16)
         assert_allclose(nodes[name], at_nodes, rtol=1e-15, atol=1e-16)
+
+
+def test_neighbours_of_the_nodes():
+    """By hand: two nodes lie 1 / (2 sqrt(3)) of the width from the middle; beyond the ends are their mirrors."""
+    off = 1 / (2 * 3**0.5)
+    before, after = Panels.between(jnp.array([0.0, 1.0, 3.0]), 2).neighbours
+    assert_allclose(before, [[off - 0.5, 0.5 - off], [1 + 2 * (off - 0.5), 1 + 2 * (0.5 - off)]], rtol=1e-14)
+    assert_allclose(after, [[0.5 + off, 1.5 - off], [1 + 2 * (0.5 + off), 1 + 2 * (1.5 - off)]], rtol=1e-14)

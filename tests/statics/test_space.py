@@ -210,6 +210,17 @@ def test_derivatives_against_differences_in_both_modes():
     np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.parametrize("force", [None, (0.0, 0.1, 0.2), (0.5, -1.0, 0.3)], ids=["no load", "small", "large"])
+def test_a_panel_ends_near_the_sharpest_minimum(force):
+    """The least turning |T t'| / T of 1,001 places along the body, with four times as many nodes."""
+    body, loads = paper_with(helix(0.5)), None if force is None else cddf.Loads(tip_force=force)
+    places = np.linspace(0.0, LENGTH, 1001)
+    fields = cddf.solve(body, 40.0, loads, nodes=64).at(places)
+    least = places[np.argmin(np.linalg.norm(fields.normal_force[0], axis=-1) / fields.tension[0])]
+    ends = cddf.solve(body, 40.0, loads).panels.edges[1:-1]
+    assert np.min(np.abs(ends - least)) < 0.002 * LENGTH
+
+
 @pytest.mark.slow
 def test_a_body_that_bears_almost_no_load_is_stable():
     """The energy of each cross-section without friction is strictly convex in its strains, so its least is stable.

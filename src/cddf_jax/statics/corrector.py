@@ -33,7 +33,7 @@ from ..numerics.rotations import cofactors, cross, small_turn, solve_three
 
 ROUGH = 1e-3  # relative tolerance of the states along the path of the loads
 STEADY = 1e-2  # relative tolerance of the slopes along the path of the loads
-ROUGH_AT_START, STEADY_AT_START = 2e-2, 2e-1  # looser at load fraction 0: its state serves the first prediction only
+ROUGH_AT_START, STEADY_AT_START = 5e-2, 2e-1  # looser at load fraction 0: its state serves the first prediction only
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]

@@ -225,8 +225,9 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     over = trial.lost | (trial.settled & ~move)
 
     def travelled(before: PerTendon) -> PerTendon:
-        here = body.travel(trial, fraction + tied_to(before))
-        return travel_under_tension(problem, pull_at_nodes(problem, trial.nodal), here)
+        nodal = trial.nodal._replace(ratio=trial.nodal.ratio + tied_to(before))
+        here = body.travel(trial._replace(nodal=nodal), fraction)
+        return travel_under_tension(problem, pull_at_nodes(problem, nodal), here)
 
     ends = jax.tree.map(lambda new, old: jnp.where(move, new, old), splits, ends) if moves.size else ends
     new = _cut(setup, ends)
