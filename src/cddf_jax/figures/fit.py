@@ -52,7 +52,7 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
 
     Args:
         fit: of `fit`.
-        table: the name of a table that was fitted, as in `fit.alone`; may be left out where there is one.
+        table: the name of a table that was fitted, as in `fit.model.names`; may be left out where there is one.
         column: "tip_tension", "tip_tension_2", ... (N), "tip_angle" (deg), "tip_x" or "tip_y" (mm); may be left out
             where there is one.
         axes: where to draw; None for a new figure, one column wide.
@@ -116,7 +116,7 @@ def table_figures(fit: Fit) -> dict[str, Figure]:
     lost = diagnostics.tables_without_numbers(fit)
     return {
         "fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_"): _table_figure(fit, name)
-        for name in fit.alone
+        for name in fit.model.names
         if name not in lost
     }
 
@@ -161,7 +161,7 @@ class _Panel(NamedTuple):
 
 def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Panel:
     """The readings of a column and the model."""
-    name = _the_one(who, "table", table, list(fit.alone))
+    name = _the_one(who, "table", table, list(fit.model.names))
     groups = _groups(fit, name)
     column = _the_one(who, "column", column, list(groups))
     group = groups[column]

@@ -52,7 +52,6 @@ class Fit(LeastSquaresFit):
     manipulator: Manipulator  # with the estimates; where a parameter is not identified, one of many that fit
     tables: tuple[Measurements, ...]  # the data
     model: bench.BenchModel  # the bench: from parameters to readings
-    alone: dict[str, Determination]  # what each table alone, without priors, would determine
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty without `per_trial`
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 if none was found, NaN without `per_trial`
     solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
@@ -69,6 +68,14 @@ class Fit(LeastSquaresFit):
     def warnings(self) -> tuple[str, ...]:
         """Warnings about tables, statistics and solver, in words."""
         return tuple(fit_warnings(self))
+
+    @cached_property
+    def alone(self) -> dict[str, Determination]:
+        """What each table alone, without priors, would determine."""
+        labels = {name: [g.label for g in self.groups if g.name == name] for name in self.model.names}
+        trials = [name for name in self.evidence.space.names if name.startswith(TRIALS)]
+        found = {name: self.determined_by(*of, with_priors_of=trials) for name, of in labels.items()}
+        return {name: Alone(**vars(determination)) for name, determination in found.items()}
 
     @property
     def groups(self) -> list[bench.Group]:
@@ -401,17 +408,14 @@ def _conclude(
         "status": dict.fromkeys(fixed, FIXED),
     }
     found = vars(statistics)
-    labels = {name: [g.label for g in bench.groups_of(tables, model) if g.name == name] for name in model.names}
     trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in _trials(table)]
     rows = {n: row for n, row in zip(statistics.names, np.eye(len(statistics.names)), strict=True) if n not in own}
     effects = [estimate(statistics.value[n], statistics.evidence.uncertainty(row[None])) for n, row in rows.items()]
-    kept = [name for name in statistics.names if name not in own]
     return Fit(
         **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
         manipulator=with_parameters(body, statistics.parameters),
         tables=tables,
         model=model,
-        alone={n: Alone(**vars(statistics.determined_by(*labels[n], with_priors_of=kept))) for n in model.names},
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
         solve_results=ends,

@@ -11,7 +11,7 @@ from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
-from ..statics.equilibrium import NOTEWORTHY, RESULTS
+from ..statics.equilibrium import NOTEWORTHY, RESULTS, code_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
@@ -45,7 +45,7 @@ class SolveResults(NamedTuple):
 
     def rows(self, *codes: RESULTS) -> np.ndarray:
         """The rows, from 0, whose solve ended with one of these results; `table.place` gives their rows in the file."""
-        return np.flatnonzero(np.any([np.asarray(self.results == code) for code in codes], axis=0))
+        return np.flatnonzero(np.isin(np.asarray(code_of(self.results)), [int(code_of(code)) for code in codes]))
 
 
 def solve_results(parameters: Parameters, tables: Sequence[Measurements], model: BenchModel) -> Iterator[SolveResults]:
@@ -54,8 +54,9 @@ def solve_results(parameters: Parameters, tables: Sequence[Measurements], model:
         if isinstance(experiment, Bench):
             shown = experiment.evaluate(model.manipulator, parameters, model.nodes)
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
-            contradicted = np.asarray(shown.results == RESULTS.direction_contradicted)
-            yield SolveResults(name, table, shown.results, contradicted & np.any(shown.against[:, found], axis=1))
+            against = np.any(np.asarray(shown.against)[:, found], axis=1)
+            contradicted = np.asarray(code_of(shown.results)) == int(code_of(RESULTS.direction_contradicted))
+            yield SolveResults(name, table, shown.results, contradicted & against)
 
 
 def doubt(solves: SolveResults) -> str:

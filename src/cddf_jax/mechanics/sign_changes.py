@@ -40,9 +40,10 @@ from .problem import (
     turning_along,
 )
 
-NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign
+NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign; likewise of its change along the body
 Values = TypeVar("Values")
-SHARP = 0.25  # of the length: a minimum less near to a kink does no harm
+SHARP = 0.25  # of the length: a minimum at a larger distance from a kink does no harm
+KINK = 1e-5  # of the length: a minimum at a smaller distance from a kink is treated as one at this distance
 REFINEMENTS = 5  # by the Illinois rule
 
 
@@ -70,7 +71,10 @@ def tied_to(values: Float[Array, "..."]) -> Number:
 
 
 class Splits(NamedTuple):
-    """Where the panels are to end. Places that are not needed lie at the tip, and belong to no tendon."""
+    """Where the panels are to end. Places that are not needed lie at the tip, and belong to no tendon.
+
+    In space no place belongs to a tendon.
+    """
 
     arc_length: Float[Array, " splits"]  # m
     owner: Int[Array, " splits"]  # whose turning or base tension left changes sign, see `signed_turning`; -1 for none
@@ -128,10 +132,12 @@ def signed_turning(problem: Problem, state: AnyState) -> Turning:
 def locate(problem: Problem, state: AnyState, ends: Splits) -> Splits:
     """The first sign changes from the base, between neighbouring nodes and on the polynomials through them.
 
+    In space: the sharpest minimum, and a place on either side.
+
     Args:
         problem: the body.
         state: at its nodes.
-        ends: where its panels end now.
+        ends: where its panels end now; the result in space without a sharp minimum.
     """
     if num_splits(problem.manipulator, problem.loads) == 0:
         return unsplit(problem.manipulator, problem.loads)
@@ -157,13 +163,13 @@ def with_ends(cut: Panels, turning: Turning) -> Float[Array, "P q owners"]:
 def _around_sharpest_minimum(problem: Problem, state: AnyState, ends: Splits) -> Splits:
     """Three arc lengths: the sharpest minimum of the turning of a tendon, and one on either side.
 
-    The panels beside the minimum are short compared with the body, but not much longer than it is apart from a kink.
+    The panels beside the minimum are short compared with the body, but not much longer than its distance from a kink.
     Where there is no sharp minimum, panels stay as they are, so that they do not go back and forth.
     """
-    (place, apart), length = _sharpest_minimum(problem, state), problem.panels.edges[-1]
-    beside = jnp.sqrt(apart * length)
+    (place, distance), length = _sharpest_minimum(problem, state), problem.panels.edges[-1]
+    beside = jnp.sqrt(jnp.maximum(distance, KINK * length) * length)
     around = jnp.clip(jnp.stack([place - beside, place, place + beside]), 0.0, length)
-    return ends._replace(arc_length=jnp.where(apart < SHARP * length, around, ends.arc_length))
+    return ends._replace(arc_length=jnp.where(distance < SHARP * length, around, ends.arc_length))
 
 
 def has_sharp_minimum(problem: Problem, state: AnyState) -> Bool[Array, ""]:
@@ -172,11 +178,12 @@ def has_sharp_minimum(problem: Problem, state: AnyState) -> Bool[Array, ""]:
 
 
 def _sharpest_minimum(problem: Problem, state: AnyState) -> tuple[Number, Number]:
-    """The minimum of the turning of a tendon that is nearest to a kink: its arc length, m, and how far it is apart, m.
+    """The minimum of the turning of a tendon that is nearest to a kink: its arc length and its distance from a kink, m.
 
     Near its minimum the turning is the length of a vector c that passes zero at a distance: about the square root of
-    c'^2 ((s - s0)^2 + apart^2). From c and c' each node finds s0 and apart; the minimum counts if it lies between
-    the neighbours of the node. Without a minimum it is infinitely far apart.
+    c'^2 ((s - s0)^2 + distance^2). From c and c' each node finds s0 and the distance. The minimum counts if it lies
+    between the neighbours of the node, in the same smooth piece of the body. Without a minimum the distance is
+    infinite.
     """
     cut, nodes = problem.panels, problem.nodes
     if state.strain is None:
@@ -187,15 +194,27 @@ def _sharpest_minimum(problem: Problem, state: AnyState) -> tuple[Number, Number
     turn = at_nodes(space.turn_vectors, (0, 0, 0))(strain, tangent, cut.differentiate(tangent))
     rate = cut.differentiate(turn)
     growth, speed = (jnp.sum(each * rate, axis=-1) for each in (turn, rate))
-    steep = speed > NEGLIGIBLE**2 * largest(speed)
+    length, least = cut.edges[-1], max(NEGLIGIBLE, 1e3 * float(jnp.finfo(speed.dtype).eps))
+    steep = speed > jnp.maximum(NEGLIGIBLE**2 * largest(speed), (least / length**2) ** 2)
     place = cut.nodes[..., None] - growth / jnp.where(steep, speed, 1.0)
-    (before, after), length = cut.neighbours, cut.edges[-1]
+    before, after = _neighbours_in_piece(problem)
     near = (before[..., None] <= place) & (place <= after[..., None]) & (place > 0) & (place < length)
     minimum = steep & near & (cut.differentiate(growth) > 0)
-    apart = length_of(cross(turn, rate)) / jnp.where(steep, speed, 1.0)
-    apart = where_present(nodes, jnp.where(minimum, apart, jnp.inf), jnp.inf).ravel()
-    sharpest = jnp.argmin(apart)
-    return place.ravel()[sharpest], apart[sharpest]
+    distance = length_of(cross(turn, rate)) / jnp.where(steep, speed, 1.0)
+    distance = where_present(nodes, jnp.where(minimum, distance, jnp.inf), jnp.inf).ravel()
+    sharpest = jnp.argmin(distance)
+    return place.ravel()[sharpest], distance[sharpest]
+
+
+def _neighbours_in_piece(problem: Problem) -> tuple[Float[Array, "P p"], Float[Array, "P p"]]:
+    """As `Panels.neighbours`, but none beyond a place where the body is not smooth."""
+    cut = problem.panels
+    before, after = cut.neighbours
+    if problem.manipulator.breakpoints.shape[0] == 0:
+        return before, after
+    joint, starts, ends = _is_joint(problem, cut.edges), cut.edges[:-1], cut.edges[1:]
+    before = jnp.maximum(before, jnp.where(joint[:-1], starts, -jnp.inf)[:, None])
+    return before, jnp.minimum(after, jnp.where(joint[1:], ends, jnp.inf)[:, None])
 
 
 def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tuple[Bool[Array, ""], Number]:

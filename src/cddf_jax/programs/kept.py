@@ -67,8 +67,8 @@ class Question(NamedTuple):
 
 
 PROGRAMS: dict[Hashable, Call | None] = {}  # None: left to JAX
-UNKNOWN: Any = object()
-LEFT_TO_JAX: Any = object()
+UNKNOWN: Any = object()  # a call that was not asked before
+LEFT_TO_JAX: Any = object()  # the kind of a leaf with which no program is kept
 ON_HOST = np.ndarray, np.generic
 
 
@@ -90,7 +90,7 @@ def kept_program(function: Callable[Arguments, Answer]) -> Callable[Arguments, A
             known = PROGRAMS.get(at, UNKNOWN)
             if known is UNKNOWN:
                 if not _can_be_kept(leaves, (*args, *kwargs.values())):
-                    raise UnavailableError("arrays out of reach, or a number inside an argument")
+                    return function(*args, **kwargs)
                 question = Question(function, structure, tuple(map(_signature, leaves)))
                 known = _remember(at, _answer_to(question, [leaf for leaf in leaves if eqx.is_array(leaf)]))
             if known is not None:
@@ -130,7 +130,7 @@ def _kind_of(leaf: Any) -> Any:
     if isinstance(leaf, ON_HOST):
         return kind, leaf.shape, leaf.dtype
     if isinstance(leaf, jax.Array):
-        known = not isinstance(leaf, Tracer)
+        known = not isinstance(leaf, Tracer) and isinstance(leaf.dtype, np.dtype)  # no key of random numbers
         return (kind, leaf.shape, leaf.dtype, leaf.weak_type, leaf.sharding) if known else LEFT_TO_JAX
     return LEFT_TO_JAX if kind.__hash__ is None else (kind, leaf)
 

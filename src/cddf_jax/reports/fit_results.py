@@ -110,7 +110,7 @@ def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measur
     """The tables that have these columns, and whose trials begin at rest if their rows have a history."""
     named = zip(fit.model.names, fit.model.experiments, strict=True)
     rest = {name for name, one in named if not isinstance(one, Bench) or one.course is None or one.course.past is None}
-    for name, table in zip(fit.alone, fit.tables, strict=True):
+    for name, table in zip(fit.model.names, fit.tables, strict=True):
         if name in rest and all(column in table for column in columns):
             yield name, table
 

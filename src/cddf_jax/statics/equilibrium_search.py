@@ -30,7 +30,7 @@ from ..mechanics.problem import (
     unloaded,
     unstrained,
 )
-from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, tied_to, unsplit
+from ..mechanics.sign_changes import KINK, Splits, locate, num_splits, only_if, tied_to, unsplit
 from ..numerics.arrays import largest_size, varying_as, zero_as
 from ..numerics.quadrature import Panels, apart, of_rows, rows_of
 from ..robot.loads import Loads
@@ -43,8 +43,7 @@ MAX_MOVES = 12  # moves of the panels from pass to pass; then MAX_ROUNDS more, e
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
 NEARLY = 1e-3  # relative change in a pass below which a minimum in space hardly moves any more
 FAR = 1e-3  # of the length: where panels move less, the values at their nodes follow to second order
-NEAR = 0.1  # of its distance from a kink: panels may end so far from a sharp minimum in space
-NEAR_KINK = 1e-5  # of the length: or so far, where it is nearly a kink
+NEAR = 0.1  # of the distance of a sharp minimum in space from a kink: panels may end so far from the minimum
 SETTLED = 1e-7  # of the length: panels may end so far from a kink, at the cost of an error of 1e-14
 
 
@@ -220,7 +219,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     moves = splits.arc_length - ends.arc_length
     distance = (largest_size(moves) if moves.size else jnp.zeros_like(fraction)) / problem.panels.edges[-1]
     calm = (num_moves < MAX_MOVES) & (trial.change <= ROUGHLY)
-    away = distance > _in_place(problem, splits)
+    away = jnp.any(jnp.abs(moves) > _in_place(problem, splits))
     move = away & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
     over = trial.lost | (trial.settled & ~move)
 
@@ -256,12 +255,14 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     )
 
 
-def _in_place(problem: Problem, splits: Splits) -> Number | float:
-    """How far from the sign changes the panels may end, of the length."""
-    if problem.in_space:
-        beside = jnp.max(jnp.diff(splits.arc_length), initial=0.0) / problem.panels.edges[-1]
-        return jnp.maximum(NEAR_KINK, NEAR * beside**2)  # beside^2 is that distance
-    return max(SETTLED, 16 * float(jnp.finfo(splits.arc_length.dtype).eps))
+def _in_place(problem: Problem, splits: Splits) -> Number | Float[Array, "3"]:
+    """How far from the sign changes the panels may end, m; in space from a sharp minimum and the places beside it."""
+    length = problem.panels.edges[-1]
+    if not problem.in_space:
+        return max(SETTLED, 16 * float(jnp.finfo(length.dtype).eps)) * length
+    beside = jnp.max(jnp.diff(splits.arc_length), initial=0.0)
+    at_minimum = jnp.maximum(NEAR * beside**2 / length, KINK * length)  # beside^2 / length is the distance from a kink
+    return jnp.stack([NEAR * beside, at_minimum, NEAR * beside]) if splits.arc_length.size else beside
 
 
 def _kept(trial: Trial) -> dict[str, Nodal | Moment | Array | None]:

@@ -60,14 +60,14 @@ class _Walk(NamedTuple):
     num_tries: Number
     arrived: Flag  # at the full loads
     ended: Flag  # before them
-    unsmooth: Flag  # arrived in space, where the panels have to move before the body settles
+    must_move: Flag  # arrived in space, where the panels have to move before the body settles
     resolved: Flag
 
     @property
     def over(self) -> Flag:
         trial = self.trial
         done = trial.settled | trial.lost | (trial.num_passes >= MAX_SETTLING)
-        return self.ended | self.unsmooth | (self.arrived & done)
+        return self.ended | self.must_move | (self.arrived & done)
 
 
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
@@ -135,7 +135,7 @@ def _first_walk(body: LoadedBody, guess: Nodal, zero: Number) -> _Walk:
         num_tries=zero,
         arrived=false,
         ended=false,
-        unsmooth=false,
+        must_move=false,
         resolved=true,
     )
 
@@ -182,9 +182,9 @@ def _decide(body: LoadedBody, walk: _Walk) -> _Walk:
     tries = walk.num_tries + 1.0
     arrived = accepted & (place.fraction >= 1.0)
     ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
-    unsmooth = walk.unsmooth
+    must_move = walk.must_move
     if body.problem.in_space:
-        unsmooth = arrived & has_sharp_minimum(body.problem, body.state(trial, walk.fraction))
+        must_move = arrived & has_sharp_minimum(body.problem, body.state(trial, walk.fraction))
     predicted = _predict(place, jnp.where(ended | arrived, 0.0, step), trial)
     return _Walk(
         place,
@@ -195,7 +195,7 @@ def _decide(body: LoadedBody, walk: _Walk) -> _Walk:
         num_tries=tries,
         arrived=arrived,
         ended=ended,
-        unsmooth=unsmooth,
+        must_move=must_move,
         resolved=trial.sane,
     )
 
