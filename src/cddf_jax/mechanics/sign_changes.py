@@ -40,7 +40,7 @@ from .problem import (
     turning_along,
 )
 
-NEGLIGIBLE = 1e-9  # of the largest bend: smaller turning has no sign; likewise of its change along the body
+NEGLIGIBLE = 1e-9  # of the largest: a smaller turning has no sign, and a smaller change of it no minimum
 Values = TypeVar("Values")
 SHARP = 0.25  # of the length: a minimum at a larger distance from a kink does no harm
 KINK = 1e-5  # of the length: a minimum at a smaller distance from a kink is treated as one at this distance
@@ -182,8 +182,8 @@ def _sharpest_minimum(problem: Problem, state: AnyState) -> tuple[Number, Number
 
     Near its minimum the turning is the length of a vector c that passes zero at a distance: about the square root of
     c'^2 ((s - s0)^2 + distance^2). From c and c' each node finds s0 and the distance. The minimum counts if it lies
-    between the neighbours of the node, in the same smooth piece of the body. Without a minimum the distance is
-    infinite.
+    between the neighbours of the node, in the same smooth piece of the body. The node nearest to it gives the result.
+    Without a minimum the distance is infinite.
     """
     cut, nodes = problem.panels, problem.nodes
     if state.strain is None:
@@ -201,9 +201,14 @@ def _sharpest_minimum(problem: Problem, state: AnyState) -> tuple[Number, Number
     near = (before[..., None] <= place) & (place <= after[..., None]) & (place > 0) & (place < length)
     minimum = steep & near & (cut.differentiate(growth) > 0)
     distance = length_of(cross(turn, rate)) / jnp.where(steep, speed, 1.0)
-    distance = where_present(nodes, jnp.where(minimum, distance, jnp.inf), jnp.inf).ravel()
-    sharpest = jnp.argmin(distance)
-    return place.ravel()[sharpest], distance[sharpest]
+    distance = where_present(nodes, jnp.where(minimum, distance, jnp.inf), jnp.inf)
+    distance, place = (x.reshape(-1, x.shape[-1]) for x in (distance, place))
+    sharpest = jnp.argmin(distance).astype(jnp.uint32)  # not read from the end
+    node, tendon = sharpest // distance.shape[1], sharpest % distance.shape[1]
+    distance, place = distance[:, tendon], place[:, tendon]
+    off = jnp.where(jnp.isfinite(distance), jnp.abs(cut.nodes.ravel() - place[node]), jnp.inf)
+    nearest = jnp.argmin(off)  # the farther the node, the less exact its minimum
+    return place[nearest], distance[nearest]
 
 
 def _neighbours_in_piece(problem: Problem) -> tuple[Float[Array, "P p"], Float[Array, "P p"]]:

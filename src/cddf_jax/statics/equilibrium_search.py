@@ -30,7 +30,7 @@ from ..mechanics.problem import (
     unloaded,
     unstrained,
 )
-from ..mechanics.sign_changes import KINK, Splits, locate, num_splits, only_if, tied_to, unsplit
+from ..mechanics.sign_changes import Splits, locate, num_splits, only_if, tied_to, unsplit
 from ..numerics.arrays import largest_size, varying_as, zero_as
 from ..numerics.quadrature import Panels, apart, of_rows, rows_of
 from ..robot.loads import Loads
@@ -41,9 +41,9 @@ from .load_path import LoadPath, follow_loads
 MAX_ROUNDS = 6
 MAX_MOVES = 12  # moves of the panels from pass to pass; then MAX_ROUNDS more, each from a settled body
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
-NEARLY = 1e-3  # relative change in a pass below which a minimum in space hardly moves any more
+NEARLY_SETTLED = 1e-3  # relative change in a pass below which a minimum in space hardly moves any more
 FAR = 1e-3  # of the length: where panels move less, the values at their nodes follow to second order
-NEAR = 0.1  # of the distance of a sharp minimum in space from a kink: panels may end so far from the minimum
+NEAR_MINIMUM = 0.1  # of the distance of a sharp minimum in space from a kink: panels may end so far from the minimum
 SETTLED = 1e-7  # of the length: panels may end so far from a kink, at the cost of an error of 1e-14
 
 
@@ -249,7 +249,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
         travel=travel,
         ends=ends,
         cut=new,
-        placed=~away & (trial.change <= NEARLY) & problem.in_space,
+        placed=~away & (trial.change <= NEARLY_SETTLED) & problem.in_space,
         num_moves=jnp.maximum(num_moves, 0.0) + jnp.where(move, 1.0, 0.0),
         over=over,
     )
@@ -258,11 +258,13 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
 def _in_place(problem: Problem, splits: Splits) -> Number | Float[Array, "3"]:
     """How far from the sign changes the panels may end, m; in space from a sharp minimum and the places beside it."""
     length = problem.panels.edges[-1]
-    if not problem.in_space:
-        return max(SETTLED, 16 * float(jnp.finfo(length.dtype).eps)) * length
-    beside = jnp.max(jnp.diff(splits.arc_length), initial=0.0)
-    at_minimum = jnp.maximum(NEAR * beside**2 / length, KINK * length)  # beside^2 / length is the distance from a kink
-    return jnp.stack([NEAR * beside, at_minimum, NEAR * beside]) if splits.arc_length.size else beside
+    least = max(SETTLED, 16 * float(jnp.finfo(length.dtype).eps)) * length
+    if not (problem.in_space and splits.arc_length.size):
+        return least
+    beside = jnp.max(jnp.diff(splits.arc_length))
+    from_kink = beside**2 / length  # as `locate` chose the places beside the minimum
+    at_minimum = jnp.maximum(NEAR_MINIMUM * from_kink, least)
+    return jnp.stack([NEAR_MINIMUM * beside, at_minimum, NEAR_MINIMUM * beside])
 
 
 def _kept(trial: Trial) -> dict[str, Nodal | Moment | Array | None]:
