@@ -209,6 +209,14 @@ def test_sound_bodies_in_space_pass(body):
             in_space((0.010, helix(0.25)), (0.010, helix(-0.25, TURN / 4))),
             "tendons 1 and 2 must not touch or cross: at s = 70 mm both lie 10 mm from the axis at 45 deg; change an",
         ),
+        (  # a side is the angle 0 or pi
+            replace(BODY, tendons=(cddf.Tendon(0.010), cddf.Tendon(0.010, angle=helix(0.5, -TURN / 4)))),
+            "tendons 1 and 2 must not touch or cross: at s = 70 mm both lie 10 mm from the axis at 0 deg; change an",
+        ),
+        (
+            replace(BODY, tendons=(cddf.Tendon(0.010, angle=TURN / 2), cddf.Tendon(0.010, -1))),
+            "tendons 1 and 2 must not touch or cross: at s = 0 mm both lie 10 mm from the axis at 180 deg; change an",
+        ),
         (  # 10 turns against 10 turns, from half a turn apart: first together after 1/40 of the length
             in_space((0.010, helix(10)), (0.010, helix(-10, TURN / 2))),
             "tendons 1 and 2 must not touch or cross: at s = 3.5 mm both lie 10 mm from the axis at 90 deg;",

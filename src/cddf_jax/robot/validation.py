@@ -222,12 +222,16 @@ def _check_turns(name: str, angle: Profile, reach: float) -> None:
 
 
 def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
-    """Refuse two tendons that meet in a cross-section; between the arc lengths both move in straight lines."""
-    turned = [(i, t, t.angle) for i, t in enumerate(manipulator.tendons, 1) if t.angle is not None]
-    for (i, one, angle), (j, other, other_angle) in combinations(turned, 2):
+    """Refuse two tendons that meet in a cross-section, of which one has an angle.
+
+    Between the arc lengths both move in straight lines.
+    """
+    for (i, one), (j, other) in combinations(enumerate(manipulator.tendons, 1), 2):
+        if one.angle is None and other.angle is None:
+            continue
         reach = min(float(manipulator.length if t.end is None else t.end) for t in (one, other))
         at = s[s <= reach]
-        offset, turn = _at(one.offset, at), _at(angle, at) - _at(other_angle, at)
+        offset, turn = _at(one.offset, at), _angle_at(one, at) - _angle_at(other, at)
         away, across = offset - _at(other.offset, at), offset[:-1] * _least_turn(turn[:-1])
         here, step = np.stack([away[:-1], across]), np.stack([np.diff(away), offset[:-1] * np.diff(turn)])
         size = np.sum(step * step, axis=0)
@@ -235,12 +239,19 @@ def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
         apart = np.linalg.norm(here + nearest * step, axis=0) > _SLACK * float(manipulator.length)
         place = at[:-1] + nearest * np.diff(at)
 
-        def found(k: int, place: np.ndarray = place, offset: Profile = one.offset, angle: Profile = angle) -> str:
+        def found(k: int, place: np.ndarray = place, tendon: Tendon = one) -> str:
             there = place[k : k + 1]
-            return f"both lie {_mm(_at(offset, there)[0])} from the axis at {_deg(_at(angle, there)[0])}"
+            return f"both lie {_mm(_at(tendon.offset, there)[0])} from the axis at {_deg(_angle_at(tendon, there)[0])}"
 
         rule, remedy = f"tendons {i} and {j} must not touch or cross", "change an offset or an angle"
         _demand(apart, place, rule, found, remedy)
+
+
+def _angle_at(tendon: Tendon, s: np.ndarray) -> np.ndarray:
+    """The angle around the axis, rad; that of the side of a tendon without one."""
+    if tendon.angle is not None:
+        return _at(tendon.angle, s)
+    return np.full(s.shape, 0.0 if tendon.side > 0 else np.pi)
 
 
 def _least_turn(angle: np.ndarray) -> np.ndarray:
