@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import code, codes
+from places import ROOT
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
@@ -170,6 +171,15 @@ def test_with_friction_of_a_tendon_that_is_paid_out_three_tendons_are_found():
     slope, friction_slope = jax.jacfwd(tip, (0, 1))(jnp.asarray(PULLED), MU)
     np.testing.assert_allclose(by_place @ slope, np.eye(3), atol=1e-6)
     np.testing.assert_allclose(by_friction, -jnp.linalg.solve(slope, friction_slope), rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_place_under_gravity_is_reached_where_one_more_pass_changes_a_little():
+    """Passes end with a change of 3e-11 there, since the next one would change less than 1e-12."""
+    robot = cddf.read_manipulator(ROOT / "data" / "three_tendons_made_up.toml")
+    pull, gravity = np.array([0.0, 24.4, 19.4]), cddf.Loads(gravity=(0.0, 0.0, -9.81))
+    place = cddf.solve(robot, pull, gravity).tip_position
+    np.testing.assert_allclose(cddf.solve(robot, cddf.TipPosition(place), gravity).base_tension, pull, atol=1e-7)
 
 
 def test_the_tip_angle_of_a_helix_gives_back_its_tension():
