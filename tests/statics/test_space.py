@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import both_modes, fields_at, paper_body, paper_with
+from bodies import both_modes, code, fields_at, paper_body, paper_with
 from scipy.integrate import solve_ivp
 
 import cddf_jax as cddf
@@ -254,6 +254,39 @@ def test_a_body_that_bears_almost_no_load_is_stable():
     stable, first_width = jax.jit(jax.vmap(judged))(tension)
     assert np.min(first_width) == 0.0
     assert np.all(stable)
+
+
+def test_forces_at_the_tip_continue_those_before_it():
+    """The offset and the angle of a helix are smooth up to the tip, so that the forces are, too."""
+    found = cddf.solve(paper_with(helix(0.25)), 75.0)
+    before, at_tip = (found.at(s) for s in (LENGTH * (1 - 1e-9), LENGTH))
+    np.testing.assert_allclose(at_tip.normal_force, before.normal_force, rtol=1e-7)
+    np.testing.assert_allclose(at_tip.friction_force, before.friction_force, rtol=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pull", [900.0, 1500.0])
+def test_a_body_bent_by_almost_a_turn_bears_a_small_load(pull):
+    """The same as in the plane, where it bends by 5.2 and 6.3 rad."""
+    body, loads = paper_with(cddf.Tendon(0.010)), cddf.Loads(tip_force=(0.0, 1e-6))
+    plane, found = (cddf.solve(body, pull, loads, space=in_space) for in_space in (False, True))
+    assert found.stable
+    np.testing.assert_allclose(np.cos(found.tip_angle), np.cos(plane.tip_angle), rtol=1e-7)
+    np.testing.assert_allclose(found.tip_tension, plane.tip_tension, rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_body_bent_too_far_says_so_and_has_no_slopes():
+    """At 3,000 N the strain at the tendon is above 1, and passes diverge: no load is to blame. Derivatives are zero."""
+    body, loads = paper_with(*map(at_angle, (0.0, 2.1, 4.2))), cddf.Loads(tip_force=(0.0, 0.1, 0.1))
+
+    def solved(pull):
+        return cddf.solve(body, jnp.array([pull, 0.0, 0.0]), loads, throw=False)
+
+    assert code(solved(3000.0).result) == code(cddf.RESULTS.not_converged)
+    forwards, backwards = (jax.jit(mode(lambda pull: solved(pull).tip_position)) for mode in (jax.jacfwd, jax.jacrev))
+    np.testing.assert_array_equal(forwards(3000.0), 0.0)
+    np.testing.assert_array_equal(backwards(3000.0), 0.0)
 
 
 @pytest.mark.slow

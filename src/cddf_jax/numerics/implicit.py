@@ -105,9 +105,11 @@ def _(primals, tangents):
     if root.size:
         still = jax.tree.map(jnp.zeros_like, values)
         by_unknowns = jax.vmap(lambda unit: _through_passes(push, push(still, unit), root))(_units(root, values))
+        known = jnp.all(jnp.isfinite(by_unknowns[1]))  # NaN would pass zero on as NaN in reverse mode
+        by_unknowns = jax.tree.map(lambda slope: jnp.where(known, slope, 0.0), by_unknowns)
         root_slope = -_solve_where_regular(by_unknowns[1].T, slopes[1])
-        slopes = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), slopes, by_unknowns)
-    values_slope, _, vanishing = slopes
+        slopes = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), slopes[::2], by_unknowns[::2])
+    values_slope, vanishing = slopes[0], slopes[-1]
     if not places.size:
         return (values, root, places), (values_slope, root_slope, vanishing)
     moved, places_slope = step.moved(context, places, vanishing)
@@ -118,7 +120,7 @@ def _(primals, tangents):
 def _solve_where_regular(jacobian: Float[Array, "n n"], vector: Unknowns) -> Unknowns:
     """The solution; where the matrix is singular, that with the identity in its place."""
     size = jnp.max(jnp.abs(jacobian), axis=1)
-    regular = jnp.all(jnp.isfinite(jacobian)) & jnp.all(size > 0)
+    regular = jnp.all(size > 0)
     size, eye = jnp.where(regular, size, 1.0), jnp.eye(vector.size, dtype=vector.dtype)
     return solve_small(jnp.where(regular, jacobian / size[:, None], eye), vector / size)[0]
 

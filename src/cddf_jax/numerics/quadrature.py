@@ -188,8 +188,12 @@ class Panels(eqx.Module):
         return jnp.moveaxis(jnp.moveaxis(values, 1, -1) @ weights.T, -1, 1)
 
     def _within(self, arc_length: Float[Array, ""]) -> tuple[Int[Array, ""], Float[Array, ""]]:
-        """The index of the panel that holds `arc_length`, and the position within the panel, from 0 to 1."""
-        i = jnp.sum(self.edges[1:-1] <= arc_length)
+        """The index of the panel that holds `arc_length`, and the position within the panel, from 0 to 1.
+
+        The last panel with a width holds the tip, so that derivatives there are those of the body.
+        """
+        inside = self.edges[1:-1]
+        i = jnp.sum((inside <= arc_length) & (inside < self.edges[-1]))
         width = self.width[i]
         return i, (arc_length - self.edges[i]) / jnp.where(width > 0, width, 1.0)
 

@@ -31,8 +31,8 @@ from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
 from ..numerics.rotations import cofactors, cross, small_turn, solve_three
 
-ROUGH = 1e-3  # relative tolerance of the states along the path of the loads
-STEADY = 1e-2  # relative tolerance of the slopes along the path of the loads
+ROUGH = 1e-2  # relative tolerance of the states along the path of the loads
+STEADY = 1e-1  # relative tolerance of the slopes along the path of the loads
 ROUGH_AT_START, STEADY_AT_START = 5e-2, 2e-1  # looser at load fraction 0: its state serves the first prediction only
 
 Tree = TypeVar("Tree")
@@ -180,6 +180,9 @@ class LoadedBody(NamedTuple):
         drifted = magnitude(by_moment(slopes.residual) - by_moment(trial.slopes.residual))
         little = jnp.where(start, STEADY_AT_START, STEADY)
         steady = (drifted <= little * slope) & (changed <= little)
+        if trial.moment.ndim:  # without loads the residual does not tell whether the turns, and stability, are known
+            turns, before = (by_moment(each.heading) for each in (slopes, trial.slopes))
+            steady &= relative_size(jax.tree.map(jnp.subtract, turns, before), turns) <= little
         return trial._replace(
             moment=trial.moment + correction,
             nodal=_moved(values, slopes.nodal, correction),
