@@ -138,7 +138,8 @@ class Equilibrium(eqx.Module):
 
     along: AnyFields  # all that varies along the body
     tip_position: Float[Array, " components"]  # u(L), m
-    tip_angle: Float[Array, ""]  # phi(L), rad; in space between the axes of tip and base, from 0 to pi
+    # phi(L), rad; in space between the axes of tip and base, from 0 to pi, and with a derivative of zero at 0
+    tip_angle: Float[Array, ""]
     tip_frame: Float[Array, "3 3"] | None  # of a body in space: its columns are the axes of the tip
     tip_tension: Float[Array, " tendons"]  # N; at its anchor for a tendon that ends before the tip
     tension_loss: Float[Array, " tendons"]  # 1 - T_tip / T_base, a fraction; without base tension that of bending alone
