@@ -15,6 +15,7 @@ from scipy.integrate import quad
 
 import cddf_jax as cddf
 from cddf_jax.mechanics.problem import lay_out
+from cddf_jax.mechanics.sign_changes import Splits, _first_changes, with_ends
 
 R = cddf.RESULTS
 LENGTH = PAPER["length"]
@@ -285,3 +286,14 @@ def test_the_derivative_at_the_kink_of_a_straight_body():
     _, forward, reverse = derivatives(EVEN)
     for slopes in (forward, reverse):
         np.testing.assert_allclose(slopes[0, 0], slopes_of_even_antagonists()[+1], rtol=1e-9)
+
+
+def test_round_off_where_a_panel_ends_makes_one_sign_change_of_one():
+    """The polynomials of two panels that meet at a sign change differ by less than what counts as turning there."""
+    problem = lay_out(paper_body(), jnp.array([40.0]), jnp.array([1.0]), 16, None, jnp.array([0.1]))
+    none = Splits(jnp.full(2, LENGTH), jnp.full(2, -1))
+    falls = with_ends(problem.panels, 1.0 - problem.panels.nodes[..., None] / 0.1)
+    turning = falls.at[0, -1].set(0.9e-9).at[1, 0].set(1.1e-9)
+    found = _first_changes(problem, turning, jnp.asarray(1e-9), none)
+    np.testing.assert_allclose(found.arc_length, [0.1, LENGTH], rtol=1e-8)
+    np.testing.assert_array_equal(found.owner, [0, -1])

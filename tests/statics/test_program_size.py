@@ -24,7 +24,7 @@ LARGEST = {
     "a trace": 3_190,
     "a trace of displacements": 9_120,
     "a trace of two tendons": 4_790,
-    "the work of a trace": 5_760,
+    "the work of a trace": 5_790,
 }
 
 

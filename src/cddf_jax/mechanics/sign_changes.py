@@ -236,20 +236,22 @@ def _has_both_signs(problem: Problem, turning: Float[Array, "P q owners"]) -> tu
 def _first_changes(problem: Problem, turning: Float[Array, "P q owners"], least: Number, none: Splits) -> Splits:
     """The first changes of sign.
 
-    Negligible turning counts as turning to the right. Between two pieces of the body the sign changes in a jump,
-    and a panel ends there already.
+    Negligible turning counts as turning to the right. A panel starts with the sign with which the one before ends, so
+    that round-off where a panel ends at a sign change does not make two of one. Between two pieces of the body the sign
+    may change in a jump, and a panel ends there already.
     """
     cut = problem.panels
-    per_panel, owners = turning.shape[1:]
-    left = turning.reshape(-1, owners) > least
-    changes = left[1:] != left[:-1]
-    changes = jnp.concatenate([jnp.zeros_like(changes[:1]), changes]).reshape(turning.shape)
-    at_joint = _is_joint(problem, cut.edges[:-1])[:, None, None] & (jnp.arange(per_panel) == 0)[:, None]
+    left = turning > least
+    at_joint = _is_joint(problem, cut.edges[1:-1])[:, None]
+    starts = jnp.concatenate([left[:1, 0], jnp.where(at_joint, left[1:, 0], left[:-1, -1])])
+    left = jnp.concatenate([starts[:, None], left[:, 1:]], axis=1)
+    changes = left[:, 1:] != left[:, :-1]
+    per_panel, owners = changes.shape[1:]
 
-    order = _first_of((changes & ~at_joint).ravel(), none.owner.shape[0])
+    order = _first_of(changes.ravel(), none.owner.shape[0])
     found, at = order < changes.size, jnp.minimum(order, changes.size - 1).astype(jnp.uint32)  # not read from the end
     point, owner = at // owners, at % owners
-    panel, within = point // per_panel, point % per_panel
+    panel, within = point // per_panel, point % per_panel + 1
     places = jax.vmap(lambda panel, owner, at: zero_before(cut, turning[panel, :, owner], at))(panel, owner, within)
     place = cut.edges[panel] + cut.width[panel] * places
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner.astype(none.owner.dtype), -1))

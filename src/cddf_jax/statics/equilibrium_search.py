@@ -43,6 +43,7 @@ MAX_MOVES = 12  # moves of the panels from pass to pass; then MAX_ROUNDS more, e
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
 NEARLY_SETTLED = 1e-3  # relative change in a pass below which a minimum in space hardly moves any more
 FAR = 1e-3  # of the length: where panels move less, the values at their nodes follow to second order
+OFF_KINK = 0.1  # panels that end at a distance d from a kink, relative, serve down to changes of OFF_KINK d^2 in a pass
 NEAR_MINIMUM = 0.1  # of the distance of a sharp minimum in space from a kink: panels may end so far from the minimum
 SETTLED = 1e-7  # of the length: panels may end so far from a kink, at the cost of an error of 1e-14
 
@@ -158,7 +159,7 @@ class _Following(NamedTuple):
     travel: PerTendon
     ends: Splits  # where the panels end
     cut: Panels
-    placed: Flag  # whether the panels end near enough to a sharp minimum to wait until the body has settled
+    enough: Number  # relative change in a pass above which the next pass follows, with the panels where they are
     num_moves: Number  # -1 at the end of a path of loads, where the panels move before the first pass
     over: Flag
 
@@ -182,7 +183,7 @@ def _settle_as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
 
     follow = partial(_follow_sign_changes, setup, base_tension, found.fraction)
     over = ~found.converged | trial.lost
-    start = _Following(trial, base_tension + zero, blank.splits, cut, zero > 0, num_moves, over)
+    start = _Following(trial, base_tension + zero, blank.splits, cut, zero + jnp.inf, num_moves, over)
     end = jax.lax.while_loop(lambda state: ~state.over, follow, start)
     trial = end.trial
     found = found._replace(
@@ -199,8 +200,8 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
 
     At the end of a path of loads the panels move before the first pass, which would be wasted on other panels.
     Panels move at once where a pass changes little. Where sign changes appear and disappear, the panels move only after
-    the body has settled. In space panels need only end near a minimum: once they do, passes follow each other until the
-    body has settled.
+    the body has settled. Passes follow each other up to the error that the distance from a kink may cause; where panels
+    end near enough to a sharp minimum in space, until the body has settled.
     """
     ends, num_moves = state.ends, state.num_moves
     problem = setup.lay_out(base_tension, ends, state.cut)
@@ -211,7 +212,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
         trial = body.correct(start, fraction, fraction < 0)
         kept = jax.tree.map(lambda before, after: jnp.where(trial.lost, before, after), _kept(start), _kept(trial))
         trial = trial._replace(**kept)
-        return state.placed & ~(trial.settled | trial.lost), trial
+        return (trial.change > state.enough) & ~(trial.settled | trial.lost), trial
 
     passes = ~state.trial.settled & (num_moves >= 0), state.trial
     trial = jax.lax.while_loop(lambda at: at[0], one_more, passes)[1]
@@ -219,7 +220,11 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     moves = splits.arc_length - ends.arc_length
     distance = (largest_size(moves) if moves.size else jnp.zeros_like(fraction)) / problem.panels.edges[-1]
     calm = (num_moves < MAX_MOVES) & (trial.change <= ROUGHLY)
-    away = jnp.any(jnp.abs(moves) > _in_place(problem, splits))
+    in_place = max(SETTLED, 16 * float(jnp.finfo(distance.dtype).eps))
+    away, enough = distance > in_place, OFF_KINK * distance**2
+    if problem.in_space and moves.size:
+        away = jnp.any(jnp.abs(moves) > _near_minimum(problem, splits, in_place))
+        enough = jnp.where(away | (trial.change > NEARLY_SETTLED), jnp.inf, 0.0)
     move = away & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
     over = trial.lost | (trial.settled & ~move)
 
@@ -249,21 +254,23 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
         travel=travel,
         ends=ends,
         cut=new,
-        placed=~away & (trial.change <= NEARLY_SETTLED) & problem.in_space,
+        enough=enough,
         num_moves=jnp.maximum(num_moves, 0.0) + jnp.where(move, 1.0, 0.0),
         over=over,
     )
 
 
-def _in_place(problem: Problem, splits: Splits) -> Number | Float[Array, "3"]:
-    """How far from the sign changes the panels may end, m; in space from a sharp minimum and the places beside it."""
-    length = problem.panels.edges[-1]
-    least = max(SETTLED, 16 * float(jnp.finfo(length.dtype).eps)) * length
-    if not (problem.in_space and splits.arc_length.size):
-        return least
-    beside = jnp.max(jnp.diff(splits.arc_length))
+def _near_minimum(problem: Problem, splits: Splits, in_place: float) -> Float[Array, "3"]:
+    """How far from a sharp minimum in space, and from the places beside it, the panels may end, m.
+
+    Args:
+        problem: the body.
+        splits: the minimum and the places beside it.
+        in_place: how far the panels may end from an exact kink, of the length.
+    """
+    length, beside = problem.panels.edges[-1], jnp.max(jnp.diff(splits.arc_length))
     from_kink = beside**2 / length  # as `locate` chose the places beside the minimum
-    at_minimum = jnp.maximum(NEAR_MINIMUM * from_kink, least)
+    at_minimum = jnp.maximum(NEAR_MINIMUM * from_kink, in_place * length)
     return jnp.stack([NEAR_MINIMUM * beside, at_minimum, NEAR_MINIMUM * beside])
 
 

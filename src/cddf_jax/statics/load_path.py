@@ -1,8 +1,8 @@
 """The path of equilibria from the unloaded body to the loaded one.
 
 Where a loaded body has several equilibria, the solution is the one on the path along which the tensions act first, and
-then all loads grow together from 0 to 1. `follow_loads` follows this path in steps of the load fraction: an Euler
-prediction, then a `Trial` that is corrected.
+then all loads grow together from 0 to 1. `follow_loads` follows this path in steps of the load fraction: a prediction
+of second order, then a `Trial` that is corrected.
 """
 
 from functools import partial
@@ -10,18 +10,20 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jaxtyping import Array, Float
 
 from ..mechanics.problem import Moment, Nodal, Number, unstrained
 from ..mechanics.sign_changes import has_sharp_minimum, only_if
-from ..numerics.arrays import computed_once, largest_size
-from .corrector import Flag, Headings, LoadedBody, Tree, Trial, along_moment, moment_that_follows, start_from
+from ..numerics.arrays import computed_once, largest, largest_size
+from .corrector import Flag, LoadedBody, Trial, along_moment, moment_that_follows, start_from
 
 LARGEST_TURN = 1.0  # rad: the largest turn of a cross-section in one step along the path
 FIRST_TURN = 0.35  # rad: the turn at which the first step aims, because no prediction has been compared yet
 LARGEST_MISS = 0.2  # rad: the largest difference of a heading from its prediction
 LEAST_STEP = 1e-5  # of the loads
 CRITICAL_STEP = 1e-4  # of the loads: a longer step in which stability changes may have reached another branch
+ENOUGH_TO_MOVE = 1e-4  # relative change in a pass below which the panels may move at the end of the path
 MAX_TRIES = 200
 MAX_SETTLING = 16  # passes of one try, and once more at the full loads; before the sign changes they need not settle
 
@@ -37,16 +39,16 @@ class LoadPath(NamedTuple):
     resolved: Flag  # false where the path did not end, but the method failed
 
 
+Row = Float[Array, " numbers"]  # M_ext(0) and the values at the nodes; at last the headings
+
+
 class _Place(NamedTuple):
-    """An equilibrium on the path; slopes are along the path, with respect to the load fraction."""
+    """An equilibrium on the path."""
 
     fraction: Number
-    moment: Moment
-    moment_slope: Moment
-    nodal: Nodal
-    nodal_slope: Nodal
-    heading: Headings
-    heading_slope: Headings
+    values: Row
+    slope: Row  # with respect to the load fraction
+    bend: Row  # half the second derivative, as the slope changed in the last step; 0 at the start
     strain: Array | None  # as in a trial
     stable: Flag
 
@@ -60,20 +62,21 @@ class _Walk(NamedTuple):
     num_tries: Number
     arrived: Flag  # at the full loads
     ended: Flag  # before them
-    must_move: Flag  # arrived in space, where the panels have to move before the body settles
+    must_move: Flag  # arrived, but the panels have to move before the body settles
     resolved: Flag
 
     @property
     def over(self) -> Flag:
         trial = self.trial
         done = trial.settled | trial.lost | (trial.num_passes >= MAX_SETTLING)
-        return self.ended | self.must_move | (self.arrived & done)
+        done = done | (self.must_move & (trial.change <= ENOUGH_TO_MOVE))
+        return self.ended | (self.arrived & done)
 
 
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
     """Follow the path of equilibria until all loads act.
 
-    Each step is an Euler step that is corrected. It is taken back and shortened in three cases: a few passes do not
+    Each step is predicted and corrected. It is taken back and shortened in three cases: a few passes do not
     bring the trial near to an equilibrium; the body turns too far or differs too much from the prediction; or the
     stability changes in a step that is not small.
 
@@ -97,7 +100,7 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
     walk = jax.lax.while_loop(lambda walk: ~walk.over, advance, _first_walk(body, guess, zero))
     place = walk.place
     found = LoadPath(
-        base_moment=place.moment,
+        base_moment=_moment(place.values, walk.trial),
         fraction=place.fraction,
         num_steps=walk.num_steps - 1.0,  # the first one is the body without loads
         converged=walk.arrived,
@@ -111,21 +114,9 @@ def _first_walk(body: LoadedBody, guess: Nodal, zero: Number) -> _Walk:
     """Before the first try, which is the body without loads."""
     problem = body.problem
     trial = start_from(guess, unstrained(problem.manipulator, problem.loads, guess.ratio), zero)
-    false, true = zero > 0, zero == 0
-    assert trial.moment is not None
-    assert trial.heading is not None
-    still = jax.tree.map(jnp.zeros_like, trial)
-    place = _Place(
-        fraction=zero,
-        moment=trial.moment,
-        moment_slope=still.moment,
-        nodal=trial.nodal,
-        nodal_slope=still.nodal,
-        heading=trial.heading,
-        heading_slope=still.heading,
-        strain=trial.strain,
-        stable=true,
-    )
+    false, true, values = zero > 0, zero == 0, _in_a_row(trial)
+    still = jnp.zeros_like(values)
+    place = _Place(zero, values, slope=still, bend=still, strain=trial.strain, stable=true)
     return _Walk(
         place=place,
         trial=trial,
@@ -140,55 +131,65 @@ def _first_walk(body: LoadedBody, guess: Nodal, zero: Number) -> _Walk:
     )
 
 
-def _arrive(trial: Trial, fraction: Number) -> _Place:
-    """The equilibrium that a trial is near to, with its slopes along the path."""
+def _in_a_row(trial: Trial) -> Row:
+    return jnp.concatenate([x.ravel() for x in jax.tree.leaves((trial.moment, trial.nodal, trial.heading))])
+
+
+def _moment(row: Row, trial: Trial) -> Moment:
     assert trial.moment is not None
-    assert trial.heading is not None
+    return row[: trial.moment.size].reshape(trial.moment.shape)
+
+
+def _nodal(row: Row, trial: Trial) -> Nodal:
+    assert trial.moment is not None
+    arrays, structure = jax.tree.flatten(trial.nodal)
+    ends = np.cumsum([trial.moment.size, *[x.size for x in arrays]]).tolist()
+    parts = [row[a:b].reshape(x.shape) for a, b, x in zip(ends[:-1], ends[1:], arrays, strict=True)]
+    return structure.unflatten(parts)
+
+
+def _headings(row: Row, trial: Trial) -> Row:
+    return row[-sum(x.size for x in jax.tree.leaves(trial.heading)) :]
+
+
+def _arrive(trial: Trial, walk: _Walk, first: Flag) -> _Place:
+    """The equilibrium that a trial is near to, with its derivatives along the path."""
     assert trial.slopes is not None
-    moment_slope = moment_that_follows(trial.slopes.residual)
-
-    def along_path(slopes: Tree) -> Tree:
-        return jax.tree.map(lambda x: x[-1] + along_moment(x, moment_slope), slopes)
-
-    return _Place(
-        fraction=fraction,
-        moment=trial.moment,
-        moment_slope=moment_slope,
-        nodal=trial.nodal,
-        nodal_slope=along_path(trial.slopes.nodal),
-        heading=trial.heading,
-        heading_slope=along_path(trial.slopes.heading),
-        strain=trial.strain,
-        stable=trial.stable,
-    )
+    moment_slope, before = moment_that_follows(trial.slopes.residual), walk.place
+    slopes = jax.tree.leaves((trial.slopes.nodal, trial.slopes.heading))
+    rows = jnp.concatenate([x.reshape(x.shape[0], -1) for x in slopes], axis=1)
+    slope = jnp.concatenate([moment_slope.ravel(), rows[-1] + along_moment(rows, moment_slope)])
+    half = jnp.where(first, 0.0, 0.5 / (walk.fraction - before.fraction))
+    bend = half * (slope - before.slope)
+    return _Place(walk.fraction, _in_a_row(trial), slope, bend, trial.strain, trial.stable)
 
 
 def _decide(body: LoadedBody, walk: _Walk) -> _Walk:
     """Accept the trial and go on, or take the step back and shorten it."""
     first, old, trial = walk.num_steps == 0, walk.place, walk.trial
-    new = _arrive(trial, walk.fraction)
-    turned = jax.tree.map(jnp.subtract, new.heading, old.heading)
-    missed = jax.tree.map(lambda x, v: x - (new.fraction - old.fraction) * v, turned, old.heading_slope)
-    missed, turned = (jnp.where(first, 0.0, largest_size(change)) for change in (missed, turned))
-    near = trial.near & jnp.isfinite(largest_size(new.heading_slope))
+    new = _arrive(trial, walk, first)
+    changed = new.values - old.values
+    missed = changed - _expected(old, new.fraction - old.fraction)
+    missed, turned = (jnp.where(first, 0.0, largest_size(_headings(row, trial))) for row in (missed, changed))
+    near = trial.near & jnp.isfinite(jnp.sum(new.slope))
     jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
     accepted = near & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
     accepted = computed_once(jnp.where(accepted, 1.0, 0.0)) > 0
     place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), new, old)
 
     remaining = 1.0 - place.fraction
-    step = jnp.minimum(_next_step(walk.step, missed, place, accepted, near & ~jumped, first), remaining)
+    rate = largest_size(_headings(place.slope, trial))
+    step = jnp.minimum(_next_step(walk.step, missed, rate, accepted, near & ~jumped, first), remaining)
     step = computed_once(step)
     tries = walk.num_tries + 1.0
     arrived = accepted & (place.fraction >= 1.0)
     ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
-    must_move = walk.must_move
-    if body.problem.in_space:
-        must_move = arrived & has_sharp_minimum(body.problem, body.state(trial, walk.fraction))
+    must_move = arrived & _panels_have_to_move(body, trial, walk.fraction)
     predicted = _predict(place, jnp.where(ended | arrived, 0.0, step), trial)
+    here = {"near": arrived & trial.near, "settled": arrived & trial.settled}  # at the end it is the trial itself
     return _Walk(
         place,
-        predicted._replace(near=arrived & trial.near, settled=arrived & trial.settled),  # which is the trial itself
+        predicted._replace(**here, change=jnp.where(arrived, trial.change, 0.0)),
         step,
         fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
         num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
@@ -196,17 +197,26 @@ def _decide(body: LoadedBody, walk: _Walk) -> _Walk:
         arrived=arrived,
         ended=ended,
         must_move=must_move,
-        resolved=trial.sane,
+        resolved=trial.sane & (accepted | ~first),
     )
 
 
-def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_path: Flag, first: Flag) -> Number:
+def _panels_have_to_move(body: LoadedBody, trial: Trial, fraction: Number) -> Flag:
+    """Whether the body bends to both sides; in space whether the turning of a tendon has a sharp minimum."""
+    if body.problem.in_space:
+        return has_sharp_minimum(body.problem, body.state(trial, fraction))
+    assert trial.heading is not None
+    turns = jnp.diff(trial.heading.nodes.ravel())
+    return largest(turns) * largest(-turns) > 0
+
+
+def _next_step(step: Number, missed: Number, rate: Number, accepted: Flag, on_path: Flag, first: Flag) -> Number:
     """The next step to try, of the loads, from the miss of the last prediction and the rate at which the body turns.
 
     Args:
         step: the last one.
         missed: its prediction, rad.
-        place: from which the next step starts.
+        rate: at which the body turns where the next step starts, rad.
         accepted: whether the last step was.
         on_path: whether it led to an equilibrium that may lie on the path.
         first: whether the step is the first one, from the body without loads.
@@ -215,20 +225,25 @@ def _next_step(step: Number, missed: Number, place: _Place, accepted: Flag, on_p
     shorter = step * jnp.where(on_path, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = step * jnp.clip(ideal, 0.3, 4.0)
     turn = jnp.where(first, FIRST_TURN, 0.8 * LARGEST_TURN)
-    gentle = turn / jnp.maximum(largest_size(place.heading_slope), 0.1 * LARGEST_TURN)
+    gentle = turn / jnp.maximum(rate, 0.1 * LARGEST_TURN)
     return jnp.minimum(jnp.where(accepted, longer, shorter), gentle)
 
 
+def _expected(place: _Place, step: Number) -> Row:
+    """The change in a step of the loads, to second order."""
+    return step * (place.slope + step * place.bend)
+
+
 def _predict(place: _Place, step: Number, trial: Trial) -> Trial:
-    """The next trial, by an Euler step along the path; it takes over the slopes of the last trial."""
+    """The next trial; it takes over the slopes of the last one."""
     assert trial.slopes is not None
     slopes = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), trial.slopes.nodal)
+    values = place.values + _expected(place, step)
     return trial._replace(
-        moment=place.moment + step * place.moment_slope,
-        nodal=jax.tree.map(lambda x, v: x + step * v, place.nodal, place.nodal_slope),
+        moment=_moment(values, trial),
+        nodal=_nodal(values, trial),
         slopes=trial.slopes._replace(nodal=slopes),
         strain=place.strain,
         lost=trial.lost & False,
         num_passes=0.0 * trial.num_passes,
-        change=0.0 * trial.num_passes,
     )
