@@ -31,9 +31,9 @@ from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
 from ..numerics.rotations import cofactors, cross, small_turn, solve_three
 
-ROUGH = 1e-2  # relative tolerance of the states along the path of the loads
-STEADY = 1e-1  # relative tolerance of the slopes along the path of the loads
-ROUGH_AT_START, STEADY_AT_START = 5e-2, 2e-1  # looser at load fraction 0: its state serves the first prediction only
+ROUGH = 2e-2  # relative tolerance of the states along the path of the loads
+STEADY = 2e-1  # relative tolerance of the slopes along the path of the loads
+ROUGH_AT_START = 5e-2  # looser at load fraction 0: its state serves the first prediction only
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
@@ -172,17 +172,15 @@ class LoadedBody(NamedTuple):
         correction = jnp.where(inaccurate, 0.0, newton)
         sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(slopes.residual - trial.slopes.residual, slopes.residual)
-        start, slope = fraction == 0, steepness(slopes.residual)
-        rough = jnp.where(start, ROUGH_AT_START, ROUGH)
+        slope, rough = steepness(slopes.residual), jnp.where(fraction == 0, ROUGH_AT_START, ROUGH)
         enough = rough * jnp.minimum(1.0, slope)  # the sign of the slope must be known
         settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5)
         near = sane & (jnp.maximum(off, solution.residual) <= enough)
         drifted = magnitude(by_moment(slopes.residual) - by_moment(trial.slopes.residual))
-        little = jnp.where(start, STEADY_AT_START, STEADY)
-        steady = (drifted <= little * slope) & (changed <= little)
+        steady = (drifted <= STEADY * slope) & (changed <= STEADY)
         if trial.moment.ndim:  # without loads the residual does not tell whether the turns, and stability, are known
             turns, before = (by_moment(each.heading) for each in (slopes, trial.slopes))
-            steady &= relative_size(jax.tree.map(jnp.subtract, turns, before), turns) <= little
+            steady &= relative_size(jax.tree.map(jnp.subtract, turns, before), turns) <= STEADY
         return trial._replace(
             moment=trial.moment + correction,
             nodal=_moved(values, slopes.nodal, correction),
