@@ -20,6 +20,7 @@ INSIDE = 1e-12  # difference from 1 below which a parameter lies within the dete
 UNDETERMINED = 1e-10  # part of a quantity's squared slope along directions that the data leave open
 GIVEN = 1e9  # degrees of freedom that count as infinite
 RIDGE = 1e-12  # of the information on the noise, for parts of it that no datum tells apart
+NONE_LEFT = 1e-8  # of the information without parameters: less than this is rounding
 
 
 class Spectrum(NamedTuple):
@@ -198,7 +199,9 @@ class Evidence:
         pull = np.concatenate([np.einsum("ki,kr,ks->irs", slopes, rows, rows) for rows, slopes in groups])
         own = (slopes.T @ ((1 - 2 * np.sum(rows**2, axis=1))[:, None] * slopes) for rows, slopes in groups)
         information = (block_diag(*own) + np.einsum("irs,jsr->ij", pull, pull)) / 2
-        covariance = np.linalg.inv(information + RIDGE * max(np.trace(information), TINY) * np.eye(len(pull)))
+        whole = sum(np.sum(slopes**2) for _, slopes in groups) / 2
+        ridge = RIDGE * max(np.trace(information), NONE_LEFT * whole)
+        covariance = np.linalg.inv(information + ridge * np.eye(len(pull)))
         shared, growth, first = np.einsum("irs,ist->rt", pull, np.tensordot(covariance, pull, 1)), 0.0, 0
         for rows, slopes in groups:
             parts = slice(first, first + slopes.shape[1])
