@@ -288,12 +288,14 @@ def test_the_derivative_at_the_kink_of_a_straight_body():
         np.testing.assert_allclose(slopes[0, 0], slopes_of_even_antagonists()[+1], rtol=1e-9)
 
 
-def test_round_off_where_a_panel_ends_makes_one_sign_change_of_one():
-    """The polynomials of two panels that meet at a sign change differ by less than what counts as turning there."""
-    problem = lay_out(paper_body(), jnp.array([40.0]), jnp.array([1.0]), 16, None, jnp.array([0.1]))
-    none = Splits(jnp.full(2, LENGTH), jnp.full(2, -1))
-    falls = with_ends(problem.panels, 1.0 - problem.panels.nodes[..., None] / 0.1)
-    turning = falls.at[0, -1].set(0.9e-9).at[1, 0].set(1.1e-9)
+@pytest.mark.parametrize("splits", [[0.1], [0.1, 0.1], [0.1, LENGTH]], ids=["one end", "no width", "no width there"])
+def test_round_off_where_a_panel_ends_makes_one_sign_change_of_one(splits):
+    """Where panels meet at a sign change, their polynomials differ by less than what counts as turning there."""
+    problem = lay_out(paper_body(), jnp.array([40.0]), jnp.array([1.0]), 16, None, jnp.array(splits))
+    none, alternating = Splits(jnp.full(2, LENGTH), jnp.full(2, -1)), jnp.tile(jnp.array([1.1e-9, 0.9e-9]), 9)
+    turning = with_ends(problem.panels, 1.0 - problem.panels.nodes[..., None] / 0.1)
+    turning = turning.at[0, -1].set(0.9e-9).at[1, 0].set(1.1e-9)
+    turning = jnp.where(problem.panels.width[:, None, None] > 0, turning, alternating[:, None]).at[-1, 0].set(1.1e-9)
     found = _first_changes(problem, turning, jnp.asarray(1e-9), none)
     np.testing.assert_allclose(found.arc_length, [0.1, LENGTH], rtol=1e-8)
     np.testing.assert_array_equal(found.owner, [0, -1])

@@ -146,6 +146,21 @@ def test_a_singular_lane_has_a_finite_derivative_and_harms_no_other():
     assert_allclose(slopes[1], 1 / 12, rtol=1e-14)
 
 
+def test_passes_of_slopes_that_do_not_settle_show_as_nan_where_the_lane_has_not_failed():
+    """The fixed point is v = 0.8 v + 0.2 u, and 2 v = p, so that u = p / 2. After 64 passes 6e-7 is missing."""
+
+    def root(p, failed):
+        def step(p, values, u, places):
+            return ((0.8 * values + 0.2 * u, 2 * values - p, places), None)
+
+        return implicit(Partial(step, p), p[None] / 2, p[None] / 2, NOWHERE, failed)[1][0]
+
+    for derivative in (jax.jacfwd, jax.jacrev):
+        assert np.isnan(jax.jit(derivative(root))(1.0, jnp.array(False)))
+        masked = derivative(lambda p: jnp.where(p < 0, root(p, p > 0), 0.0))
+        assert jax.jit(masked)(1.0) == 0.0
+
+
 def test_a_fixed_point_that_does_not_settle_reports_it_and_keeps_its_start():
     answer = fixed_point(Partial(lambda a, y: -a * y, 2.0), jnp.array(3.0), tolerance=1e-12, max_passes=20)
     assert not answer.converged

@@ -237,13 +237,13 @@ def _first_changes(problem: Problem, turning: Float[Array, "P q owners"], least:
     """The first changes of sign.
 
     Negligible turning counts as turning to the right. A panel starts with the sign with which the one before ends, so
-    that round-off where a panel ends at a sign change does not make two of one. Between two pieces of the body the sign
-    may change in a jump, and a panel ends there already.
+    that round-off where a panel ends at a sign change does not make two of one; for the same reason nothing changes in
+    a panel without width. Between two pieces of the body the sign may change in a jump, and a panel ends there already.
     """
     cut = problem.panels
     left = turning > least
-    at_joint = _is_joint(problem, cut.edges[1:-1])[:, None]
-    starts = jnp.concatenate([left[:1, 0], jnp.where(at_joint, left[1:, 0], left[:-1, -1])])
+    left = jnp.where(cut.width[:, None, None] > 0, left, _before(left)[:, None])
+    starts = jnp.where(_is_joint(problem, cut.edges[:-1])[:, None], left[:, 0], _before(left))
     left = jnp.concatenate([starts[:, None], left[:, 1:]], axis=1)
     changes = left[:, 1:] != left[:, :-1]
     per_panel, owners = changes.shape[1:]
@@ -255,6 +255,11 @@ def _first_changes(problem: Problem, turning: Float[Array, "P q owners"], least:
     places = jax.vmap(lambda panel, owner, at: zero_before(cut, turning[panel, :, owner], at))(panel, owner, within)
     place = cut.edges[panel] + cut.width[panel] * places
     return Splits(jnp.where(found, place, none.arc_length), jnp.where(found, owner.astype(none.owner.dtype), -1))
+
+
+def _before(left: Bool[Array, "P q owners"]) -> Bool[Array, "P owners"]:
+    """What each panel finds at the end of the one before; the first one, at its own start."""
+    return jnp.concatenate([left[:1, 0], left[:-1, -1]])
 
 
 def _is_joint(problem: Problem, arc_length: Float[Array, " places"]) -> Bool[Array, " places"]:

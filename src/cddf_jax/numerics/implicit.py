@@ -6,7 +6,7 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from .arrays import relative_size, zero_as
 from .rotations import solve_three
@@ -18,6 +18,7 @@ Context = TypeVar("Context")
 Slopes = TypeVar("Slopes", bound=tuple)
 Result = TypeVar("Result")
 Scalar = Float[Array, ""]
+Flag = Bool[Array, ""]
 MAX_PASSES = 64
 
 
@@ -47,7 +48,7 @@ class ImplicitStep(Protocol, Generic[Tree, Context]):
 
 
 def implicit(
-    step: ImplicitStep[Tree, Context], values: Tree, root: Unknowns, places: Places
+    step: ImplicitStep[Tree, Context], values: Tree, root: Unknowns, places: Places, failed: Flag | bool = False
 ) -> tuple[Tree, Unknowns, Places]:
     """The same values, unknowns and places, with the derivatives that follow from the equations.
 
@@ -63,9 +64,11 @@ def implicit(
         values: of the fixed point; without derivatives of their own.
         root: where the residual is zero; without derivatives of its own.
         places: where pieces end; without derivatives of their own.
+        failed: whether this lane of a batch has no solution. Its values do not depend on the unknowns then, since NaN
+            would pass zero on as NaN in reverse mode.
     """
     values, root, places = jax.tree.map(jax.lax.stop_gradient, (values, root, places))
-    return _root(step, values, root, places)
+    return _root(step, values, root, places, failed)
 
 
 def slopes_by_unknowns(push: Callable[[Tree, Unknowns], Slopes], values: Tree, root: Unknowns) -> Slopes:
@@ -91,22 +94,21 @@ def _units(root: Unknowns, *others: PyTree) -> Float[Array, "unknowns unknowns"]
 
 
 @eqx.filter_custom_jvp
-def _root(step, values, root, places):
+def _root(step, values, root, places, failed):
     return values, root, places
 
 
 @_root.def_jvp
 def _(primals, tangents):
-    (step, values, root, places), (direction, *_) = primals, tangents
-    values, root, places = _root(step, values, root, places)
+    (step, values, root, places, failed), (direction, *_) = primals, tangents
+    values, root, places = _root(step, values, root, places, failed)
     pushed, push, context = linearised(lambda step, *at: step(*at, places), step, direction, values, root)
     slopes = _through_passes(push, pushed, root)
     root_slope = jnp.zeros_like(root)
     if root.size:
         still = jax.tree.map(jnp.zeros_like, values)
         by_unknowns = jax.vmap(lambda unit: _through_passes(push, push(still, unit), root))(_units(root, values))
-        known = jnp.all(jnp.isfinite(by_unknowns[1]))  # NaN would pass zero on as NaN in reverse mode
-        by_unknowns = jax.tree.map(lambda slope: jnp.where(known, slope, 0.0), by_unknowns)
+        by_unknowns = jax.tree.map(lambda slope: jnp.where(failed, 0.0, slope), by_unknowns)
         root_slope = -_solve_where_regular(by_unknowns[1].T, slopes[1])
         slopes = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), slopes[::2], by_unknowns[::2])
     values_slope, vanishing = slopes[0], slopes[-1]
@@ -120,7 +122,7 @@ def _(primals, tangents):
 def _solve_where_regular(jacobian: Float[Array, "n n"], vector: Unknowns) -> Unknowns:
     """The solution; where the matrix is singular, that with the identity in its place."""
     size = jnp.max(jnp.abs(jacobian), axis=1)
-    regular = jnp.all(size > 0)
+    regular = jnp.all(size != 0)  # NaN, of passes that do not settle, stays
     size, eye = jnp.where(regular, size, 1.0), jnp.eye(vector.size, dtype=vector.dtype)
     return solve_small(jnp.where(regular, jacobian / size[:, None], eye), vector / size)[0]
 

@@ -222,7 +222,7 @@ def _check_turns(name: str, angle: Profile, reach: float) -> None:
 
 
 def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
-    """Refuse two tendons that meet in a cross-section, of which one has an angle.
+    """Refuse two tendons that meet in a cross-section, of which at least one has an angle.
 
     Between the arc lengths both move in straight lines.
     """

@@ -178,7 +178,7 @@ class LoadedBody(NamedTuple):
         near = sane & (jnp.maximum(off, solution.residual) <= enough)
         drifted = magnitude(by_moment(slopes.residual) - by_moment(trial.slopes.residual))
         steady = (drifted <= STEADY * slope) & (changed <= STEADY)
-        if trial.moment.ndim:  # without loads the residual does not tell whether the turns, and stability, are known
+        if trial.moment.ndim:  # stability follows from the turns, of which the residual without loads says nothing
             turns, before = (by_moment(each.heading) for each in (slopes, trial.slopes))
             steady &= relative_size(jax.tree.map(jnp.subtract, turns, before), turns) <= STEADY
         return trial._replace(

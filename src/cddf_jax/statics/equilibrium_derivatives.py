@@ -173,7 +173,7 @@ def balance(
     values, strain = jax.tree.map(lambda x, guess: jnp.where(found.converged, x, guess), here, start)
     settled = settled._replace(trial=trial._replace(strain=strain))
     system = System(setup, base_tension, settled, equations, unknown, whole)
-    values, root, places = implicit(system, values, system.root, system.places)
+    values, root, places = implicit(system, values, system.root, system.places, ~found.converged)
     assert values is not None
     problem = system.problem(root, places)
     solution = setup.method.finish(problem, values, strain)
@@ -193,7 +193,9 @@ def _from_scratch(system: System) -> Balance:
     """The same for a body without loads and sign changes, where only tensions were searched for."""
     found, root, places = system.settled.load_path, system.root, system.places
     nothing: Nodal | None = None
-    problem = system.problem(implicit(system, nothing, root, places)[1] if system.unknown else root, places)
+    if system.unknown:
+        root = implicit(system, nothing, root, places, ~found.converged)[1]
+    problem = system.problem(root, places)
     solution = system.setup.method(problem)
     found = found._replace(converged=found.converged & solution.converged)
     pull = solution.nodes.pull

@@ -43,7 +43,7 @@ MAX_MOVES = 12  # moves of the panels from pass to pass; then MAX_ROUNDS more, e
 ROUGHLY = 1e-2  # relative change in a pass below which panels follow the sign changes at once
 NEARLY_SETTLED = 1e-3  # relative change in a pass below which a minimum in space hardly moves any more
 FAR = 1e-3  # of the length: where panels move less, the values at their nodes follow to second order
-OFF_KINK = 0.1  # panels that end at a distance d from a kink, relative, serve down to changes of OFF_KINK d^2 in a pass
+OFF_KINK = 0.1  # a panel that ends at a distance d from a kink, of the length, errs by about OFF_KINK d^2
 NEAR_MINIMUM = 0.1  # of the distance of a sharp minimum in space from a kink: panels may end so far from the minimum
 SETTLED = 1e-7  # of the length: panels may end so far from a kink, at the cost of an error of 1e-14
 
@@ -200,8 +200,8 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
 
     At the end of a path of loads the panels move before the first pass, which would be wasted on other panels.
     Panels move at once where a pass changes little. Where sign changes appear and disappear, the panels move only after
-    the body has settled. Passes follow each other up to the error that the distance from a kink may cause; where panels
-    end near enough to a sharp minimum in space, until the body has settled.
+    the body has settled. Passes follow each other until one changes less than the error that the distance from a kink
+    may cause; where panels end near enough to a sharp minimum in space, until the body has settled.
     """
     ends, num_moves = state.ends, state.num_moves
     problem = setup.lay_out(base_tension, ends, state.cut)
@@ -226,7 +226,8 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
         away = jnp.any(jnp.abs(moves) > _near_minimum(problem, splits, in_place))
         enough = jnp.where(away | (trial.change > NEARLY_SETTLED), jnp.inf, 0.0)
     move = away & (num_moves < MAX_MOVES + MAX_ROUNDS) & (trial.settled | calm)
-    over = trial.lost | (trial.settled & ~move)
+    settled = trial.settled & ~move
+    over = trial.lost | settled
 
     def travelled(before: PerTendon) -> PerTendon:
         nodal = trial.nodal._replace(ratio=trial.nodal.ratio + tied_to(before))
@@ -250,7 +251,7 @@ def _follow_sign_changes(setup: Setup, base_tension: PerTendon, fraction: Number
     trial = only_if(move, moved, trial)
     num_passes, change = (jnp.where(move, 0.0, number) for number in (trial.num_passes, trial.change))
     return _Following(
-        trial=trial._replace(settled=trial.settled & ~move, num_passes=num_passes, change=change),
+        trial=trial._replace(settled=settled, num_passes=num_passes, change=change),
         travel=travel,
         ends=ends,
         cut=new,

@@ -93,7 +93,7 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
     def advance(walk: _Walk) -> _Walk:
         # in a batch this runs for all lanes, also for those that are over
         walk = walk._replace(trial=body.correct(walk.trial, walk.fraction, walk.fraction < 1.0))
-        hopeless = walk.trial.lost | ((walk.num_steps > 0) & (walk.trial.num_passes >= MAX_SETTLING))
+        hopeless = walk.trial.lost | ((walk.num_tries > 0) & (walk.trial.num_passes >= MAX_SETTLING))
         tried = ~walk.arrived & (walk.trial.near | hopeless)
         return only_if(tried, partial(_decide, body), walk)
 
@@ -102,7 +102,7 @@ def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath
     found = LoadPath(
         base_moment=_moment(place.values, walk.trial),
         fraction=place.fraction,
-        num_steps=walk.num_steps - 1.0,  # the first one is the body without loads
+        num_steps=walk.num_steps,
         converged=walk.arrived,
         stable=place.stable,
         resolved=walk.resolved,
@@ -166,20 +166,20 @@ def _arrive(trial: Trial, walk: _Walk, first: Flag) -> _Place:
 
 def _decide(body: LoadedBody, walk: _Walk) -> _Walk:
     """Accept the trial and go on, or take the step back and shorten it."""
-    first, old, trial = walk.num_steps == 0, walk.place, walk.trial
+    first, old, trial = walk.num_tries == 0, walk.place, walk.trial
     new = _arrive(trial, walk, first)
     changed = new.values - old.values
     missed = changed - _expected(old, new.fraction - old.fraction)
     missed, turned = (jnp.where(first, 0.0, largest_size(_headings(row, trial))) for row in (missed, changed))
-    near = trial.near & jnp.isfinite(jnp.sum(new.slope))
-    jumped = ~first & (new.stable != old.stable) & (walk.step > CRITICAL_STEP)
-    accepted = near & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN) & ~jumped
+    stays = first | (new.stable == old.stable) | (walk.step <= CRITICAL_STEP)
+    on_path = trial.near & jnp.isfinite(jnp.sum(new.slope)) & stays
+    accepted = on_path & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN)
     accepted = computed_once(jnp.where(accepted, 1.0, 0.0)) > 0
     place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), new, old)
 
     remaining = 1.0 - place.fraction
     rate = largest_size(_headings(place.slope, trial))
-    step = jnp.minimum(_next_step(walk.step, missed, rate, accepted, near & ~jumped, first), remaining)
+    step = jnp.minimum(_next_step(walk.step, missed, rate, accepted, on_path, first), remaining)
     step = computed_once(step)
     tries = walk.num_tries + 1.0
     arrived = accepted & (place.fraction >= 1.0)
@@ -192,7 +192,7 @@ def _decide(body: LoadedBody, walk: _Walk) -> _Walk:
         predicted._replace(**here, change=jnp.where(arrived, trial.change, 0.0)),
         step,
         fraction=jnp.where(step >= remaining, 1.0, place.fraction + step),
-        num_steps=walk.num_steps + jnp.where(accepted, 1.0, 0.0),
+        num_steps=walk.num_steps + jnp.where(accepted & ~first, 1.0, 0.0),
         num_tries=tries,
         arrived=arrived,
         ended=ended,
@@ -221,7 +221,8 @@ def _next_step(step: Number, missed: Number, rate: Number, accepted: Flag, on_pa
         on_path: whether it led to an equilibrium that may lie on the path.
         first: whether the step is the first one, from the body without loads.
     """
-    ideal = jnp.sqrt(0.3 * LARGEST_MISS / jnp.maximum(missed, 1e-3))  # a miss grows like the square of the step
+    # `bend` is that of the last step, so that a miss grows like the square of this one
+    ideal = jnp.sqrt(0.3 * LARGEST_MISS / jnp.maximum(missed, 1e-3))
     shorter = step * jnp.where(on_path, jnp.clip(ideal, 0.1, 0.5), 0.25)
     longer = step * jnp.clip(ideal, 0.3, 4.0)
     turn = jnp.where(first, FIRST_TURN, 0.8 * LARGEST_TURN)

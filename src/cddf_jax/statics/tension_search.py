@@ -179,9 +179,9 @@ def _evaluation(
         # one more pass of a body that has settled may change more than the tolerance
         fine = solution.converged if values is None else settled.load_path.converged
         fine = fine & jnp.all(inside_of_bend(problem, solution) < 1.0)
-        fine = fine & jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
-        cost = jnp.where(fine, jnp.sum(residual**2), jnp.inf)
-        return _TensionTrial(tension, residual, scale * jacobian, cost, settled)
+        cost = jnp.sum(residual**2)
+        fine = fine & jnp.isfinite(cost + jnp.sum(jacobian))
+        return _TensionTrial(tension, residual, scale * jacobian, jnp.where(fine, cost, jnp.inf), settled)
 
     return evaluate
 
