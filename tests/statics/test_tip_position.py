@@ -182,6 +182,20 @@ def test_a_place_under_gravity_is_reached_where_one_more_pass_changes_a_little()
     np.testing.assert_allclose(cddf.solve(robot, cddf.TipPosition(place), gravity).base_tension, pull, atol=1e-7)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("pull", [(12.0, 6.0, 0.0), (16.0, 8.0, 0.0), (12.145884, 22.237196, 0.0)])
+def test_a_place_is_reached_with_directions_that_fit_where_there_are_some(pull):
+    """Beside these pulls, others reach the place with a tendon of which a part sticks: no direction fits it."""
+    robot = cddf.read_manipulator(ROOT / "data" / "three_tendons_made_up.toml")
+    pulled = cddf.solve(robot, np.array(pull))
+    assert not np.any(pulled.direction_contradicted)
+    found = cddf.solve(robot, cddf.TipPosition(pulled.tip_position))
+    assert not np.any(found.direction_contradicted)
+    assert code(found.result) == code(R.successful)
+    np.testing.assert_allclose(found.tip_position, pulled.tip_position, atol=1e-9)
+    assert float(jnp.sum(found.base_tension)) <= sum(pull) + 1e-6
+
+
 def test_the_tip_angle_of_a_helix_gives_back_its_tension():
     helix = cddf.Manipulator(
         length=L,

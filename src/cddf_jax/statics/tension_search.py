@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, Int
 
+from ..mechanics.directions import is_contradicted
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import AnyState, Number, Problem, Solution
 from ..numerics.arrays import zero_as
@@ -24,6 +25,8 @@ REACHED = 1e-9  # of the size of a target
 LEAST_MOVE = 1e-11, 1e-7  # relative change of the tensions below which the search ends: undamped, damped
 WELL_DETERMINED = 1e-8  # smallest pivot over the largest
 MAX_ROUNDS = 60  # of searches that lower the sum of the tensions
+OTHER_SEARCHES = 2  # where the first one does not reach the position, or not with directions that fit
+BEYOND = 1.25  # times the best tensions, where a search starts that looks for other directions
 LEAST_GAIN = 1e-10  # relative decrease of the sum; the rounds end at a smaller one
 SAME_EFFECT = 1e-6  # of the largest slope: a change of the tensions that moves the tip by less has no effect
 ALIKE = 1e-6  # relative: two misses that count as the same
@@ -339,9 +342,10 @@ class _Rounds(NamedTuple):
 def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition) -> _TensionTrial:
     """The tensions with the least miss, and of these with the least sum.
 
-    The first search starts with tension in the tendons on the side of the position, the second with equal tensions.
-    Each further search starts after a change of the tensions that keeps the tip to first order and lowers their sum,
-    and brings the tip back.
+    The first search starts with tension in the tendons on the side of the position. Two more follow while the position
+    is not reached, or while a tendon travels against the direction that was found for it: from equal tensions, and from
+    tensions beyond the best ones, where other directions may hold. Each further search starts after a change of the
+    tensions that keeps the tip to first order and lowers their sum, and brings the tip back.
     """
     alike = jnp.clip(START + zero_as(target, given) + jnp.zeros_like(given), aim.least, aim.most)
     nothing = _nothing(setup, given, alike, jnp.size(target.value))
@@ -351,16 +355,18 @@ def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition)
 
     def next_round(state: _Rounds) -> _Rounds:
         found, _ = _search(aim, nothing, state.start, state.held)
-        kept, good = _better(found, state.kept)
-        longest = jnp.where(state.num_rounds < 2, jnp.inf, jnp.where(good, 2.0, 0.25) * state.length)
+        kept, good = _better(setup, found, state.kept)
+        longest = jnp.where(state.num_rounds <= OTHER_SEARCHES, jnp.inf, jnp.where(good, 2.0, 0.25) * state.length)
         change, gain = _downwards(aim, kept)
         start, length = _pushed(aim, kept.tension, change, longest)
-        second = (state.num_rounds < 1) & ~(kept.cost <= _tolerance(zero) ** 2)
-        start = jnp.where(second, alike, start)
-        held = ~second & ((start <= aim.least) | (start >= aim.most))
-        rounds = jnp.where(second, 1.0, jnp.maximum(state.num_rounds + 1.0, 2.0))
+        fine = (kept.cost <= _tolerance(zero) ** 2) & (_num_against(setup, kept) == 0)
+        another = (state.num_rounds < OTHER_SEARCHES) & ~fine
+        elsewhere = jnp.where(state.num_rounds < 1, alike, jnp.clip(BEYOND * kept.tension, aim.least, aim.most))
+        start = jnp.where(another, elsewhere, start)
+        held = ~another & ((start <= aim.least) | (start >= aim.most))
+        rounds = jnp.where(another, state.num_rounds + 1.0, jnp.maximum(state.num_rounds, OTHER_SEARCHES) + 1.0)
         small = ~(gain * length > LEAST_GAIN * (jnp.sum(kept.tension) + 1e-3))
-        over = ~second & (small | ~jnp.isfinite(kept.cost) | (rounds >= MAX_ROUNDS))
+        over = ~another & (small | ~jnp.isfinite(kept.cost) | (rounds >= MAX_ROUNDS))
         return _Rounds(kept, start, held, length, longest, rounds, over)
 
     towards = jnp.clip(START * target.on_the_side(setup), aim.least, aim.most) + zero
@@ -368,12 +374,24 @@ def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition)
     return jax.lax.while_loop(lambda state: ~state.over, next_round, first).kept
 
 
-def _better(found: _TensionTrial, kept: _TensionTrial) -> tuple[_TensionTrial, Bool[Array, ""]]:
-    """The trial that misses less; where both miss equally, that of the lower sum. And whether it is the first one."""
+def _num_against(setup: Setup, trial: _TensionTrial) -> Number:
+    """How many tendons travel against the direction that was found for them."""
+    travel, length = trial.settled.travel, jnp.asarray(setup.manipulator.length)
+    if not setup.to_find or travel is None:
+        return zero_as(trial.tension)
+    return jnp.sum(jnp.where(is_contradicted(trial.settled.direction, travel, length), 1.0, 0.0))
+
+
+def _better(setup: Setup, found: _TensionTrial, kept: _TensionTrial) -> tuple[_TensionTrial, Bool[Array, ""]]:
+    """The trial that misses less; where both miss equally, that in which fewer tendons travel against their direction,
+    and then that of the lower sum. And whether it is the first one.
+    """
     enough = _tolerance(found.cost) ** 2
     nearer = (found.cost < (1 - ALIKE) * kept.cost) & (kept.cost > enough)
     as_near = found.cost <= jnp.maximum((1 + ALIKE) * kept.cost, enough)
-    good = nearer | (as_near & (jnp.sum(found.tension) < jnp.sum(kept.tension)))
+    one, other = _num_against(setup, found), _num_against(setup, kept)
+    lower = (one == other) & (jnp.sum(found.tension) < jnp.sum(kept.tension))
+    good = nearer | (as_near & ((one < other) | lower))
     return jax.tree.map(lambda new, old: jnp.where(good, new, old), found, kept), good
 
 
