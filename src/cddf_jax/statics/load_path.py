@@ -148,7 +148,7 @@ def _nodal(row: Row, trial: Trial) -> Nodal:
     return structure.unflatten(parts)
 
 
-def _headings(row: Row, trial: Trial) -> Row:
+def _headings(row: Row, trial: Trial) -> Float[Array, " angles"]:
     return row[-sum(x.size for x in jax.tree.leaves(trial.heading)) :]
 
 
