@@ -288,7 +288,7 @@ def test_the_derivative_at_the_kink_of_a_straight_body():
         np.testing.assert_allclose(slopes[0, 0], slopes_of_even_antagonists()[+1], rtol=1e-9)
 
 
-@pytest.mark.parametrize("splits", [[0.1], [0.1, 0.1], [0.1, LENGTH]], ids=["one end", "no width", "no width there"])
+@pytest.mark.parametrize("splits", [[0.1], [0.1, 0.1], [0.1, LENGTH]], ids=["one end", "no width", "no width at tip"])
 def test_round_off_where_a_panel_ends_makes_one_sign_change_of_one(splits):
     """Where panels meet at a sign change, their polynomials differ by less than what counts as turning there."""
     problem = lay_out(paper_body(), jnp.array([40.0]), jnp.array([1.0]), 16, None, jnp.array(splits))

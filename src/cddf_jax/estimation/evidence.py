@@ -20,7 +20,7 @@ INSIDE = 1e-12  # difference from 1 below which a parameter lies within the dete
 UNDETERMINED = 1e-10  # part of a quantity's squared slope along directions that the data leave open
 GIVEN = 1e9  # degrees of freedom that count as infinite
 RIDGE = 1e-12  # of the information on the noise, for parts of it that no datum tells apart
-NONE_LEFT = 1e-8  # of the information without parameters: less than this is rounding
+NONE_LEFT = 1e-8  # of the information on the noise without parameters: rounding may leave less than this of none
 
 
 class Spectrum(NamedTuple):

@@ -258,7 +258,7 @@ def _first_changes(problem: Problem, turning: Float[Array, "P q owners"], least:
 
 
 def _before(left: Bool[Array, "P q owners"]) -> Bool[Array, "P owners"]:
-    """What each panel finds at the end of the one before; the first one, at its own start."""
+    """The value at the end of the panel before each panel; for the first one, at its own start."""
     return jnp.concatenate([left[:1, 0], left[:-1, -1]])
 
 

@@ -18,7 +18,6 @@ Context = TypeVar("Context")
 Slopes = TypeVar("Slopes", bound=tuple)
 Result = TypeVar("Result")
 Scalar = Float[Array, ""]
-Flag = Bool[Array, ""]
 MAX_PASSES = 64
 
 
@@ -48,7 +47,11 @@ class ImplicitStep(Protocol, Generic[Tree, Context]):
 
 
 def implicit(
-    step: ImplicitStep[Tree, Context], values: Tree, root: Unknowns, places: Places, failed: Flag | bool = False
+    step: ImplicitStep[Tree, Context],
+    values: Tree,
+    root: Unknowns,
+    places: Places,
+    failed: Bool[Array, ""] | bool = False,
 ) -> tuple[Tree, Unknowns, Places]:
     """The same values, unknowns and places, with the derivatives that follow from the equations.
 
@@ -64,8 +67,8 @@ def implicit(
         values: of the fixed point; without derivatives of their own.
         root: where the residual is zero; without derivatives of its own.
         places: where pieces end; without derivatives of their own.
-        failed: whether this lane of a batch has no solution. Its values do not depend on the unknowns then, since NaN
-            would pass zero on as NaN in reverse mode.
+        failed: whether this lane of a batch has no solution. Then the slopes of the values by the unknowns are zero.
+            They would be NaN where passes do not settle, and in reverse mode zero times NaN is NaN.
     """
     values, root, places = jax.tree.map(jax.lax.stop_gradient, (values, root, places))
     return _root(step, values, root, places, failed)

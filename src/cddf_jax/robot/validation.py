@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES
 from .loads import Loads
-from .manipulator import Manipulator, PointMass, Tendon
+from .manipulator import Manipulator, PointMass, Tendon, in_space
 from .profiles import Number, Piecewise, Polyline, Profile, Spline, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
@@ -226,12 +226,15 @@ def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
 
     Between the arc lengths both move in straight lines.
     """
-    for (i, one), (j, other) in combinations(enumerate(manipulator.tendons, 1), 2):
-        if one.angle is None and other.angle is None:
+    tendons = enumerate(in_space(manipulator).tendons, 1)
+    for (i, one), (j, other) in combinations(tendons, 2):
+        if all(manipulator.tendons[k - 1].angle is None for k in (i, j)):
             continue
+        assert one.angle is not None
+        assert other.angle is not None
         reach = min(float(manipulator.length if t.end is None else t.end) for t in (one, other))
         at = s[s <= reach]
-        offset, turn = _at(one.offset, at), _angle_at(one, at) - _angle_at(other, at)
+        offset, turn = _at(one.offset, at), _at(one.angle, at) - _at(other.angle, at)
         away, across = offset - _at(other.offset, at), offset[:-1] * _least_turn(turn[:-1])
         here, step = np.stack([away[:-1], across]), np.stack([np.diff(away), offset[:-1] * np.diff(turn)])
         size = np.sum(step * step, axis=0)
@@ -239,19 +242,12 @@ def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
         apart = np.linalg.norm(here + nearest * step, axis=0) > _SLACK * float(manipulator.length)
         place = at[:-1] + nearest * np.diff(at)
 
-        def found(k: int, place: np.ndarray = place, tendon: Tendon = one) -> str:
+        def found(k: int, place: np.ndarray = place, offset: Profile = one.offset, angle: Profile = one.angle) -> str:
             there = place[k : k + 1]
-            return f"both lie {_mm(_at(tendon.offset, there)[0])} from the axis at {_deg(_angle_at(tendon, there)[0])}"
+            return f"both lie {_mm(_at(offset, there)[0])} from the axis at {_deg(_at(angle, there)[0])}"
 
         rule, remedy = f"tendons {i} and {j} must not touch or cross", "change an offset or an angle"
         _demand(apart, place, rule, found, remedy)
-
-
-def _angle_at(tendon: Tendon, s: np.ndarray) -> np.ndarray:
-    """The angle around the axis, rad; that of the side of a tendon without one."""
-    if tendon.angle is not None:
-        return _at(tendon.angle, s)
-    return np.full(s.shape, 0.0 if tendon.side > 0 else np.pi)
 
 
 def _least_turn(angle: np.ndarray) -> np.ndarray:

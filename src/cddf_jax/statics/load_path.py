@@ -39,7 +39,7 @@ class LoadPath(NamedTuple):
     resolved: Flag  # false where the path did not end, but the method failed
 
 
-Row = Float[Array, " numbers"]  # M_ext(0) and the values at the nodes; at last the headings
+Row = Float[Array, " numbers"]  # M_ext(0), then the values at the nodes, then the headings
 
 
 class _Place(NamedTuple):
@@ -76,9 +76,9 @@ class _Walk(NamedTuple):
 def follow_loads(body: LoadedBody, guess: Nodal, zero: Number) -> tuple[LoadPath, Trial]:
     """Follow the path of equilibria until all loads act.
 
-    Each step is predicted and corrected. It is taken back and shortened in three cases: a few passes do not
-    bring the trial near to an equilibrium; the body turns too far or differs too much from the prediction; or the
-    stability changes in a step that is not small.
+    Each step is predicted and corrected. It is taken back and shortened in three cases: a few passes do not bring the
+    trial near to an equilibrium; the body turns too far or differs too much from the prediction; or the stability
+    changes in a step that is not small.
 
     Args:
         body: its problem is that under its full loads.

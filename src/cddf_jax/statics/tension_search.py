@@ -383,8 +383,9 @@ def _num_against(setup: Setup, trial: _TensionTrial) -> Number:
 
 
 def _better(setup: Setup, found: _TensionTrial, kept: _TensionTrial) -> tuple[_TensionTrial, Bool[Array, ""]]:
-    """The trial that misses less; where both miss equally, that in which fewer tendons travel against their direction,
-    and then that of the lower sum. And whether it is the first one.
+    """The trial that misses less, and whether it is the first one.
+
+    Where both miss equally: that in which fewer tendons travel against their direction, then that of the lower sum.
     """
     enough = _tolerance(found.cost) ** 2
     nearer = (found.cost < (1 - ALIKE) * kept.cost) & (kept.cost > enough)
