@@ -154,6 +154,14 @@ def test_traced_numbers_are_a_type_error(transformation):
         transformation(validated)(jnp.array([1.4e6]))
 
 
+def test_a_body_of_the_published_kinematics_passes():
+    """It stays in the plane, where tendons on one side may lie in one place."""
+    body = replace(
+        BODY, kinematics="published", tendons=(cddf.Tendon(0.010), cddf.Tendon(0.010), cddf.Tendon(0.010, -1))
+    )
+    assert body.validate() is body
+
+
 def test_crossing_is_described_where_it_is_worst():
     # no friction, constant wall: kappa = T d / (E J + T d^2) (published), so d kappa = x / (1 + x), x = T d^2 / (E J)
     body = replace(BODY, outer_radius=0.020, friction_coefficient=0.0, kinematics="published")

@@ -226,9 +226,11 @@ def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
 
     Between the arc lengths both move in straight lines.
     """
-    tendons = enumerate(in_space(manipulator).tendons, 1)
-    for (i, one), (j, other) in combinations(tendons, 2):
-        if all(manipulator.tendons[k - 1].angle is None for k in (i, j)):
+    on_a_side = [tendon.angle is None for tendon in manipulator.tendons]
+    if all(on_a_side):
+        return
+    for (i, one), (j, other) in combinations(enumerate(in_space(manipulator).tendons, 1), 2):
+        if on_a_side[i - 1] and on_a_side[j - 1]:
             continue
         assert one.angle is not None
         assert other.angle is not None
