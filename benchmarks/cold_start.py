@@ -30,6 +30,7 @@ CDDF = [sys.executable, "-c", "import sys; sys.argv[0] = 'cddf'; from cddf_jax.c
 ROBOT, PULLEY, TRIALS = (
     f"data/{n}" for n in ("smooth_sil_940.toml", "pulley_simulated.csv", "load_cells_simulated.csv")
 )
+COMPUTING = "[style*='--computing: on']"  # parts of the page
 DESIGN = "fitting/design_uniform_curvature.toml"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 RUNS = 5
@@ -76,7 +77,7 @@ def moving_page(browser: "Browser") -> Wait:
             tension.fill("64")
             tension.press("Enter")
             page.locator('[data-name="base_tension_1"]', has_text=re.compile("^64$")).wait_for()
-            page.locator(".computing").first.wait_for(state="detached")
+            page.locator(COMPUTING).first.wait_for(state="detached")
             page.close()
             server.kill()
 

@@ -8,6 +8,7 @@ import sys
 from contextlib import contextmanager
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+COMPUTING, STALE = (f"[style*='--{mark}: on']" for mark in ("computing", "stale"))  # parts of the page
 PATIENCE = 120_000  # ms, for compilers on a busy machine
 
 
@@ -21,7 +22,11 @@ def served(*arguments, times=1):
         if line:
             yield process, line.split()[0]
             process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=60)
+        try:
+            _, error = process.communicate(timeout=60)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
     assert line.startswith("http://localhost:"), error
     assert process.returncode == 0, error
     assert "Traceback" not in error

@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 from bodies import paper_body
-from pages import PATIENCE, hosts_of, opened_page, served, wait_for
+from pages import COMPUTING, PATIENCE, STALE, hosts_of, opened_page, served, wait_for
 from places import DATA
 
 import cddf_jax as cddf
@@ -28,9 +28,9 @@ def server():
 def opened(browser, server):
     """The page with its first picture, what it asked for, and what went wrong in it."""
     page, asked, wrong = opened_page(browser, server[1])
-    page.locator(".computing").first.wait_for()  # while there is no answer yet
+    page.locator(COMPUTING).first.wait_for()  # while there is no answer yet
     wait_for(page, "new_base_tension")
-    page.locator(".computing").first.wait_for(state="detached")
+    page.locator(COMPUTING).first.wait_for(state="detached")
     yield page, asked, wrong
     page.close()
 
@@ -83,7 +83,25 @@ def test_every_field_has_a_name_for_screen_readers(page):
 def test_what_is_computed_loses_its_mark(page):
     type_number(page, "base_tension_1", "64")
     assert follows(page, 64.0)
-    page.locator(".computing").first.wait_for(state="detached")
+    page.locator(COMPUTING).first.wait_for(state="detached")
+
+
+def test_a_move_draws_without_laying_out_the_page(page):
+    """Laying out measures every part of the page again, and takes longer than all else."""
+    type_number(page, "base_tension_1", "60")  # each text is shown once before: Panel then sends its style sheets
+    assert follows(page, 60.0)
+    page.locator(COMPUTING).first.wait_for(state="detached")
+    page.evaluate("""() => {
+        window.layouts = 0
+        for (const root of Bokeh.index.roots) {
+            const lay_out = root.invalidate_layout
+            root.invalidate_layout = function() { window.layouts += 1; return lay_out.call(this) }
+        }
+    }""")
+    type_number(page, "base_tension_1", "62")
+    assert follows(page, 62.0)
+    page.locator(COMPUTING).first.wait_for(state="detached")
+    assert page.evaluate("window.layouts") == 0
 
 
 def test_keys_move_a_slider(page):
@@ -156,10 +174,10 @@ def test_a_body_that_is_none_is_said(page):
     type_number(page, "outer_radius.tip", "9")
     page.get_by_role("alert").filter(has_text="tendon 1: offset must lie inside the wall").wait_for()
     assert follows(page, 75.0)  # the last good picture
-    assert page.locator(".stale").count() > 0
+    assert page.locator(STALE).count() > 0
     page.get_by_role("button", name="Back to the file").click()
     page.get_by_role("alert").wait_for(state="detached")
-    assert page.locator(".stale").count() == 0
+    assert page.locator(STALE).count() == 0
 
 
 def test_crossing_fibres_are_said(page):
@@ -167,7 +185,7 @@ def test_crossing_fibres_are_said(page):
     type_number(page, "friction_coefficient", "0")
     type_number(page, "base_tension_1", "400")
     page.get_by_role("alert").filter(has_text="offset * curvature").wait_for()
-    assert page.locator(".stale").count() > 0
+    assert page.locator(STALE).count() > 0
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pages import hosts_of, opened_page, served, wait_for
+from pages import COMPUTING, hosts_of, opened_page, served, wait_for
 from places import DATA
 
 import cddf_jax as cddf
@@ -28,7 +28,7 @@ def opened(browser, body):
         for i, tension in enumerate(TENSIONS):
             type_number(page, i, f"{tension:g}")
         wait_for(page, "base_tension_2", "10")
-        page.locator(".computing").first.wait_for(state="detached")
+        page.locator(COMPUTING).first.wait_for(state="detached")
         yield page, asked, wrong
         page.close()
 
@@ -135,7 +135,7 @@ def test_what_the_body_hides_is_pale(page):
     for i, tension in enumerate(TENSIONS):
         type_number(page, i, f"{tension:g}")
     wait_for(page, "base_tension_2", "10")
-    page.locator(".computing").first.wait_for(state="detached")
+    page.locator(COMPUTING).first.wait_for(state="detached")
 
 
 def test_loads_have_sliders_for_three_components(page):

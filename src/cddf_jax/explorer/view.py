@@ -273,8 +273,9 @@ class ExplorerView:
             self._mark("computing", False, parts)
 
     def _mark(self, mark: str, on: bool, parts: Iterable[str]) -> None:
+        """Mark parts for page.css. A style, because the browser would lay out the whole page for a class."""
         for part in map(self.drawn.__getitem__, parts):
-            part.css_classes = [name for name in part.css_classes if name != mark] + [mark] * on
+            part.styles = part.styles | {f"--{mark}": "on" if on else "off"}
 
     def _refuse(self, message: str) -> None:
         """Say what is wrong; the last good picture stays, in grey."""
