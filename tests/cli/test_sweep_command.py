@@ -256,6 +256,16 @@ def test_a_task_file_gives_the_options_and_the_command_line_overrides_it(run, tm
     assert told["chunks"]["solves"] <= 7
 
 
+def test_options_that_may_be_repeated_may_also_be_one_text(run, tmp_path):
+    (tmp_path / "task.toml").write_text(f'robot = "{PAPER}"\nover = "base_tension=5N,10N"\ndry_run = true\n')
+    outputs = ("--output", "tip_tension", "--output", "tip_angle, tip_tension")
+    code, text, error = run("--task", "task.toml", *outputs, "--json")
+    assert (code, error) == (0, "")
+    told = json.loads(text)
+    assert [(axis["name"], axis["count"]) for axis in told["axes"]] == [("base_tension", 2)]
+    assert told["outputs"] == ["tip_tension", "tip_angle"]
+
+
 @pytest.mark.parametrize(
     ("task", "message"),
     [

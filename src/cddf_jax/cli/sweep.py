@@ -26,12 +26,15 @@ def read_sweep_task(context: typer.Context, path: Path | None) -> Path | None:
     with within(path):
         task = read_toml(path, 'out = "out/sweep"')
     known = [str(option.name) for option in context.command.params if option.name not in ("task", "help")]
+    repeated = [str(option.name) for option in context.command.params if getattr(option, "multiple", False)]
     for name, value in task.items():
         if name not in known:
             raise InputError(f"{path}: there is no option {name!r}; there are {', '.join(known)}")
         if name in ("over", "sample") and isinstance(value, dict):
             lists = {key: each if isinstance(each, list) else [each] for key, each in value.items()}
             task[name] = [f"{key}={','.join(map(str, each))}" for key, each in lists.items()]
+        elif name in repeated and isinstance(value, str):
+            task[name] = [value]
     context.default_map = task
     return path
 
@@ -94,7 +97,8 @@ BaseTension = Annotated[
     typer.Option("--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given."),
 ]
 Output = Annotated[
-    str, typer.Option(help="Names of outputs; also base_tension, tension_loss, tendon_displacement, curvature, ...")
+    list[str],
+    typer.Option(help="Names of outputs, with commas or repeated; also base_tension, tension_loss, curvature, ..."),
 ]
 Sensitivity = Annotated[
     list[str] | None,
@@ -135,7 +139,7 @@ def sweep(
     gravity: options.Gravity = None,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
-    output: Output = "tip_tension,tip_position,tip_angle",
+    output: Output = ["tip_tension,tip_position,tip_angle"],  # noqa: B006  # Typer copies it
     sensitivity: Sensitivity = None,
     precision: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")] = "float64",
     memory: Memory = None,
@@ -187,7 +191,7 @@ def sweep(
         history=history_axis or history,
         short_steps=short_steps,
         direction=read_directions(direction, read.manipulator),
-        outputs=tuple(dict.fromkeys(name.strip() for name in output.split(","))),
+        outputs=tuple(dict.fromkeys(name.strip() for text in output for name in text.split(","))),
         sensitivities=tuple(sensitivity or ()),
         nodes=nodes,
         precision=precision,
