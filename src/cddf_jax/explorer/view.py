@@ -258,7 +258,7 @@ class ExplorerView:
             self._refuse(picture.message)
             return
         self.picture = picture
-        self._mark("stale", False, self.drawn)
+        self._mark_stale(on=False)
         self._done(settings, ["body", "numbers", "along"])
         self.body.show(picture)
         self.along.show(picture)
@@ -277,10 +277,13 @@ class ExplorerView:
         for part in map(self.drawn.__getitem__, parts):
             part.styles = part.styles | {f"--{mark}": "on" if on else "off"}
 
+    def _mark_stale(self, *, on: bool) -> None:
+        self._mark("stale", on, self.drawn.keys() - {"past"})  # which is drawn within another part
+
     def _refuse(self, message: str) -> None:
         """Say what is wrong; the last good picture stays, in grey."""
         self._mark("computing", False, self.drawn)
-        self._mark("stale", True, self.drawn)
+        self._mark_stale(on=True)
         self.say(message, "error")
 
     # --- the fit ---------------------------------------------------------------------------------
