@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from places import ROOT
 
 import cddf_jax
@@ -40,6 +41,22 @@ def built(tmp_path_factory):
     run(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT)
     (wheel,), (source,) = out.glob("*.whl"), out.glob("*.tar.gz")
     return wheel, source
+
+
+def test_what_was_tested_can_be_installed_with_every_python_that_is_allowed():
+    """Fresh machines have the Python of their system, which may be the first of its series."""
+    pinned = [line.partition("==")[0] for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line]
+    allowed = {name: _pythons(name) for name in pinned if _is_installed(name)}
+    assert len(allowed) > 100
+    assert [name for name, pythons in allowed.items() if "3.11.0" not in pythons] == []
+
+
+def _is_installed(name):
+    return any(metadata.distributions(name=name))
+
+
+def _pythons(name):
+    return SpecifierSet(metadata.metadata(name).get("Requires-Python") or "")
 
 
 def test_the_wheel_holds_the_package_and_nothing_else(built):
