@@ -7,7 +7,7 @@ import pytest
 from bodies import stack
 
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
-from cddf_jax.identification.verdict import SolveResults, doubt, estimates_in_words, solve_results
+from cddf_jax.identification.verdict import SolveResults, doubt, estimates_in_words, solve_results, verdict_of
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.statics.equilibrium import RESULTS
 
@@ -71,3 +71,30 @@ def test_intervals_carry_their_unit():
         "base_zero: not identified",
         "friction_coefficient / youngs_modulus = 3e-07 +- 1e-09 1/Pa: identified, although its factors are not",
     ]
+
+
+@pytest.mark.parametrize(
+    ("lost", "advised"),
+    [
+        (("gravity_turn_z", "camera_turn_z"), "in another way and fix it, or give it a prior."),
+        (("friction_coefficient",), "in another way, friction by a pulley test, and fix it, or give it a prior."),
+    ],
+)
+def test_advice_names_a_pulley_test_for_friction_alone(lost, advised):
+    """A pulley has no gravity and no camera."""
+    table = Measurements("bench", {"base_tension": np.arange(3.0), "tip_angle": np.arange(3.0)}, np.arange(3))
+    found = SimpleNamespace(
+        success=True,
+        tables=[table],
+        parameters=lost,
+        status=dict.fromkeys(lost, "not identified"),
+        value=dict.fromkeys(lost, 0.1),
+        standard_error=dict.fromkeys(lost, np.inf),
+        confidence_interval=dict.fromkeys(lost, (-np.inf, np.inf)),
+        combinations={},
+        sums={},
+        bounded_above=(),
+    )
+    told = verdict_of(found)
+    assert told[-1].startswith(f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles")
+    assert told[-1].endswith(advised)

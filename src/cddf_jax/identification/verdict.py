@@ -237,9 +237,10 @@ def _advice(fit: "Fit", lost: set[str]) -> str:
             "differences above are determined. Fix one parameter of each, or give it a prior."
         )
     if _hold_shape(fit.tables):
+        apart = ", friction by a pulley test," if "friction_coefficient" in lost else ""
         return (
-            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions; look at "
-            "the warnings. A pulley test or a prior would help."
+            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions. Measure "
+            f"what is not determined in another way{apart} and fix it, or give it a prior."
         )
     stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
     if lost == {"friction_coefficient", stiffness} and fit.combinations:
