@@ -138,7 +138,7 @@ def test_random_problems(kinematics, count, slanted):
     assert np.any(np.array([problem.reference.displacement * problem.direction for problem in problems]) < 0)
     if not slanted:
         second = bvp_reference(problems[0].plain, problems[0].base_tension, *problems[0][3:6])
-        assert largest_difference(lane(batch, 0), second, problems[0].plain) < 1e-7  # its residual is 1e-8, relative
+        assert largest_difference(lane(batch, 0), second, problems[0].plain) < 1e-7  # its residual is 2e-8, relative
     if count == 1 or slanted:
         assert any(problem.loads.gravity != (0.0, 0.0) for problem in problems[:3])
         for i, problem in enumerate(problems[:3]):
