@@ -76,8 +76,8 @@ def test_intervals_carry_their_unit():
 @pytest.mark.parametrize(
     ("lost", "advised"),
     [
-        (("gravity_turn_z", "camera_turn_z"), "in another way and fix it, or give it a prior."),
-        (("friction_coefficient",), "in another way, friction by a pulley test, and fix it, or give it a prior."),
+        (("gravity_turn_z", "camera_turn_z"), "in another way, or a prior."),
+        (("friction_coefficient",), "in another way (friction: a pulley test), or a prior."),
     ],
 )
 def test_advice_names_a_pulley_test_for_friction_alone(lost, advised):

@@ -139,7 +139,7 @@ def sweep(
     gravity: options.Gravity = None,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
-    output: Output = ["tip_tension,tip_position,tip_angle"],  # noqa: B006  # Typer copies it
+    output: Output = ["tip_tension,tip_position,tip_angle"],  # noqa: B006  # it is only read
     sensitivity: Sensitivity = None,
     precision: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")] = "float64",
     memory: Memory = None,

@@ -237,10 +237,10 @@ def _advice(fit: "Fit", lost: set[str]) -> str:
             "differences above are determined. Fix one parameter of each, or give it a prior."
         )
     if _hold_shape(fit.tables):
-        apart = ", friction by a pulley test," if "friction_coefficient" in lost else ""
+        pulley = " (friction: a pulley test)" if "friction_coefficient" in lost else ""
         return (
-            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions. Measure "
-            f"what is not determined in another way{apart} and fix it, or give it a prior."
+            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions. Each "
+            f"needs a value that is measured in another way{pulley}, or a prior."
         )
     stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
     if lost == {"friction_coefficient", stiffness} and fit.combinations:
