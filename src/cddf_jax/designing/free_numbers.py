@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..errors import InputError
+from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, stem_and_tendon, tip_of_winding, unit_of_name
 from .load_cases import LoadCase
@@ -105,6 +106,7 @@ def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
         if value <= 0:
             raise InputError(f"design: {group!r} starts at {value:g}; give it bounds")
         return value / WIDE, value * WIDE
+    check_numbers(f"design: the bounds of {group!r}", bounds[group])
     try:
         lower, upper = (float(x) for x in bounds[group])
     except (TypeError, ValueError):

@@ -11,10 +11,7 @@ from .body_quantities import BodyView, OfQuantity, check_fits
 
 
 def _optional(value: object) -> Array | np.ndarray | None:
-    try:
-        return None if value is None else as_number(value)
-    except (TypeError, ValueError):
-        raise InputError(f"a limit must be a number, got {value!r}") from None
+    return None if value is None else as_number(value)
 
 
 class Limit(OfQuantity):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, PyTree
 
 from ..errors import InputError
+from ..numerics.given_numbers import check_numbers
 from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
 from .determination import Determination, determine
 from .evidence import Evidence
@@ -223,6 +224,7 @@ def least_squares_fit(
         raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
     if loss not in LOSSES:
         raise InputError(f"loss {loss!r} is not known; there are {', '.join(LOSSES)}")
+    check_numbers("start", jax.tree.leaves(start))
     leaves = [np.asarray(leaf, float) for leaf in jax.tree.leaves(start)]
     unravel = Structure(jax.tree.structure(start), tuple(leaf.shape for leaf in leaves))
     names, first = names_of(start), np.concatenate([leaf.ravel() for leaf in leaves])

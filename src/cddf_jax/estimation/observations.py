@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from ..errors import InputError
+from ..numerics.given_numbers import check_numbers
 from .evidence import spectrum_of, without_nan
 from .levenberg_marquardt import Minimum
 from .parameter_space import TINY
@@ -156,6 +157,7 @@ def _most_likely(
 def group_observations(observed: PyTree, sigma: PyTree) -> tuple[Observed, ...]:
     """Check the data, and give each group its noise."""
     leaves = jax.tree_util.tree_flatten_with_path(observed)[0]
+    check_numbers("the data", [leaf for _, leaf in leaves])
     names = tuple(jax.tree_util.keystr(path, simple=True, separator=".") or "data" for path, _ in leaves)
     values = tuple(np.asarray(leaf, dtype=np.float64) for _, leaf in leaves)
     if not values or not any(v.size for v in values):
@@ -167,6 +169,7 @@ def group_observations(observed: PyTree, sigma: PyTree) -> tuple[Observed, ...]:
 
 
 def _checked(name: str, values: np.ndarray, sigma: PyTree) -> Observed:
+    check_numbers(f"sigma of {name}", [sigma])
     if isinstance(sigma, Noise):
         known = [part for part in sigma if part is not None]
         if any(not part >= 0 for part in known) or not (len(known) < 2 or any(part > 0 for part in known)):

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from ..errors import InputError
+from ..numerics.given_numbers import check_numbers
 
 Numbers = np.ndarray | Array
 Bounds = Mapping[str, tuple[float | None, float | None]]  # by parameter, (lower, upper), None for no bound
@@ -75,6 +76,7 @@ def bounds_of(
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for i, name in enumerate(names):
         low, high = bounds.get(name, (None, None))
+        check_numbers(f"bounds for {name}", [low, high])
         lower[i], upper[i] = -np.inf if low is None else low, np.inf if high is None else high
         if isinstance(prior := priors.get(name), Uniform):
             if not prior.low < prior.high:
@@ -95,6 +97,7 @@ def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
     _known("prior", names, priors)
     found = {}
     for name, prior in priors.items():
+        check_numbers(f"prior for {name}", prior)
         if isinstance(prior, Uniform):
             continue
         if isinstance(prior, str) or np.shape(np.asarray(prior)) != (2,):

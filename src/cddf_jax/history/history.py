@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..mechanics.fields import AnyFields, tendons_first
+from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, code_of, nan_unless, result_of
 from ..units import Dimension, shown
@@ -75,6 +76,7 @@ class History(eqx.Module):
 
     def sliding(self, arc_length: ArrayLike) -> Float[Array, "steps *tendons_and_points"]:
         """+1 where the tendon slid in during the step, -1 where it slid out, 0 where it rested, at arc lengths (m)."""
+        check_numbers("arc_length", arc_length)
         s = jnp.asarray(arc_length, self.front.dtype)
         found = self._states.sliding(s.ravel())
         return found.reshape(*found.shape[:-1], *s.shape)
@@ -121,6 +123,7 @@ class History(eqx.Module):
         Args:
             arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L.
         """
+        check_numbers("arc_length", arc_length)
         s = jnp.asarray(arc_length, self.front.dtype)
         fields = jax.vmap(nan_unless)(~jnp.isnan(self.tip_angle), self._states.fields(s.ravel()))
         fields = jax.tree.map(lambda x: x.reshape(x.shape[0], *s.shape, *x.shape[2:]), fields)

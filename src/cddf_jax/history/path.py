@@ -9,6 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
+from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement, TipAngle
@@ -49,16 +50,12 @@ def as_numbers(values: object, name: str) -> Array:
     Raises:
         ValueError: where they are not numbers, or rows of different lengths.
     """
-    if any(isinstance(x, jax.Array) for x in jax.tree.leaves(values)):
-        array = jnp.asarray(cast("ArrayLike", values))
-    else:
-        try:
-            array = np.asarray(values)
-        except ValueError:
-            array = np.asarray(None)
-        if array.dtype.kind not in "fiub":
-            raise ValueError(f"{name} must hold numbers, in rows of one length, got {values!r}")
-        array = jnp.asarray(array)
+    check_numbers(name, values)
+    traced = any(isinstance(x, jax.Array) for x in jax.tree.leaves(values))
+    try:
+        array = jnp.asarray(cast("ArrayLike", values) if traced else np.asarray(values))
+    except ValueError:
+        raise ValueError(f"{name} must hold numbers, in rows of one length, got {values!r}") from None
     return array.astype(jnp.result_type(float, array))
 
 

@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import SolveError
+from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_weight
@@ -225,6 +226,8 @@ def _before(before: ArrayLike | Literal["rest"], start: History | None, dtype: j
     at_rest = isinstance(before, str) and before == "rest"
     if not at_rest and (isinstance(before, str) or np.ndim(before) != 0):
         raise ValueError(f'trace: before must be "rest" or the largest base tension, N, got {before!r}')
+    if not at_rest:
+        check_numbers("trace: before", before)
     if start is None:
         return Before(jnp.zeros(0, dtype) if at_rest else jnp.asarray(before, dtype)[None])
     if not at_rest:

@@ -21,6 +21,7 @@ from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
+from ..numerics.given_numbers import check_numbers
 from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import NOTEWORTHY, RESULTS
@@ -52,6 +53,8 @@ class Candidate:
     cost: float = 1.0
 
     def __post_init__(self):
+        for column, numbers in (*self.conditions.items(), *self.noise.items()):
+            check_numbers(f"candidate {self.name!r}: {column}", numbers)
         known = all(not isinstance(noise, Noise) or None not in noise for noise in self.noise.values())
         if not self.noise or not known or not all(_deviation(noise, 1.0) > 0 for noise in self.noise.values()):
             raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")

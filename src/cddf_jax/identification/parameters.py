@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
 from ..measurements.markers import Marker
+from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_as_dict
 from ..robot.manipulator import Manipulator, in_space as body_in_space
@@ -168,6 +169,7 @@ class BenchSetting:
                 raise InputError(
                     f"given: {name} does not belong to the bench; give it with the manipulator or the trials"
                 )
+            check_numbers(f"given: {name}", value)
             if not np.isfinite(value):
                 raise InputError(f"given: {name} must be finite, got {value!r}")
         for name, marker in self.markers.items():

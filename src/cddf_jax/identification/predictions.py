@@ -15,6 +15,7 @@ from jaxtyping import ArrayLike
 from ..errors import InputError, within
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..mechanics.capstan import pulling_tension
+from ..numerics.given_numbers import check_numbers
 from ..programs.evaluated import evaluated
 from .bench import AllRows, Bench, BenchModel, Group
 from .course import SHORT_STEPS, between, course_along
@@ -56,8 +57,10 @@ def predicted_rows(
         InputError: for numbers that are not finite, tensions below 0, shapes that do not fit, a history with stated
             directions.
     """
-    tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
     stated = {} if direction is None else {"direction": direction}
+    for name, given in {"base_tension": base_tension, "tip_force": tip_force, **stated}.items():
+        check_numbers(f"predict: {name}", given)
+    tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
     for name, numbers in {"base_tension": tension, "tip_force": tip_force, **stated}.items():
         if not np.all(np.isfinite(np.asarray(numbers, np.float64))):
             raise InputError(f"predict: {name} must hold finite numbers")

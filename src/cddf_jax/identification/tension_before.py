@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
+from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 from ..units import shown
@@ -122,6 +123,8 @@ def _checked(entry: One, tendons: int) -> tuple[float, ...]:
     """The entry as one number for each tendon; empty for rest."""
     if isinstance(entry, str) and entry == REST:
         return ()
+    if not isinstance(entry, str):
+        check_numbers("before", entry)
     try:
         numbers = np.atleast_1d(np.asarray(entry, float))
     except (TypeError, ValueError):

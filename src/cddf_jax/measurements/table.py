@@ -49,6 +49,7 @@ from numpy.typing import ArrayLike
 from ..errors import InputError, within
 from ..files.csv_table import read_table
 from ..files.table_header import Kind, short
+from ..numerics.given_numbers import check_numbers
 from ..units import written
 from .columns import (
     DIRECTIONS,
@@ -326,6 +327,7 @@ def _counted(which: np.ndarray, rows: np.ndarray) -> str:
 def _array(column: str, values: ArrayLike) -> np.ndarray:
     if column == "trial":
         return np.array([str(label) for label in np.asarray(values, object)])
+    check_numbers(f"column {column}", values)
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from ..numerics.given_numbers import check_numbers
+
 Number = Array | np.ndarray
 Scalar = Float[Number, ""]
 Points = Float[ArrayLike, "*points"]
@@ -21,7 +23,12 @@ FEW = 64  # points among which comparing is faster than searching
 
 
 def as_number(value: object) -> Number:
-    """An array of JAX as it is; every other number as a NumPy float64 array."""
+    """An array of JAX as it is; every other number as a NumPy float64 array.
+
+    Raises:
+        InputError: for numbers that are not plain, such as those with a unit.
+    """
+    check_numbers("", value)
     return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
 
 

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from ..mechanics.directions import Directions, not_stated, stated_directions
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.problem import Method, Problem
+from ..numerics.given_numbers import check_numbers
 from ..robot.cross_section import where_present
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -45,8 +46,6 @@ def split_actuation(manipulator: Manipulator, actuation: Actuation) -> tuple[PyT
     if isinstance(actuation, TipPosition):
         return 0.0, (actuation,)
     entries = actuation if isinstance(actuation, tuple | list) else [actuation]
-    if texts := [entry for entry in entries if isinstance(entry, str)]:
-        raise TypeError(f"solve: base_tension must hold numbers, N, or targets, got the text {texts[0]!r}")
     if any(isinstance(entry, TipPosition) for entry in entries):
         raise ValueError("solve: a TipPosition stands for all base tensions; give it alone, without a list")
     if not any(_is_target(entry) for entry in entries):
@@ -122,9 +121,13 @@ def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Direct
     count = manipulator.num_tendons
 
     def checked(name: str, value: PyTree, precision: np.dtype | None = None, shapes=((), (count,))):
+        check_numbers(f"solve: {name}", value)
         if not isinstance(value, jax.Array):
             traced = any(isinstance(number, jax.Array) for number in jax.tree.leaves(value))
-            value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision or _precision(manipulator))
+            try:
+                value = jnp.asarray(value) if traced else np.asarray(value, dtype=precision or _precision(manipulator))
+            except ValueError:  # rows of different lengths
+                raise ValueError(f"solve: {name} must be a number or one per tendon ({count}), got {value!r}") from None
         if isinstance(value, jax.Array) and value.weak_type:  # a weakly typed number would be compiled for again
             value = value.astype(value.dtype)
         if value.shape not in shapes:

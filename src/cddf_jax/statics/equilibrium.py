@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..mechanics.fields import AnyFields, fields_at, tendons_first
 from ..mechanics.problem import State, edge_nudge, guarded_section, strain_of
 from ..mechanics.space import path_rate
+from ..numerics.given_numbers import check_numbers
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import length_of
 from ..programs.kept import kept_program
@@ -237,6 +238,7 @@ class Equilibrium(eqx.Module):
         Args:
             arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L.
         """
+        check_numbers("at: arc_length", arc_length)
         s = jnp.asarray(arc_length, self.arc_length.dtype)
         fields = jax.vmap(self._dense)(s.ravel())
         return tendons_first(jax.tree.map(lambda x: x.reshape(s.shape + x.shape[1:]), fields), s.ndim)

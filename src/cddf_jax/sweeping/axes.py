@@ -7,6 +7,7 @@ import numpy as np
 
 from ..errors import InputError, within
 from ..mechanics.problem import Method
+from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import KINEMATICS
 from ..robot.named_numbers import holds, stem_and_tendon
 from ..statics.arguments import check_nodes
@@ -60,6 +61,7 @@ def _dimension(name: object, values: object) -> Dimension:
 
 
 def _numbers(name: str, given: object) -> np.ndarray:
+    check_numbers(f"sweep: the axis {name!r}", given)
     try:
         values = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError, within
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.problem import Method
+from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, stem_and_tendon
@@ -31,6 +32,7 @@ def _check_kinds(work: "Sweep") -> None:
         )
     if work.loads is not None and not isinstance(work.loads, Loads):
         raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {work.loads!r}")
+    check_numbers("sweep: base_tension", jax.tree.leaves(work.base_tension))
     if not isinstance(work.method, Method) or isinstance(work.method, type):
         raise InputError(f"sweep: method must be one such as FixedPoint(), got {work.method!r}")
     if work.memory is not None and not (isinstance(work.memory, int | float) and work.memory > 0):
