@@ -7,6 +7,8 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
+from .errors import InputError
+
 # XLA repeats these passes, with others, until none of them changes anything, which is a large part of compiling.
 LEFT_OUT = ",".join(
     [
@@ -31,7 +33,15 @@ def configure_jax(*, quick_compilation: bool = True) -> None:
     Args:
         quick_compilation: compile faster, to slower code; not for large batches. Without effect if XLA_FLAGS is set
             already.
+
+    Raises:
+        InputError: if JAX_PLATFORMS names a platform that JAX cannot use.
     """
+    _configure(quick_compilation=quick_compilation)
+    _check_platform()
+
+
+def _configure(*, quick_compilation: bool) -> None:
     if quick_compilation and is_tested_jaxlib():
         os.environ.setdefault("XLA_FLAGS", QUICK_COMPILATION)
     import jax
@@ -56,8 +66,11 @@ def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> Non
     Args:
         processes: arguments of `jax.distributed.initialize` if several processes share the work; if it is empty, JAX
             asks Slurm or MPI.
+
+    Raises:
+        InputError: as `configure_jax`.
     """
-    configure_jax(quick_compilation=False)
+    _configure(quick_compilation=False)
     import jax
 
     jax.config.update("jax_cpu_enable_async_dispatch", True)  # one chunk is written while the next is computed
@@ -66,6 +79,22 @@ def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> Non
         jax.config.update("jax_num_cpu_devices", _cores())
     if processes is not None:
         jax.distributed.initialize(**processes)
+    _check_platform()
+
+
+def _check_platform() -> None:
+    """Refuse a platform of the user that JAX cannot use; without one JAX chooses itself."""
+    wanted = os.environ.get("JAX_PLATFORMS")
+    if not wanted:
+        return
+    import jax
+
+    try:
+        jax.devices()
+    except (AssertionError, RuntimeError):  # the former without a plug-in for the platform
+        raise InputError(
+            f"JAX_PLATFORMS={wanted}: JAX finds no such device", remedy="unset it, or set JAX_PLATFORMS=cpu"
+        ) from None
 
 
 def _cores() -> int:

@@ -3,9 +3,14 @@
 Other modules use names of this registry, and add what only they need.
 """
 
+import math
 from typing import NamedTuple
 
-from .units import Dimension, preferred, si_unit
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .errors import InputError
+from .units import Dimension, preferred, shown, si_unit
 
 
 class Quantity(NamedTuple):
@@ -166,6 +171,29 @@ _ALL = (
     Quantity("before", "force", "largest base tension before the first row", "Base tension before"),
 )
 QUANTITIES: dict[str, Quantity] = {known.name: known for known in _ALL}
+
+
+# the range, SI, of what has a sign and whole turns in the plane, and is an angle between two axes or a size in space
+IN_SPACE = {"tip_angle": (0.0, math.pi), "heading": (0.0, math.pi), "curvature": (0.0, math.inf)}
+
+
+def check_range_in_space(what: str, name: str, values: ArrayLike) -> None:
+    """Refuse values that a quantity cannot have in space.
+
+    Raises:
+        InputError: for the first of them, with the remedy; it begins with `what`.
+    """
+    low, high = IN_SPACE.get(name, (-math.inf, math.inf))
+    values = np.ravel(values)
+    outside = values[(values < low) | (values > high)]
+    if outside.size:
+        dimension = dimension_of(name)
+        upper = f" and at most {shown(high, dimension)}" if high < math.inf else ""
+        rule = f"{name} of a body in space is 0 or more{upper}, got {shown(outside[0], dimension)}"
+        raise InputError(rule, where=what, remedy=TAKE_THE_PLANE)
+
+
+TAKE_THE_PLANE = "take a body in the plane (tendons with a side and no angle), where it has a sign and no limit"
 
 
 def dimension_of(name: str) -> Dimension:

@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..errors import InputError
+from ..errors import InputError, within
+from ..quantities import check_range_in_space
 from ..robot.manipulator import Manipulator, in_space as body_in_space
 from ..robot.validation import check_weight
+from ..statics.arguments import check_targets, split_actuation
 from ..statics.equilibrium import RESULTS, Equilibrium, result_of
 from ..units import quantity
 from .body_quantities import OF_RADII
@@ -169,6 +171,8 @@ def problem_of(
 
     `capped`: whether every objective also gets a level that it may not exceed, far away at the start.
     """
+    if jnp.result_type(float) != jnp.float64:
+        raise InputError('design: needs double precision; jax.config.update("jax_enable_x64", True) before anything else')
     constraints = [constraints] if isinstance(constraints, Limit) else constraints
     if not isinstance(constraints, list | tuple) or not all(isinstance(limit, Limit) for limit in constraints):
         raise InputError('design: constraints must be a list of limits, as in [Limit("wall_thickness", least=2e-3)]')
@@ -248,6 +252,9 @@ def _check(
             raise InputError('design: the body has no mass, since its density is 0; give it one, or take "volume"')
         if part.name in OF_RADII and not body.has_radii:
             raise InputError(f"design: {part.name!r} needs radii; give the body outer_radius and inner_radius")
+        for side in ("value", "least", "most", "equal") if body.in_space else ():
+            if getattr(part, side, None) is not None:
+                check_range_in_space(f"design: {part}", part.name, getattr(part, side))
         at = getattr(part, "at", None)
         if at is not None and (np.min(at) < 0 or np.max(at) > length * (1 + 1e-9)):
             raise InputError(
@@ -259,6 +266,8 @@ def _check(
         for name in case.numbers:
             if name in free:
                 raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")
+        with within(f"design: {case.name or 'the load case'}", ValueError):
+            check_targets(body, split_actuation(body, case.base_tension)[1])
         check_weight(case.body(body), case.loads)
 
 

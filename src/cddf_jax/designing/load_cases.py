@@ -104,8 +104,6 @@ class LoadCase(eqx.Module):
             raise InputError(
                 f"design: the loop of {own} has tensions of {np.shape(self.loop)[1]} tendons, but the body has {count}"
             )
-        if count > 1 or self.loads is not None:
-            _check_digits(own)
         _, low, high, at = np.asarray(self.loop_path(np.broadcast_to(np.ravel(entries), (count,))))[[0, 2, 0, 1]]
         share = (at - low) @ (high - low) / np.sum((high - low) ** 2)
         if not 0 < share < 1 or not np.allclose(at, low + share * (high - low), rtol=1e-6, atol=0):
@@ -133,11 +131,6 @@ def _is_loop(loop: np.ndarray) -> bool:
 
 def _tensions(numbers: Float[np.ndarray, " tendons"]) -> str:
     return ", ".join(f"{number:g}" for number in np.asarray(numbers))
-
-
-def _check_digits(own: str) -> None:
-    if jnp.result_type(float) != jnp.float64:
-        raise InputError(f"design: the loop of {own} needs 64-bit numbers; jax.config.update('jax_enable_x64', True)")
 
 
 def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) -> tuple[LoadCase, ...]:

@@ -10,7 +10,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from ..errors import InputError
 from ..mechanics.fields import AnyFields, tendons_first
+from ..numerics.arrays import words_or_shapes
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import RESULTS, code_of, nan_unless, result_of
@@ -72,12 +74,11 @@ class History(eqx.Module):
     _states: States
 
     def __str__(self) -> str:
-        return history_in_words(self)
+        return words_or_shapes(history_in_words, self)
 
     def sliding(self, arc_length: ArrayLike) -> Float[Array, "steps *tendons_and_points"]:
         """+1 where the tendon slid in during the step, -1 where it slid out, 0 where it rested, at arc lengths (m)."""
-        check_numbers("arc_length", arc_length)
-        s = jnp.asarray(arc_length, self.front.dtype)
+        s = self._places("sliding(s)", arc_length)
         found = self._states.sliding(s.ravel())
         return found.reshape(*found.shape[:-1], *s.shape)
 
@@ -109,12 +110,30 @@ class History(eqx.Module):
 
     @property
     def _energies(self) -> Energies:
+        self._check_single("work")
         known = jnp.cumsum(jnp.isnan(self.tip_angle)) == 0  # after a failed step a sum is not known
         return jax.vmap(nan_unless)(known, self._states.energies())
+
+    def _check_single(self, asked: str) -> None:
+        """Refuse a batch.
+
+        Raises:
+            InputError: names what was asked for, and the remedy.
+        """
+        if np.ndim(self.tip_angle) != 1:
+            what = f"{asked}: needs one history, not a batch of shape {np.shape(self.tip_angle)[:-1]}"
+            raise InputError(what, remedy=f"use jax.vmap(lambda history: history.{asked})(histories)")
+
+    def _places(self, asked: str, arc_length: ArrayLike) -> Float[Array, "..."]:
+        """Arc lengths of one history, m."""
+        self._check_single(asked)
+        check_numbers(f"{asked}: s", arc_length)
+        return jnp.asarray(arc_length, self.front.dtype)
 
     @property
     def equilibria(self) -> AnyFields:
         """The fields along the body after each step, at the base, the Gauss nodes and the tip."""
+        self._check_single("equilibria")
         return self.at(self._states.arc_length)
 
     def at(self, arc_length: ArrayLike) -> AnyFields:
@@ -123,8 +142,7 @@ class History(eqx.Module):
         Args:
             arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L.
         """
-        check_numbers("arc_length", arc_length)
-        s = jnp.asarray(arc_length, self.front.dtype)
+        s = self._places("at(s)", arc_length)
         fields = jax.vmap(nan_unless)(~jnp.isnan(self.tip_angle), self._states.fields(s.ravel()))
         fields = jax.tree.map(lambda x: x.reshape(x.shape[0], *s.shape, *x.shape[2:]), fields)
         return jax.vmap(lambda step: tendons_first(step, s.ndim))(fields)

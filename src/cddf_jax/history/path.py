@@ -102,7 +102,8 @@ def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tup
     entries = _entries(base_tension)
     if len(entries) != count:
         raise ValueError(
-            f"trace: with a Displacement, base_tension must hold one entry per tendon ({count}), got {len(entries)}"
+            f"trace: with a Displacement, base_tension must hold one entry per tendon ({count}), got {len(entries)}; "
+            "give [Displacement(lengths[:, 0]), Displacement(lengths[:, 1]), ...], or the tensions of a tendon"
         )
     for entry in entries:
         if not _is_numbers(entry) and not isinstance(entry, Displacement):

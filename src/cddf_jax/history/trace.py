@@ -1,6 +1,7 @@
 """`trace`: pull and release, and `tip_compliance` of what it returns."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Literal, cast
 
 import equinox as eqx
@@ -12,10 +13,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import SolveError
 from ..numerics.given_numbers import check_numbers
+from ..quantities import check_range_in_space
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_weight
-from ..statics.arguments import check_nodes
+from ..statics.arguments import check_nodes, refuse_batch
 from ..statics.equilibrium import RESULTS, code_of, nan_unless
 from ..statics.response import tip_compliance
 from ..statics.targets import Displacement, TipAngle
@@ -66,6 +68,8 @@ def trace(
             tendons that never had a tension. For several tendons, (tendons,), and under loads, it is a step before the
             first, to which all tensions rise linearly from rest; loads that change along the path come after it.
         start: the history of the same body that continues, in place of `before`. Its cells are kept, not `nodes`.
+            The carry of `jax.lax.scan` must keep its structure: begin with a history that continues another one,
+            `trace(body, [0.0], start=trace(body, [0.0]))`, and give the same number of steps each time.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the body
             is cut into four times as many cells.
         max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the result of the
@@ -96,11 +100,18 @@ def trace(
         _check_same_body(manipulator, start)
     if manipulator.num_tendons == 1 and loads is None and not (start and isinstance(start._states, SteppedStates)):
         quantity, values = _path(base_tension)
+        if manipulator.in_space and not isinstance(values, Tracer):
+            check_range_in_space("trace", quantity, values)
         past = _before(before, start, values.dtype)
         _check_largest(past, start, quantity, values)
-        history = congruent_history(manipulator, values, past, nodes, max_turns, quantity)
+        program = partial(congruent_history, manipulator, values, past, nodes, max_turns, quantity)
     else:
-        history = _in_short_steps(manipulator, base_tension, loads, before, start, nodes, short_steps)
+        program = partial(_in_short_steps, manipulator, base_tension, loads, before, start, nodes, short_steps)
+    try:
+        history = program()
+    except (TypeError, ValueError):
+        refuse_batch("trace", manipulator)
+        raise
     if throw:
         _raise_if_failed(history)
     return history
@@ -111,8 +122,9 @@ def _check_driven(base_tension: Driven | TipAngle) -> None:
     for entry in base_tension if isinstance(base_tension, tuple | list) else [base_tension]:
         if isinstance(entry, eqx.Module) and not isinstance(entry, Displacement | TipAngle):
             raise TypeError(
-                f"trace: a path may hold base tensions, Displacement or TipAngle, got {type(entry).__name__}; "
-                "solve with it, and trace the tensions that it finds"
+                f"trace: a path may hold base tensions, Displacement or TipAngle, got {type(entry).__name__}; give the "
+                "tension or the length pulled in after each step (solve finds tensions without a history: they are "
+                "right up to the first turn only)"
             )
 
 

@@ -5,7 +5,7 @@ cell reads gain * (tension - pretension) + zero: `pretension` is the tension tha
 zero.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -25,16 +25,20 @@ from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from ..programs.kept import kept_program
 from ..progress import stage
+from ..quantities import TAKE_THE_PLANE
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_weight
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.solve import solve
+from ..units import shown
 from .course import WITHOUT, Course, Shown
 from .parameters import PARAMETERS, PLAIN, TRIALS, BenchSetting, Parameters, turn_of, with_deviation, with_parameters
 
 LANES = 128  # rows are solved in multiples of this number, so that tables and curves share compiled programs
 FEW = 16  # the same where rows are solved one by one
+ANGLE_NOISE = np.radians(3.0)  # by which a tip angle in space may read below 0, at most
+ANGLE_SHARE = 0.1  # of the largest one: the same
 
 
 class Evaluation(NamedTuple):
@@ -318,6 +322,8 @@ def experiment_of(
     first_trial: int = 0,
     course: Course | None = None,
     setting: BenchSetting = PLAIN,
+    *,
+    free: Collection[str] = (),
 ) -> Pulley | Bench:
     """A table as the model takes it.
 
@@ -327,9 +333,10 @@ def experiment_of(
         first_trial: the number of trials in the tables before.
         course: the paths of the rows, where they have a history.
         setting: what all rows share.
+        free: the parameters that are fitted.
 
     Raises:
-        InputError: for columns that are missing, too many, or observe nothing.
+        InputError: for columns that are missing, too many, or observe nothing, and readings that the body cannot have.
     """
     if "pulling_tension" in table:
         return Pulley(table["weight"], table["wrap_angle"], table.name)
@@ -353,6 +360,8 @@ def experiment_of(
             AllRows.of(setting, found),
         )
         _check_body(bench, manipulator)
+        if "tip_angle" in columns and bench.in_space(manipulator):
+            _check_tip_angles(table, bench, zero_is_free="angle_zero" in free)
         bench.check_course(manipulator)
     return bench
 
@@ -369,6 +378,28 @@ def _check_body(bench: Bench, manipulator: Manipulator) -> None:
             raise InputError(
                 f"column {column!r}, but the body is in the plane; give its tendons an angle, or leave it out"
             )
+
+
+def _check_tip_angles(table: Measurements, bench: Bench, *, zero_is_free: bool) -> None:
+    """Refuse readings that no body in space can have: its tip angle lies between two axes, from 0 to 180 deg.
+
+    Readings below 0 by no more than noise may stay. As the residual of a small angle they are not biased.
+    """
+    angle = np.asarray(table["tip_angle"]) - float(bench.setting.given.get("angle_zero", 0.0))
+    noise, zero = min(ANGLE_NOISE, ANGLE_SHARE * np.nanmax(np.abs(angle))), 0.0
+    if zero_is_free:  # the reading nearest to rest shows it
+        zero = min(np.nan_to_num(angle[np.argmin(np.sum(bench.base_tension, axis=1))]), 0.0)
+    bad = np.flatnonzero((angle > np.pi) | (angle < zero - noise))
+    if bad.size:
+        got, more = shown(table["tip_angle"][bad[0]], "angle"), f" (and {bad.size - 1} more)" if bad.size > 1 else ""
+        remedy = (
+            f"leave it out, or {TAKE_THE_PLANE}" if angle[bad[0]] > 0 else f"subtract the reading at rest, or {TAKE_THE_PLANE}"
+        )
+        raise InputError(
+            f"{table.place(bad[0])}, column tip_angle: {got}{more}, but the tip angle of a body in space lies between "
+            "the axes of base and tip, from 0 to 180 deg",
+            remedy=remedy,
+        )
 
 
 def _observed(table: Measurements, num_tendons: int) -> list[str]:

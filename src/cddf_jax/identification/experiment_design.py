@@ -253,7 +253,7 @@ def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) 
     columns |= {column: np.zeros(count) for column in candidate.noise}
     table = Measurements.from_columns(name, notes=(), **columns)
     course = course_of(table, 0.0, loaded=setting.loads is not None)[0] if has_history(table, None) else None
-    return experiment_of(table, body, course=course, setting=setting)
+    return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
 
 
 def standard_candidates(manipulator: Manipulator, tension: float, setting: BenchSetting = PLAIN) -> list[Candidate]:

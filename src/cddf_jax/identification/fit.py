@@ -301,7 +301,7 @@ def fit(
             manipulator, tables, history, before, free, noise or {}, short_steps, loaded=setting.loads is not None
         )
     experiments = (
-        bench.experiment_of(table, manipulator, int(first), course and course[0], setting)
+        bench.experiment_of(table, manipulator, int(first), course and course[0], setting, free=free)
         for table, first, course in zip(tables, earlier, courses, strict=False)
     )
     model = bench.BenchModel(manipulator, tuple(experiments), nodes)

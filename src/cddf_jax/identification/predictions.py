@@ -182,7 +182,10 @@ def normality_of(residual: np.ndarray) -> Normality:
 
     low, high = SHAPIRO_ROWS
     applies = low <= residual.size <= high and np.all(np.isfinite(residual)) and np.ptp(residual) > 0
-    return Normality(residual.size, float(shapiro(residual).pvalue) if applies else float("nan"))
+    if not applies:
+        return Normality(residual.size, float("nan"))
+    scaled = residual / np.ptp(residual)  # the test has no scale, but SciPy takes a range below 1e-19 for zero
+    return Normality(residual.size, float(shapiro(scaled).pvalue))
 
 
 # --- the model beside the rows -------------------------------------------------------------------

@@ -159,6 +159,8 @@ def _differ(residual: np.ndarray, trial: np.ndarray) -> bool:
     groups = [residual[trial == label] for label in np.unique(trial)]
     if len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
         return False
+    if not any(np.ptp(group) > 0 for group in groups):  # without scatter
+        return len({group[0] for group in groups}) > 1
     from scipy.stats import f_oneway
 
     return bool(f_oneway(*groups).pvalue < CHANCE)

@@ -1,10 +1,11 @@
-"""Operations on arrays and trees: reductions, values that vary over devices, cosine and sine.
+"""Operations on arrays and trees: reductions, values that vary over devices, text, cosine and sine.
 
 The reductions are fast in a batch. `zero_as` and `varying_as` make values that vary over devices as loops under
 shard_map need them. The cosine and sine are polynomials, which XLA can vectorise.
 """
 
 import math
+from collections.abc import Callable
 from functools import reduce
 from typing import TypeVar
 
@@ -72,6 +73,14 @@ def varying_as(tree: Values, zero: Scalar) -> Values:
         return x ^ (zero != 0) if x.dtype == bool else x + zero.astype(x.dtype)
 
     return jax.tree.map(varying, tree)
+
+
+def words_or_shapes(in_words: Callable[[Values], str], tree: Values) -> str:
+    """The words for a tree, or of a batch, a traced or a filtered tree its names and shapes: printing never fails."""
+    try:
+        return in_words(tree)
+    except Exception:  # whatever stands in the place of numbers
+        return eqx.tree_pformat(tree)
 
 
 # --- sine and cosine -------------------------------------------------------------------------------

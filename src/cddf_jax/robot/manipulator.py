@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError
-from ..numerics.arrays import cos_sin
+from ..numerics.arrays import cos_sin, words_or_shapes
 from .cross_section import CrossSection, Kinematics, SpatialSection
 from .profiles import Constant, Linear, Number, Points, Profile, Scalar, as_number, as_profile, breakpoints
 
@@ -199,7 +199,7 @@ class Manipulator(eqx.Module):
     def __str__(self) -> str:
         from .manipulator_text import manipulator_in_words
 
-        return manipulator_in_words(self)
+        return words_or_shapes(manipulator_in_words, self)
 
     @property
     def num_tendons(self) -> int:

@@ -2,10 +2,7 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
-import jax
 import numpy as np
-from jax.core import Tracer
 
 from ..quantities import dimension_of
 from ..units import Dimension, shown
@@ -23,10 +20,13 @@ _OF_TENDON = ("friction_coefficient", "end", "axial_stiffness", "free_length", "
 
 
 def manipulator_in_words(manipulator: Manipulator) -> str:
-    """Dimensions, material and tendons; for a batch or under jit the names and shapes of all arrays."""
-    leaves = jax.tree.leaves(manipulator)
-    if any(isinstance(leaf, Tracer) for leaf in leaves) or np.ndim(manipulator.length) > 0:
-        return eqx.tree_pformat(manipulator)
+    """Dimensions, material and tendons of one body whose numbers are known.
+
+    Raises:
+        TypeError: for a batch or traced numbers.
+    """
+    if any(np.ndim(number) for number in (manipulator.length, manipulator.friction_coefficient)):
+        raise TypeError("a batch has no words")
     length = float(manipulator.length)
     varies, known = callable(manipulator.youngs_modulus), _MATERIAL
     if manipulator.in_space:

@@ -161,7 +161,10 @@ def _unknown(name: str, places: Mapping[str, Place]) -> str:
     if inside := [other for other in places if holds(name, other)]:
         return f"{name} is not one number; name a number of it: {', '.join(inside)}"
     known = dict.fromkeys(other.split(".")[0] for other in places)
-    if (counted := _counted(name)) != name:
+    stem, tendon = stem_and_tendon(name)
+    if tendon is not None and of_tendon(stem, 0) not in places:
+        remedy = f"{stem} must hold a number for each tendon, so that one of them has a name"
+    elif (counted := _counted(name)) != name:
         remedy = f"tendons count from 1; write {counted!r}"
     elif close := get_close_matches(name, [*known, *places], 1):
         remedy = f"did you mean {close[0]!r}?"

@@ -13,14 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
+from ..errors import InputError
 from ..mechanics.directions import Directions, not_stated, stated_directions
 from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.problem import Method, Problem
 from ..numerics.given_numbers import check_numbers
+from ..quantities import check_range_in_space
 from ..robot.cross_section import where_present
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.profiles import Number
+from ..robot.profiles import Constant, Linear, Number
 from .targets import Actuation, CurvatureAt, Target, TipPosition
 from .tension_search import Targets
 
@@ -53,7 +55,7 @@ def split_actuation(manipulator: Manipulator, actuation: Actuation) -> tuple[PyT
     if len(entries) != count:
         raise ValueError(
             f"solve: with a target, base_tension must hold one tension or target per tendon ({count}), "
-            f"got {len(entries)}"
+            f"got {len(entries)}; give a list such as [Displacement(0.002), 5.0]"
         )
     return [0.0 if _is_target(x) else x for x in entries], tuple(x if _is_target(x) else None for x in entries)
 
@@ -81,14 +83,31 @@ def checked_loads(loads: Loads | None) -> Loads | None:
     return loads
 
 
-def check_place(manipulator: Manipulator, targets: Targets) -> None:
-    """Refuse a `TipPosition` whose value or limits of tensions have a wrong shape.
+def refuse_batch(what: str, manipulator: Manipulator) -> None:
+    """Refuse a body that holds the numbers of several; called where a calculation with it failed, as it takes long.
+
+    Raises:
+        InputError: names the first such number and the remedy.
+    """
+    for path, leaf in jax.tree_util.tree_leaves_with_path(manipulator):
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        own = [profile for part, profile in manipulator.profiles.items() if name.startswith(f"{part}.")]
+        if np.ndim(leaf) > 0 and all(isinstance(profile, Constant | Linear) for profile in own):
+            got = f"{what}: {name} of the body has the shape {np.shape(leaf)}, as in a batch of bodies"
+            raise InputError(got, remedy=f"use jax.vmap(lambda body: {what}(body, ...))(bodies)")
+
+
+def check_targets(manipulator: Manipulator, targets: Targets) -> None:
+    """Refuse targets whose value has a wrong shape, or lies outside of what any body can have.
 
     Raises:
         ValueError: says what is given and what is needed.
     """
     for target in targets:
+        if target is None:
+            continue
         if not isinstance(target, TipPosition):
+            _check_number(target, in_space=manipulator.in_space)
             continue
         components, count = (3 if manipulator.in_space else 2), manipulator.num_tendons
         if np.shape(target.value) != (components,):
@@ -100,6 +119,17 @@ def check_place(manipulator: Manipulator, targets: Targets) -> None:
             if limit is not None and np.shape(limit) not in ((), (count,)):
                 what = f"a number or one per tendon ({count}), N, got shape {np.shape(limit)}"
                 raise ValueError(f"solve: TipPosition's {name} must be {what}")
+
+
+def _check_number(target: Target, *, in_space: bool) -> None:
+    """Refuse a target that is not one number, and a known one that no body in space can have."""
+    name = type(target).__name__
+    for field, value in vars(target).items():
+        if np.ndim(value) > 0:
+            shape = f"got {field} of the shape {np.shape(value)}"
+            raise ValueError(f"solve: {name} must hold one number for its tendon, {shape}; batch with jax.vmap")
+    if in_space and isinstance(target.value, np.ndarray):
+        check_range_in_space("solve", target.quantity, target.value)
 
 
 def check_in_space(method: Method) -> None:

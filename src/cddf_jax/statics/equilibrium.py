@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..mechanics.fields import AnyFields, fields_at, tendons_first
 from ..mechanics.problem import State, edge_nudge, guarded_section, strain_of
 from ..mechanics.space import path_rate
+from ..numerics.arrays import words_or_shapes
 from ..numerics.given_numbers import check_numbers
 from ..numerics.quadrature import Panels
 from ..numerics.rotations import length_of
@@ -202,11 +203,18 @@ class Equilibrium(eqx.Module):
 
     @property
     def _peak(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        if np.ndim(self.tip_angle) > 0:
-            raise ValueError(
-                "peak_strain: needs one equilibrium, not a batch; ask for it in the function under jax.vmap"
-            )
+        self._check_single("peak_strain")
         return _peak_strain(self._dense)
+
+    def _check_single(self, asked: str) -> None:
+        """Refuse a batch.
+
+        Raises:
+            InputError: names what was asked for, and the remedy.
+        """
+        if np.ndim(self.tip_angle) > 0:
+            what = f"{asked}: needs one equilibrium, not a batch of shape {np.shape(self.tip_angle)}"
+            raise InputError(what, remedy=f"use jax.vmap(lambda equilibrium: equilibrium.{asked})(equilibria)")
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -225,7 +233,7 @@ class Equilibrium(eqx.Module):
     def __str__(self) -> str:
         from .equilibrium_text import equilibrium_in_words
 
-        return equilibrium_in_words(self)
+        return words_or_shapes(equilibrium_in_words, self)
 
     @property
     def panels(self) -> Panels:
@@ -238,6 +246,7 @@ class Equilibrium(eqx.Module):
         Args:
             arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L.
         """
+        self._check_single("at(s)")
         check_numbers("at: arc_length", arc_length)
         s = jnp.asarray(arc_length, self.arc_length.dtype)
         fields = jax.vmap(self._dense)(s.ravel())

@@ -31,12 +31,13 @@ from .arguments import (
     are_possible,
     check_in_space,
     check_nodes,
-    check_place,
+    check_targets,
     checked_loads,
     harmless,
     is_physical,
     one_precision,
     per_tendon,
+    refuse_batch,
     split_actuation,
 )
 from .equilibrium import (
@@ -109,8 +110,9 @@ def solve(
 
     Raises:
         SolveError: with `throw`, when the result is neither successful nor `direction_contradicted`.
-        ValueError: for a wrong number of tensions, directions or components of a load, nodes below 4, or gravity on
-            a body that is known to have no mass.
+        ValueError: for a wrong number of tensions, directions or components of a load, nodes below 4, gravity on
+            a body that is known to have no mass, numbers that are not plain (with a unit, masked, text, ...), a batch
+            of bodies, or in space a target angle beyond 0 to pi.
         TypeError: if an argument has the wrong type.
     """
     if not isinstance(manipulator, Manipulator):
@@ -126,9 +128,13 @@ def solve(
     if space or manipulator.in_space or (loads is not None and loads.in_space):
         manipulator = in_space(manipulator)
         check_in_space(method)
-    check_place(manipulator, targets)
+    check_targets(manipulator, targets)
     check_weight(manipulator, loads)
-    equilibrium = _solve(manipulator, given, targets, loads, direction, method, nodes)
+    try:
+        equilibrium = _solve(manipulator, given, targets, loads, direction, method, nodes)
+    except (TypeError, ValueError):
+        refuse_batch("solve", manipulator)
+        raise
     if throw:
         _raise_if_failed(equilibrium, targets)
     return equilibrium

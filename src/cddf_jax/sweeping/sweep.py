@@ -162,13 +162,19 @@ class Sweep:
         if loads is not None and (self.manipulator.in_space or any(map(_OF_SPACE.fullmatch, names))):
             loads = loads_in_space(loads)
         tension, count = self.base_tension, self.manipulator.num_tendons
-        if tension is None and {of_tendon("base_tension", i) for i in range(count)} <= set(names):
+        own = [of_tendon("base_tension", i) for i in range(count)]
+        if tension is None and not set(own).isdisjoint(names):
+            if missing := [name for name in own if name not in names]:
+                remedy = f"give base_tension= with a number for each tendon, or the axis {missing[0]!r} as well"
+                raise InputError(f"sweep: the tension of {missing[0]!r} is neither given nor an axis; {remedy}")
             tension = np.zeros(count)
         tension = tuple(tension) if isinstance(tension, list) else tension
         if any(holds("base_tension", name) for name in names) and isinstance(tension, int | float):
             tension = np.full(count, float(tension))
         with within("sweep", ValueError):
             direction = as_directions(stated_directions(self.direction, count))
+        if any(holds("direction", name) for name in names) and isinstance(direction, np.ndarray) and not direction.ndim:
+            direction = np.full(count, direction)
         return Case(self.manipulator, tension, loads, direction)
 
     @property
