@@ -5,7 +5,11 @@ import os
 import subprocess
 import sys
 
+import jax
 import pytest
+from refusals import refused
+
+from cddf_jax import application
 
 REPORT = """
 import json, os
@@ -64,3 +68,14 @@ def test_flags_of_the_user_are_respected(tmp_path):
 
 def test_quick_compilation_can_be_declined(tmp_path):
     assert configured(tmp_path, "quick_compilation=False")["flags"] is None
+
+
+@pytest.mark.parametrize("error", [AssertionError, RuntimeError])  # of JAX without a plug-in, and without a device
+def test_a_platform_that_is_not_there(error, monkeypatch):
+    def missing():
+        raise error
+
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    monkeypatch.setattr(jax, "devices", missing)
+    said = refused(application._check_platform)
+    assert said == "JAX_PLATFORMS=cuda: JAX finds no such device; unset it, or set JAX_PLATFORMS=cpu"

@@ -11,10 +11,12 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import PAPER, fields_at, one_kinematics_at_once, paper_body, paper_plain
+from refusals import refused
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq, minimize
@@ -769,3 +771,9 @@ def test_prices_where_two_limits_bind_at_one_place():
     assert wall.tightening == pytest.approx(cost, rel=1e-3)  # of the step
     assert np.isnan(found.sensitivity["inner_radius"])  # a kink
     assert found.sensitivity["youngs_modulus"] == pytest.approx(found.objective / E, rel=1e-6)
+
+
+def test_single_precision_is_refused():
+    with jax.enable_x64(False):
+        said = refused(cddf.design, paper_body(), cddf.Least("mass"), ("outer_radius",), cases=cddf.LoadCase(10.0))
+    assert said.startswith("design: needs double precision; jax.config.update")

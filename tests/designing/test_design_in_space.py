@@ -229,12 +229,31 @@ HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
         (PLANAR, cddf.Most("tip_z"), "'tip_z' is zero of a body in the plane; give a tendon an angle"),
         (PLANAR, cddf.Most("twist"), "'twist' is zero of a body in the plane; give a tendon an angle"),
         (tube(cddf.Tendon(8e-3), extensible=True), cddf.Least("strain"), "'strain' is not known along an axis that"),
+        (
+            STRAIGHT,
+            cddf.Near("tip_angle", 3.5),
+            "near tip_angle: tip_angle of a body in space is 0 or more and at most",
+        ),
+        (
+            STRAIGHT,
+            cddf.Near("heading", -0.1, at=[0.1]),
+            "near heading: heading of a body in space is 0 or more and at",
+        ),
         (STRAIGHT, cddf.Even("tip_tension"), "even tip_tension compares tendons, and the body has one; take Least"),
     ],
 )
 def test_what_has_no_meaning(body, objective, message):
     asked = {"free": ("youngs_modulus",), "cases": cddf.LoadCase(10.0, direction=1)}
     assert message in refused(cddf.design, body, objective, **asked)
+
+
+def test_angles_beyond_half_a_turn():
+    """The angle lies between the axes of base and tip, so that no limit or target may lie beyond 180 deg."""
+    asked = {"free": ("youngs_modulus",), "cases": cddf.LoadCase(10.0)}
+    said = refused(cddf.design, STRAIGHT, cddf.Least("mass"), **asked, constraints=cddf.Limit("tip_angle", most=4.0))
+    assert said.startswith("design: tip_angle <= 4: tip_angle of a body in space is 0 or more and at most 180 deg")
+    said = refused(cddf.design, STRAIGHT, cddf.Least("base_tension"), **asked | {"cases": cddf.LoadCase(cddf.TipAngle(3.5))})
+    assert "the load case: solve: tip_angle of a body in space" in said
 
 
 def test_a_tendon_without_an_angle_has_none_to_free():

@@ -26,6 +26,7 @@ from bodies import (
     plain_of,
 )
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -349,7 +350,7 @@ def test_wrong_types_and_numbers():
     with pytest.raises(TypeError, match="the first argument must be a Manipulator"):
         cddf.trace("robot.toml", [75.0])  # pyright: ignore[reportArgumentType]
     for target in (cddf.TipTension([5.0]), cddf.CurvatureAt([5.0], 0.1), cddf.TipPosition((0.1, 0.05))):
-        with pytest.raises(TypeError, match=f"or TipAngle, got {type(target).__name__}; solve with it"):
+        with pytest.raises(TypeError, match=f"or TipAngle, got {type(target).__name__}; give the tension or the"):
             cddf.trace(BODY, target)  # pyright: ignore[reportArgumentType]
     with pytest.raises(TypeError, match="start must be a History"):
         cddf.trace(BODY, [75.0], start=75.0)  # pyright: ignore[reportArgumentType]
@@ -373,3 +374,36 @@ def test_the_front_has_its_derivatives(offset, drag):
     differences = np.stack([(above - below) / 2e-5 for above, below in ends], axis=1)
     for found in derivatives(at)[1:]:
         np.testing.assert_allclose(found, differences, atol=1e-7)
+
+
+def test_a_history_carried_by_scan():
+    """A history that continues another one keeps its structure; the states are those of the whole path."""
+    rest = cddf.trace(BODY, [0.0])
+
+    def step(history, pull):
+        history = cddf.trace(BODY, pull[None], start=history)
+        return history, history.tip_angle[0]
+
+    pulls = jnp.array([40.0, 75.0, 30.0, 60.0])
+    _, carried = jax.lax.scan(step, cddf.trace(BODY, [0.0], start=rest), pulls)
+    np.testing.assert_allclose(carried, cddf.trace(BODY, jnp.append(0.0, pulls)).tip_angle[1:], rtol=1e-12)
+
+
+def test_a_batch_of_histories_is_refused():
+    batch = jax.vmap(lambda path: cddf.trace(BODY, path))(jnp.array([[40.0, 10.0], [60.0, 20.0]]))
+    for asked, ask in (("at(s)", batch.at), ("sliding(s)", batch.sliding)):
+        said = refused(ask, 0.07)
+        assert said.startswith(f"{asked}: needs one history, not a batch of shape (2,); use jax.vmap(lambda history:")
+    with pytest.raises(ValueError, match="work: needs one history"):
+        _ = batch.work
+
+
+def test_the_form_of_several_displacements():
+    pair, lengths = paper_body("exact", num_tendons=2), np.zeros((25, 2))
+    said = refused(cddf.trace, pair, cddf.Displacement(lengths), error=ValueError)
+    assert said.endswith(
+        "give [Displacement(lengths[:, 0]), Displacement(lengths[:, 1]), ...], or the tensions of a tendon"
+    )
+    targets = (cddf.TipAngle([0.5, 0.3]), cddf.TotalTension([5.0, 5.0]))
+    said = refused(cddf.trace, pair, targets, error=TypeError)
+    assert "solve finds tensions without a history: they are right up to the first turn only" in said

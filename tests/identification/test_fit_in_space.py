@@ -319,3 +319,49 @@ def test_the_direction_of_gravity_and_a_known_cell():
     fit = cddf.fit(in_plane(density=1070.0), table, free, setting=setting, noise=noise)
     assert fit.success
     np.testing.assert_allclose([fit.value[name] for name in free], [MU, E, turn], rtol=1e-5)
+
+
+# --- tip angles that no body in space can have -----------------------------------------------------
+
+# simulated with mu 0.2 and E 10 MPa, ../shared/cases/angle_in_space: 198 deg fold to 162 deg between the axes
+TENSIONS, ANGLES = [2.0, 5.0, 10.0, 15.0, 20.0], [27.01, 62.63, 116.60, 160.54, 198.10]
+ROD = dataclasses.replace(paper_body("exact"), tendons=(cddf.Tendon(offset=2.5e-3, angle=0.0),))
+
+
+def with_angles(angles, body=ROD, **options):
+    table = cddf.Measurements.from_columns("bench", base_tension=TENSIONS, tip_angle=np.radians(angles))
+    return experiment_of(table, body, **options)
+
+
+@pytest.mark.parametrize(
+    ("angles", "words"),
+    [
+        (
+            ANGLES,
+            "bench: row 5, column tip_angle: 198.1 deg, but .* from 0 to 180 deg; leave it out, or take a body in",
+        ),
+        (
+            [-60.0, -20.0, 0.0, 20.0, 60.0],
+            r"row 1, column tip_angle: -60 deg \(and 1 more\), .*; subtract the reading at",
+        ),
+        ([-2.0, 2.0, 1.0, 3.0, 4.0], "row 1, column tip_angle: -2 deg"),  # half of the largest is not noise
+    ],
+)
+def test_tip_angles_that_a_body_in_space_cannot_have(angles, words):
+    with pytest.raises(InputError, match=words):
+        with_angles(angles)
+    assert with_angles(angles, paper_body("exact")).columns == ("tip_angle",)  # the plane has signs and whole turns
+    free = {"free": ("angle_zero",)}
+    with pytest.raises(InputError, match="column tip_angle"):  # nor does a free zero hide them
+        with_angles(angles[::-1] if angles[0] == -60.0 else [*angles[1:], angles[0]], **free)
+
+
+def test_tip_angles_with_noise_and_a_zero():
+    """A reading at rest is below 0 in half of the cases, and a zero of the instrument moves all readings."""
+    for angles in ([-1.5, *ANGLES[1:4], np.nan], [-2.9, 30.0, 60.0, 90.0, 179.9]):
+        assert with_angles(angles).columns == ("tip_angle",)
+    shifted = [-8.0, 20.0, 50.0, 80.0, 100.0]
+    with pytest.raises(InputError, match="row 1, column tip_angle: -8 deg"):
+        with_angles(shifted)
+    assert with_angles(shifted, free=("angle_zero",)).columns == ("tip_angle",)
+    assert with_angles(shifted, setting=cddf.BenchSetting(given={"angle_zero": np.radians(-8.0)})).columns

@@ -96,3 +96,20 @@ def test_a_fit_of_any_function():
     value, error = np.sum(x * y) / np.sum(x**2), 0.1 / np.sqrt(np.sum(x**2))
     ends = f"{value - 1.959964 * error:.4g} to {value + 1.959964 * error:.4g}"
     assert str(found) == f"a = {value:.4g} +- {error:.2g} (95 %: {ends}): identified"
+
+
+def test_text_of_whatever_is_no_single_body():
+    """A batch, filtered and foreign leaves: the names and shapes."""
+    body = paper_body()
+    trees = [
+        jax.tree.map(lambda x: np.stack([x, x]), body),
+        replace(body, youngs_modulus=np.array([1e6, 2e6])),
+        replace(body, friction_coefficient=np.array([0.1, 0.2])),
+        *(jax.tree.map(lambda _, leaf=leaf: leaf, body) for leaf in (None, object(), "x")),
+        jax.eval_shape(lambda: body),
+    ]
+    for tree in trees:
+        assert str(tree).startswith("Manipulator(")
+        assert repr(tree).startswith("Manipulator(")
+    assert str(jax.tree.map(lambda _: None, cddf.solve(body, 75.0))).startswith("Equilibrium(")
+    assert str(jax.tree.map(lambda _: None, cddf.trace(body, [75.0]))).startswith("History(")

@@ -1,5 +1,6 @@
 """The results of a solve: codes, messages, fields anywhere along the body, displacements; and input that is refused."""
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import fields_at, paper_body, paper_plain, two_slanted_tendons
+from refusals import refused
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -284,3 +286,19 @@ def test_plain_functions_are_profiles():
 def test_an_invalid_method_is_named(method):
     with pytest.raises(TypeError, match="method must be one such as FixedPoint"):
         cddf.solve(paper_body(), 75.0, method=method)
+
+
+def test_a_batch_is_refused_with_what_to_map():
+    body = paper_body()
+    bodies = jax.tree.map(lambda x: np.stack([x, x]), body)
+    some = replace(body, youngs_modulus=np.array([1.4e6, 1.4e6]))
+    for many, name in ((bodies, "length"), (some, "youngs_modulus")):
+        for call, pull in ((cddf.solve, 75.0), (cddf.trace, [75.0])):
+            said = refused(call, many, pull)
+            assert said.startswith(
+                f"{call.__name__}: {name} of the body has the shape (2,), as in a batch of bodies; use"
+            )
+    one, batch = cddf.solve(body, 75.0), jax.vmap(lambda body: cddf.solve(body, 75.0))(bodies)
+    assert "use jax.vmap(lambda equilibrium: equilibrium.at(s))(equilibria)" in refused(batch.at, 0.07)
+    mapped = jax.vmap(lambda equilibrium: equilibrium.at(0.07))(batch)
+    np.testing.assert_allclose(mapped.tension[1], one.at(0.07).tension, rtol=1e-14)  # as the remedy says

@@ -426,11 +426,22 @@ def test_a_target_of_one_tendon_needs_no_tuple():
         (cddf.TipAngle(0.4), ValueError, "with a target, base_tension must hold one tension or target per tendon (2)"),
         ((cddf.TipAngle(0.4),) * 3, ValueError, "one tension or target per tendon (2), got 3"),
         ((cddf.TipAngle, 5.0), TypeError, "solve: TipAngle needs a value, as in TipAngle(...)"),
+        ((cddf.Displacement([1e-3, 2e-3]), 5.0), ValueError, "solve: Displacement must hold one number for its tendon"),
     ],
     ids=repr,
 )
 def test_refusals(tension, error, message):
     assert message in refused(cddf.solve, PAIR, tension, error=error)
+
+
+def test_what_no_body_in_space_can_have():
+    """In space the angle lies between two axes, 0 to pi, and the curvature is a size."""
+    body = replace(paper_body("exact"), tendons=(cddf.Tendon(offset=0.01, angle=0.0),))
+    for target in (cddf.TipAngle(3.5), cddf.TipAngle(-0.3)):
+        said = refused(cddf.solve, body, target)
+        assert said.startswith("solve: tip_angle of a body in space is 0 or more and at most 180 deg, got ")
+    assert "curvature of a body in space is 0 or more, got -5" in refused(cddf.solve, body, cddf.CurvatureAt(-5.0, 0.1))
+    assert refused(cddf.trace, body, cddf.TipAngle([1.0, 3.5])).startswith("trace: tip_angle of a body in space")
 
 
 @pytest.mark.slow

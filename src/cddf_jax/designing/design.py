@@ -172,7 +172,9 @@ def problem_of(
     `capped`: whether every objective also gets a level that it may not exceed, far away at the start.
     """
     if jnp.result_type(float) != jnp.float64:
-        raise InputError('design: needs double precision; jax.config.update("jax_enable_x64", True) before anything else')
+        raise InputError(
+            'design: needs double precision; jax.config.update("jax_enable_x64", True) before anything else'
+        )
     constraints = [constraints] if isinstance(constraints, Limit) else constraints
     if not isinstance(constraints, list | tuple) or not all(isinstance(limit, Limit) for limit in constraints):
         raise InputError('design: constraints must be a list of limits, as in [Limit("wall_thickness", least=2e-3)]')

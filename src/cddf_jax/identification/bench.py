@@ -393,7 +393,9 @@ def _check_tip_angles(table: Measurements, bench: Bench, *, zero_is_free: bool) 
     if bad.size:
         got, more = shown(table["tip_angle"][bad[0]], "angle"), f" (and {bad.size - 1} more)" if bad.size > 1 else ""
         remedy = (
-            f"leave it out, or {TAKE_THE_PLANE}" if angle[bad[0]] > 0 else f"subtract the reading at rest, or {TAKE_THE_PLANE}"
+            f"leave it out, or {TAKE_THE_PLANE}"
+            if angle[bad[0]] > 0
+            else f"subtract the reading at rest, or {TAKE_THE_PLANE}"
         )
         raise InputError(
             f"{table.place(bad[0])}, column tip_angle: {got}{more}, but the tip angle of a body in space lies between "
