@@ -252,7 +252,9 @@ def test_angles_beyond_half_a_turn():
     asked = {"free": ("youngs_modulus",), "cases": cddf.LoadCase(10.0)}
     said = refused(cddf.design, STRAIGHT, cddf.Least("mass"), **asked, constraints=cddf.Limit("tip_angle", most=4.0))
     assert said.startswith("design: tip_angle <= 4: tip_angle of a body in space is 0 or more and at most 180 deg")
-    said = refused(cddf.design, STRAIGHT, cddf.Least("base_tension"), **asked | {"cases": cddf.LoadCase(cddf.TipAngle(3.5))})
+    said = refused(
+        cddf.design, STRAIGHT, cddf.Least("base_tension"), **asked | {"cases": cddf.LoadCase(cddf.TipAngle(3.5))}
+    )
     assert "the load case: solve: tip_angle of a body in space" in said
 
 

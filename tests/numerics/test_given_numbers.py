@@ -70,6 +70,7 @@ def test_the_remedy_for_a_unit_gives_the_number_in_si_units():
 
 
 TABLE = {"base_tension": [10.0, 20.0], "tip_tension": [8.0, 15.0]}
+IN_ORDER = cddf.Measurements.from_columns(**TABLE, step=[1, 2])
 CASE = cddf.LoadCase(10.0)
 ENTRIES = {
     "solve": lambda given: cddf.solve(paper_body(), given),
@@ -105,6 +106,10 @@ ENTRIES = {
         lambda p: p["a"], {"a": 1.0}, np.ones(1), 0.1, bounds={"a": (0.0, given)}
     ),
     "known number": lambda given: cddf.BenchSetting(given={"tip_gain": given}),
+    "marker": lambda given: cddf.BenchSetting(markers={"head": cddf.Marker(given)}),
+    "past": lambda given: cddf.fit(paper_body(), IN_ORDER, before=given),
+    "noise of the base": lambda given: cddf.fit(paper_body(), IN_ORDER, noise={"base_tension": given}),
+    "range": lambda given: cddf.latin_hypercube({"length": (0.1, given)}, 4),
     "candidate": lambda given: Candidate("pull", {"base_tension": given}, {"tip_tension": 0.1}),
     "noise of a candidate": lambda given: Candidate("pull", {"base_tension": 10.0}, {"tip_tension": given}),
 }

@@ -229,8 +229,8 @@ def least_squares_fit(
     unravel = Structure(jax.tree.structure(start), tuple(leaf.shape for leaf in leaves))
     names, first = names_of(start), np.concatenate([leaf.ravel() for leaf in leaves])
     groups = group_observations(observed, sigma)
-    limits = bounds_of(names, first, bounds or {}, priors or {})
     prior = priors_of(names, priors or {})
+    limits = bounds_of(names, first, bounds or {}, priors or {})
     space = parameter_space(names, first, *limits, _scales(names, first, scales or {}, prior))
     data = Data(
         values=tuple(group.values for group in groups),

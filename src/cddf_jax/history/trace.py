@@ -293,6 +293,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
         raise ValueError(
             "tip_compliance: the history is of a body in space; use tip_compliance(robot, ...), where tendons slide"
         )
+    check_numbers("tip_compliance: push", 0.0 if push is None else push)
     if push is None or np.shape(push) != (2,):
         raise ValueError(f"tip_compliance: after a history, push= must have two components (X, Y), N, got {push!r}")
     if not isinstance(push, Tracer) and not 0 < float(np.linalg.norm(np.asarray(push))) < np.inf:

@@ -16,6 +16,7 @@ from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
+from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from . import bench
 from .course import SHORT_STEPS, Course, course_of, has_history
@@ -341,6 +342,7 @@ def _courses(
     """The noise of the predicted columns; the course of each table, None without a history; guesses of pasts."""
     predicted = {column: given for column, given in noise.items() if column != "base_tension"}
     own = noise.get("base_tension", np.nan)
+    check_numbers("noise of base_tension", [own])
     with_history = [has_history(table, history) for table in tables]
     counts = [len(table.trials) if on else 0 for table, on in zip(tables, with_history, strict=True)]
     starts = starts_of(counts, before, free, manipulator.num_tendons)

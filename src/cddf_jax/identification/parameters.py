@@ -173,6 +173,7 @@ class BenchSetting:
             if not np.isfinite(value):
                 raise InputError(f"given: {name} must be finite, got {value!r}")
         for name, marker in self.markers.items():
+            check_numbers(f"markers: {name}", marker)
             if not 2 <= len(marker.offset) <= 3 or not np.all(np.isfinite([marker.arc_length, *marker.offset])):
                 raise InputError(f"markers: {name} needs an arc length and an offset (x, y) or (x, y, z), got {marker}")
 

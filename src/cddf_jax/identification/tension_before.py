@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Literal, NamedTuple, cast
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -94,6 +95,7 @@ def starts_of(counts: Sequence[int], before: Before, free: Collection[str], tend
         InputError: for an entry that is neither "rest" nor one tension per tendon, another number of entries than
             trials, or the parameter of a trial or tendon that does not exist.
     """
+    check_numbers("before", [entry for entry in jax.tree.leaves(before) if not isinstance(entry, str)])
     total, listed = sum(counts), not isinstance(before, str) and np.ndim(_ragged(before)) > 0
     fitted = {place: name for name in free if (place := _place(name))}
     given = cast("Sequence[One]", before) if listed else (cast("One", before),)
@@ -123,8 +125,6 @@ def _checked(entry: One, tendons: int) -> tuple[float, ...]:
     """The entry as one number for each tendon; empty for rest."""
     if isinstance(entry, str) and entry == REST:
         return ()
-    if not isinstance(entry, str):
-        check_numbers("before", entry)
     try:
         numbers = np.atleast_1d(np.asarray(entry, float))
     except (TypeError, ValueError):

@@ -9,6 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
+from ..numerics.given_numbers import check_numbers
 from ..numerics.quadrature import Panels, panels
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, Linear, Profile
@@ -43,6 +44,8 @@ def closed_form_tension(
             "closed_form_tension holds in the exact kinematics for a Constant tendon offset only, "
             f"not for {type(tendon.offset).__name__}; use solve, or kinematics='published'"
         )
+    for name, given in {"base_tension": base_tension, "arc_length": arc_length}.items():
+        check_numbers(f"closed_form_tension: {name}", given)
     if not isinstance(base_tension, Tracer) and np.any(np.asarray(base_tension) < 0):
         raise ValueError(f"closed_form_tension: a tendon cannot push, got base_tension {base_tension}")
     s = jnp.asarray(arc_length, float)

@@ -19,6 +19,7 @@ from ..identification.parameters import unit_of
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..mechanics.fields import AnyFields, SpatialFields
+from ..numerics.given_numbers import check_numbers
 from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES
 from ..statics.equilibrium import Equilibrium
@@ -172,6 +173,7 @@ def _stations(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] 
     length = float(equilibrium.arc_length[-1])
     if arc_length is None:
         return np.linspace(0.0, length, POINTS)
+    check_numbers("arc_length", arc_length)
     s = np.atleast_1d(np.asarray(arc_length, float))
     if s.ndim != 1 or not np.all((s >= 0) & (s <= length)):
         raise InputError(f"arc_length must be one list within 0 to {length:g} m, the length of the body")

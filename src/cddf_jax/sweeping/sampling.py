@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
+from ..numerics.given_numbers import check_numbers
 
 if TYPE_CHECKING:
     from scipy.stats.qmc import QMCEngine
@@ -49,6 +50,7 @@ def _spread(ranges: Ranges, count: int, sampler: "QMCEngine") -> dict[str, np.nd
     if not ranges or count < 1:
         raise InputError(f"samples: give one range or more and a count of 1 or more, got {len(ranges)} and {count}")
     for name, limits in ranges.items():
+        check_numbers(f"samples: the range of {name!r}", limits)
         if np.shape(limits) != (2,) or not np.all(np.isfinite(limits)) or not limits[0] < limits[1]:
             raise InputError(f"samples: the range of {name!r} must be (least, largest), got {limits!r}")
     low, high = np.transpose(list(ranges.values()))
