@@ -181,7 +181,7 @@ def check_range_in_space(what: str, name: str, values: ArrayLike) -> None:
     """Refuse values that a quantity cannot have in space.
 
     Raises:
-        InputError: for the first of them, with the remedy; it begins with `what`.
+        InputError: for the largest of them, with the remedy; it begins with `what`.
     """
     low, high = IN_SPACE.get(name, (-math.inf, math.inf))
     values = np.ravel(values)
@@ -189,7 +189,7 @@ def check_range_in_space(what: str, name: str, values: ArrayLike) -> None:
     if outside.size:
         dimension = dimension_of(name)
         upper = f" and at most {shown(high, dimension)}" if high < math.inf else ""
-        rule = f"{name} of a body in space is 0 or more{upper}, got {shown(outside[0], dimension)}"
+        rule = f"{name} of a body in space is 0 or more{upper}, got {shown(max(outside, key=abs), dimension)}"
         raise InputError(rule, where=what, remedy=TAKE_THE_PLANE)
 
 

@@ -395,7 +395,7 @@ def _check_tip_angles(table: Measurements, bench: Bench, *, zero_is_free: bool) 
         remedy = (
             f"leave it out, or {TAKE_THE_PLANE}"
             if angle[bad[0]] > 0
-            else f"subtract the reading at rest, or {TAKE_THE_PLANE}"
+            else f"subtract the reading at rest, fit angle_zero, or {TAKE_THE_PLANE}"
         )
         raise InputError(
             f"{table.place(bad[0])}, column tip_angle: {got}{more}, but the tip angle of a body in space lies between "
