@@ -292,6 +292,10 @@ def test_one_tension_for_all_tendons_one_of_several_and_a_load():
     body = paper_body(num_tendons=2)
     both = Sweep(manipulator=body, dimensions=dimensions_of({"base_tension": [30.0]})).case
     assert both.with_numbers({"base_tension": 30.0}).base_tension == 30.0
+    one_way = Sweep(
+        manipulator=body, dimensions=dimensions_of({"direction_2": [-1]}), base_tension=30.0, direction=1
+    ).case
+    assert one_way.direction.tolist() == [1, 1]  # one for all is one for each where a tendon has its own axis
     over = {"base_tension_2": [20.0], "loads.tip_force.1": [-2.0]}
     one = Sweep(manipulator=body, dimensions=dimensions_of(over), base_tension=30.0).case
     there = one.with_numbers({"base_tension_2": 20.0, "loads.tip_force.1": -2.0})
