@@ -158,6 +158,8 @@ def _cells_by_column(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[
 
 def _labels(column: str, rows: Sequence[int], texts: Sequence[str]) -> np.ndarray:
     labels = [text.strip() for text in texts]
+    for row, label in zip(rows, labels, strict=True):
+        table_header.check_computed(label, f"row {row}, column {column}")
     if "" in labels:
         raise InputError(f"row {rows[labels.index('')]}, column {column}: the cell is empty; fill it")
     return np.array(labels)
@@ -193,6 +195,7 @@ def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str |
     except ValueError:
         bad = next(i for i, text in enumerate(texts) if not is_number(text))
         text = texts[bad].strip()
+        table_header.check_computed(text, f"row {rows[bad]}, column {column}")
         found = f"{short(text)} is not a number" if text else "the cell is empty"
         remedy = f"write {', '.join(kind.words(column))}" if kind.words(column) else "give a number or remove the row"
         if re.fullmatch(r"[+-]?\d+([,.'’\s]\d+)+", text):

@@ -102,6 +102,8 @@ def headings_of(cells: list[str], row: int, kind: Kind, given: Mapping[str, str]
     headings = [heading_of(cell, kind, given) for cell in cells]
     known = any(heading.column for heading in headings)
     remedy = f"write names and units such as {kind.example!r}"
+    for cell in cells:
+        check_computed(cell, f"row {row}")
     if not known and all(is_number(cell) for cell in cells if cell.strip()):
         raise InputError(f"row {row}: there is no header above the numbers; {remedy}")
     if not known and len(cells) == 1:
@@ -148,6 +150,13 @@ def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
             raise InputError(f"row {row}: the column {column} has no unit, got [{unit}]; leave it out")
         if dimension is not None:
             to_si(np.zeros(0), unit or "", dimension, f"row {row}: the column {column}")
+
+
+def check_computed(text: str, where: str) -> None:
+    """Refuse a formula in place of its value."""
+    if text.startswith("="):
+        remedy = "open the file in a spreadsheet program and save it, or put the values in place of the formulas"
+        raise InputError(f"{where}: the formula {short(text)} was never computed; {remedy}")
 
 
 def number(text: str) -> float:

@@ -10,9 +10,11 @@ import csv
 import io
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 from ..errors import InputError, needed
 from .table_header import is_number
@@ -224,8 +226,8 @@ def _sheets(content: bytes) -> dict[str, list[Row]]:
     """The rows of each sheet that are not blank, all of one width, as text that gives every number exactly."""
     openpyxl = needed("openpyxl", "excel")
     try:
-        book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
-        sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
+        sheets = {name: list(rows) for name, rows in _loaded(openpyxl, content, values_only=True)}
+        _put_formulas(openpyxl, content, sheets)
     except Exception as error:  # many kinds: a zip archive may hold anything
         raise InputError(
             f"is not a spreadsheet in the format .xlsx ({error}); save it as .xlsx or as CSV UTF-8"
@@ -236,6 +238,35 @@ def _sheets(content: bytes) -> dict[str, list[Row]]:
         texts = ((i, [_text(value) for value in cells[:width]]) for i, cells in enumerate(rows, 1))
         found[name] = [(i, cells + [""] * (width - len(cells))) for i, cells in texts if any(cells)]
     return found
+
+
+def _loaded(
+    openpyxl: ModuleType, content: bytes, *, values_only: bool = False, computed: bool = True
+) -> Iterator[tuple[str, Iterator[Sequence[Any]]]]:
+    """Name and rows of each sheet, of cells or their values: as last computed, or else the formulas."""
+    for sheet in openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=computed).worksheets:
+        sheet.reset_dimensions()  # the size in the file may be wrong
+        yield sheet.title, sheet.iter_rows(values_only=values_only)
+
+
+def _put_formulas(openpyxl: ModuleType, content: bytes, sheets: Mapping[str, list[Sequence[Any]]]) -> None:
+    """Put the text of a formula into each cell whose formula was never computed; it is empty, or 0 in some files."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        parts = [archive.read(name) for name in archive.namelist() if name.startswith("xl/worksheets/")]
+        nothing = (None, 0) if b'fullCalcOnLoad="1"' in archive.read("xl/workbook.xml") else (None,)
+    if not any(re.search(rb"<(\w+:)?f[ />]", part) for part in parts):
+        return
+    for (name, rows), (_, formulas) in zip(
+        _loaded(openpyxl, content), _loaded(openpyxl, content, computed=False), strict=True
+    ):
+        for i, (cells, own) in enumerate(zip(rows, formulas, strict=True)):
+            never = {
+                j: str(getattr(formula.value, "text", formula.value))
+                for j, (cell, formula) in enumerate(zip(cells, own, strict=True))
+                if formula.data_type == "f" and cell.value in nothing and cell.data_type != "str"  # an empty text
+            }
+            if never:
+                sheets[name][i] = [never.get(j, value) for j, value in enumerate(sheets[name][i])]
 
 
 def _text(value: object) -> str:
