@@ -20,6 +20,7 @@ from . import table_header
 from .table_header import Heading, Kind, is_number, number, short
 from .table_source import Row, Source, open_table
 
+_UNITS_BELOW = 3  # rows below the header, in which units are looked for: there may be channels above them
 # what instruments write where there is no number
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")
 
@@ -43,10 +44,14 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
     with within(path):
         source, given = _opened(path, kind, columns or {})
         headings = table_header.headings_of(source.header, source.row, kind, given)
-        below = list(islice(source.rows, 1))
-        if below and (with_units := table_header.with_units_below(headings, *below[0], kind)):
-            headings = with_units
-            source.read_as.append(f"row {below.pop()[0]} holds the units")
+        below = list(islice(source.rows, _UNITS_BELOW))
+        for i, (row, cells) in enumerate(below):
+            if with_units := table_header.with_units_below(headings, row, cells, kind):
+                between = " and ".join(f"row {at}" for at, _ in below[:i])
+                unused = f"; between them and the header, not used: {between}" if between else ""
+                source.read_as.append(f"row {row} holds the units{unused}")
+                headings, below = with_units, below[i + 1 :]
+                break
         for i, heading in enumerate(headings):
             dimension = (
                 kind.dimension_of(heading.column) if heading.column and heading.column in kind.optional else None

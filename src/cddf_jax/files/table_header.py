@@ -128,10 +128,10 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
             return None
         units[i] = unit
     for i, unit in units.items():
-        _, column, own = headings[i]
-        if own not in (None, unit):
+        text, column, own = headings[i]
+        if own not in (None, unit) and text.rstrip(")] ").endswith(own):  # no unit that the user said
             raise InputError(f"row {row}, column {column}: the unit is {unit}, but {own} in the header; keep one")
-    return [heading._replace(unit=units.get(i, heading.unit)) for i, heading in enumerate(headings)] if units else None
+    return [heading._replace(unit=heading.unit or units.get(i)) for i, heading in enumerate(headings)] if units else None
 
 
 def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
