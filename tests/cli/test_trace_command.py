@@ -165,7 +165,7 @@ def test_what_was_before_the_path(cddf_command, robot):
         ("none.csv", "none.csv: cannot be read (No such file or directory); check the path"),
         ("bad.csv", "bad.csv: row 3, column base_tension: must be 0 or more, got -2 N; correct or remove the row"),
         ("nan.csv", "nan.csv: row 2, column base_tension: must be 0 or more, got nan; correct or remove the row"),
-        ("other.csv", "other.csv: has no column with a path; name one base_tension, or tendon_displacement, or tip"),
+        ("other.csv", "other.csv: row 1: has no column with a path; name one base_tension, or tendon_displacement, or"),
         ("trials.csv", "trials.csv: holds 2 trials, but a path is one trial; keep the rows of one, such as a"),
     ],
 )

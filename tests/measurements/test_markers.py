@@ -67,7 +67,7 @@ def test_trials_and_other_tables(read):
     [
         ((LONG, BENCH), "a.csv: is a table of markers; name the file of the measurements just before it"),
         ((BENCH, LONG, LONG), "c.csv: is a table of markers; name the file of the measurements just before it"),
-        ((BENCH, LONG.replace("row", "n")), "b.csv: the column row is missing; add it: 1 for the first row"),
+        ((BENCH, LONG.replace("row", "n")), "b.csv: row 1: the column row is missing; add it: 1 for the first row"),
         ((BENCH, LONG.replace("3, 120", "4, 120")), "b.csv: row 5, column row: must be 1 to 3, got 4; the first row"),
         ((BENCH, LONG.replace("3, head", "0, head")), "b.csv: row 3, column row: must be 1 to 3, got 0"),
         ((BENCH, LONG.replace("3, head", "1, head")), "b.csv: the marker 'head1' of row 1 is there 2 times; keep one"),

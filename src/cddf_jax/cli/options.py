@@ -162,10 +162,14 @@ def read_data(
     from ..measurements.holds import average_holds
     from ..measurements.trials import read_tables
 
-    columns = read_all(column, "--column", '"Tbase_N=base_tension [N]"', lambda name, meant: meant)
-    tables = read_tables(paths or (), columns)
+    tables = read_tables(paths or (), read_columns(column))
     note(line for table in tables for line in table.read_as)
     return tuple(map(average_holds, tables)) if holds_averaged else tables
+
+
+def read_columns(column: Sequence[str] | None) -> dict[str, str]:
+    """What columns are, by their names in the files."""
+    return read_all(column, "--column", '"Tbase_N=base_tension [N]"', lambda name, meant: meant)
 
 
 def read_all(texts: Sequence[str] | None, option: str, example: str, read: Callable[[str, str], T]) -> dict[str, T]:

@@ -25,14 +25,27 @@ _UNITS_BELOW = 3  # rows below the header, in which units are looked for: there 
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")
 
 
+class Unused(NamedTuple):
+    """A column that the reader does not know."""
+
+    head: str  # on one line
+    cells: Sequence[str]
+
+    @property
+    def name(self) -> str:
+        """The head without a unit in brackets or parentheses."""
+        return table_header.name_and_unit(self.head)[0]
+
+
 class Table(NamedTuple):
     """The content of a file."""
 
     columns: dict[str, np.ndarray]  # float64 in SI by name, text for labels
-    rows: list[int]  # the line of each row in the file, or its number in the sheet
+    header: int  # the line of the header in the file, or its number in the sheet
+    rows: list[int]  # that of each row
     notes: tuple[str, ...]  # the text above the header
     read_as: tuple[str, ...]  # how the file was understood, if it is not plain
-    unused: tuple[str, ...]  # columns that the reader does not know
+    unused: tuple[Unused, ...]  # columns that the reader does not know, without those that the caller leaves out
     missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
 
 
@@ -43,8 +56,8 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
     """
     with within(path):
         source, given = _opened(path, kind, columns or {})
-        headings = table_header.headings_of(source.header, source.row, kind, given)
         below = list(islice(source.rows, _UNITS_BELOW))
+        headings = table_header.headings_of(source.header, source.row, kind, given, [cells for _, cells in below])
         for i, (row, cells) in enumerate(below):
             if with_units := table_header.with_units_below(headings, row, cells, kind):
                 between = " and ".join(f"row {at}" for at, _ in below[:i])
@@ -59,8 +72,9 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
             if dimension and heading.unit is None:  # the usual one
                 headings[i] = heading._replace(unit=preferred(dimension)[1])
         table_header.check_headings(headings, source.row, kind)
-        names = {text for heading in headings for text in (heading.text, heading.name)}
-        return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
+        names = {heading.text if heading.text in given else heading.name for heading in headings}
+        table = _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
+        return table._replace(unused=tuple(one for one in table.unused if not set(given) & {one.head, one.name}))
 
 
 def columns_in(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -> set[str]:
@@ -123,21 +137,23 @@ def _read(
         for column, own in texts.items()
     }
     unused = tuple(
-        heading.text or f"column {i} without a name"
+        Unused(heading.text, own)
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
-        if heading.column is None and (heading.text or any(text.strip() for text in own))
+        if heading.column is None and (heading.text != table_header.nameless(i) or any(text.strip() for text in own))
     )
     read_as = (*source.read_as, *_reading_notes(headings, unused, words_read))
-    return Table(columns, at, source.notes, read_as, unused, missing)
+    return Table(columns, source.row, at, source.notes, read_as, unused, missing)
 
 
-def _reading_notes(headings: Sequence[Heading], unused: Sequence[str], words_read: Mapping[str, str]) -> Iterator[str]:
+def _reading_notes(
+    headings: Sequence[Heading], unused: Sequence[Unused], words_read: Mapping[str, str]
+) -> Iterator[str]:
     """How header and rows were read, where that is not obvious: renamed and unused columns, words read as numbers."""
     renamed = [h for h in headings if h.column is not None and h.name != h.column]
     if renamed:
         yield "read as: " + ", ".join(f"{h.text!r} {h.column}" + (f" [{h.unit}]" if h.unit else "") for h in renamed)
     if unused:
-        yield f"columns that are not used: {', '.join(map(short, unused))}"
+        yield f"columns that are not used: {', '.join(short(column.head) for column in unused)}"
     if words_read:
         yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in words_read.items())
 

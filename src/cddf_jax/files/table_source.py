@@ -150,8 +150,10 @@ def _above_numbers(rows: Sequence[Row]) -> tuple[float, int]:
     if not most:  # no numbers at all
         return 0, filled.index(max(filled))
     above = []
-    while (i := first - len(above) - 1) >= 0 and 2 * filled[i] > filled[first] and (
-        not above or rows[i][0] == rows[i + 1][0] - 1
+    while (
+        (i := first - len(above) - 1) >= 0
+        and filled[i] >= max(min(2, filled[first]), filled[first] / 2)
+        and (not above or rows[i][0] == rows[i + 1][0] - 1)
     ):
         above.append(i)
     return most, max(reversed(above), key=lambda i: filled[i], default=first)

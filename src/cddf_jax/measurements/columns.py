@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from ..errors import InputError
 from ..files.table_header import short
 from ..quantities import QUANTITIES
-from ..units import Dimension, preferred
+from ..units import Dimension
 from .markers import marker_column
 from .readings import NAMED, kind_of
 
@@ -105,19 +105,3 @@ def is_reading(column: str) -> bool:
 def is_direction(column: str) -> bool:
     """Whether a column holds directions, `direction` of tendon 1 or `direction_2`, ... of another."""
     return column.startswith("direction")
-
-
-def misspelt(name: str) -> str:
-    """The error for a column whose name is similar to a known one; "" for any other name."""
-    meant = column_resembled(name)
-    if meant is None:
-        return ""
-    remedy = f'Rename it or give {as_column_option(name, meant)}, or leave it out by --column "{name}="'
-    return f"unknown column {short(name)}; did you mean {meant}? {remedy}"
-
-
-def as_column_option(name: str, column: str) -> str:
-    """The option of the command line that says which column a name means."""
-    dimension = column_dimension(column)
-    unit = f" [{preferred(dimension)[1]}]" if dimension else ""
-    return f'--column "{name}={column}{unit}"'

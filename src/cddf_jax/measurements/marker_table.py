@@ -29,6 +29,8 @@ from ..errors import InputError, within
 from ..files.csv_table import Table, columns_in, read_table
 from ..files.table_header import Kind
 from ..units import Dimension, shown
+from .column_guesses import advice, guess_markers, hint
+from .columns import column_dimension, column_meant
 from .markers import Marker
 
 _AXES, _OFFSETS = ("x", "y", "z"), ("offset_x", "offset_y", "offset_z")
@@ -55,9 +57,11 @@ def of_markers(columns: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str]) -> bool:
-    """Whether the header of a file has a column `marker` and a position."""
-    named = columns_in(path, _KIND, columns)
-    return "marker" in named and any(axis in named for axis in _AXES)
+    """Whether the header of a file has a column `marker`, and a position or a row but no measurement."""
+    named = columns_in(path, _KIND, of_markers(columns))
+    if "marker" not in named or any(axis in named for axis in _AXES):
+        return "marker" in named
+    return "row" in named and not columns_in(path, Kind(column_dimension, "", "", meant=column_meant), columns)
 
 
 def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], num_rows: int) -> MarkerTable:
@@ -73,8 +77,12 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
     """
     found = read_table(path, _KIND, columns)
     with within(path):
+        guesses = guess_markers(found.unused, found.columns)
+        missing = "the columns x and y are missing; add them"
         if "row" not in found.columns:
-            raise InputError("the column row is missing; add it: 1 for the first row of the measurements, 2, ...")
+            missing = "the column row is missing; add it: 1 for the first row of the measurements, 2, ..."
+        if "row" not in found.columns or not any(axis in found.columns for axis in _AXES):
+            raise InputError(missing, where=f"row {found.header}", remedy=advice(found.unused, guesses))
         names = ["".join(str(label).split()) for label in found.columns["marker"]]
         at = _rows(found, num_rows)
         for (row, name), count in Counter(zip(at.tolist(), names, strict=True)).items():
@@ -88,7 +96,7 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
                 read[f"{axis}@{name}"][at[own]] = found.columns[axis][own]
         places = dict(_places(found, names))
     file = Path(path).name
-    said = [f"{file}: {line}" for line in found.read_as]
+    said = [f"{file}: {line}" for line in (*found.read_as, *hint(guesses))]
     said.append(f"markers of {file}: {', '.join(dict.fromkeys(names))}, in {len(set(at.tolist()))} of {num_rows} rows")
     return MarkerTable(read, places, tuple(said), found.missing)
 

@@ -1,6 +1,8 @@
 """A path in a file: the tensions, displacements or angles that a bench went through, in their order in time."""
 
 import os
+import re
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +12,7 @@ from ..files.csv_table import Table, read_table
 from ..files.table_header import Kind
 from ..quantities import dimension_of
 from ..units import Dimension, written
+from .column_guesses import advice, guess_path
 from .columns import ORDER, column_dimension, column_meant, is_reading
 
 DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that the file has is the path
@@ -21,24 +24,28 @@ class PathFile(NamedTuple):
     values: list[float]  # SI
     dimension: Dimension
     read_as: tuple[str, ...]  # how the file was read
+    missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
 
 
-def read_path_file(path: str | os.PathLike[str]) -> PathFile:
+def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> PathFile:
     """The column `base_tension` of a file with the unit in its header, or else `tendon_displacement` or `tip_angle`.
 
     The order is that of the columns `step` and `time`, or without them that of the rows.
 
     Args:
         path: CSV or .xlsx; other columns are not used.
+        columns: by the head of a column in the file, what it is; the file need not have all of them.
 
     Raises:
         InputError: names the file, row (line), column, value and remedy; also for several trials.
     """
-    table = read_table(path, _KIND)
+    table = read_table(path, _KIND, columns)
     with within(path):
         driven = next((name for name in DRIVEN if name in table.columns), None)
         if driven is None:
-            raise InputError(f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit")
+            what = f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit"
+            hint = advice(table.unused, guess_path(table.unused, table.columns))
+            raise InputError(what, where=f"row {table.header}", remedy=hint)
         trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
         if len(trials) > 1:
             raise InputError(
@@ -47,7 +54,8 @@ def read_path_file(path: str | os.PathLike[str]) -> PathFile:
         _check(table, driven)
     keys = [table.columns[name] for name in reversed(ORDER) if name in table.columns]
     values = table.columns[driven]
-    return PathFile((values[np.lexsort(keys)] if keys else values).tolist(), dimension_of(driven), table.read_as)
+    values = values[np.lexsort(keys)] if keys else values
+    return PathFile(values.tolist(), dimension_of(driven), table.read_as, table.missing)
 
 
 def _check(table: Table, driven: str) -> None:
@@ -63,15 +71,20 @@ def _check(table: Table, driven: str) -> None:
 
 def _dimension_of(column: str) -> Dimension | None:
     if column not in (*DRIVEN, *ORDER, "trial"):
-        raise InputError(f"unknown column {column}")
-    return column_dimension(column)
+        raise InputError(f"unknown column {column}; known are {', '.join((*DRIVEN, *ORDER, 'trial'))}")
+    return dimension_of(column) if column in DRIVEN else column_dimension(column)
+
+
+def _meant(name: str) -> str | None:
+    displacement = re.sub(r"[\s_-]+", "_", name.strip().lower()) == DRIVEN[1]
+    return DRIVEN[1] if displacement else column_meant(name)
 
 
 _KIND = Kind(
     _dimension_of,
     "steps",
     "base_tension [N]",
-    meant=column_meant,
+    meant=_meant,
     labels=("trial",),
     optional=ORDER,
     gaps=is_reading,

@@ -47,20 +47,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, within
-from ..files.csv_table import read_table
-from ..files.table_header import Kind, short
+from ..files.csv_table import Table, read_table
+from ..files.table_header import Kind, heading_of, short
 from ..units import written
+from .column_guesses import advice, guess_measurements, hint, option
 from .columns import (
     DIRECTIONS,
     ORDER,
     PER_TENDON,
     PULLEY,
-    as_column_option,
     column_dimension,
     column_meant,
+    column_resembled,
     is_direction,
     is_reading,
-    misspelt,
 )
 from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
@@ -218,29 +218,30 @@ def read_measurements(path: str | os.PathLike[str], columns: Mapping[str, str] |
     """
     table, missing = read_file(path, columns or {})
     if missing:
-        raise InputError(f"{path}: has no column {missing[0]!r}; use the heads of its header row")
+        raise InputError(f"{path}: has no column {missing[0]!r}, or nothing in it; use the heads of its header row")
     return table
 
 
 def read_file(
     path: str | os.PathLike[str], columns: Mapping[str, str], markers: str | os.PathLike[str] | None = None
 ) -> tuple[Measurements, tuple[str, ...]]:
-    """The measurements in a file and its table of markers in another, and which of `columns` neither of them has."""
+    """The measurements in a file and its table of markers in another, and which of `columns` are empty or not there."""
     theirs = {} if markers is None else of_markers(columns)
     own = {name: meant for name, meant in columns.items() if name not in theirs or not meant.strip()}
     found = read_table(path, _KIND, own)
     with within(path):
-        _check_columns(found.columns, found.unused)
+        further = _check_heads(found)
     more = NO_MARKERS if markers is None else read_marker_table(markers, theirs, len(found.rows))
     with within(path):
         if twice := [column for column in more.columns if column in found.columns]:
             raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
-        every, said = found.columns | more.columns, (*found.read_as, *more.read_as)
+        every, said = found.columns | more.columns, (*found.read_as, *further, *more.read_as)
         table = _table(Path(path).name, every, notes=found.notes, rows=found.rows, read_as=said)
+    unread = [name for name, meant in own.items() if heading_of(meant, _KIND, {}).column in table.unread]
     missing = tuple(
         name
         for name in columns
-        if (name not in own or name in found.missing) and (name not in theirs or name in more.missing)
+        if (name not in own or name in (*found.missing, *unread)) and (name not in theirs or name in more.missing)
     )
     return replace(table, markers=more.places), missing
 
@@ -254,7 +255,6 @@ _KIND = Kind(
     optional=("time",),
     gaps=is_reading,
     words=lambda column: DIRECTIONS if is_direction(column) else {},
-    objection=misspelt,
 )
 
 
@@ -335,24 +335,42 @@ def _array(column: str, values: ArrayLike) -> np.ndarray:
     return array
 
 
-def _check_columns(columns: Iterable[str], unused: Sequence[str] = ()) -> None:
-    """Refuse unknown columns, and columns whose base tension is missing; `unused` are unknown columns of a file."""
+def _check_heads(found: Table) -> list[str]:
+    """Refuse a file that lacks a column, or has a misspelt one; else a hint on further readings, if there are any."""
+    unused, where = found.unused, f"row {found.header}"
+    guesses = guess_measurements(unused, found.columns)
+    misspelt = {one.name: meant for one in unused if (meant := column_resembled(one.name))}
+    if misspelt:
+        give = " ".join(option(*guess) for guess in guesses.items())
+        leave = " ".join(option(name, "") for name in misspelt)
+        remedy = f"Rename it{f' or give {give}' if give else ''}, or leave it out by {leave}"
+        what = f"unknown column {', '.join(map(short, misspelt))}; did you mean {', '.join(misspelt.values())}?"
+        raise InputError(f"{what} {remedy}", where=where)
+    if unused and (missing := _missing(found.columns)):
+        what = f"the column {' and '.join(missing)} is missing; say what the columns are, or add it"
+        raise InputError(f"{what}; {advice(unused, guesses, missing)}", where=where)
+    _check_columns(found.columns)
+    return hint({head: meant for head, meant in guesses.items() if is_reading(meant.partition(" ")[0])})
+
+
+def _missing(columns: Iterable[str]) -> list[str]:
+    """The columns that a table with these columns needs and does not have."""
+    names = set(columns)
+    tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
+    needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
+    return sorted((set(PULLEY) if names & set(PULLEY) else needed) - names)
+
+
+def _check_columns(columns: Iterable[str]) -> None:
+    """Refuse unknown columns, and columns whose base tension is missing."""
     names = set(columns)
     for column in columns:
         column_dimension(column)
-    if names & set(PULLEY):
-        needed = set(PULLEY)
-        if other := sorted(names - needed - {"trial", *ORDER}):
-            raise InputError(f"the column {other[0]} does not belong to a pulley test; put it into a table of its own")
-    else:
-        tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
-        needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
-    if missing := sorted(needed - names):
-        remedy = f"add it (a pulley test has {', '.join(PULLEY)})"
-        if unused:
-            there = ", ".join(map(short, unused[:6])) + (", ..." if len(unused) > 6 else "")
-            remedy = f"say which of {there} it is, by {as_column_option(unused[0], missing[0])}, or add it"
-        raise InputError(f"the column {missing[0]} is missing; {remedy}")
+    others = sorted(names - {*PULLEY, "trial", *ORDER})
+    if names & set(PULLEY) and others:
+        raise InputError(f"the column {others[0]} does not belong to a pulley test; put it into a table of its own")
+    if missing := _missing(names):
+        raise InputError(f"the column {missing[0]} is missing; add it (a pulley test has {', '.join(PULLEY)})")
 
 
 def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
