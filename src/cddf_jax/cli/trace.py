@@ -115,13 +115,13 @@ def read_paths(
     for name in columns:
         if all(name in missing for _, _, missing in every):
             raise InputError(f"--path {', '.join(texts)}: no file has a column {name!r}; check the name")
-    read = one_for_each_tendon("--path", [(values, dimension) for values, dimension, _ in every], count)
-    paths: list[list[float]] = [values for values, _ in read]
-    driven: list[Dimension] = [dimension for _, dimension in read]
+    read = one_for_each_tendon("--path", every, count)
+    paths: list[list[float]] = [values for values, _, _ in read]
+    driven: list[Dimension] = [dimension for _, dimension, _ in read]
     steps = max(map(len, paths))
     paths = [values * steps if len(values) == 1 else values for values in paths]
     if any(len(values) != steps for values in paths):
-        lengths = ", ".join(str(len(values)) for values, _ in read)
+        lengths = ", ".join(str(len(values)) for values, _, _ in read)
         raise InputError(
             f"--path: the tendons have {lengths} steps; give each the same number, or one value that stays"
         )

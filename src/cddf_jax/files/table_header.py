@@ -145,8 +145,10 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
 def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
     """Refuse a column that appears twice, and a unit that is missing or wrong."""
     seen: dict[str, str] = {}
-    measured = [(h, kind.dimension_of(h.column)) for h in headings if h.column is not None and not h.unit]
-    bare = [f"{h.column} [{preferred(dimension)[1]}]" for h, dimension in measured if dimension]
+    bare = []
+    for _, column, unit in headings:
+        if column is not None and not unit and (dimension := kind.dimension_of(column)):
+            bare.append(f"{column} [{preferred(dimension)[1]}]")
     if len(bare) > 1:
         raise InputError(f"row {row}: {len(bare)} columns need units, got none; write for example {', '.join(bare)}")
     for text, column, unit in headings:

@@ -21,7 +21,7 @@ _WORDS = {
     "force": "force kraft tension load cell lc f",
     "angle": "angle winkel theta phi bend bending heading",
     "length": "pos position em coord trans translation t p",
-    "time": "time zeit timestamp t millis",
+    "time": "time zeit timestamp millis",
     "wrap": "wrap umschlingung",
     "weight": "weight gewicht",
     "trial": "trial versuch run lauf",
@@ -34,7 +34,7 @@ _WORDS = {
     # what is neither set nor read
     "other": "soll set target cmd command desired ref error err fehler std sd mean max quat rot velocity vel speed acc",
 }
-_MEANS = {word: meaning for meaning, words in _WORDS.items() for word in words.split()} | {"t": "length"}
+_MEANS = {word: meaning for meaning, words in _WORDS.items() for word in words.split()}
 _IN_WORDS = {word for word in _MEANS if len(word) > 3} | {"tip", "pos"}  # that count as a part of a word: Seilkraft
 _WORD = re.compile(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+(?![a-zäöüß])|\d+")
 _COMPONENT = re.compile("([tpfdum]?)([xyz])")  # x, or in one word with its quantity: Tx, Fz
@@ -68,19 +68,21 @@ def option(head: str, meant: str) -> str:
 
 
 def advice(unused: Sequence[Unused], guesses: Mapping[str, str], needed: Sequence[str] = ()) -> str:
-    """The options for all columns with a guess, and the names of those without one; `needed` are columns of a table."""
-    guessed = {meant.partition(" ")[0] for meant in guesses.values()}
+    """The options for all columns with a guess, and the names of those without one; `needed` are not among either."""
     parts = []
     if guesses:
-        options = " ".join(option(head, meant) for head, meant in guesses.items())
+        options = " ".join(option(one.head, guesses[one.head]) for one in unused if one.head in guesses)
         units = (
-            "" if all(name_and_unit(head)[1] for head in guesses) else " (a unit that the file lacks is a guess too)"
+            "" if all(name_and_unit(head)[1] for head in guesses) else " (a unit that the header lacks is a guess too)"
         )
         parts.append(f"a guess by unit, words and order, to check{units}: {options}")
-    if rest := [short(column.head) for column in unused if column.head not in guesses]:
+    count = Counter(one.head for one in unused)
+    if rest := [short(head) for head in count if head not in guesses and count[head] == 1]:
         parts.append(f"no guess for {', '.join(rest[:_SHOWN])}{', ...' if len(rest) > _SHOWN else ''}")
-    if unknown := [column for column in needed if column not in guessed]:
-        parts.append(f"nothing looks like {' or '.join(unknown)}: {option('NAME', _with_unit(unknown[0], None))}")
+    if twice := [short(head) for head in count if count[head] > 1]:
+        parts.append(f"rename {', '.join(twice)}, of which there are several")
+    if needed:
+        parts.append(f"nothing looks like {' or '.join(needed)}: {option('NAME', _with_unit(needed[0], None))}")
     return "; ".join(parts)
 
 
@@ -112,7 +114,7 @@ def guess_markers(unused: Sequence[Unused], known: Collection[str]) -> dict[str,
         elif one.dimension == "length" and "along" in one.means:
             found.append((one, "arc_length"))
         elif one.dimension is None and (labels := one.means & {"row", "marker"}):
-            found.append((one, *labels))
+            found.append((one, min(labels)))
     return _described(found, known)
 
 
@@ -139,7 +141,9 @@ def _one(head: str, cells: Sequence[str]) -> _Seen:
     name, unit = name_and_unit(head)
     if unit is None and (behind := _BEHIND.fullmatch(name)):
         name, unit = behind.groups()
-    if unit is None:  # in a row below the header
+    filled = [cell for cell in cells if cell.strip()]
+    numeric = 2 * sum(is_number(cell.replace(",", ".")) or cell.startswith("=") for cell in filled) >= len(filled)
+    if unit is None and numeric:  # it may be in a row below the header
         below = (cell.strip(" []()") for cell in cells[:3])
         unit = next((text for text in below if text and not is_number(text) and _dimension(text)), None)
     words, axis = [], ""
@@ -154,19 +158,21 @@ def _one(head: str, cells: Sequence[str]) -> _Seen:
         if word == known or (known in _IN_WORDS and (word.startswith(known) or word.endswith(known)))
     )
     numbers = [int(word) for word in words if word.isdigit()]
-    filled = [cell for cell in cells if cell.strip()]
     label = "".join(words)
     return _Seen(
         *(head, label, means, axis, numbers[0] if len(numbers) == 1 else None),
         dimension=_by_words(label, means, axis) if unit is None else _dimension(unit),
         unit="ms" if unit is None and "millis" in label else None if unit is None else _SAID.get(unit.lower(), unit),
         cells=filled,
-        numeric=2 * sum(is_number(cell.replace(",", ".")) or cell.startswith("=") for cell in filled) >= len(filled),
+        numeric=numeric,
     )
 
 
 def _dimension(unit: str) -> Dimension | None:
     said = _SAID.get(unit.lower(), unit)
+    for dimension in _DIMENSIONS:  # without pint
+        if said == preferred(dimension)[1]:
+            return dimension
     return next((dimension for dimension in _DIMENSIONS if unit_fits(said, dimension)), None)
 
 
@@ -178,11 +184,13 @@ def _by_words(label: str, means: frozenset[str], axis: str) -> Dimension | None:
         return "length" if means & {"length", "tip", "offset"} or not label.strip("0123456789") else None
     if means & {"trial", "step", "direction", "row", "marker"}:
         return None
-    by_word: dict[str, Dimension] = {"wrap": "angle", "angle": "angle", "time": "time", "along": "length"}
-    by_word |= dict.fromkeys(("force", "base", "tip", "weight"), "force")
-    if label == "t":
+    if label == "t" or "time" in means:
         return "time"
-    return next((dimension for word, dimension in by_word.items() if word in means), None)
+    if means & {"wrap", "angle"}:
+        return "angle"
+    if means & {"force", "base", "tip", "weight"}:
+        return "force"
+    return "length" if "along" in means else None
 
 
 def _described(pairs: Sequence[tuple[_Seen, str]], known: Collection[str]) -> dict[str, str]:
@@ -268,8 +276,8 @@ def _of_tendon(column: str, tendon: int) -> str:
 
 
 def _angles(columns: Sequence[_Seen]) -> _Pairs:
-    """The only angle, or the only one of the tip."""
-    angles = [one for one in columns if one.dimension == "angle" and one.numeric]
+    """The only angle, or the only one of the tip; that of a motor is none."""
+    angles = [one for one in columns if one.dimension == "angle" and one.numeric and "base" not in one.means]
     of_tip = [one for one in angles if "tip" in one.means] or angles
     if len(of_tip) == 1:
         yield of_tip[0], "tip_angle"

@@ -27,7 +27,7 @@ import numpy as np
 
 from ..errors import InputError, within
 from ..files.csv_table import Table, columns_in, read_table
-from ..files.table_header import Kind
+from ..files.table_header import Kind, name_and_unit
 from ..units import Dimension, shown
 from .column_guesses import advice, guess_markers, hint
 from .columns import column_dimension, column_meant
@@ -43,7 +43,7 @@ class MarkerTable(NamedTuple):
     columns: dict[str, np.ndarray]  # "x@head", ..., one number for each row of the measurements, m; NaN: not there
     places: dict[str, Marker]  # of the markers whose positions it gives
     read_as: tuple[str, ...]  # how the file was understood
-    missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
+    missing: tuple[str, ...]  # names of columns that the caller described, and that are empty or not in the file
 
 
 NO_MARKERS = MarkerTable({}, {}, (), ())
@@ -51,9 +51,7 @@ NO_MARKERS = MarkerTable({}, {}, (), ())
 
 def of_markers(columns: Mapping[str, str]) -> dict[str, str]:
     """The descriptions of columns, such as "arc_length [mm]", that are for a table of markers."""
-    return {
-        name: meant for name, meant in columns.items() if _meant(re.sub(r"[\[(].*", "", meant)) or not meant.strip()
-    }
+    return {name: meant for name, meant in columns.items() if _meant(name_and_unit(meant)[0]) or not meant.strip()}
 
 
 def is_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str]) -> bool:
@@ -98,7 +96,9 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
     file = Path(path).name
     said = [f"{file}: {line}" for line in (*found.read_as, *hint(guesses))]
     said.append(f"markers of {file}: {', '.join(dict.fromkeys(names))}, in {len(set(at.tolist()))} of {num_rows} rows")
-    return MarkerTable(read, places, tuple(said), found.missing)
+    empty = [axis for axis in _AXES if axis in found.columns and np.all(np.isnan(found.columns[axis]))]
+    unread = (name for name, meant in columns.items() if _meant(name_and_unit(meant)[0]) in empty)
+    return MarkerTable(read, places, tuple(said), (*found.missing, *unread))
 
 
 def _rows(found: Table, num_rows: int) -> np.ndarray:

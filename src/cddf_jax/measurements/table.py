@@ -348,7 +348,9 @@ def _check_heads(found: Table) -> list[str]:
         raise InputError(f"{what} {remedy}", where=where)
     if unused and (missing := _missing(found.columns)):
         what = f"the column {' and '.join(missing)} is missing; say what the columns are, or add it"
-        raise InputError(f"{what}; {advice(unused, guesses, missing)}", where=where)
+        guessed = {meant.partition(" ")[0] for meant in guesses.values()}
+        remedy = advice(unused, guesses, _missing(guessed.union(found.columns)))
+        raise InputError(what, where=where, remedy=remedy)
     _check_columns(found.columns)
     return hint({head: meant for head, meant in guesses.items() if is_reading(meant.partition(" ")[0])})
 
