@@ -114,7 +114,7 @@ def read_paths(
     every = [read_path(text, noise, columns) for text in texts]
     for name in columns:
         if all(name in missing for _, _, missing in every):
-            raise InputError(f"--path {', '.join(texts)}: no file has a column {name!r}; check the name")
+            raise InputError(f"--path {', '.join(texts)}: no path takes a column {name!r}; check the name")
     read = one_for_each_tendon("--path", every, count)
     paths: list[list[float]] = [values for values, _, _ in read]
     driven: list[Dimension] = [dimension for _, dimension, _ in read]

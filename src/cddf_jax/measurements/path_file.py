@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError, within
 from ..files.csv_table import Table, read_table
-from ..files.table_header import Kind
+from ..files.table_header import Kind, name_and_unit
 from ..quantities import dimension_of
 from ..units import Dimension, written
 from .column_guesses import advice, guess_path
@@ -24,7 +24,7 @@ class PathFile(NamedTuple):
     values: list[float]  # SI
     dimension: Dimension
     read_as: tuple[str, ...]  # how the file was read
-    missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
+    missing: tuple[str, ...]  # names of columns that the caller described, and that are not there or not the path
 
 
 def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> PathFile:
@@ -55,7 +55,9 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
     keys = [table.columns[name] for name in reversed(ORDER) if name in table.columns]
     values = table.columns[driven]
     values = values[np.lexsort(keys)] if keys else values
-    return PathFile(values.tolist(), dimension_of(driven), table.read_as, table.missing)
+    others = [name for name in DRIVEN if name != driven]
+    unused = (name for name, meant in (columns or {}).items() if _meant(name_and_unit(meant)[0]) in others)
+    return PathFile(values.tolist(), dimension_of(driven), table.read_as, (*table.missing, *unused))
 
 
 def _check(table: Table, driven: str) -> None:
