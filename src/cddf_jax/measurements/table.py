@@ -23,8 +23,8 @@ pulling_tension = weight exp(mu wrap_angle), Liu et al. (2020), eq. (5).
 
 Files of instruments and spreadsheets are read too; `Measurements.read_as` says how they were understood:
 
-- Names in capitals or with spaces, `T_base` and `T_tip`; units in parentheses, behind the name or up to three rows below
-  the header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
+- Names in capitals or with spaces, `T_base` and `T_tip`; units in parentheses, behind the name or at most three rows
+  below the header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
 - Other columns are not used. A name that resembles a known one is refused. Messages guess what unknown columns are.
 - Text above the header, such as that of LabVIEW or a table of channels, is taken as notes.
 - A cell of an instrument without a number (empty, nan, n/a, -): that reading is left out, and the others of its row
