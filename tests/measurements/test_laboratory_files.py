@@ -373,7 +373,7 @@ def test_a_missing_reader_of_spreadsheets_is_named(tmp_path, monkeypatch):
 def test_unknown_columns_of_other_tables(tmp_path):
     """A kind of table says itself what it does with other columns."""
     kind = Kind(lambda column: "length", "places", "x [mm]", meant=lambda name: name if name == "x" else None)
-    assert read_table(write(tmp_path, "x [mm], y [mm]\n1, 2\n"), kind).unused == (("y [mm]", [" 2"]),)
+    assert read_table(write(tmp_path, "x [mm], y [mm]\n1, 2\n"), kind).unused == (("y [mm]", [" 2"], None),)
     with pytest.raises(InputError, match="row 1: unknown column 'colour', 'bore'; known are arc_length"):
         cddf.read_cross_sections(write(tmp_path, "arc_length [mm], colour, bore [mm]\n0, red, 1\n"))
 

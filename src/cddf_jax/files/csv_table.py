@@ -29,7 +29,8 @@ class Unused(NamedTuple):
     """A column that the reader does not know."""
 
     head: str  # on one line
-    cells: Sequence[str]
+    cells: Sequence[str] = ()
+    unit: str | None = None  # in a row below the header
 
     @property
     def name(self) -> str:
@@ -137,7 +138,7 @@ def _read(
         for column, own in texts.items()
     }
     unused = tuple(
-        Unused(heading.text, own)
+        Unused(heading.text, own, heading.unit)
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
         if heading.column is None and (heading.text != table_header.nameless(i) or any(text.strip() for text in own))
     )

@@ -14,6 +14,7 @@ from ..units import Dimension, preferred, to_si, unit_fits
 
 _MARKED = re.compile(r"(.*\S)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))")  # a name with its unit
 _BEHIND = re.compile(r"(.*[^\s_])[\s_]+([^\s_]+)")  # `Tbase_N`
+_LIKE_NUMBER = re.compile(r"[+-]?\d[\d.,:/' -]*")  # 1.234,5
 
 
 class Kind(NamedTuple):
@@ -126,10 +127,12 @@ def nameless(position: int) -> str:
 
 def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str], kind: Kind) -> list[Heading] | None:
     """The headings with the units in the row below them; None where that row holds numbers already."""
-    units = {}
+    units, others = {}, {}
     for i, (heading, cell) in enumerate(zip(headings, cells, strict=False)):
         dimension = None if heading.column is None else kind.dimension_of(heading.column)
         unit = cell.strip().strip("[]()").strip()
+        if heading.column is None:
+            others[i] = unit or None  # for a guess of what it is
         if dimension is None or not unit:
             continue
         if is_number(unit.replace(",", ".")) or not unit_fits(unit, dimension):
@@ -139,7 +142,8 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
         text, column, own = headings[i]
         if own not in (None, unit) and text.rstrip(")] ").endswith(own):  # no unit that the user said
             raise InputError(f"row {row}, column {column}: the unit is {unit}, but {own} in the header; keep one")
-    return [each._replace(unit=each.unit or units.get(i)) for i, each in enumerate(headings)] if units else None
+    every = others | units
+    return [each._replace(unit=each.unit or every.get(i)) for i, each in enumerate(headings)] if units else None
 
 
 def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
@@ -147,7 +151,8 @@ def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
     seen: dict[str, str] = {}
     bare = []
     for _, column, unit in headings:
-        if column is not None and not unit and (dimension := kind.dimension_of(column)):
+        dimension = None if column is None or unit else kind.dimension_of(column)
+        if dimension and dimension != "time":
             bare.append(f"{column} [{preferred(dimension)[1]}]")
     if len(bare) > 1:
         raise InputError(f"row {row}: {len(bare)} columns need units, got none; write for example {', '.join(bare)}")
@@ -184,6 +189,11 @@ def is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def is_like_number(text: str) -> bool:
+    """Whether a text is a number in any notation, a date or a time: no name and no unit."""
+    return is_number(text) or _LIKE_NUMBER.fullmatch(text) is not None
 
 
 def short(text: str) -> str:

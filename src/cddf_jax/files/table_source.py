@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from ..errors import InputError, needed
-from .table_header import is_number
+from .table_header import is_like_number
 
 Recognised = Callable[[Sequence[str]], int]  # how many cells are heads of columns
 Row = tuple[int, list[str]]  # its line in the file, or its number in the sheet, and its cells
@@ -160,7 +160,8 @@ def _above_numbers(rows: Sequence[Row]) -> tuple[float, int]:
 
 
 def _numbers_and_words(cells: Sequence[str]) -> tuple[int, int]:
-    numbers = sum(is_number(cell.replace(",", ".")) for cell in cells)
+    """How many cells are numbers, or dates and the like, and how many are words."""
+    numbers = sum(is_like_number(cell) for cell in cells)
     return numbers, sum(map(bool, cells)) - numbers
 
 

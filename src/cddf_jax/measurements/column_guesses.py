@@ -9,9 +9,12 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from ..errors import InputError
 from ..files.csv_table import Unused
-from ..files.table_header import is_number, name_and_unit, short
-from ..units import Dimension, preferred, unit_fits
+from ..files.table_header import is_like_number, name_and_unit, short
+from ..units import Dimension, preferred, to_si
 from .columns import DIRECTIONS, PULLEY, column_dimension, column_resembled
 from .readings import tendon_number
 
@@ -20,7 +23,7 @@ _WORDS = {
     "tip": "tip spitze oben top upper distal dist end ende output",
     "force": "force kraft tension load cell lc f",
     "angle": "angle winkel theta phi bend bending heading",
-    "length": "pos position em coord trans translation t p",
+    "length": "pos position em coord trans translation t p extension",
     "time": "time zeit timestamp millis",
     "wrap": "wrap umschlingung",
     "weight": "weight gewicht",
@@ -35,11 +38,11 @@ _WORDS = {
     "other": "soll set target cmd command desired ref error err fehler std sd mean max quat rot velocity vel speed acc",
 }
 _MEANS = {word: meaning for meaning, words in _WORDS.items() for word in words.split()}
-_IN_WORDS = {word for word in _MEANS if len(word) > 3} | {"tip", "pos"}  # that count as a part of a word: Seilkraft
+_PARTS = [word for word in _MEANS if len(word) > 3 or word in ("tip", "pos")]  # of a word: Seilkraft
 _WORD = re.compile(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+(?![a-zäöüß])|\d+")
-_COMPONENT = re.compile("([tpfdum]?)([xyz])")  # x, or in one word with its quantity: Tx, Fz
+_COMPONENT = re.compile("([tpfdu]?)([xyz])")  # x, or in one word with its quantity: Tx, Fz
 _BEHIND = re.compile(r"(.*?)(?:[\s_]+in)?[\s_]+(N|mN|kN|gf|kgf|g|kg|lbf|deg|rad|mm|cm|m|s|ms)")
-_SAID = {"g": "gf", "kg": "kgf", "grad": "deg"}  # for a unit that is refused
+_SAID = {"g": "gf", "kg": "kgf", "lb": "lbf", "lbs": "lbf", "grad": "deg"}  # for a unit that is refused
 _DIMENSIONS: tuple[Dimension, ...] = ("force", "length", "angle", "time")
 _SHOWN = 20  # unknown columns in a message
 
@@ -88,8 +91,7 @@ def advice(unused: Sequence[Unused], guesses: Mapping[str, str], needed: Sequenc
 
 def hint(guesses: Mapping[str, str]) -> list[str]:
     """A line on columns that could be used as well, if there are any."""
-    unused = [Unused(head, ()) for head in guesses]
-    return [f"to use more columns, {advice(unused, guesses)}"] if guesses else []
+    return [f"to use more columns, {advice([*map(Unused, guesses)], guesses)}"] if guesses else []
 
 
 def guess_measurements(unused: Sequence[Unused], known: Collection[str]) -> dict[str, str]:
@@ -137,35 +139,37 @@ def _seen(unused: Sequence[Unused]) -> list[_Seen]:
     return [_one(*one) for one in unused if count[one.head] == 1 and any(cell.strip() for cell in one.cells)]
 
 
-def _one(head: str, cells: Sequence[str]) -> _Seen:
+def _one(head: str, cells: Sequence[str], unit_below: str | None) -> _Seen:
     name, unit = name_and_unit(head)
     if unit is None and (behind := _BEHIND.fullmatch(name)):
         name, unit = behind.groups()
-    filled = [cell for cell in cells if cell.strip()]
-    numeric = 2 * sum(is_number(cell.replace(",", ".")) or cell.startswith("=") for cell in filled) >= len(filled)
-    if unit is None and numeric:  # it may be in a row below the header
-        below = (cell.strip(" []()") for cell in cells[:3])
-        unit = next((text for text in below if text and not is_number(text) and _dimension(text)), None)
+    filled = [cell.strip() for cell in cells if cell.strip()]
+    numbers = [is_like_number(cell) or cell.startswith("=") for cell in filled]
+    numeric = 2 * sum(numbers) >= len(filled)
+    if unit is None and numeric:
+        above = [cell.strip("[]() ") for cell in filled[: numbers.index(True)]]  # above the numbers
+        unit = next((text for text in (unit_below, *above) if text and _dimension(text)), None)
     words, axis = [], ""
     for word in map(str.lower, _WORD.findall(name)):
         component = _COMPONENT.fullmatch(word)
         axis = component[2] if component else axis
         words.append(component[1] if component else word)
-    means = frozenset(
-        meaning
-        for word in words
-        for known, meaning in _MEANS.items()
-        if word == known or (known in _IN_WORDS and (word.startswith(known) or word.endswith(known)))
-    )
-    numbers = [int(word) for word in words if word.isdigit()]
+    means = frozenset(meaning for word in words for meaning in _meanings(word))
+    digits = [int(word) for word in words if word.isdecimal()]
     label = "".join(words)
     return _Seen(
-        *(head, label, means, axis, numbers[0] if len(numbers) == 1 else None),
+        *(head, label, means, axis, digits[0] if len(digits) == 1 else None),
         dimension=_by_words(label, means, axis) if unit is None else _dimension(unit),
-        unit="ms" if unit is None and "millis" in label else None if unit is None else _SAID.get(unit.lower(), unit),
+        unit=("ms" if label in ("millis", "ms") else None) if unit is None else _SAID.get(unit.lower(), unit),
         cells=filled,
         numeric=numeric,
     )
+
+
+def _meanings(word: str) -> list[str]:
+    """The meanings of a word, or else those of its first and last parts."""
+    parts = [word] if word in _MEANS else [part for part in _PARTS if word.startswith(part) or word.endswith(part)]
+    return [_MEANS[part] for part in parts]
 
 
 def _dimension(unit: str) -> Dimension | None:
@@ -173,7 +177,15 @@ def _dimension(unit: str) -> Dimension | None:
     for dimension in _DIMENSIONS:  # without pint
         if said == preferred(dimension)[1]:
             return dimension
-    return next((dimension for dimension in _DIMENSIONS if unit_fits(said, dimension)), None)
+    return next((dimension for dimension in _DIMENSIONS if _converts(said, dimension)), None)
+
+
+def _converts(unit: str, dimension: Dimension) -> bool:
+    try:
+        to_si(np.zeros(0), unit, dimension, "")
+    except InputError:
+        return False
+    return True
 
 
 def _by_words(label: str, means: frozenset[str], axis: str) -> Dimension | None:
@@ -184,7 +196,7 @@ def _by_words(label: str, means: frozenset[str], axis: str) -> Dimension | None:
         return "length" if means & {"length", "tip", "offset"} or not label.strip("0123456789") else None
     if means & {"trial", "step", "direction", "row", "marker"}:
         return None
-    if label == "t" or "time" in means:
+    if label in ("t", "ms") or "time" in means:
         return "time"
     if means & {"wrap", "angle"}:
         return "angle"
