@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, within
-from ..units import preferred, to_si
+from ..units import to_si
 from . import table_header
 from .table_header import Heading, Kind, is_number, number, short
 from .table_source import Row, Source, open_table
+from .times import seconds_in
 
 # what instruments write where there is no number
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")
@@ -47,12 +48,6 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
         if below and (with_units := table_header.with_units_below(headings, *below[0], kind)):
             headings = with_units
             source.read_as.append(f"row {below.pop()[0]} holds the units")
-        for i, heading in enumerate(headings):
-            dimension = (
-                kind.dimension_of(heading.column) if heading.column and heading.column in kind.optional else None
-            )
-            if dimension and heading.unit is None:  # the usual one
-                headings[i] = heading._replace(unit=preferred(dimension)[1])
         table_header.check_headings(headings, source.row, kind)
         names = {text for heading in headings for text in (heading.text, heading.name)}
         return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
@@ -74,7 +69,7 @@ def _opened(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]
 
     def recognised(cells: Sequence[str]) -> int:
         found = (table_header.heading_of(cell, kind, given).column for cell in cells)
-        return sum(column is not None and column not in kind.optional for column in found)
+        return sum(column is not None and not _is_time(column, kind) for column in found)  # loggers write it above
 
     return open_table(path, recognised, empty), given
 
@@ -101,22 +96,23 @@ def _read(
         raise InputError(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
         )
-    headings = [
-        h._replace(column=None)
-        if h.column in kind.optional and not all(is_number(text.strip().replace(",", ".")) for text in own)
-        else h
-        for h, own in zip(headings, cells, strict=True)
-    ]
     unit_of = {heading.column: heading.unit for heading in headings}
     used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
     words_read: dict[str, str] = {}
     texts = {column: _replace_words(own, kind.words(column), words_read) for column, own in used.items()}
+    times = {column: own for column, own in texts.items() if _is_time(column, kind)}
     if source.decimal_commas:
-        texts |= _replace_commas({column: own for column, own in texts.items() if column not in kind.labels}, at)
+        plain = {column: own for column, own in texts.items() if column not in kind.labels and column not in times}
+        texts |= _replace_commas(plain, at)
+        times = {column: [re.sub(r"(?<=\d),(?=\d)", ".", text) for text in own] for column, own in times.items()}
     columns = {
         column: _labels(column, at, own) if column in kind.labels else _numbers(column, at, own, unit_of[column], kind)
         for column, own in texts.items()
+        if column not in times
     }
+    for column, own in times.items():
+        columns[column], said = seconds_in(column, at, own, unit_of[column] or "s")
+        source.read_as.extend([said] if said else [])
     unused = tuple(
         heading.text or f"column {i} without a name"
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
@@ -135,6 +131,10 @@ def _reading_notes(headings: Sequence[Heading], unused: Sequence[str], words_rea
         yield f"columns that are not used: {', '.join(map(short, unused))}"
     if words_read:
         yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in words_read.items())
+
+
+def _is_time(column: str, kind: Kind) -> bool:
+    return kind.dimension_of(column) == "time"
 
 
 def _cells_by_column(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[list[int], list[list[str]]]:

@@ -10,7 +10,8 @@ from ..files.csv_table import Table, read_table
 from ..files.table_header import Kind
 from ..quantities import dimension_of
 from ..units import Dimension, written
-from .columns import ORDER, column_dimension, column_meant, is_reading
+from .columns import column_dimension, column_meant, is_reading
+from .order import ORDER, check_order, order_of
 
 DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that the file has is the path
 
@@ -26,7 +27,7 @@ class PathFile(NamedTuple):
 def read_path_file(path: str | os.PathLike[str]) -> PathFile:
     """The column `base_tension` of a file with the unit in its header, or else `tendon_displacement` or `tip_angle`.
 
-    The order is that of the columns `step` and `time`, or without them that of the rows.
+    The order is that of the column `step`, or without it that of the rows, in which a column `time` may not go back.
 
     Args:
         path: CSV or .xlsx; other columns are not used.
@@ -45,14 +46,18 @@ def read_path_file(path: str | os.PathLike[str]) -> PathFile:
                 f"holds {len(trials)} trials, but a path is one trial; keep the rows of one, such as {trials[0]}"
             )
         _check(table, driven)
-    keys = [table.columns[name] for name in reversed(ORDER) if name in table.columns]
-    values = table.columns[driven]
-    return PathFile((values[np.lexsort(keys)] if keys else values).tolist(), dimension_of(driven), table.read_as)
+        said = check_order(table.columns, table.rows)
+    values = table.columns[driven][order_of(table.columns)]
+    return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said))
 
 
 def _check(table: Table, driven: str) -> None:
     """Every value a number, and no tension negative."""
     values, is_tension = table.columns[driven], driven == "base_tension"
+    for column in (column for column in ORDER if column in table.columns):
+        if not np.all(known := np.isfinite(table.columns[column])):
+            where = f"row {table.rows[int(np.argmin(known))]}, column {column}"
+            raise InputError(f"{where}: must be finite; give a number")
     bad = np.flatnonzero(~np.isfinite(values) | (is_tension & (values < 0)))
     if bad.size:
         got, rule = float(values[bad[0]]), "must be 0 or more" if is_tension else "must be finite"
@@ -73,6 +78,5 @@ _KIND = Kind(
     "base_tension [N]",
     meant=column_meant,
     labels=("trial",),
-    optional=ORDER,
     gaps=is_reading,
 )
