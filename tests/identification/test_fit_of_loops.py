@@ -222,16 +222,6 @@ def test_a_history_that_cannot_be_followed():
         cddf.fit(BODY, table(), noise={"base_tension": -1.0})
 
 
-def test_the_order_of_rows_by_trial_step_and_time():
-    """By step, then by time, trial by trial; without either as the file has them."""
-    columns = {"base_tension": [1.0, 2, 3, 4], "tip_tension": [1.0, 2, 3, 4]}
-    order = Measurements.from_columns("bench", **columns, time=[3, 1, 2, 0], trial=["a", "b", "a", "b"]).order
-    np.testing.assert_array_equal(order, [2, 0, 3, 1])
-    order = Measurements.from_columns("bench", **columns, step=[2, 1, 1, 2], time=[1.0, 1, 0, 0]).order
-    np.testing.assert_array_equal(order, [2, 1, 3, 0])
-    np.testing.assert_array_equal(Measurements.from_columns("bench", **columns).order, range(4))
-
-
 def test_a_row_without_a_reading_is_still_a_step():
     """60 N were not read, but turned the tendon: the path of three steps stays, and one reading is missing."""
     columns = {"base_tension": [10.0, 60.0, 20.0], "tip_tension": [9.0, np.nan, 22.0], "step": [1, 2, 3]}

@@ -6,7 +6,8 @@
 | clock time or duration | `10:00:18`, `9:05:00.5 PM`, `1 day, 0:00:05`, `10:05` (h, min), `00:01.5` (min, s) |
 | date | `2026-05-04 10:00:18`, `2026-05-04T10:00:18.5+02:00`, `2026/05/04 10:00`, `04.05.2026 10:00:18` |
 
-Dates count from the first row. All cells of a column have one form: else their order is not known.
+Dates count from the first row. `10:05` is minutes and seconds where the unit says so: `[mm:ss]`, `[min]`. All cells of
+a column have one form: else their order is not known.
 """
 
 import re
@@ -30,7 +31,7 @@ _REMEDY = (
 
 
 def seconds_in(column: str, rows: Sequence[int], texts: Sequence[str], unit: str) -> tuple[np.ndarray, str]:
-    """The times in the cells of a column, s, and in words how they were read; "" for plain numbers.
+    """The times in the cells of a column, s, and in words how they were read; "" for numbers.
 
     Args:
         column: its name, for messages.
@@ -56,7 +57,7 @@ def seconds_in(column: str, rows: Sequence[int], texts: Sequence[str], unit: str
         forms.append(form)
     if forms[0].startswith("a date"):
         values -= values[0]
-    return values, f"{column}: {short(texts[0])} is read as {values[0]:.9g} s"
+    return values, f"{column}: {short(texts[0])} is read as {values[0]:.9g} s" if forms[0] != "a number" else ""
 
 
 def _read(text: str, unit: str) -> tuple[str, float]:
@@ -64,6 +65,8 @@ def _read(text: str, unit: str) -> tuple[str, float]:
     if found := _CLOCK.fullmatch(text):
         days, hours, minutes, rest, half = found.groups()
         hour = int(hours) % 12 + 12 * (half in "pP") if half else int(hours)
+        if rest is None and unit.startswith("m"):  # mm:ss, min
+            return "a clock time", int(hours) * 60.0 + int(minutes)
         if not half or 1 <= int(hours) <= 12:
             return "a clock time", int(days or 0) * _DAY + hour * 3600.0 + int(minutes) * 60.0 + float(rest or 0)
     if found := _MINUTES.fullmatch(text):
@@ -73,7 +76,7 @@ def _read(text: str, unit: str) -> tuple[str, float]:
         text = f"{year}-{month}-{day}{text[found.end() :]}"
     if re.match(r"\d{4}-\d\d-\d\d", text):
         try:
-            date = datetime.fromisoformat(text)
+            date = datetime.fromisoformat(re.sub(r"(?<=[ T])(?=\d:)", "0", text))  # 9:05
         except ValueError:
             return "", 0.0
         form = "a date" if date.tzinfo is None else "a date with a time zone"
@@ -85,11 +88,11 @@ def _read(text: str, unit: str) -> tuple[str, float]:
 
 
 def seconds_of(values: ArrayLike) -> np.ndarray:
-    """The times in an array or a list, s: numbers in s, text as in a file, dates, times and durations.
+    """The times in an array or a list, s: numbers in s as they are, text as in a file, dates, times and durations.
 
     Raises:
         InputError: for text or an object that is not a time; names row and value.
-        TypeError, ValueError: for other values that are not numbers.
+        TypeError: for durations in months.
     """
     array = np.asarray(values)
     if array.dtype.kind == "M":
@@ -98,4 +101,4 @@ def seconds_of(values: ArrayLike) -> np.ndarray:
         return array / np.timedelta64(1, "s")  # NaN for NaT
     if array.dtype.kind in "OU" and array.ndim == 1:
         return seconds_in("time", range(1, len(array) + 1), [str(value) for value in array], "s")[0]
-    return np.array(array, float)
+    return array

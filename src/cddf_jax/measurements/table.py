@@ -342,7 +342,7 @@ def _array(column: str, values: ArrayLike) -> np.ndarray:
     if column == "trial":
         return np.array([str(label) for label in np.asarray(values, object)])
     try:
-        array = seconds_of(values) if column == "time" else np.array(values, dtype=np.float64)
+        array = np.array(seconds_of(values) if column == "time" else values, dtype=np.float64)
     except InputError:
         raise
     except (TypeError, ValueError):
