@@ -1,5 +1,7 @@
 """The order in which rows were measured: what gives it, and what is refused because it does not."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from refusals import refused
@@ -79,7 +81,7 @@ def test_a_trial_of_its_own_for_each_run(tmp_path, head):
 
 
 def test_columns_of_python_have_an_order_too():
-    columns = {"base_tension": [5, 75, 40], "tip_tension": [4, 45, 45]}
+    columns: dict[str, Any] = {"base_tension": [5, 75, 40], "tip_tension": [4, 45, 45]}
     dates = np.array(["2026-05-04T10:00", "2026-05-04T10:01", "2026-05-04T10:02"], "M8[m]")
     assert Measurements.from_columns("loop", time=dates, **columns)["time"].tolist() == [0, 60, 120]
     for times, said in (
