@@ -23,8 +23,6 @@ from ..units import quantity, to_si
 from .table_header import is_number, number, short
 
 _CLOCK = re.compile(r"(?:(\d+) days?,? )?(\d+):([0-5]\d)(?::([0-5]\d(?:\.\d*)?))?(?: ?([ap])\.?m\.?)?", re.I)
-_MINUTES = re.compile(r"(\d+):([0-5]\d\.\d+)")
-_DAY = 86400.0
 _REMEDY = (
     "give a time such as 18 s, 10:00:18 or 2026-05-04 10:00:18, or in place of the times a column step (1, 2, ...)"
 )
@@ -65,11 +63,11 @@ def _read(text: str, unit: str) -> tuple[str, float]:
     if found := _CLOCK.fullmatch(text):
         days, hours, minutes, rest, half = found.groups()
         hour = int(hours) % 12 + 12 * (half in "pP") if half else int(hours)
-        if rest is None and unit.startswith("m"):  # mm:ss, min
-            return "a clock time", int(hours) * 60.0 + int(minutes)
         if not half or 1 <= int(hours) <= 12:
-            return "a clock time", int(days or 0) * _DAY + hour * 3600.0 + int(minutes) * 60.0 + float(rest or 0)
-    if found := _MINUTES.fullmatch(text):
+            seconds = int(days or 0) * 86400.0 + hour * 3600.0 + int(minutes) * 60.0 + float(rest or 0)
+            of_minutes = (days, rest, half) == (None, None, None) and unit.startswith("m")  # mm:ss, min
+            return "a clock time", seconds / 60 if of_minutes else seconds
+    if found := re.fullmatch(r"(\d+):([0-5]\d\.\d+)", text):
         return "a clock time", int(found[1]) * 60.0 + float(found[2])
     if found := re.match(r"(\d{4})/(\d\d)/(\d\d)|(\d\d)\.(\d\d)\.(\d{4})", text):
         year, month, day = found.groups()[:3] if found[1] else found.groups()[:2:-1]
