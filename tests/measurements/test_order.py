@@ -80,6 +80,13 @@ def test_a_trial_of_its_own_for_each_run(tmp_path, head):
     assert "row 5, column" in refused(read_measurements, path_of(tmp_path, head, ["a,0", "a,1", "b,0", "a,0"]))
 
 
+def test_what_a_path_leaves_out_is_said(tmp_path):
+    path = tmp_path / "loop.csv"
+    path.write_text("tip_angle [deg], base_tension [N]\n60, 75\n50, 40\n")
+    assert read_path_file(path).values == [75, 40]
+    assert read_path_file(path).read_as == ("the path is base_tension; not used: tip_angle",)
+
+
 def test_columns_of_python_have_an_order_too():
     columns: dict[str, Any] = {"base_tension": [5, 75, 40], "tip_tension": [4, 45, 45]}
     dates = np.array(["2026-05-04T10:00", "2026-05-04T10:01", "2026-05-04T10:02"], "M8[m]")

@@ -37,9 +37,10 @@ def read_path_file(path: str | os.PathLike[str]) -> PathFile:
     """
     table = read_table(path, _KIND)
     with within(path):
-        driven = next((name for name in DRIVEN if name in table.columns), None)
-        if driven is None:
+        named = [name for name in DRIVEN if name in table.columns]
+        if not named:
             raise InputError(f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit")
+        driven, *others = named
         trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
         if len(trials) > 1:
             raise InputError(
@@ -47,6 +48,7 @@ def read_path_file(path: str | os.PathLike[str]) -> PathFile:
             )
         _check(table, driven)
         said = check_order(table.columns, table.rows)
+        said += [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
     values = table.columns[driven][order_of(table.columns)]
     return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said))
 
