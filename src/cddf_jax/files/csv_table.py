@@ -100,19 +100,20 @@ def _read(
     used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
     words_read: dict[str, str] = {}
     texts = {column: _replace_words(own, kind.words(column), words_read) for column, own in used.items()}
-    times = {column: own for column, own in texts.items() if _is_time(column, kind)}
+    times = {column for column in texts if _is_time(column, kind)}
     if source.decimal_commas:
         plain = {column: own for column, own in texts.items() if column not in kind.labels and column not in times}
         texts |= _replace_commas(plain, at)
-        times = {column: [re.sub(r"(?<=\d),(?=\d)", ".", text) for text in own] for column, own in times.items()}
-    columns = {
-        column: _labels(column, at, own) if column in kind.labels else _numbers(column, at, own, unit_of[column], kind)
-        for column, own in texts.items()
-        if column not in times
-    }
-    for column, own in times.items():
-        columns[column], said = seconds_in(column, at, own, unit_of[column] or "s")
-        source.read_as.extend([said] if said else [])
+        texts |= {column: [re.sub(r"(?<=\d),(?=\d)", ".", text) for text in texts[column]] for column in times}
+    columns = {}
+    for column, own in texts.items():
+        if column in times:
+            columns[column], said = seconds_in(column, at, own, unit_of[column] or "s")
+            source.read_as.extend([said] if said else [])
+        elif column in kind.labels:
+            columns[column] = _labels(column, at, own)
+        else:
+            columns[column] = _numbers(column, at, own, unit_of[column], kind)
     unused = tuple(
         heading.text or f"column {i} without a name"
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
