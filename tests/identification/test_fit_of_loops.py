@@ -73,6 +73,20 @@ def test_a_loop_brings_the_truth_back(fitted):
     assert not fitted.model.experiments[0].on_one_curve
 
 
+def test_a_file_with_clock_times_brings_the_truth_back(tmp_path):
+    """The same loop. Without its times the way back would count as pulled, so an empty one is refused."""
+    rows = [
+        f"10:00:{i:02d}, {pull}, {tip}, {angle}" for i, (pull, tip, angle) in enumerate(zip(LOOP, *loop(), strict=True))
+    ]
+    path = tmp_path / "loop.csv"
+    path.write_text("\n".join(["Time, base_tension [N], tip_tension [N], tip_angle [rad]", *rows]))
+    found = cddf.fit(BODY, cddf.read_measurements(path), ALL, noise=NOISE)
+    np.testing.assert_allclose([found.value[name] for name in ALL[:3]], [MU, E, 1.0], rtol=1e-6)
+    path.write_text(path.read_text().replace("10:00:18", ""))
+    with pytest.raises(InputError, match="row 20, column time: the cell is empty"):
+        cddf.read_measurements(path)
+
+
 def test_standard_errors_of_a_pull_and_of_a_loop(fitted):
     """As an independent derivation has them: 0.1 N, 0.5 degrees of noise; gain and zero of the tip cell free."""
     for found, expected in ((fitted.pull_alone, [1.37, 0.40, 0.83]), (fitted, [0.27, 0.17, 0.18])):
