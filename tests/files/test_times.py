@@ -63,5 +63,5 @@ def test_dates_and_durations_of_python():
         dates = np.array(texts, f"M8[{unit}]")
         for times in (texts, dates, dates.tolist() if unit != "ns" else texts, dates - dates[0]):
             np.testing.assert_array_equal(seconds_of(times), [0, 1, DAY])
-    assert np.isnan(seconds_of(np.array([0, "NaT"], "m8[s]"))[1])
+    np.testing.assert_array_equal(seconds_of(np.array([0, "NaT"], "m8[s]")), [0, np.nan])
     np.testing.assert_array_equal(seconds_of([3, 4.5]), [3, 4.5])

@@ -85,18 +85,19 @@ def _read(text: str, unit: str) -> tuple[str, float]:
         return "", 0.0
 
 
-def seconds_of(values: ArrayLike) -> np.ndarray:
-    """The times in an array or a list, s: numbers in s as they are, text as in a file, dates, times and durations.
+def seconds_of(values: ArrayLike) -> ArrayLike:
+    """The times in a column from Python, s: of text as in a file, dates, times and durations; others stay as they are.
 
     Raises:
         InputError: for text or an object that is not a time; names row and value.
-        TypeError: for durations in months.
     """
+    if np.ma.isMaskedArray(values):
+        return values
     array = np.asarray(values)
     if array.dtype.kind == "M":
         array = array.astype("M8[us]") - array[:1].astype("M8[us]")
-    if array.dtype.kind == "m":
+    if np.issubdtype(array.dtype, np.timedelta64) and np.can_cast(array.dtype, "m8[s]", "same_kind"):  # no months
         return array / np.timedelta64(1, "s")  # NaN for NaT
     if array.dtype.kind in "OU" and array.ndim == 1:
         return seconds_in("time", range(1, len(array) + 1), [str(value) for value in array], "s")[0]
-    return array
+    return values

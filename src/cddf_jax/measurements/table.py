@@ -341,10 +341,10 @@ def _counted(which: np.ndarray, rows: np.ndarray) -> str:
 def _array(column: str, values: ArrayLike) -> np.ndarray:
     if column == "trial":
         return np.array([str(label) for label in np.asarray(values, object)])
+    if column == "time":
+        values = seconds_of(values)
     try:
-        array = np.array(seconds_of(values) if column == "time" else values, dtype=np.float64)
-    except InputError:
-        raise
+        array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"column {column}: not every value is a number; give numbers in SI units") from None
     if array.ndim != 1:
