@@ -90,8 +90,6 @@ BROKEN = "cells hold line breaks (row 3); rows are numbered by the lines of the 
         ("base_tension,tip_tension\nN,(mN)\n5,4790\n10,9190\n20,17020\n", 3, ["row 2 holds the units"]),
         ("t;base_tension;tip_tension [N]\ns;[N];\n0;5;4,79\n1;10;9,19\n2;20;17,02\n", 3,
          ["row 2 holds the units", UNUSED.format("'t'")]),
-        ("Time,base_tension [N],tip_tension [N]\n12:01:30,5,4.79\n12:01:40,10,9.19\n12:01:50,20,17.02\n", 2,
-         [UNUSED.format("'Time'")]),
         (LABVIEW + "X_Value\tT_base [N]\tT_tip [N]\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n", 13,
          [BELOW.format(12), READ_AS.format("T_base [N]", "N", "T_tip [N]", "N"),
           UNUSED.format("'X_Value', 'Comment'")]),

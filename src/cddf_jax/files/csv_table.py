@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, within
-from ..units import preferred, to_si
+from ..units import to_si
 from . import table_header
 from .table_header import Heading, Kind, is_number, number, short
 from .table_source import Row, Source, open_table
+from .times import seconds_in
 
 _UNITS_BELOW = 3  # rows below the header, in which units are looked for: there may be channels above them
 # what instruments write where there is no number
@@ -66,12 +67,6 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
                 source.read_as.append(f"row {row} holds the units{unused}")
                 headings, below = with_units, below[i + 1 :]
                 break
-        for i, heading in enumerate(headings):
-            dimension = (
-                kind.dimension_of(heading.column) if heading.column and heading.column in kind.optional else None
-            )
-            if dimension and heading.unit is None:  # the usual one
-                headings[i] = heading._replace(unit=preferred(dimension)[1])
         table_header.check_headings(headings, source.row, kind)
         names = {heading.text if heading.text in given else heading.name for heading in headings}
         table = _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
@@ -94,7 +89,7 @@ def _opened(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]
 
     def recognised(cells: Sequence[str]) -> int:
         found = (table_header.heading_of(cell, kind, given).column for cell in cells)
-        return sum(column is not None and column not in kind.optional for column in found)
+        return sum(column is not None and not _is_time(column, kind) for column in found)  # loggers write it above
 
     return open_table(path, recognised, empty), given
 
@@ -121,22 +116,24 @@ def _read(
         raise InputError(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
         )
-    headings = [
-        h._replace(column=None)
-        if h.column in kind.optional and not all(is_number(text.strip().replace(",", ".")) for text in own)
-        else h
-        for h, own in zip(headings, cells, strict=True)
-    ]
     unit_of = {heading.column: heading.unit for heading in headings}
     used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
     words_read: dict[str, str] = {}
     texts = {column: _replace_words(own, kind.words(column), words_read) for column, own in used.items()}
+    times = {column for column in texts if _is_time(column, kind)}
     if source.decimal_commas:
-        texts |= _replace_commas({column: own for column, own in texts.items() if column not in kind.labels}, at)
-    columns = {
-        column: _labels(column, at, own) if column in kind.labels else _numbers(column, at, own, unit_of[column], kind)
-        for column, own in texts.items()
-    }
+        plain = {column: own for column, own in texts.items() if column not in kind.labels and column not in times}
+        texts |= _replace_commas(plain, at)
+        texts |= {column: [re.sub(r"(?<=\d),(?=\d)", ".", text) for text in texts[column]] for column in times}
+    columns = {}
+    for column, own in texts.items():
+        if column in times:
+            columns[column], said = seconds_in(column, at, own, unit_of[column] or "s")
+            source.read_as.extend([said] if said else [])
+        elif column in kind.labels:
+            columns[column] = _labels(column, at, own)
+        else:
+            columns[column] = _numbers(column, at, own, unit_of[column], kind)
     unused = tuple(
         Unused(heading.text, own, heading.unit)
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
@@ -157,6 +154,10 @@ def _reading_notes(
         yield f"columns that are not used: {', '.join(short(column.head) for column in unused)}"
     if words_read:
         yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in words_read.items())
+
+
+def _is_time(column: str, kind: Kind) -> bool:
+    return kind.dimension_of(column) == "time"
 
 
 def _cells_by_column(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[list[int], list[list[str]]]:

@@ -25,7 +25,6 @@ class Kind(NamedTuple):
     example: str  # of a header
     meant: Callable[[str], str | None] = lambda name: name  # the column that a name in a file means; None: left out
     labels: Collection[str] = ()  # columns of text
-    optional: Collection[str] = ()  # columns that are left out where a cell is not a number; they need no unit
     gaps: Callable[[str], bool] = lambda column: False  # whether cells of a column may be empty, which gives NaN
     words: Callable[[str], Mapping[str, str]] = lambda column: {}  # by word, the number that it stands for in a column
 
@@ -135,9 +134,10 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
             others[i] = unit or None  # for a guess of what it is
         if dimension is None or not unit:
             continue
-        if is_number(unit.replace(",", ".")) or not unit_fits(unit, dimension):
+        fits = unit_fits(unit, dimension)
+        if is_number(unit.replace(",", ".")) or not (fits or dimension == "time"):  # hh:mm:ss, or a clock time
             return None
-        units[i] = unit
+        units |= {i: unit} if fits else {}
     for i, unit in units.items():
         text, column, own = headings[i]
         if own not in (None, unit) and text.rstrip(")] ").endswith(own):  # no unit that the user said
@@ -167,7 +167,7 @@ def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
         dimension = kind.dimension_of(column)
         if dimension is None and unit is not None:
             raise InputError(f"row {row}: the column {column} has no unit, got [{unit}]; leave it out")
-        if dimension is not None:
+        if dimension not in (None, "time"):  # clock times need no unit
             to_si(np.zeros(0), unit or "", dimension, f"row {row}: the column {column}")
 
 

@@ -24,7 +24,7 @@ _WORDS = {
     "force": "force kraft tension load cell lc f",
     "angle": "angle winkel theta phi bend bending heading",
     "length": "pos position em coord trans translation t p extension",
-    "time": "time zeit timestamp millis",
+    "time": "time zeit timestamp millis elapsed clock date",
     "wrap": "wrap umschlingung",
     "weight": "weight gewicht",
     "trial": "trial versuch run lauf",

@@ -13,7 +13,8 @@ from ..files.table_header import Kind, name_and_unit
 from ..quantities import dimension_of
 from ..units import Dimension, written
 from .column_guesses import advice, guess_path
-from .columns import ORDER, column_dimension, column_meant, is_reading
+from .columns import column_dimension, column_meant, is_reading
+from .order import ORDER, check_order, order_of
 
 DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that the file has is the path
 
@@ -30,7 +31,7 @@ class PathFile(NamedTuple):
 def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> PathFile:
     """The column `base_tension` of a file with the unit in its header, or else `tendon_displacement` or `tip_angle`.
 
-    The order is that of the columns `step` and `time`, or without them that of the rows.
+    The order is that of the column `step`, or without it that of the rows, in which a column `time` may not go back.
 
     Args:
         path: CSV or .xlsx; other columns are not used.
@@ -41,28 +42,32 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
     """
     table = read_table(path, _KIND, columns)
     with within(path):
-        driven = next((name for name in DRIVEN if name in table.columns), None)
-        if driven is None:
+        named = [name for name in DRIVEN if name in table.columns]
+        if not named:
             what = f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit"
             hint = advice(table.unused, guess_path(table.unused, table.columns))
             raise InputError(what, where=f"row {table.header}", remedy=hint)
+        driven, *others = named
         trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
         if len(trials) > 1:
             raise InputError(
                 f"holds {len(trials)} trials, but a path is one trial; keep the rows of one, such as {trials[0]}"
             )
         _check(table, driven)
-    keys = [table.columns[name] for name in reversed(ORDER) if name in table.columns]
-    values = table.columns[driven]
-    values = values[np.lexsort(keys)] if keys else values
-    others = [name for name in DRIVEN if name != driven]
+        said = check_order(table.columns, table.rows)
+        said += [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
+    values = table.columns[driven][order_of(table.columns)]
     unused = (name for name, meant in (columns or {}).items() if _meant(name_and_unit(meant)[0]) in others)
-    return PathFile(values.tolist(), dimension_of(driven), table.read_as, (*table.missing, *unused))
+    return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said), (*table.missing, *unused))
 
 
 def _check(table: Table, driven: str) -> None:
     """Every value a number, and no tension negative."""
     values, is_tension = table.columns[driven], driven == "base_tension"
+    for column in (column for column in ORDER if column in table.columns):
+        if not np.all(known := np.isfinite(table.columns[column])):
+            where = f"row {table.rows[int(np.argmin(known))]}, column {column}"
+            raise InputError(f"{where}: must be finite; give a number")
     bad = np.flatnonzero(~np.isfinite(values) | (is_tension & (values < 0)))
     if bad.size:
         got, rule = float(values[bad[0]]), "must be 0 or more" if is_tension else "must be finite"
@@ -88,6 +93,5 @@ _KIND = Kind(
     "base_tension [N]",
     meant=_meant,
     labels=("trial",),
-    optional=ORDER,
     gaps=is_reading,
 )

@@ -16,7 +16,12 @@
 | wrap_angle | angle | pulley test: angle of contact |
 | weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |
 | trial | none | any label |
-| step, time | none, time | the order in which rows were measured: the rows of a trial are then a path with a history |
+| step | none | gives the order in which the rows of a trial were measured, which are then a path with a history |
+| time | time | says that the order of the file is that order |
+
+Time may not go back in a trial, unless a column step gives the order. Its cells are numbers, clock times such as
+10:00:18, or dates (`files.times`). A step may be repeated in rows one after another, which keep the order of the file.
+A step that comes again later is refused.
 
 A pulley test has its three columns, and may have trial, step and time;
 pulling_tension = weight exp(mu wrap_angle), Liu et al. (2020), eq. (5).
@@ -38,7 +43,7 @@ marks and encodings that can be read; .xlsx needs the extra `excel`.
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -49,11 +54,11 @@ from numpy.typing import ArrayLike
 from ..errors import InputError, within
 from ..files.csv_table import Table, read_table
 from ..files.table_header import Kind, heading_of, short
+from ..files.times import seconds_of
 from ..units import written
 from .column_guesses import advice, guess_measurements, hint, option
 from .columns import (
     DIRECTIONS,
-    ORDER,
     PER_TENDON,
     PULLEY,
     column_dimension,
@@ -61,9 +66,11 @@ from .columns import (
     column_resembled,
     is_direction,
     is_reading,
+    may_be_time,
 )
 from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
+from .order import ORDER, check_order, order_of
 from .readings import kind_of
 from .table_warnings import warnings_of
 
@@ -117,7 +124,8 @@ class Measurements:
         Args:
             name: of the table, for messages.
             notes: free text.
-            columns: as in the table at the head of the module; `trial` holds any labels. NaN: a missing reading.
+            columns: as in the table at the head of the module; `trial` holds any labels. NaN: a missing reading. `time`
+                holds seconds, dates, durations, or text as in a file.
 
         Raises:
             InputError: names table, row, column, value and remedy.
@@ -152,12 +160,11 @@ class Measurements:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """The rows, 0, 1, ..., in the order in which they were measured, trial by trial: by step, then by time.
+        """The rows, 0, 1, ..., in the order in which they were measured, trial by trial.
 
-        Without these columns they were measured in the order of the file.
+        It is the order of the column `step`, and for rows of one step or without this column that of the file.
         """
-        keys = [self.columns[column] for column in (*reversed(ORDER), "trial") if column in self]
-        return np.lexsort(keys) if keys else np.arange(len(self))
+        return order_of(self.columns)
 
     @cached_property
     def trial(self) -> np.ndarray:
@@ -235,7 +242,8 @@ def read_file(
     with within(path):
         if twice := [column for column in more.columns if column in found.columns]:
             raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
-        every, said = found.columns | more.columns, (*found.read_as, *further, *more.read_as)
+        every = found.columns | more.columns
+        said = (*found.read_as, *further, *more.read_as, *_unused_times(found))
         table = _table(Path(path).name, every, notes=found.notes, rows=found.rows, read_as=said)
     unread = [name for name, meant in own.items() if heading_of(meant, _KIND, {}).column in table.unread]
     missing = tuple(
@@ -246,13 +254,20 @@ def read_file(
     return replace(table, markers=more.places), missing
 
 
+def _unused_times(found: Table) -> Iterator[str]:
+    """Unused columns that may be the time, where a base tension falls and no column gives the order."""
+    pulls = [values for column, values in found.columns.items() if column.startswith("base_tension")]
+    if not any(column in found.columns for column in ORDER) and any(np.any(np.diff(values) < 0) for values in pulls):
+        for head in (one.head for one in found.unused if may_be_time(one.head)):
+            yield f"if {short(head)} is the time of the rows, {option(head, 'time')} gives them a history"
+
+
 _KIND = Kind(
     column_dimension,
     "measurements",
     "base_tension [N], tip_tension [N]",
     meant=column_meant,
     labels=("trial",),
-    optional=("time",),
     gaps=is_reading,
     words=lambda column: DIRECTIONS if is_direction(column) else {},
 )
@@ -289,7 +304,7 @@ def _table(
     if labels:
         arrays["trial"] = np.array([codes[label] for label in labels], float)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
-    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
+    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out, *check_order(arrays, at[kept])))
     return Measurements(
         *(name, arrays, at[kept], tuple(codes), notes, simulated),
         read_as=lines,
@@ -326,6 +341,8 @@ def _counted(which: np.ndarray, rows: np.ndarray) -> str:
 def _array(column: str, values: ArrayLike) -> np.ndarray:
     if column == "trial":
         return np.array([str(label) for label in np.asarray(values, object)])
+    if column == "time":
+        values = seconds_of(values)
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
