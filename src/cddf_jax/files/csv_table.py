@@ -118,6 +118,9 @@ def _read(
         )
     unit_of = {heading.column: heading.unit for heading in headings}
     used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
+    for column, own in used.items():
+        if formulas := [i for i, text in enumerate(own) if text.startswith("=")]:
+            table_header.check_computed(own[formulas[0]], f"row {at[formulas[0]]}, column {column}")
     words_read: dict[str, str] = {}
     texts = {column: _replace_words(own, kind.words(column), words_read) for column, own in used.items()}
     times = {column for column in texts if _is_time(column, kind)}
@@ -181,8 +184,6 @@ def _cells_by_column(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[
 
 def _labels(column: str, rows: Sequence[int], texts: Sequence[str]) -> np.ndarray:
     labels = [text.strip() for text in texts]
-    for row, label in zip(rows, labels, strict=True):
-        table_header.check_computed(label, f"row {row}, column {column}")
     if "" in labels:
         raise InputError(f"row {rows[labels.index('')]}, column {column}: the cell is empty; fill it")
     return np.array(labels)
@@ -218,7 +219,6 @@ def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str |
     except ValueError:
         bad = next(i for i, text in enumerate(texts) if not is_number(text))
         text = texts[bad].strip()
-        table_header.check_computed(text, f"row {rows[bad]}, column {column}")
         found = f"{short(text)} is not a number" if text else "the cell is empty"
         remedy = f"write {', '.join(kind.words(column))}" if kind.words(column) else "give a number or remove the row"
         if re.fullmatch(r"[+-]?\d+([,.'’\s]\d+)+", text):
