@@ -170,8 +170,9 @@ def test_the_unit_that_is_said_wins_over_that_of_the_file(tmp_path):
 
 
 def test_two_headers_are_refused(tmp_path):
-    with pytest.raises(InputError, match="row 5 is a second header, below numbers under that of row 1; remove one of"):
-        read(tmp_path, PLAIN + PLAIN)
+    for below in (PLAIN, PLAIN.replace("\n", ",1\n").replace(",1", ",tip_angle [deg]", 1)):  # also one that knows more
+        said = refused(read, tmp_path, PLAIN + below)
+        assert "row 5 is a second header, below numbers under that of row 1; remove one of them, or save each" in said
 
 
 def test_all_columns_without_a_unit_are_named(tmp_path):

@@ -125,11 +125,11 @@ def _known_header(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int
     for i, (row, cells) in enumerate(rows):
         numbers, words = _numbers_and_words(cells)
         known = recognised(cells) if words else 0
-        if known > most or (known == most and known and not numbers_below):
-            most, at, numbers_below = known, i, False
-        elif known == most >= _ENOUGH:
+        if numbers_below and known >= most >= _ENOUGH:
             remedy = "remove one of them, or save each table in a file of its own"
             raise InputError(f"row {row} is a second header, below numbers under that of row {rows[at][0]}; {remedy}")
+        if known > most or (known == most and known and not numbers_below):
+            most, at, numbers_below = known, i, False
         numbers_below = numbers_below or (known < most <= numbers)
     return most, at
 

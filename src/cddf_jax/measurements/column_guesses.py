@@ -71,14 +71,13 @@ def option(head: str, meant: str) -> str:
 
 
 def advice(unused: Sequence[Unused], guesses: Mapping[str, str], needed: Sequence[str] = ()) -> str:
-    """The options for all columns with a guess, and the names of those without one; `needed` are not among either."""
+    """The options for all columns with a guess, and the names of those without one; `needed` has no guess either."""
     parts = []
     if guesses:
         options = " ".join(option(one.head, guesses[one.head]) for one in unused if one.head in guesses)
-        units = (
-            "" if all(name_and_unit(head)[1] for head in guesses) else " (a unit that the header lacks is a guess too)"
-        )
-        parts.append(f"a guess by unit, words and order, to check{units}: {options}")
+        in_header = all(name_and_unit(head)[1] for head in guesses)
+        note = "" if in_header else " (a unit that the header lacks is a guess too)"
+        parts.append(f"a guess by unit, words and order, to check{note}: {options}")
     count = Counter(one.head for one in unused)
     if rest := [short(head) for head in count if head not in guesses and count[head] == 1]:
         parts.append(f"no guess for {', '.join(rest[:_SHOWN])}{', ...' if len(rest) > _SHOWN else ''}")
@@ -101,7 +100,7 @@ def guess_measurements(unused: Sequence[Unused], known: Collection[str]) -> dict
     found = [(one, meant) for one, meant in misspelt if meant]
     rest = [one for one, meant in misspelt if not meant]
     found += [*_labels(rest), *_times(rest)]
-    rest = [one for one in rest if "other" not in one.means]
+    rest = [one for one in rest if one.numeric and "other" not in one.means]
     if set(known) & set(PULLEY) or any("wrap" in one.means for one in rest):
         return _described([*found, *_pulley(rest)], known)
     return _described([*found, *_tensions(rest, known), *_angles(rest), *_positions(rest, known)], known)
@@ -250,7 +249,7 @@ def _times(columns: Sequence[_Seen]) -> _Pairs:
 
 
 def _pulley(columns: Sequence[_Seen]) -> _Pairs:
-    for one in (one for one in columns if one.numeric):
+    for one in columns:
         if one.dimension == "angle":
             yield one, "wrap_angle"
         elif one.dimension == "force":
@@ -259,7 +258,7 @@ def _pulley(columns: Sequence[_Seen]) -> _Pairs:
 
 def _tensions(columns: Sequence[_Seen], known: Collection[str]) -> _Pairs:
     """Tensions at base and tip by their words; without words two cells are base and tip, others those of the base."""
-    forces = [one for one in columns if one.dimension == "force" and one.numeric]
+    forces = [one for one in columns if one.dimension == "force"]
     yield from ((one, f"tip_force_{one.axis}") for one in forces if one.axis)
     forces = [one for one in forces if not one.axis]
     bases, tips = ([one for one in forces if place in one.means] for place in ("base", "tip"))
@@ -289,7 +288,7 @@ def _of_tendon(column: str, tendon: int) -> str:
 
 def _angles(columns: Sequence[_Seen]) -> _Pairs:
     """The only angle, or the only one of the tip; that of a motor is none."""
-    angles = [one for one in columns if one.dimension == "angle" and one.numeric and "base" not in one.means]
+    angles = [one for one in columns if one.dimension == "angle" and "base" not in one.means]
     of_tip = [one for one in angles if "tip" in one.means] or angles
     if len(of_tip) == 1:
         yield of_tip[0], "tip_angle"
@@ -297,7 +296,7 @@ def _angles(columns: Sequence[_Seen]) -> _Pairs:
 
 def _positions(columns: Sequence[_Seen], known: Collection[str]) -> _Pairs:
     """The only position, or that with a word for the tip; others are markers."""
-    places = [one for one in columns if one.dimension == "length" and one.axis and one.numeric]
+    places = [one for one in columns if one.dimension == "length" and one.axis]
     labels = {one.label for one in places}
     tips = {one.label for one in places if "tip" in one.means} or (labels if len(labels) == 1 else set())
     for one in places:
