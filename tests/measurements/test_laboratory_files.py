@@ -173,6 +173,8 @@ def test_two_headers_are_refused(tmp_path):
     for below in (PLAIN, PLAIN.replace("\n", ",1\n").replace(",1", ",tip_angle [deg]", 1)):  # also one that knows more
         said = refused(read, tmp_path, PLAIN + below)
         assert "row 5 is a second header, below numbers under that of row 1; remove one of them, or save each" in said
+    few = "trial,direction,base_tension [N]\na,in,5\n"  # few numbers in a row
+    assert "row 3 is a second header" in refused(read, tmp_path, few + few)
 
 
 def test_all_columns_without_a_unit_are_named(tmp_path):

@@ -130,7 +130,7 @@ def _known_header(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int
             raise InputError(f"row {row} is a second header, below numbers under that of row {rows[at][0]}; {remedy}")
         if known > most or (known == most and known and not numbers_below):
             most, at, numbers_below = known, i, False
-        numbers_below = numbers_below or (known < most <= numbers)
+        numbers_below = numbers_below or (known < most and numbers > 0)
     return most, at
 
 
