@@ -51,7 +51,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, within
+from ..errors import InputError, in_utf8, within
 from ..files.csv_table import Table, read_table
 from ..files.table_header import Kind, short
 from ..files.times import seconds_of
@@ -243,7 +243,7 @@ def read_file(
         if twice := [column for column in more.columns if column in found.columns]:
             raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
         every, said = found.columns | more.columns, (*found.read_as, *more.read_as, *_unused_times(found, own))
-        table = _table(Path(path).name, every, notes=found.notes, rows=found.rows, read_as=said)
+        table = _table(in_utf8(Path(path).name), every, notes=found.notes, rows=found.rows, read_as=said)
     missing = tuple(
         name
         for name in columns
