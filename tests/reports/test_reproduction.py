@@ -1,6 +1,7 @@
 """The paper's figures and table, the house style, and files that are whole or absent."""
 
 import json
+import os
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -155,6 +156,22 @@ def test_files_are_replaced_together_or_not_at_all(tmp_path):
 def test_json_of_arrays_and_of_what_is_not_finite():
     value = {"a": np.array([1.0, np.nan]), "b": (np.float64(np.inf), 2, True, None, "µ"), "c": np.int64(3)}
     assert json.loads(writing.as_json(value)) == {"a": [1.0, None], "b": [None, 2, True, None, "µ"], "c": 3}
+
+
+def test_a_file_name_that_is_not_utf8_in_reports(tmp_path):
+    """0xff is no byte of UTF-8 (RFC 3629); the file is read by its true name."""
+    path = tmp_path / os.fsdecode(b"run\xff.csv")
+    path.write_text("base_tension [N],tip_tension [N]\n5,4\n")
+    name = read_measurements(path).name
+    assert name == "run\\xff.csv"
+    writing.write_all(path.with_suffix(""), {"a.json": writing.as_json({"path": str(path)}), "a.md": str(path)})
+    assert json.loads((path.with_suffix("") / "a.json").read_text()) == {"path": f"{tmp_path}/{name}"}
+    assert (path.with_suffix("") / "a.md").read_text() == f"{tmp_path}/{name}"
+
+
+def test_a_cell_of_a_table_that_holds_its_separator():
+    """GitHub Flavored Markdown, section 4.10: a pipe in a cell is escaped by a backslash."""
+    assert writing.markdown_table(["a|b"], [["c"]]) == ["| a\\|b |", "| --- |", "| c |"]
 
 
 # --- plotting ------------------------------------------------------------------------------------

@@ -59,4 +59,5 @@ def picked(what: object, names: Iterable[str]) -> dict[str, object]:
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]], right: Collection[str] = ()) -> list[str]:
     """The lines of a table in Markdown; the columns named in `right` are aligned to the right."""
     rules = ["---:" if name in right else "---" for name in head]
-    return [f"| {' | '.join(cell.replace('|', r'\|') for cell in cells)} |" for cells in (head, rules, *rows)]
+    escaped = ([cell.replace("|", "\\|") for cell in cells] for cells in (head, rules, *rows))
+    return [f"| {' | '.join(cells)} |" for cells in escaped]

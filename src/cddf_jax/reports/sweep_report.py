@@ -58,7 +58,12 @@ def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Plac
 
 def _check_places(places: Places, work: Sweep) -> None:
     """Refuse, before anything is computed, what could not be written afterwards."""
-    layout, csv, netcdf = work.layout, places.csv, places.netcdf
+    csv, netcdf = places.csv, places.netcdf
+    for option, path in (("--out", places.store.with_name("report")), ("--netcdf", netcdf), ("--csv", csv)):
+        if path is not None:
+            with within(option):
+                check_writable(path)
+    layout = work.layout
     if netcdf is not None:
         largest = max(int(np.prod(v.shape)) * v.dtype.itemsize for v in layout.variables.values())
         if largest > NETCDF_MOST:
@@ -70,10 +75,6 @@ def _check_places(places: Places, work: Sweep) -> None:
             raise InputError(f"--netcdf {netcdf}: takes {size} of memory, {allowed} are allowed; raise --memory")
     if csv is not None and not any(name not in VERDICTS and is_short(layout, name) for name in layout.variables):
         raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
-    for option, path in (("--out", places.store.with_name("report")), ("--netcdf", netcdf), ("--csv", csv)):
-        if path is not None:
-            with within(option):
-                check_writable(path)
 
 
 # --- running -------------------------------------------------------------------------------------
