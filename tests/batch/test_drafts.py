@@ -3,7 +3,7 @@
 import pytest
 from refusals import refused
 
-from cddf_jax.batch.drafts import check_writable, in_one_step
+from cddf_jax.batch.drafts import check_folder, in_one_step
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt(), ZeroDivisionError()])
@@ -19,20 +19,16 @@ def test_nothing_is_left_of_what_was_not_completed(tmp_path, error):
     assert [path.name for path in tmp_path.rglob("*")] == ["there"]
 
 
-def test_a_place_is_tried_and_left_as_it_was(tmp_path):
+def test_a_folder_is_tried_and_left_as_it_was(tmp_path):
     (tmp_path / "file").write_text("kept")
-    check_writable(tmp_path / "new" / "below" / "report")
-    check_writable(tmp_path / "file")
-    assert refused(check_writable, tmp_path / "file" / "a" / "b").endswith(
-        "file: is a file, and a folder is needed there; choose another place"
-    )
-    assert refused(check_writable, tmp_path) == f"{tmp_path}: is a folder; give the name of a file"
+    check_folder(tmp_path)
+    check_folder(tmp_path / "new" / "below")
+    said = f"{tmp_path / 'file'}: is a file, and a folder is needed there; choose another place"
+    assert refused(check_folder, tmp_path / "file" / "a") == refused(check_folder, tmp_path / "file") == said
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("file", "kept")]
 
 
 def test_a_name_that_the_file_system_does_not_take(tmp_path, monkeypatch):
     """As in a locale of ASCII, which has no character beyond 127."""
     monkeypatch.setattr("os.fsencode", lambda path: str(path).encode("ascii"))
-    assert refused(check_writable, tmp_path / "\u00e9").endswith(
-        "no file can have this name here; set a locale of UTF-8"
-    )
+    assert refused(check_folder, tmp_path / "\u00e9").endswith("no file can have this name here; set a locale of UTF-8")

@@ -193,30 +193,21 @@ def test_out_that_cannot_be_written_is_refused_before_the_work(fails, monkeypatc
     assert said == "--out: taken: is a file, and a folder is needed there; choose another place"
 
 
-def full_disk(monkeypatch, room):
-    """Files of more bytes than `room` cannot be written, as on a disk that is full."""
-    write = Path.write_bytes
-
-    def written(self, content):
-        if len(content) > room:
-            raise OSError(28, "No space left on device", str(self))
-        return write(self, content)
-
-    monkeypatch.setattr(Path, "write_bytes", written)
+def full(*arguments, **options):
+    """As the system says it."""
+    raise OSError(28, "No space left on device")
 
 
 def test_a_full_disk_is_found_before_the_work(fails, monkeypatch):
-    full_disk(monkeypatch, 10)
-    assert fails("solve", PAPER, *PULL, "--out", "new") == (
-        "--out: new/report: No space left on device; choose another place"
-    )
+    monkeypatch.setattr("cddf_jax.batch.drafts.TemporaryFile", full)
+    said = fails("solve", PAPER, *PULL, "--out", "new/below")
+    assert said == "--out: .: No space left on device; choose another place"
 
 
 def test_a_disk_that_fills_up_leaves_the_answer_on_standard_output(cddf_command, monkeypatch, tmp_path):
     """The answer is that without `--out`; one line says what was not written, and no half of it stays."""
     _, answer, _ = cddf_command("solve", PAPER, *PULL, "--json")
-    monkeypatch.setattr("cddf_jax.cli.options.check_writable", lambda path: None)  # it fills up after this look
-    full_disk(monkeypatch, 10)
+    monkeypatch.setattr(Path, "write_bytes", full)  # after the trial
     out = tmp_path / "new" / "below"
     code, text, error = cddf_command("solve", PAPER, *PULL, "--json", "--out", out)
     assert (code, json.loads(text)) == (2, json.loads(answer))

@@ -473,7 +473,7 @@ WRONG = [
     ((*TENSIONS, "--direction", "2"), "--direction 2: give +1"),
     ((*TENSIONS, "--tip-force", "5 N"), "--tip-force needs two components"),
     ((*TENSIONS, "--gravity", "0, -9.81 m/s^2"), "loads.gravity: the body has no weight"),
-    ((*TENSIONS, "--csv", "."), "--csv: .: is a folder; give the name of a file"),
+    ((*TENSIONS, "--csv", "."), "--csv .: is a folder; give the name of a file"),
     ((*TENSIONS, "--csv", "x", "--netcdf", "x"), "--netcdf and --csv are both x"),
     ((*TENSIONS, "--csv", "x.csv", "--output", "tension"), "--csv x.csv: a table takes no outputs along the body"),
     ((*TENSIONS, "--coordinator", "node1:1234"), "--coordinator, --num-processes and --process-id belong together"),

@@ -1,4 +1,4 @@
-"""Files that take their places complete or not at all, and places that are tried before the work begins."""
+"""Files that take their places complete or not at all, and folders that are tried before the work begins."""
 
 import os
 import secrets
@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from ..errors import InputError
 
@@ -19,36 +20,12 @@ def in_one_step(path: Path) -> Iterator[Path]:
 
     The folder around it is made if it is missing, and removed again if nothing came into it.
     """
-    with _draft(path) as draft:
-        yield draft
-        os.replace(draft, path)
-
-
-def check_writable(path: Path) -> None:
-    """Refuse a path at which no file can be written, before long work whose result goes there.
-
-    A file is written beside it and removed, with the folders that were made for it.
-    """
-    if path.is_dir():
-        raise InputError("is a folder; give the name of a file", where=str(path))
-    with _draft(path) as draft:
-        draft.write_bytes(bytes(TRIAL))
-
-
-@contextmanager
-def _draft(path: Path) -> Iterator[Path]:
     draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        os.fsencode(draft)
-    except UnicodeEncodeError:
-        raise InputError("no file can have this name here", where=str(path), remedy="set a locale of UTF-8") from None
-    missing = [folder for folder in path.parents if not os.path.lexists(folder)]
-    for folder in path.parents[len(missing) :]:
-        if not os.path.isdir(folder):
-            raise InputError("is a file, and a folder is needed there", where=str(folder), remedy=REMEDY)
+    missing = _missing(draft)[1:]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield draft
+        os.replace(draft, path)
     except OSError as error:
         raise InputError(error.strerror or str(error), where=str(path), remedy=REMEDY) from None
     finally:
@@ -57,3 +34,30 @@ def _draft(path: Path) -> Iterator[Path]:
         for folder in missing:
             with suppress(OSError):  # it is not empty
                 folder.rmdir()
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder into which nothing can be written, before long work whose result goes there.
+
+    A file without a name is written in it, or where it would be made; nothing is left of it.
+    """
+    there = (folder, *folder.parents)[len(_missing(folder))]
+    try:
+        with TemporaryFile(dir=there) as trial:
+            trial.write(bytes(TRIAL))
+    except OSError as error:
+        raise InputError(error.strerror or str(error), where=str(there), remedy=REMEDY) from None
+
+
+def _missing(path: Path) -> list[Path]:
+    """What is not there of a path and the folders above it, the innermost first."""
+    try:
+        os.fsencode(path)
+    except UnicodeEncodeError:
+        raise InputError("no file can have this name here", where=str(path), remedy="set a locale of UTF-8") from None
+    chain = (path, *path.parents)
+    missing = [each for each in chain if not os.path.lexists(each)]
+    for folder in chain[len(missing) :]:
+        if not os.path.isdir(folder):
+            raise InputError("is a file, and a folder is needed there", where=str(folder), remedy=REMEDY)
+    return missing

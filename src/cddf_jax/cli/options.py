@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, TypeVar
 
 import typer
 
-from ..batch.drafts import check_writable
+from ..batch.drafts import check_folder
 from ..errors import InputError, in_utf8, within
 from ..progress import stage
 
@@ -25,7 +25,7 @@ def writable(folder: Path | None) -> Path | None:
     """Refuse `--out` before the work begins, if nothing can be written there."""
     if folder is not None:
         with within("--out"):
-            check_writable(folder / "report")
+            check_folder(folder)
     return folder
 
 

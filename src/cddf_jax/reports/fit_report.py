@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..batch.drafts import check_writable
+from ..batch.drafts import check_folder
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..files.writing import as_json, markdown_table, write_all
@@ -36,7 +36,7 @@ def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] =
     Raises:
         InputError: if the folder cannot be written, before the profiles are computed.
     """
-    check_writable(Path(folder, "report.md"))
+    check_folder(Path(folder))
     write_report(make_report(fit, bootstraps=bootstraps), folder)
 
 

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from rich import filesize
 
-from ..batch.drafts import check_writable
+from ..batch.drafts import check_folder
 from ..batch.store import ZarrStore
 from ..batch.work import COPIES
 from ..errors import InputError, in_utf8, within
@@ -51,6 +51,9 @@ def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Plac
     """The store itself where the name ends with .zarr, or the folder for it and all that goes with it."""
     if out is None:
         raise InputError("--out is missing; give a store such as --out sweep.zarr, or --dry-run to see what it takes")
+    for option, path in (("--netcdf", netcdf), ("--csv", csv)):
+        if path is not None and path.is_dir():
+            raise InputError(f"{option} {path}: is a folder; give the name of a file")
     if netcdf is not None and netcdf == csv:
         raise InputError(f"--netcdf and --csv are both {csv}; give them different names")
     return Places(out if out.suffix == ".zarr" else out / "sweep.zarr", netcdf, csv)
@@ -59,10 +62,10 @@ def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Plac
 def _check_places(places: Places, work: Sweep) -> None:
     """Refuse, before anything is computed, what could not be written afterwards."""
     csv, netcdf = places.csv, places.netcdf
-    for option, path in (("--out", places.store.with_name("report")), ("--netcdf", netcdf), ("--csv", csv)):
+    for option, path in (("--out", places.store), ("--netcdf", netcdf), ("--csv", csv)):
         if path is not None:
             with within(option):
-                check_writable(path)
+                check_folder(path.parent)
     layout = work.layout
     if netcdf is not None:
         largest = max(int(np.prod(v.shape)) * v.dtype.itemsize for v in layout.variables.values())
