@@ -16,6 +16,7 @@ from ..numerics.constrained import (
     optimality,
 )
 from ..progress import each, stage
+from ..statics.equilibrium import RESULTS, code_of
 from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # last stations, which are moved to where limits are broken between the others
@@ -239,13 +240,14 @@ def indifferent(problem: DesignProblem, z: np.ndarray) -> tuple[int, ...]:
 
 
 def _sizes(problem: DesignProblem, z: np.ndarray) -> np.ndarray:
-    """Every objective over its size at the start; NaN for a body without a usable equilibrium."""
+    """Every objective over its size at the start; NaN for a body without an accurate equilibrium."""
     found = problem.evaluation(np.append(z, np.zeros(len(problem.peaks))))
     sizes = [
         problem.over_the_cases(i, aim) / term.reference
         for i, (aim, term) in enumerate(zip(found.aims, problem.terms, strict=True))
     ]
-    return np.asarray(sizes, float) if np.all(np.isin(found.codes, USABLE)) else np.full(len(sizes), np.nan)
+    accurate = np.isin(found.codes, USABLE) & (found.codes != code_of(RESULTS.inaccurate))
+    return np.asarray(sizes, float) if np.all(accurate) else np.full(len(sizes), np.nan)
 
 
 def _alike(one: np.ndarray, other: np.ndarray) -> np.ndarray:
