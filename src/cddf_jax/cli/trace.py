@@ -89,19 +89,19 @@ def trace(
     with within(robot, ValueError):
         found = trace_report.traced(manipulator, paths, driven, loads, nodes, max_turns, short_steps, largest)
     answer = trace_report.trace_as_dict(found)
-    if out is not None:
-        from ..figures.history import history_figure
-        from ..figures.style import render
+    with options.printed(lambda: trace_report.trace_in_words(found), answer, as_json=as_json):
+        if out is not None:
+            from ..figures.history import history_figure
+            from ..figures.style import render
 
-        files: dict[str, str | bytes] = {
-            "trace.json": json_text(answer),
-            "loop.csv": trace_report.loop_csv(found),
-            "fields.csv": trace_report.fields_csv_of_steps(found),
-        }
-        moves = [max(path) - min(path) if kind == "force" else 0.0 for path, kind in zip(paths, driven, strict=True)]
-        figure = history_figure(manipulator, found.history, found.steps, tendon=moves.index(max(moves)))
-        write_all(out, files | render(figure, "trace"))
-    options.print_answer(trace_report.trace_in_words(found), answer, as_json=as_json)
+            files: dict[str, str | bytes] = {
+                "trace.json": json_text(answer),
+                "loop.csv": trace_report.loop_csv(found),
+                "fields.csv": trace_report.fields_csv_of_steps(found),
+            }
+            moves = [max(own) - min(own) if kind == "force" else 0.0 for own, kind in zip(paths, driven, strict=True)]
+            figure = history_figure(manipulator, found.history, found.steps, tendon=moves.index(max(moves)))
+            write_all(out, files | render(figure, "trace"))
 
 
 def read_paths(

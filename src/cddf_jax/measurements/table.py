@@ -51,7 +51,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, within
+from ..errors import InputError, in_utf8, within
 from ..files.csv_table import Table, read_table
 from ..files.table_header import Kind, heading_of, short
 from ..files.times import seconds_of
@@ -244,7 +244,7 @@ def read_file(
             raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
         every = found.columns | more.columns
         said = (*found.read_as, *further, *more.read_as, *_unused_times(found))
-        table = _table(Path(path).name, every, notes=found.notes, rows=found.rows, read_as=said)
+        table = _table(in_utf8(Path(path).name), every, notes=found.notes, rows=found.rows, read_as=said)
     unread = [name for name, meant in own.items() if heading_of(meant, _KIND, {}).column in table.unread]
     missing = tuple(
         name
