@@ -1,10 +1,11 @@
 """Errors that users meet: where, what and remedy."""
 
+import os
 import pickle
 
 import pytest
 
-from cddf_jax.errors import InputError, needed, within
+from cddf_jax.errors import InputError, in_utf8, needed, within
 
 
 def test_the_message_is_made_of_its_parts():
@@ -28,6 +29,14 @@ def test_a_place_is_put_before_others():
         raise ValueError("two values")
     with pytest.raises(ValueError, match=r"^our own$"), within("a.toml"):
         raise ValueError("our own")
+
+
+def test_file_names_that_are_not_utf8_are_shown_by_their_bytes():
+    """0xff is no byte of UTF-8; 0xc3 0xa9 is e with an acute accent (RFC 3629)."""
+    name = os.fsdecode(b"\xff\xc3\xa9.csv")
+    assert in_utf8(name) == "\\xff\u00e9.csv"
+    with pytest.raises(InputError, match=r"^\\xff\u00e9\.csv: is empty$"), within(name):
+        raise InputError("is empty")
 
 
 def test_a_missing_package_names_its_extra():

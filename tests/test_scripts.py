@@ -83,6 +83,14 @@ def test_the_fit_of_the_readme(cddf_command, monkeypatch):
     assert out == shown
 
 
+def test_optimistix_and_the_command_find_the_same(readme):
+    """Pulley test and load cells each determine one number, so the weights of an optimiser change neither."""
+    shown = re.search(r"```console\n.*?```", README, re.S).group()
+    mu, modulus = (float(re.search(rf"{name} = ([\d.]+)", shown).group(1)) for name in ("coefficient", "modulus"))
+    assert readme[1][1] == f"mu = {mu:.4f}, E = {modulus:.3f} MPa\n"
+    assert readme[1][1].strip() in README
+
+
 def test_the_readme_is_short():
     assert len(README.split()) <= 900
 

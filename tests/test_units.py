@@ -56,6 +56,11 @@ def test_quantity_is_exact(text, dimension, value):
         (140, "length", "L needs a unit of length, got 140; write"),
         ("140 N", "length", "L needs a unit of length, got '140 N'; write for example '12.5 mm'"),
         ("140 rad m", "length", "L needs a unit of length, got '140 rad m'"),
+        (
+            "5 Grad",
+            "angle",
+            "L needs a unit of angle, got '5 Grad' with the unknown unit 'Grad'; write for",
+        ),
         ("5 %", "angle", "L needs a unit of angle, got '5 %'; write for example '12.5 deg'"),
         ("5 mm", "strain", "L needs a unit of strain, got '5 mm'; write for example '12.5 %'"),
         ("140 mmm", "length", "L needs a unit of length, got '140 mmm' with the unknown unit 'mmm'; write"),

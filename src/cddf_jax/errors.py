@@ -1,9 +1,15 @@
 """The two kinds of error that a user meets: bad input, and a solve that failed."""
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
+
+
+def in_utf8(text: object) -> str:
+    r"""A text or path with characters that UTF-8 has. Other bytes, which file names may hold, are shown as "\xff"."""
+    return str(text).encode("utf-8", sys.getfilesystemencodeerrors()).decode("utf-8", "backslashreplace")
 
 
 class InputError(ValueError):
@@ -18,7 +24,7 @@ class InputError(ValueError):
     def __init__(self, what: str, *, where: str | tuple[str, ...] = (), remedy: str = ""):
         self.what, self.remedy = what, remedy
         self.where = (where,) if isinstance(where, str) else where
-        super().__init__(": ".join((*self.where, what)) + (f"; {remedy}" if remedy else ""))
+        super().__init__(in_utf8(": ".join((*self.where, what)) + (f"; {remedy}" if remedy else "")))
 
     def at(self, *where: str) -> "InputError":
         """The same error with other places."""

@@ -76,7 +76,8 @@ _QUANTITY = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)(?:\s*([^\d\s.,+-].*)|\s+(1\s*/.*))?",
     re.I,
 )
-_WORDS = re.compile(r"(newton|degree|radian|(milli|centi)?met(er|re)|(kilo)?gram)s?|deg|rad", re.I)  # capitals or not
+_WORDS = re.compile(r"(newton|degree|radian|(milli|centi)?met(er|re)|(kilo)?gram|second)s?|deg|rad", re.I)  # any case
+_GRAD = re.compile("grad", re.I)  # degrees in German, but gon or giga-radians to pint
 _PIXELS = re.compile(r"px|pixels?", re.I)  # of a camera; pint knows that of a printer
 _NEWTON_METRES = re.compile(r"([mk]?N)(m?m)")  # in one word, which pint reads as a unit of yarn
 
@@ -224,6 +225,8 @@ def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: s
         example += ", converted by the scale of the camera"
     elif dimension == "force" and base == _in_si("kg")[1]:
         example += "; a mass is not a force: did you mean gf or kgf, its weight?"
+    elif _GRAD.fullmatch(unit):
+        example += " where it means degrees, or [gon]"
     unknown = f" with the unknown unit {unit!r}" if unit and base is None else ""
     raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")
 
@@ -237,6 +240,8 @@ def _own_size(unit: str, dimension: Dimension) -> Decimal | None:
 @cache
 def _in_si(unit: str) -> tuple[Decimal, object]:
     """The size of a unit in SI base units, and these base units: None for an unknown unit."""
+    if _GRAD.fullmatch(unit):
+        return Decimal("nan"), None
     try:
         spelt = unit.lower() if _WORDS.fullmatch(unit) else unit
         size, base = _registry().get_base_units(_registry().parse_units(spelt))

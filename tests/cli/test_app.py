@@ -177,24 +177,50 @@ def test_tables_that_do_not_fit_the_manipulator(fails, two_tendons):
 
 
 @pytest.mark.parametrize(
-    ("place", "command"),
-    [("taken", ("solve", PAPER, *PULL)), ("taken/below", ("fit", PAPER, PULLEY, "--free", "friction_coefficient"))],
+    "command",
+    [
+        ("solve", PAPER, *PULL),
+        ("trace", PAPER, "--path", "0 N, 5 N"),
+        ("design", "task.toml"),
+        ("fit", PAPER, PULLEY),
+        ("plan", PAPER),
+        ("reproduce", PAPER, LOAD_CELLS),
+    ],
 )
-def test_out_where_a_file_is(fails, place, command):
-    said = fails(*command, "--out", place, files={"taken": "kept"})
-    assert said.startswith(f"{place}: ")
-    assert said.endswith("; choose another place")
+def test_out_that_cannot_be_written_is_refused_before_the_work(fails, monkeypatch, command):
+    monkeypatch.setattr("cddf_jax.files.manipulator_file.read_robot_file", None)  # it is not even read
+    said = fails(*command, "--out", "taken/below", files={"taken": "kept"})
+    assert said == "--out: taken: is a file, and a folder is needed there; choose another place"
 
 
-def test_a_failure_while_writing_leaves_nothing(fails, monkeypatch):
-    """A disk that is full shows as one line, and the folder holds no half of a result."""
+def full(*arguments, **options):
+    """As the system says it."""
+    raise OSError(28, "No space left on device")
 
-    def full(self, content):
-        raise OSError(28, "No space left on device", str(self))
 
-    monkeypatch.setattr(Path, "write_bytes", full)
-    code = fails("solve", PAPER, *PULL, "--out", ".")
-    assert "No space left on device" in code
+def test_a_full_disk_is_found_before_the_work(fails, monkeypatch):
+    monkeypatch.setattr("cddf_jax.batch.drafts.TemporaryFile", full)
+    said = fails("solve", PAPER, *PULL, "--out", "new/below")
+    assert said == "--out: .: No space left on device; choose another place"
+
+
+def test_a_disk_that_fills_up_leaves_the_answer_on_standard_output(cddf_command, monkeypatch, tmp_path):
+    """The answer is that without `--out`; one line says what was not written, and no half of it stays."""
+    _, answer, _ = cddf_command("solve", PAPER, *PULL, "--json")
+    monkeypatch.setattr(Path, "write_bytes", full)  # after the trial
+    out = tmp_path / "new" / "below"
+    code, text, error = cddf_command("solve", PAPER, *PULL, "--json", "--out", out)
+    assert (code, json.loads(text)) == (2, json.loads(answer))
+    assert error == f"error: not written: {out / 'solve.pdf'}: No space left on device; choose another place\n"
+    assert not any(tmp_path.iterdir())
+
+
+def test_an_interruption_is_said(fails, monkeypatch):
+    def interrupted(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cddf_jax.files.manipulator_file.read_robot_file", interrupted)
+    assert fails("solve", PAPER, *PULL, "--out", "new/below", code=130) == "interrupted; nothing was written"
 
 
 def test_a_bug_of_ours_is_not_hidden(monkeypatch):

@@ -493,7 +493,8 @@ def test_places_that_cannot_be(fails, tmp_path):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "other.zarr").mkdir()
     for options in (("--out", "file/sweep.zarr"), ("--out", "x.zarr", "--csv", "file/table.csv"), ("--out", "file")):
-        assert fails(PAPER, *TENSIONS, *options).startswith("file")
+        said = "file: is a file, and a folder is needed there; choose another place"
+        assert fails(PAPER, *TENSIONS, *options) == f"{options[-2]}: {said}"
     message = "other.zarr exists and was not written by cddf_jax; give another path, or delete it"
     assert fails(PAPER, *TENSIONS, "--out", "other.zarr") == message
 
@@ -511,6 +512,21 @@ def test_a_full_disk_leaves_no_half_table(monkeypatch, tmp_path):
         with pytest.raises(cddf.InputError, match=r": No space left on device; choose another place"):
             write()
         assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_that_fills_up_leaves_the_summary_on_standard_output(run, monkeypatch, tmp_path):
+    """With the counts, and with the store alone among what was written."""
+
+    def full(*arguments):
+        raise cddf.InputError("No space left on device", where="x.nc")
+
+    monkeypatch.setattr(sweep_report, "write_netcdf", full)
+    arguments = (PAPER, "--over", "base_tension=5N,10N", "--output", "tip_tension")
+    code, text, error = run(*arguments, "--out", "x.zarr", "--netcdf", "x.nc")
+    assert (code, error) == (2, "error: not written: x.nc: No space left on device\n")
+    assert text.startswith("2 solves in ")
+    assert text.endswith("\nwritten: x.zarr\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["x.zarr"]
 
 
 def test_missing_packages(fails, monkeypatch):

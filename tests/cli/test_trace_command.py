@@ -1,13 +1,16 @@
 """`cddf trace`: the table of a loop that was derived by hand and met by a simulation, and what is refused."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from bodies import paper_body
 from places import DATA
+from refusals import refused
 
 import cddf_jax as cddf
+from cddf_jax.cli.trace import read_paths
 from cddf_jax.files.manipulator_file import write_manipulator
 
 # base tension and tip tension, N, tip angle, deg, front, mm, energy lost so far, mJ: of a play in 1/T in closed form,
@@ -165,7 +168,7 @@ def test_what_was_before_the_path(cddf_command, robot):
         ("none.csv", "none.csv: cannot be read (No such file or directory); check the path"),
         ("bad.csv", "bad.csv: row 3, column base_tension: must be 0 or more, got -2 N; correct or remove the row"),
         ("nan.csv", "nan.csv: row 2, column base_tension: must be 0 or more, got nan; correct or remove the row"),
-        ("other.csv", "other.csv: has no column with a path; name one base_tension, or tendon_displacement, or tip"),
+        ("other.csv", "other.csv: row 1: has no column with a path; name one base_tension, or tendon_displacement, or"),
         ("trials.csv", "trials.csv: holds 2 trials, but a path is one trial; keep the rows of one, such as a"),
     ],
 )
@@ -177,6 +180,22 @@ def test_wrong_paths(fails, path, message):
         "trials.csv": "trial,base_tension [N]\na,1\nb,2\n",
     }
     assert fails("trace", DATA / "smooth_sil_940.toml", "--path", path, files=files).startswith(message)
+
+
+def test_names_that_a_laboratory_gave(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.csv").write_text("t [s];F_soll [N]\n0;0\n1;75,5\n2;40\n")
+    Path("b.csv").write_text("Weg [mm]\n0\n12\n5\n")
+    Path("d.csv").write_text("base_tension [N],G\n0,0\n75,50\n")
+    Path("c.csv").write_text("Tendon displacement [mm]\n0\n12\n5\n")
+    said = refused(read_paths, ["a.csv"], None, 1)
+    assert said.endswith('to check: --column "t [s]=time [s]" --column "F_soll [N]=base_tension [N]"')
+    columns = ["t [s]=time [s]", "F_soll [N]=base_tension [N]", "Weg [mm]=tendon_displacement [mm]"]
+    assert read_paths(["a.csv", "b.csv"], None, 2, columns)[0] == [[0, 75.5, 40], [0, 0.012, 0.005]]
+    assert read_paths(["c.csv"], None, 1)[0] == [[0, 0.012, 0.005]]
+    for path, asked in (("a.csv", "G=time [s]"), ("0 N, 5 N", "G=time [s]"), ("d.csv", "G=tip_angle [deg]")):
+        said = refused(read_paths, [path], None, 1, [*columns[: 2 if path == "a.csv" else 0], asked])
+        assert said == f"--path {path}: no path takes a column 'G'; check the name"
 
 
 def test_what_cannot_be_traced(fails, two_tendons):

@@ -323,6 +323,15 @@ def test_the_suffix_decides(tmp_path, suffix, start):
         assert imread(path).shape[:2] == (600, 1050)  # 2 by 3.5 inches of 300 dots
 
 
+def test_a_text_that_is_no_formula_is_drawn_as_it_is():
+    """Matplotlib takes what stands between two dollar signs for TeX, and "x_{" is none."""
+    figure = a_figure()
+    title = figure.axes[0].set_title("run$x_{$.csv")
+    figures.render(figure, "picture")
+    assert not title.get_parse_math()
+    assert figure.axes[0].xaxis.label.get_parse_math()
+
+
 def test_another_suffix_is_refused(tmp_path):
     with pytest.raises(cddf.InputError, match=r"^save: 'picture.jpeg' must end in .pdf, .png or .svg"):
         figures.save(a_figure(), tmp_path / "picture.jpeg")

@@ -73,6 +73,20 @@ def test_a_loop_brings_the_truth_back(fitted):
     assert not fitted.model.experiments[0].on_one_curve
 
 
+def test_a_file_with_clock_times_brings_the_truth_back(tmp_path):
+    """The same loop. Without its times the way back would count as pulled, so an empty one is refused."""
+    rows = [
+        f"10:00:{i:02d}, {pull}, {tip}, {angle}" for i, (pull, tip, angle) in enumerate(zip(LOOP, *loop(), strict=True))
+    ]
+    path = tmp_path / "loop.csv"
+    path.write_text("\n".join(["Time, base_tension [N], tip_tension [N], tip_angle [rad]", *rows]))
+    found = cddf.fit(BODY, cddf.read_measurements(path), ALL, noise=NOISE)
+    np.testing.assert_allclose([found.value[name] for name in ALL[:3]], [MU, E, 1.0], rtol=1e-6)
+    path.write_text(path.read_text().replace("10:00:18", ""))
+    with pytest.raises(InputError, match="row 20, column time: the cell is empty"):
+        cddf.read_measurements(path)
+
+
 def test_standard_errors_of_a_pull_and_of_a_loop(fitted):
     """As an independent derivation has them: 0.1 N, 0.5 degrees of noise; gain and zero of the tip cell free."""
     for found, expected in ((fitted.pull_alone, [1.37, 0.40, 0.83]), (fitted, [0.27, 0.17, 0.18])):
@@ -220,16 +234,6 @@ def test_a_history_that_cannot_be_followed():
         cddf.fit(BODY, table(), history=False, noise={"base_tension": 0.1})
     with pytest.raises(InputError, match="noise of base_tension must be one standard deviation"):
         cddf.fit(BODY, table(), noise={"base_tension": -1.0})
-
-
-def test_the_order_of_rows_by_trial_step_and_time():
-    """By step, then by time, trial by trial; without either as the file has them."""
-    columns = {"base_tension": [1.0, 2, 3, 4], "tip_tension": [1.0, 2, 3, 4]}
-    order = Measurements.from_columns("bench", **columns, time=[3, 1, 2, 0], trial=["a", "b", "a", "b"]).order
-    np.testing.assert_array_equal(order, [2, 0, 3, 1])
-    order = Measurements.from_columns("bench", **columns, step=[2, 1, 1, 2], time=[1.0, 1, 0, 0]).order
-    np.testing.assert_array_equal(order, [2, 1, 3, 0])
-    np.testing.assert_array_equal(Measurements.from_columns("bench", **columns).order, range(4))
 
 
 def test_a_row_without_a_reading_is_still_a_step():

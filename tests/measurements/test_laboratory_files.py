@@ -3,14 +3,20 @@
 Each holds the numbers of a plain file. These are the expected ones; they went into every other file by hand.
 """
 
+import csv
 import io
+import re
+import shlex
 import sys
+import zipfile
 
 import numpy as np
 import pytest
 from bodies import paper_body
+from refusals import refused
 
 import cddf_jax as cddf
+from cddf_jax.cli.options import read_columns, read_data
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.bootstrap import _count_cases
 from cddf_jax.figures.fit import draw_residuals
@@ -72,11 +78,18 @@ BROKEN = "cells hold line breaks (row 3); rows are numbered by the lines of the 
          [READ_AS.format("Base Tension [N]", "N", "TIP TENSION (Newton)", "Newton")]),
         ("base_tension_N,tip_tension_mN\n5,4790\n10,9190\n20,17020\n", 2,
          [READ_AS.format("base_tension_N", "N", "tip_tension_mN", "mN")]),
+        ("base_tension,tip_tension\nAI 0,AI 1\nN,mN\n5,4790\n10,9190\n20,17020\n", 4,
+         ["row 3 holds the units; between them and the header, not used: row 2"]),
+        ("HBM_CATMAN\n\nTime 1\tbase_tension\ttip_tension\nMX840\tCH 1\t2\ns\tN\tN\n0\t5\t4.79\n1\t10\t9.19\n"
+         "2\t20\t17.02\n", 6, [BELOW.format(3), "row 5 holds the units; between them and the header, not used: row 4",
+             UNUSED.format("'Time 1'")]),
+        ("no,base_tension,tip_tension\nsensor,U9C,U9C\nrange,50 N,50 N\n\nno,base_tension [N],tip_tension [N]\n"
+         "1,5,4.79\n2,10,9.19\n3,20,17.02\n", 6, [BELOW.format(5), UNUSED.format("'no'")]),
+        ("Channel,Name,Unit,Range\n1,base_tension,N,50\n2,tip_tension,N,50\n\nbase_tension,tip_tension\nN,N\n5,4.79\n"
+         "10,9.19\n20,17.02\n", 7, [BELOW.format(5), "row 6 holds the units"]),
         ("base_tension,tip_tension\nN,(mN)\n5,4790\n10,9190\n20,17020\n", 3, ["row 2 holds the units"]),
         ("t;base_tension;tip_tension [N]\ns;[N];\n0;5;4,79\n1;10;9,19\n2;20;17,02\n", 3,
          ["row 2 holds the units", UNUSED.format("'t'")]),
-        ("Time,base_tension [N],tip_tension [N]\n12:01:30,5,4.79\n12:01:40,10,9.19\n12:01:50,20,17.02\n", 2,
-         [UNUSED.format("'Time'")]),
         (LABVIEW + "X_Value\tT_base [N]\tT_tip [N]\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n", 13,
          [BELOW.format(12), READ_AS.format("T_base [N]", "N", "T_tip [N]", "N"),
           UNUSED.format("'X_Value', 'Comment'")]),
@@ -142,7 +155,7 @@ def test_columns_by_their_names_in_the_file(tmp_path):
     table = read(tmp_path, text, meant)
     assert table.checksum == read(tmp_path, PLAIN, name="plain.csv").checksum
     assert "read as: 'F1 [N]' base_tension [N], 'F2' tip_tension [N]" in table.read_as[1]
-    with pytest.raises(InputError, match=r"bench.csv: has no column 'F3'; .*"):
+    with pytest.raises(InputError, match=r"bench.csv: has no column 'F3', or nothing in it; use"):
         read(tmp_path, text, meant | {"F3": "tip_angle [deg]"})
     with pytest.raises(InputError, match=r"unknown column 'tension \[N\]'; did you mean tip_tension"):
         read(tmp_path, text, meant | {"t": "tension [N]"})
@@ -156,7 +169,24 @@ def test_the_unit_that_is_said_wins_over_that_of_the_file(tmp_path):
     np.testing.assert_allclose(table["tip_tension"], [4.79e-3, 9.19e-3, 17.02e-3], rtol=1e-15)
 
 
+def test_two_headers_are_refused(tmp_path):
+    for below in (PLAIN, PLAIN.replace("\n", ",1\n").replace(",1", ",tip_angle [deg]", 1)):  # also one that knows more
+        said = refused(read, tmp_path, PLAIN + below)
+        assert "row 5 is a second header, below numbers under that of row 1; remove one of them, or save each" in said
+    few = "trial,direction,base_tension [N]\na,in,5\n"  # few numbers in a row
+    assert "row 3 is a second header" in refused(read, tmp_path, few + few)
+
+
+def test_all_columns_without_a_unit_are_named(tmp_path):
+    with pytest.raises(
+        InputError, match=r"row 1: 2 columns need units, got none; write for example base_tension \[N\], "
+    ):
+        read(tmp_path, PLAIN.replace(" [N]", ""))
+
+
 def test_units_in_header_and_row_below_must_agree(tmp_path):
+    said = read(tmp_path, "base_tension,cell\nN,kN\n5,4.79\n", {"cell": "tip_tension [N]"})
+    assert said["tip_tension"] == 4.79  # what the user says wins
     with pytest.raises(InputError, match="row 2, column tip_tension: the unit is kN, but N in the header; keep one"):
         read(tmp_path, "base_tension,tip_tension [N]\nN,kN\n5,4\n")
 
@@ -169,6 +199,106 @@ def test_directions_in_words(tmp_path):
     assert "'loading' 1, 'Unloading' -1" in table.read_as[-1]
     with pytest.raises(InputError, match="row 2, column direction: 'sideways' is not a number; write loading, load,"):
         read(tmp_path, "base_tension [N],tip_tension [N],direction\n5,4,sideways\n")
+
+
+# --- unknown columns -----------------------------------------------------------------------------
+
+
+GUESSES = {  # what an engineer says who reads the heads
+    "F_base [N],F_tip [N]": "base_tension [N],tip_tension [N]",
+    "LC1 (N),LC2 (N)": "base_tension [N],tip_tension [N]",  # two cells on one tendon
+    "LC1 (N),LC2 (N),LC3 (N)": "base_tension [N],base_tension_2 [N],base_tension_3 [N]",
+    "Tip LC 2 [N],Base LC 1 [N],Base LC 2 [N],Tip LC 1 [N]":
+        "tip_tension_2 [N],base_tension [N],base_tension_2 [N],tip_tension [N]",
+    "base0_N,base1_N,tip0_N,tip1_N": "base_tension [N],base_tension_2 [N],tip_tension [N],tip_tension_2 [N]",
+    "Kraft_oben (kN),Kraft_unten (kN),Winkel (Grad)": "tip_tension [kN],base_tension [kN],tip_angle [deg]",
+    "Seilkraft [N],EM_X (mm),EM_Y (mm),EM_Z (mm)": "base_tension [N],tip_x [mm],tip_y [mm],tip_z [mm]",
+    "millis,cell1,cell2": "time [ms],base_tension [N],tip_tension [N]",
+    "cell_base (g),bend_deg": "base_tension [gf],tip_angle [deg]",
+    "F_soll [N],F_ist [N],Weg [mm],U [V]": ",base_tension [N],,",
+    "Motor pos [deg],Fx [N],Cable [N]": ",tip_force_x [N],base_tension [N]",
+    "Tx,Ty,Qx,F": "tip_x [mm],tip_y [mm],,base_tension [N]",
+    "head_x [cm],tip pos x [mm],M2_x [mm],F [N]": "x@head [cm],tip_x [mm],x@m2 [mm],base_tension [N]",
+    "Umschlingungswinkel [rad],Gewicht [N],Zugkraft [N]": "wrap_angle [rad],weight [N],pulling_tension [N]",
+    "Versuch,Schritt,F": "trial,step,base_tension [N]",
+    'F "a" [N],`F` $b [N]': "base_tension [N],tip_tension [N]",
+    "F=ma [N],column 2": "base_tension [N],",
+}  # fmt: skip
+
+
+def options_in(said):
+    """The columns of the options that a text prints, read as the shell and the command line read them."""
+    words = shlex.split(said[said.index("--column") :].split("; no guess")[0].replace("; ", " "))
+    assert words[::2] == ["--column"] * len(words[::2])
+    return read_columns(words[1::2])
+
+
+@pytest.mark.parametrize("heads", GUESSES)
+def test_one_message_has_an_option_for_each_unknown_column_and_the_options_work(tmp_path, heads):
+    expected = dict(zip(heads.split(","), GUESSES[heads].split(","), strict=True))
+    text = io.StringIO()
+    csv.writer(text).writerows([expected, [1] * len(expected), [2] * len(expected)])
+    path = write(tmp_path, text.getvalue())
+    said = refused(read_tables, [path])
+    assert said.startswith(f"{path}: row 1: the column base_tension is missing; ") or "wrap" in said
+    assert options_in(said) == {head: meant for head, meant in expected.items() if meant}
+    for head, meant in expected.items():
+        assert bool(meant) or repr(head) in said.partition("; no guess for ")[2]
+    (table,) = read_tables([path], options_in(said))
+    assert set(table.columns) == {meant.split(" ")[0] for meant in expected.values() if meant}
+
+
+def test_where_no_column_can_be_guessed(tmp_path):
+    said = refused(read, tmp_path, "a,X [mm],X [mm]\n1,2,3\n")
+    assert said.endswith(
+        "no guess for 'a'; rename 'X [mm]', of which there are several; nothing looks like base_tension: "
+        '--column "NAME=base_tension [N]"'
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Kraft_unten (N);Kraft_oben (N)\n5,0;4,79\n10,0;9,19\n20,0;17,02\n".encode("latin-1"),
+        "Prüfstand 3;;\nNr.;Kraft unten;Kraft oben;Bemerkung\n1;5,0;4,79;\n2;10,0;9,19;gut\n3;20,0;17,02;\n",
+        "Zeit;Kraft unten;Kraft oben\ns;mN;N\n0,1;5000,0;4,79\n0,2;10000,0;9,19\n0,3;20000,0;17,02\n",
+        "Kanal;Name;max\n1;Kraft unten;50\n2;Kraft oben;50\n\nKraft unten;Kraft oben\n5,0;4,79\n10,0;9,19\n20,0;17,02",
+        "# Kraft unten,Kraft oben\n5,4.79\n10,9.19\n20,17.02\n",  # as NumPy's savetxt writes a header
+        LABVIEW + "X_Value\tBase\tTip\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n",
+    ],
+)
+def test_a_header_without_a_known_name_is_found(tmp_path, text):
+    path = write(tmp_path, text)
+    said = options_in(refused(read_tables, [path]))
+    (table,) = read_tables([path], {name: meant for name, meant in said.items() if "time" not in meant})
+    assert table.checksum == read(tmp_path, PLAIN, name="plain.csv").checksum
+
+
+def test_further_readings_are_named(tmp_path):
+    text = PLAIN.replace("\n", ",1,2\n").replace("1,2", "F_x [N],Winkel (°)", 1)
+    read_as = read(tmp_path, text).read_as
+    assert read_as[-1].endswith('to check: --column "Winkel (°)=tip_angle [°]"')  # a load is no reading
+    assert "tip_angle" in read(tmp_path, text, options_in(read_as[-1]))
+
+
+def test_misspelt_names_are_named_with_their_units(tmp_path):
+    said = refused(read, tmp_path, "base_tensoin [kN],tip_tensoin\n5,4\n")
+    assert "row 1: unknown column 'base_tensoin', 'tip_tensoin'; did you mean base_tension, tip_tension? Rename" in said
+    give, _, leave = said.partition(", or leave it out by ")
+    assert options_in(give) == {"base_tensoin [kN]": "base_tension [kN]", "tip_tensoin": "tip_tension [N]"}
+    assert options_in(leave) == {"base_tensoin": "", "tip_tensoin": ""}
+
+
+def test_a_column_that_was_asked_for_and_cannot_be_used_is_an_error(tmp_path):
+    cells = write(tmp_path, "base_tension [N],tip_tension [N],A [deg],A [rad]\n5,4,,\n")
+    for asked in ("A [deg]=tip_angle [deg]", "B=tip_angle [deg]", "C="):
+        name = asked.partition("=")[0]
+        with pytest.raises(InputError, match=re.escape(f"bench.csv: no column {name!r}, or nothing in it; check")):
+            read_data([cells], [asked])
+    with pytest.raises(InputError, match="no column 'A', or nothing in it; check the name"):
+        read_data([cells], ["A [deg]=", "A [rad]=", "A=tip_angle [deg]"])
+    with pytest.raises(InputError, match="no file of data: no column 'A', or nothing in it; check the name"):
+        read_data([], ["A=tip_angle [deg]"])
 
 
 # --- spreadsheets --------------------------------------------------------------------------------
@@ -193,6 +323,47 @@ def test_spreadsheets_that_are_refused(tmp_path):
         read(tmp_path, spreadsheet(A=[]), name="bench.xlsx")
 
 
+NEVER = "row {}: the formula '{}' was never computed; open the file in a spreadsheet program and save it, or put"
+
+
+def test_formulas_that_were_never_computed(tmp_path):
+    """Openpyxl writes formulas without values; other programs write 0, and say that they are yet to be computed."""
+    heads = ["trial", "base_tension [N]", "tip_tension [N]", "mean"]
+
+    def book(row, heads=heads):
+        return spreadsheet(Run=[heads, ["a", 5, 4.79, "=B2"], row])
+
+    assert len(read(tmp_path, book(["a", 10, 9.19, "=B3"]), name="bench.xlsx")) == 2  # in a column that is not used
+    for content, said in (
+        (book(["a", 10, "=B3*0.9"]), NEVER.format("3, column tip_tension", "=B3*0.9")),
+        (repacked(book(["a", 10, "=B3*0.9"]), b"<v />", b"<v>0</v>"), NEVER.format("3, column tip_tension", "=B3*0.9")),
+        (book(["=A2", 10, 9.19]), NEVER.format("3, column trial", "=A2")),
+        (book(["a", 10, 9.19], [*heads[:2], "=Names!A1"]), NEVER.format("1", "=Names!A1")),
+    ):
+        with pytest.raises(InputError, match=re.escape(said)):
+            read(tmp_path, content, name="bench.xlsx")
+
+
+def test_formulas_that_were_computed(tmp_path):
+    """The values are those that a spreadsheet program stored; an empty text is a missing reading."""
+    written = spreadsheet(Run=[["base_tension [N]", "tip_tension [N]"], [5, "=A2*0.9"], [10, '=""'], [20, 17]])
+    stored = repacked(written, b"<f>A2*0.9</f><v />", b"<f>A2*0.9</f><v>0</v>", b' fullCalcOnLoad="1"', b"")
+    stored = repacked(stored, b'<c r="B3"><f>""</f><v />', b'<c r="B3" t="str"><f>""</f><v></v>')
+    assert read(tmp_path, stored, name="bench.xlsx")["tip_tension"].tolist() == [0, 17]
+
+
+def repacked(content, *changes):
+    """The content of an .xlsx file with each text of its parts exchanged for the next one."""
+    changed = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(changed, "w") as new:
+        for name in old.namelist():
+            part = old.read(name)
+            for before, after in zip(changes[::2], changes[1::2], strict=True):
+                part = part.replace(before, after)
+            new.writestr(name, part)
+    return changed.getvalue()
+
+
 def test_a_missing_reader_of_spreadsheets_is_named(tmp_path, monkeypatch):
     content = spreadsheet(Run=[["base_tension [N]"], [5]])
     monkeypatch.setitem(sys.modules, "openpyxl", None)
@@ -203,9 +374,9 @@ def test_a_missing_reader_of_spreadsheets_is_named(tmp_path, monkeypatch):
 def test_unknown_columns_of_other_tables(tmp_path):
     """A kind of table says itself what it does with other columns."""
     kind = Kind(lambda column: "length", "places", "x [mm]", meant=lambda name: name if name == "x" else None)
-    assert read_table(write(tmp_path, "x [mm], y [mm]\n1, 2\n"), kind).unused == ("y [mm]",)
-    with pytest.raises(InputError, match="row 1: unknown column 'colour'; known are arc_length"):
-        cddf.read_cross_sections(write(tmp_path, "arc_length [mm], outer_radius [mm], colour\n0, 1, red\n"))
+    assert read_table(write(tmp_path, "x [mm], y [mm]\n1, 2\n"), kind).unused == (("y [mm]", [" 2"], None),)
+    with pytest.raises(InputError, match="row 1: unknown column 'colour', 'bore'; known are arc_length"):
+        cddf.read_cross_sections(write(tmp_path, "arc_length [mm], colour, bore [mm]\n0, red, 1\n"))
 
 
 # --- trials in files of their own ----------------------------------------------------------------

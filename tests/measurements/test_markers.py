@@ -54,6 +54,21 @@ def test_names_that_a_laboratory_gave(read):
     assert table.markers == {}
 
 
+def test_unknown_columns(read):
+    """The options that are printed work; a position that was asked for and is empty is an error."""
+    names = "row,marker,EM_X (mm),EM_Y (mm),s [mm]\n1,head,79.1,,80\n"
+    said = refused(read, BENCH, names.replace(",,", ",12.3,"))
+    assert said.endswith(
+        "b.csv: row 1: the columns x and y are missing; add them; a guess by unit, words and order, to check: --column "
+        '"EM_X (mm)=x [mm]" --column "EM_Y (mm)=y [mm]" --column "s [mm]=arc_length [mm]"'
+    )
+    (table,) = read(BENCH, names, columns={"EM_X (mm)": "x [mm]", "s [mm]": "arc_length [mm]"})
+    np.testing.assert_allclose([table["x@head"][0], table.markers["head"].arc_length], [0.0791, 0.08], rtol=1e-15)
+    with pytest.raises(cddf.InputError, match=r"a.csv: no column 'EM_Y \(mm\)', or nothing in it; check the name"):
+        read(BENCH, names, columns={"EM_X (mm)": "x [mm]", "EM_Y (mm)": "y [mm]"})
+    assert "base_tension" in refused(read, "row,marker,F [N]\n1,a,5\n", columns={"row": "trial"})  # no marker table
+
+
 def test_trials_and_other_tables(read):
     """Two files with the same markers are trials of one experiment; a marker elsewhere is another experiment."""
     (both,) = read(BENCH, LONG, BENCH.replace("17", "18"), LONG)
@@ -67,7 +82,7 @@ def test_trials_and_other_tables(read):
     [
         ((LONG, BENCH), "a.csv: is a table of markers; name the file of the measurements just before it"),
         ((BENCH, LONG, LONG), "c.csv: is a table of markers; name the file of the measurements just before it"),
-        ((BENCH, LONG.replace("row", "n")), "b.csv: the column row is missing; add it: 1 for the first row"),
+        ((BENCH, LONG.replace("row", "n")), "b.csv: row 1: the column row is missing; add it: 1 for the first row"),
         ((BENCH, LONG.replace("3, 120", "4, 120")), "b.csv: row 5, column row: must be 1 to 3, got 4; the first row"),
         ((BENCH, LONG.replace("3, head", "0, head")), "b.csv: row 3, column row: must be 1 to 3, got 0"),
         ((BENCH, LONG.replace("3, head", "1, head")), "b.csv: the marker 'head1' of row 1 is there 2 times; keep one"),

@@ -176,7 +176,7 @@ CASES = [
     (_with("directon"), "Rename it or give --column \"directon=direction\", or leave it out by --column \"directon=\""),
     (_with("T_base_0 [N]"), "unknown column 'T_base_0'; did you mean base_tension?"),  # tendons count from 1
     (_with("base_tension_1 [N]"), "row 1: 'base_tension [N]' and 'base_tension_1 [N]' both are the column"),
-    ("Pull [N], colour\n5, red\n", "the column base_tension is missing; say which of 'Pull [N]', 'colour' it is, by"),
+    ("Pull [N], colour\n5, red\n", "row 1: the column base_tension is missing; say what the columns are, or add it;"),
     (_with("tip_tension (raw)"), "row 1: the column tip_tension needs a unit of force, got [raw] with the unknown"),
     (_with("tip_tension [g]"), "needs a unit of force, got [g]; write for example [N]; a mass is not a force: did you"),
     (_with("tip_tension_kg"), "got [kg]; write for example [N]; a mass is not a force: did you mean gf or kgf, its"),

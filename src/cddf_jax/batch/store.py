@@ -7,10 +7,7 @@ complete if all its files are there. The same work, started again, computes only
 import errno
 import json
 import os
-import secrets
-import shutil
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -20,6 +17,7 @@ import numpy as np
 
 from ..errors import InputError, needed
 from .chunks import Index, Layout
+from .drafts import in_one_step
 
 if TYPE_CHECKING:
     import xarray
@@ -97,22 +95,8 @@ class ZarrStore:
         return found[[*self.layout.variables]]  # in the order in which they were asked for
 
 
-@contextmanager
-def in_one_step(path: Path) -> Iterator[Path]:
-    """A draft of a file or folder, which takes the place of the path when it is complete."""
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        yield draft
-        os.replace(draft, path)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; choose another place") from None
-    finally:
-        shutil.rmtree(draft) if draft.is_dir() else draft.unlink(missing_ok=True)
-
-
 def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
     """An empty store."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     with in_one_step(path) as draft:
         attrs = {**layout.attrs, IDENTITY: json.dumps(identity)}
         labels = needed("xarray").Dataset(coords=layout.coords, attrs=attrs)

@@ -3,6 +3,7 @@
 Each subcommand imports what is heavy when it runs, so that `cddf --help` is quick.
 """
 
+import io
 import sys
 
 import typer
@@ -22,6 +23,9 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; a failure is one line on standard error and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # what its encoding lacks
     try:
         with show_progress():
             code = app(standalone_mode=False)
@@ -30,10 +34,10 @@ def main() -> None:
     except typer.TyperException as error:  # wrong usage
         stop(f"{error.format_message().rstrip('.')}. Try --help.", BAD_INPUT)
     except OSError as error:
-        stop(f"{error.filename or 'file'}: {error.strerror}; choose another place", BAD_INPUT)
+        stop(f"{error.filename or 'standard output'}: {error.strerror}; choose another place", BAD_INPUT)
     except SolveError as error:
         stop(str(error), FAILED)
-    except KeyboardInterrupt:
+    if code == INTERRUPTED:  # Typer's code for Ctrl-C
         stop("interrupted; nothing was written", INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
 

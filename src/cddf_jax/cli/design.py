@@ -1,5 +1,6 @@
 """`cddf design`: the body that meets an objective best, from a task in a file."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
     from ..designing.task_file import DesignTask
 
 EXAMPLE = "Example: cddf design fitting/design_least_tension.toml --out out/design"
-Answer = tuple[dict[str, object], str, bool]  # for JSON, in words, and whether it was successful
+Files = dict[str, str | bytes]  # content by name
+Answer = tuple[dict[str, object], str, bool, Callable[[], Files]]  # for JSON, in words, whether it succeeded, its files
 
 
 def design(
@@ -51,38 +53,42 @@ def design(
 
     read = read_task(task)
     options.note(read.read_as)
-    answer, text, success = run_design(read, out) if pareto is None else trade_off(read, pareto, out)
-    options.print_answer(text, answer, as_json=as_json)
+    answer, text, success, files = designed(read) if pareto is None else trade_off(read, pareto)
+    with options.printed(lambda: text, answer, as_json=as_json):
+        if out is not None:
+            from ..files.writing import write_all
+
+            write_all(out, files())
     if not success:
         options.stop(f"the design is not done: {answer['result']}", options.FAILED)
 
 
-def run_design(task: "DesignTask", out: Path | None) -> Answer:
-    """Design, and write what is asked for; the new manipulator only where it keeps to all limits."""
+def designed(task: "DesignTask") -> Answer:
+    """Design; the files hold the new manipulator only where it keeps to all limits."""
     from ..designing import report
-    from ..figures import design_figure, render
-    from ..files.cross_sections import cross_sections_csv
-    from ..files.writing import as_json, write_all
 
     found = task.design()
     answer, text = report.design_as_dict(found), report.design_in_words(found)
-    if out is not None:
-        files: dict[str, str | bytes] = {"design.md": text + "\n", "design.json": as_json(answer)}
+
+    def files() -> Files:
+        from ..figures import design_figure, render
+        from ..files.cross_sections import cross_sections_csv
+        from ..files.writing import as_json
+
+        made: Files = {"design.md": text + "\n", "design.json": as_json(answer)}
         if found.feasible:
-            files["design.toml"] = _manipulator_file(found, task)
+            made["design.toml"] = _manipulator_file(found, task)
             if found.manipulator.has_radii:
-                files["profile.csv"] = cross_sections_csv(found.manipulator)
-            files |= render(design_figure(found), "design")
-        write_all(out, files)
-    return answer, text, found.success
+                made["profile.csv"] = cross_sections_csv(found.manipulator)
+            made |= render(design_figure(found), "design")
+        return made
+
+    return answer, text, found.success, files
 
 
-def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
-    """As `run_design`, for the trade-off between the two objectives."""
+def trade_off(task: "DesignTask", num: int) -> Answer:
+    """As `designed`, for the trade-off between the two objectives."""
     from ..designing import report
-    from ..figures import draw_trade_off, render
-    from ..figures.style import figure_of
-    from ..files.writing import as_json, write_all
 
     if task.choices or task.options.starts > 1 or any(weight != 1 for weight, _ in task.objective):
         raise InputError(
@@ -90,12 +96,18 @@ def trade_off(task: "DesignTask", num: int, out: Path | None) -> Answer:
         )
     front = task.pareto_front(num)
     answer, text = report.front_as_dict(front), report.front_in_words(front)
-    if out is not None:
-        files: dict[str, str | bytes] = {"pareto.md": text + "\n", "pareto.json": as_json(answer)}
+
+    def files() -> Files:
+        from ..figures import draw_trade_off, render
+        from ..figures.style import figure_of
+        from ..files.writing import as_json
+
+        made: Files = {"pareto.md": text + "\n", "pareto.json": as_json(answer)}
         feasible = {i: found for i, found in enumerate(front.designs, 1) if found.feasible}
-        files |= {f"design_{i}.toml": _manipulator_file(found, task) for i, found in feasible.items()}
-        write_all(out, files | render(figure_of(draw_trade_off(front)), "pareto"))
-    return answer, text, front.success
+        made |= {f"design_{i}.toml": _manipulator_file(found, task) for i, found in feasible.items()}
+        return made | render(figure_of(draw_trade_off(front)), "pareto")
+
+    return answer, text, front.success, files
 
 
 def _manipulator_file(found: "Design", task: "DesignTask") -> str:

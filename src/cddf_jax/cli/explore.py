@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, in_utf8
 from ..progress import stage
 from . import options
 
@@ -49,7 +49,7 @@ def explore(
     server.serve(
         RobotFile(paper, (), False) if read is None else read,
         options.read_data(data, column),
-        server.PAPER if robot is None else str(robot),
+        server.PAPER if robot is None else in_utf8(robot),
         port=port,
         browser=not no_browser,
         say=typer.echo,

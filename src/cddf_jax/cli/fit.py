@@ -113,9 +113,9 @@ def fit(
     )
     bootstraps = _bootstraps(found, bootstrap, seed)
     report = make_report(found, bootstraps=bootstraps, with_profiles=out is not None)
-    if out is not None:
-        write_report(report, out)
-    options.print_answer(fit_in_words(report), fit_as_dict(report), as_json=as_json)
+    with options.printed(lambda: fit_in_words(report), fit_as_dict(report), as_json=as_json):
+        if out is not None:
+            write_report(report, out)
     if not found.success:
         options.stop(f"the fit failed: {found.result}", options.FAILED)
 

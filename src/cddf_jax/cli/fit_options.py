@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, within
+from ..errors import InputError, in_utf8, within
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Prior, Uniform
 from ..files.manipulator_file import read_toml
@@ -124,7 +124,7 @@ def read_candidates(path: Path) -> list[Candidate]:
             raise InputError("holds no candidates; write one [[candidate]] table for each, and nothing else")
         for i, entry in enumerate(entries, 1):
             with within(f"candidate {i}"):
-                found.append(_candidate({"name": f"{path}, candidate {i}"} | entry))
+                found.append(_candidate({"name": f"{in_utf8(path)}, candidate {i}"} | entry))
         return found
 
 

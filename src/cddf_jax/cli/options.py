@@ -1,13 +1,15 @@
 """What several commands share: their options, reading the manipulator and the data, and printing the answer."""
 
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, TypeVar
 
 import typer
 
-from ..errors import InputError, within
+from ..batch.drafts import check_folder
+from ..errors import InputError, in_utf8, within
 from ..progress import stage
 
 if TYPE_CHECKING:
@@ -17,12 +19,24 @@ if TYPE_CHECKING:
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
 T = TypeVar("T")
+
+
+def writable(folder: Path | None) -> Path | None:
+    """Refuse `--out` before the work begins, if nothing can be written there."""
+    if folder is not None:
+        with within("--out"):
+            check_folder(folder)
+    return folder
+
+
 Kinematics = Literal["published", "exact"]
 Robot = Annotated[Path, typer.Argument(help="TOML file of the manipulator, such as data/smooth_sil_940.toml.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object in SI units and nothing else.")]
 Out = Annotated[
     Path | None,
-    typer.Option(help="Folder for report, figures and files, such as out/run_1. It is made if it is missing."),
+    typer.Option(
+        help="Folder for report, figures and files, such as out/run_1. It is made if it is missing.", callback=writable
+    ),
 ]
 KinematicsOption = Annotated[
     Kinematics | None, typer.Option(help="Kinematics of the tendons, in place of those in the file.")
@@ -103,23 +117,35 @@ HistoryOption = Annotated[
 
 def stop(message: str, code: int) -> NoReturn:
     """End the command with one line on standard error."""
-    typer.echo("error: " + " ".join(message.split()), err=True)
+    typer.echo("error: " + in_utf8(" ".join(message.split())), err=True)
     sys.exit(code)
 
 
 def note(lines: Iterable[str]) -> None:
     """Lines on standard error: how files were read."""
     for line in lines:
-        typer.echo(f"note: {line}", err=True)
+        typer.echo(in_utf8(f"note: {line}"), err=True)
 
 
 def print_answer(text: str, answer: object, *, as_json: bool) -> None:
-    """The answer on standard output, in words or as one JSON object."""
+    """The answer on standard output, in words or as one JSON object, whose other characters are escaped."""
     if as_json:
-        from ..files.writing import as_json as json_text
+        import json
 
-        text = json_text(answer).rstrip()
-    typer.echo(text)
+        from ..files.writing import plain
+
+        text = json.dumps(plain(answer), indent=2)
+    typer.echo(in_utf8(text))
+
+
+@contextmanager
+def printed(text: Callable[[], str], answer: object, *, as_json: bool) -> Iterator[None]:
+    """Print the answer after the block, which writes it to files; also if that fails."""
+    try:
+        with within("not written"):
+            yield
+    finally:
+        print_answer(text(), answer, as_json=as_json)
 
 
 def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[], None] | None = None) -> "RobotFile":
@@ -162,10 +188,14 @@ def read_data(
     from ..measurements.holds import average_holds
     from ..measurements.trials import read_tables
 
-    columns = read_all(column, "--column", '"Tbase_N=base_tension [N]"', lambda name, meant: meant)
-    tables = read_tables(paths or (), columns)
+    tables = read_tables(paths or (), read_columns(column))
     note(line for table in tables for line in table.read_as)
     return tuple(map(average_holds, tables)) if holds_averaged else tables
+
+
+def read_columns(column: Sequence[str] | None) -> dict[str, str]:
+    """What columns are, by their names in the files."""
+    return read_all(column, "--column", '"Tbase_N=base_tension [N]"', lambda name, meant: meant)
 
 
 def read_all(texts: Sequence[str] | None, option: str, example: str, read: Callable[[str, str], T]) -> dict[str, T]:

@@ -64,10 +64,11 @@ def plan(
     known = fit(manipulator, tables, names, setting=setting, history=history) if tables else manipulator
     found = plan(known, choices, names, setting=setting, criterion=criterion, num=num)
     text, answer = plan_as_markdown(found), plan_as_dict(found)
-    if out is not None:
-        from ..figures.estimates import draw_plan
-        from ..figures.style import figure_of, render
-        from ..files.writing import as_json as json_text, write_all
+    with options.printed(lambda: text, answer, as_json=as_json):
+        if out is not None:
+            from ..figures.estimates import draw_plan
+            from ..figures.style import figure_of, render
+            from ..files.writing import as_json as json_text, write_all
 
-        write_all(out, {"plan.md": text, "plan.json": json_text(answer)} | render(figure_of(draw_plan(found)), "plan"))
-    options.print_answer(text, answer, as_json=as_json)
+            figure = render(figure_of(draw_plan(found)), "plan")
+            write_all(out, {"plan.md": text, "plan.json": json_text(answer)} | figure)

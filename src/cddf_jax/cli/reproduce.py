@@ -19,14 +19,18 @@ def reproduce(
     ],
     column: options.Column = None,
     as_json: options.AsJson = False,
-    out: Annotated[Path, typer.Option(help="Folder for the figures and the table.")] = Path("out/reproduce"),
+    out: Annotated[Path, typer.Option(help="Folder for the figures and the table.", callback=options.writable)] = Path(
+        "out/reproduce"
+    ),
 ) -> None:
     """The figures of Liu et al. (2020), and a table of its numbers beside ours."""
     read = options.read_robot(robot, None)
     if any(read.gravity or ()):
         raise InputError(f"{robot}: the paper's manipulator bears no loads, this one has gravity; leave it out")
     with stage("loading"):
+        from ..files.writing import write_all
         from ..reports.reproduction import reproduce
 
-    answer = reproduce(read.manipulator, options.read_data([load_cells], column)[0], out)
-    options.print_answer((out / "reproduction.md").read_text(encoding="utf-8"), answer, as_json=as_json)
+    answer, files = reproduce(read.manipulator, options.read_data([load_cells], column)[0])
+    with options.printed(lambda: str(files["reproduction.md"]), answer, as_json=as_json):
+        write_all(out, files)

@@ -60,18 +60,18 @@ def solve(
     text = solve_in_words(equilibrium, actuation, base_tension, loads)
     if columns:
         answer["cross_sections"] = {column.name: column.words for column in columns}
-    if out is not None:
-        from ..figures.along import sections_figure
-        from ..figures.body import equilibrium_figure
-        from ..figures.style import render
-        from ..files.writing import as_json as json_text, write_all
-        from ..reports.export import fields_csv, fields_on_grid
+    with options.printed(lambda: text, answer, as_json=as_json):
+        if out is not None:
+            from ..figures.along import sections_figure
+            from ..figures.body import equilibrium_figure
+            from ..figures.style import render
+            from ..files.writing import as_json as json_text, write_all
+            from ..reports.export import fields_csv, fields_on_grid
 
-        figures = render(equilibrium_figure(manipulator, equilibrium, loads), "solve")
-        if columns:
-            figures |= render(sections_figure(columns), "cross_sections")
-        tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
-        write_all(out, figures | tables)
-    options.print_answer(text, answer, as_json=as_json)
+            figures = render(equilibrium_figure(manipulator, equilibrium, loads), "solve")
+            if columns:
+                figures |= render(sections_figure(columns), "cross_sections")
+            tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
+            write_all(out, figures | tables)
     if ended_as(equilibrium, RESULTS.unstable):
         options.stop(RESULTS[equilibrium.result], options.FAILED)

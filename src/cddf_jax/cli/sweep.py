@@ -205,14 +205,17 @@ def sweep(
         return
     places = sweep_report.read_places(out, netcdf, csv)
     try:
-        summary = sweep_report.run_sweep(work, places, context.params)
+        found = sweep_report.run_sweep(work, places, context.params)
+        if found is None:
+            return
+        answer, summary = found
+        with options.printed(lambda: sweep_report.summary_in_words(summary), summary, as_json=as_json):
+            sweep_report.write_results(work, answer, places, summary)
     except KeyboardInterrupt:
         remedy = "what is in the store stays there, start the same command again and it goes on"
         options.stop(f"interrupted; {remedy}", options.INTERRUPTED)
-    if summary is not None:
-        options.print_answer(sweep_report.summary_in_words(summary), summary, as_json=as_json)
-        if "successful" not in summary["results"]:
-            options.stop("no solve was successful; see the results", options.FAILED)
+    if "successful" not in summary["results"]:
+        options.stop("no solve was successful; see the results", options.FAILED)
 
 
 def _configure(
@@ -227,7 +230,7 @@ def _configure(
         sys.stdout.flush()
         ours = os.dup(sys.stdout.fileno())
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-        sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding)
+        sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
     try:
         application.configure_jax_for_batches(processes)
     except (ValueError, RuntimeError) as error:

@@ -9,7 +9,7 @@ from ..progress import stage
 from . import options
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from ..units import Dimension
 
@@ -54,6 +54,7 @@ ShortSteps = Annotated[
 def trace(
     robot: options.Robot,
     path: PathOption,
+    column: options.Column = None,
     noise: NoiseOption = None,
     before: BeforeOption = None,
     tip_force: options.TipForce = None,
@@ -79,7 +80,7 @@ def trace(
         from ..units import series
 
     loads, count = options.loads_of(read, tip_force, tip_moment, gravity), manipulator.num_tendons
-    paths, driven = read_paths(path, noise, count)
+    paths, driven = read_paths(path, noise, count, column)
     largest = None
     if before is not None:
         largest, _ = series(before, ("force",), "--before")
@@ -88,32 +89,39 @@ def trace(
     with within(robot, ValueError):
         found = trace_report.traced(manipulator, paths, driven, loads, nodes, max_turns, short_steps, largest)
     answer = trace_report.trace_as_dict(found)
-    if out is not None:
-        from ..figures.history import history_figure
-        from ..figures.style import render
+    with options.printed(lambda: trace_report.trace_in_words(found), answer, as_json=as_json):
+        if out is not None:
+            from ..figures.history import history_figure
+            from ..figures.style import render
 
-        files: dict[str, str | bytes] = {
-            "trace.json": json_text(answer),
-            "loop.csv": trace_report.loop_csv(found),
-            "fields.csv": trace_report.fields_csv_of_steps(found),
-        }
-        moves = [max(path) - min(path) if kind == "force" else 0.0 for path, kind in zip(paths, driven, strict=True)]
-        figure = history_figure(manipulator, found.history, found.steps, tendon=moves.index(max(moves)))
-        write_all(out, files | render(figure, "trace"))
-    options.print_answer(trace_report.trace_in_words(found), answer, as_json=as_json)
+            files: dict[str, str | bytes] = {
+                "trace.json": json_text(answer),
+                "loop.csv": trace_report.loop_csv(found),
+                "fields.csv": trace_report.fields_csv_of_steps(found),
+            }
+            moves = [max(own) - min(own) if kind == "force" else 0.0 for own, kind in zip(paths, driven, strict=True)]
+            figure = history_figure(manipulator, found.history, found.steps, tendon=moves.index(max(moves)))
+            write_all(out, files | render(figure, "trace"))
 
 
-def read_paths(texts: "Sequence[str]", noise: str | None, count: int) -> "tuple[list[list[float]], list[Dimension]]":
+def read_paths(
+    texts: "Sequence[str]", noise: str | None, count: int, column: "Sequence[str] | None" = None
+) -> "tuple[list[list[float]], list[Dimension]]":
     """Paths of all tendons, of one length, and what they measure."""
     from ..files.actuation import one_for_each_tendon
 
-    read = one_for_each_tendon("--path", [read_path(text, noise) for text in texts], count)
-    paths: list[list[float]] = [values for values, _ in read]
-    driven: list[Dimension] = [dimension for _, dimension in read]
+    columns = options.read_columns(column)
+    every = [read_path(text, noise, columns) for text in texts]
+    for name in columns:
+        if all(name in missing for _, _, missing in every):
+            raise InputError(f"--path {', '.join(texts)}: no path takes a column {name!r}; check the name")
+    read = one_for_each_tendon("--path", every, count)
+    paths: list[list[float]] = [values for values, _, _ in read]
+    driven: list[Dimension] = [dimension for _, dimension, _ in read]
     steps = max(map(len, paths))
     paths = [values * steps if len(values) == 1 else values for values in paths]
     if any(len(values) != steps for values in paths):
-        lengths = ", ".join(str(len(values)) for values, _ in read)
+        lengths = ", ".join(str(len(values)) for values, _, _ in read)
         raise InputError(
             f"--path: the tendons have {lengths} steps; give each the same number, or one value that stays"
         )
@@ -124,15 +132,20 @@ def read_paths(texts: "Sequence[str]", noise: str | None, count: int) -> "tuple[
     return paths, driven
 
 
-def read_path(text: str, noise: str | None = None) -> "tuple[list[float], Dimension]":
-    """A path as typed or in a file, SI, and what it measures; how a file was read is noted on standard error."""
+def read_path(
+    text: str, noise: str | None = None, columns: "Mapping[str, str] | None" = None
+) -> "tuple[list[float], Dimension, Collection[str]]":
+    """A path as typed or in a file, SI, what it measures, and which of `columns` it does not have.
+
+    How a file was read is noted on standard error.
+    """
     from ..measurements.path_file import read_path_file
     from ..units import series, written
 
     if text.strip().lower().endswith(TABLES):
-        found = read_path_file(text.strip())
+        found = read_path_file(text.strip(), columns)
         options.note(f"{text.strip()}: {line}" for line in found.read_as)
-        values, driven = found.values, found.dimension
+        values, driven, missing = found.values, found.dimension, found.missing
         if noise is not None and driven != "force":
             raise InputError(f"--noise {noise}: is for base tensions, and {text.strip()} has none; leave it out")
         if noise is not None:
@@ -141,12 +154,13 @@ def read_path(text: str, noise: str | None = None) -> "tuple[list[float], Dimens
         raise InputError(f"--noise {noise}: is for a file only; leave it out, or give a file with --path")
     else:
         values, driven = series(text, ("force", "length", "angle"), "--path")
+        missing = columns or ()
     for step, value in enumerate(values, 1):
         if driven == "force" and value < 0:
             raise InputError(
                 f"--path, step {step}: a tendon cannot push, got {written(value, 'force')}; give 0 N or more"
             )
-    return values, driven
+    return values, driven, missing
 
 
 def _steady(values: list[float], noise: str) -> list[float]:

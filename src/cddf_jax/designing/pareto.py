@@ -15,8 +15,8 @@ from .free_numbers import Bounds
 from .limits import Limit
 from .load_cases import LoadCase
 from .problem import DesignProblem
-from .results import Design, design_of
-from .search import DesignSearch, SearchResult
+from .results import Design, design_of, indifference_in_words
+from .search import DesignSearch, SearchResult, indifferent
 
 SECOND = 1e-4  # weight of the other objective, so that it is not larger than it needs to be
 SAME = 1e-3  # relative: ends that differ by less in both objectives are one body
@@ -140,6 +140,8 @@ def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator
     remarks = [f"{missing} of {len(found)} points were not found"] if missing else []
     if len(found) < num and not missing:
         remarks = ["one body is best in both objectives: they do not conflict"]
+    if found[0].feasible:
+        remarks += [indifference_in_words(problem, found[0].z, i) for i in indifferent(problem, found[0].z)]
     return ParetoFront(
         names=(str(first), str(second)),
         dimensions=(first.dimension, second.dimension),

@@ -16,7 +16,7 @@ from ..units import DIMENSION_OF, Dimension, shown
 from .body_quantities import loop_in_short_steps
 from .load_cases import LoadCase
 from .problem import DesignEvaluation, DesignProblem, pieces_of
-from .search import NOT_ZERO, Restart, SearchResult
+from .search import GAIN, NOT_ZERO, Restart, SearchResult, indifferent
 from .sensitivity import FixedNumber, sensitivities
 
 Choices = tuple[tuple[dict[str, float], float], ...]  # numbers by name, and the objective that was reached with them
@@ -140,7 +140,8 @@ def design_of(
     at_end, unit = outcome.evaluation, abs(unit_of_objective(problem))
     objectives = achieved(problem, at_start, at_end)
     codes = zip(problem.cases, map(result_of, np.asarray(at_end.codes)), strict=False)  # none without a solve
-    result = design_result(local, outcome.violation)
+    same = indifferent(problem, outcome.z) if outcome.feasible else ()
+    result = design_result(local, outcome.violation, has_answer=len(same) < len(problem.terms))
     return Design(
         manipulator=jax.tree.map(np.asarray, problem.body(outcome.z)),
         start=start,
@@ -164,6 +165,7 @@ def design_of(
             *(f"{case.name or 'the load case'}: {RESULTS[code]}" for case, code in codes if code != RESULTS.successful),
             *(restart_in_words(problem, restart) for restart in outcome.restarts),
             *loops_in_words(problem, outcome.z),
+            *(indifference_in_words(problem, outcome.z, i) for i in same),
         ),
         outcome=outcome,
     )
@@ -311,15 +313,31 @@ def _prices(
     return local.optimality.range_of(**{kind: weights})
 
 
-def design_result(local: LocalMinimum, violation: float) -> str:
-    """The result in words."""
+def design_result(local: LocalMinimum, violation: float, *, has_answer: bool) -> str:
+    """The result in words; `has_answer` says whether a free number changes an objective."""
     if not local.point.usable:
         return "no usable equilibrium was found"
     if not violation <= TOLERANCE:
         return "infeasible"
     if not local.optimality.residual <= TOLERANCE:
         return f"not stationary: the first-order optimality is {local.optimality.residual:.2g} and not {TOLERANCE:g}"
-    return "successful"
+    return "successful" if has_answer else "undetermined: no free number changes the objective"
+
+
+def indifference_in_words(problem: DesignProblem, z: np.ndarray, i: int) -> str:
+    """That no free number changes an objective, and why, if it is a loss that follows from the angle alone."""
+    words = f"{problem.terms[i].objective} is the same for all bodies that were tried within the bounds"
+    why = "1 - exp(-friction_coefficient tip_angle), as of every tendon at a constant offset that bends to one side"
+    return f"{words}: {why}" if _is_of_angle(problem, z, i) else words
+
+
+def _is_of_angle(problem: DesignProblem, z: np.ndarray, i: int) -> bool:
+    """Whether an objective is the loss of a tendon at a constant offset that bends to one side, in every case."""
+    if problem.terms[i].objective.known.name != "tension_loss":
+        return False
+    views = [problem.view(z, case) for case in problem.cases]
+    losses = [-np.expm1(-view.body.friction_coefficient * abs(view.equilibrium.tip_angle)) for view in views]
+    return all(np.allclose(view.equilibrium.tension_loss, own, GAIN) for view, own in zip(views, losses, strict=True))
 
 
 def restart_in_words(problem: DesignProblem, restart: Restart) -> str:

@@ -16,7 +16,8 @@ from ..numerics.constrained import (
     optimality,
 )
 from ..progress import each, stage
-from .problem import DesignEvaluation, DesignProblem, pieces_of
+from ..statics.equilibrium import RESULTS, code_of
+from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # last stations, which are moved to where limits are broken between the others
 LOOKS = 6  # how often a search begins again
@@ -29,6 +30,8 @@ FLAT = 1e-4  # scaled: a number is flat if its slopes, over its whole range, cha
 AWAY = tuple(0.25**k for k in range(1, 7))  # of its range: how far a flat number is moved; the first that works
 GAIN = 10 * TOLERANCE  # of the objective: a body is better only by more than this
 ROUNDING = 1e-12  # of the objective at the start
+BODIES = 8  # drawn within the bounds, to see whether an objective differs between bodies
+TOWARD = (1.0, 0.5, 0.25, 0.125)  # of the way to such a body, if it cannot be used; the first that works
 
 History = list[tuple[float, float]]
 
@@ -220,6 +223,35 @@ def _is_better(one: SearchResult, other: SearchResult) -> bool:
     if not (one.feasible and other.feasible):
         return one.feasible or (not other.feasible and one.violation < other.violation - TOLERANCE)
     return one.value < other.value - max(GAIN * abs(other.value), ROUNDING)
+
+
+def indifferent(problem: DesignProblem, z: np.ndarray) -> tuple[int, ...]:
+    """The objectives that no free number changes: at z they are what they were at the start, and in every other body.
+
+    The other bodies are drawn within the bounds. Their equilibria differ, so a slope at z alone would not tell.
+    """
+    start, ranges = np.asarray(problem.free.scaled_start), (problem.free.upper - problem.free.lower) / problem.free.size
+    best = _sizes(problem, z)
+    same = _alike(best, _sizes(problem, start))
+    for drawn in np.random.default_rng(0).random((BODIES, z.size)) if np.any(same) else ():
+        others = (_sizes(problem, z + part * (drawn * np.asarray(ranges) - z)) for part in TOWARD)
+        same &= _alike(best, next((other for other in others if np.all(np.isfinite(other))), best * np.nan))
+    return tuple(int(i) for i in np.flatnonzero(same))
+
+
+def _sizes(problem: DesignProblem, z: np.ndarray) -> np.ndarray:
+    """Every objective over its size at the start; NaN for a body without an accurate equilibrium."""
+    found = problem.evaluation(np.append(z, np.zeros(len(problem.peaks))))
+    sizes = [
+        problem.over_the_cases(i, aim) / term.reference
+        for i, (aim, term) in enumerate(zip(found.aims, problem.terms, strict=True))
+    ]
+    accurate = np.isin(found.codes, USABLE) & (found.codes != code_of(RESULTS.inaccurate))
+    return np.asarray(sizes, float) if np.all(accurate) else np.full(len(sizes), np.nan)
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.abs(one - other) <= GAIN
 
 
 # --- between the stations ------------------------------------------------------------------------

@@ -14,8 +14,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
 from matplotlib.patches import Rectangle
 from matplotlib.style import context
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -55,8 +57,19 @@ class HouseFigure(Figure):
 
     def draw(self, renderer: Any) -> None:  # a RendererBase, or what Matplotlib passes in its place
         """Draw it; ticks take their look from the style only now."""
+        _leave_plain(self)
         with house_style():
             super().draw(renderer)
+
+
+def _leave_plain(figure: Figure) -> None:
+    """Draw texts with dollar signs that are no formula as they are; a file name may be such a text."""
+    for text in cast(list[Text], figure.findobj(Text)):
+        if "$" in text.get_text():
+            try:
+                MathTextParser("path").parse(text.get_text())
+            except ValueError:
+                text.set_parse_math(False)
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -163,6 +176,7 @@ def to_scale(axes: Axes) -> None:
 def render(figure: Figure, name: str) -> dict[str, bytes]:
     """The figure as PDF and PNG (300 dpi) by file name, laid out once; the same bytes for the same figure."""
     engine = figure.get_layout_engine()
+    _leave_plain(figure)
     with house_style():
         if engine is not None:
             engine.execute(figure)

@@ -131,11 +131,7 @@ def _rows(manipulator: Manipulator) -> dict[str, np.ndarray]:
 def _dimension_of(column: str) -> Dimension:
     if column in ("arc_length", "outer_radius", "inner_radius") or _OFFSET.fullmatch(column):
         return "length"
-    raise InputError(_objection(column))
-
-
-def _objection(name: str) -> str:
-    return f"unknown column {short(name)}; known are {_COLUMNS}"
+    raise InputError(f"unknown column {short(column)}; known are {_COLUMNS}")
 
 
 _KIND = Kind(
@@ -143,7 +139,6 @@ _KIND = Kind(
     "cross-sections",
     "arc_length [mm], outer_radius [mm], inner_radius [mm], offset_1 [mm]",
     gaps=lambda column: column.startswith("offset"),
-    objection=_objection,
 )
 
 
@@ -155,6 +150,9 @@ def sections_and_columns(
         raise InputError(f"tolerance must be a positive length in m, got {tolerance}")
     table = read_table(path, _KIND)
     with within(path):
+        if table.unused:
+            names = ", ".join(short(column.name) for column in table.unused)
+            raise InputError(f"row {table.header}: unknown column {names}; known are {_COLUMNS}")
         return _sections(table.columns, table.rows, tolerance)
 
 

@@ -15,23 +15,39 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, within
-from ..units import preferred, to_si
+from ..units import to_si
 from . import table_header
 from .table_header import Heading, Kind, is_number, number, short
 from .table_source import Row, Source, open_table
+from .times import seconds_in
 
+_UNITS_BELOW = 3  # rows below the header, in which units are looked for: there may be channels above them
 # what instruments write where there is no number
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")
+
+
+class Unused(NamedTuple):
+    """A column that the reader does not know."""
+
+    head: str  # on one line
+    cells: Sequence[str] = ()
+    unit: str | None = None  # in a row below the header
+
+    @property
+    def name(self) -> str:
+        """The head without a unit in brackets or parentheses."""
+        return table_header.name_and_unit(self.head)[0]
 
 
 class Table(NamedTuple):
     """The content of a file."""
 
     columns: dict[str, np.ndarray]  # float64 in SI by name, text for labels
-    rows: list[int]  # the line of each row in the file, or its number in the sheet
+    header: int  # the line of the header in the file, or its number in the sheet
+    rows: list[int]  # that of each row
     notes: tuple[str, ...]  # the text above the header
     read_as: tuple[str, ...]  # how the file was understood, if it is not plain
-    unused: tuple[str, ...]  # columns that the reader does not know
+    unused: tuple[Unused, ...]  # columns that the reader does not know, without those that the caller leaves out
     missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
 
 
@@ -42,20 +58,19 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
     """
     with within(path):
         source, given = _opened(path, kind, columns or {})
-        headings = table_header.headings_of(source.header, source.row, kind, given)
-        below = list(islice(source.rows, 1))
-        if below and (with_units := table_header.with_units_below(headings, *below[0], kind)):
-            headings = with_units
-            source.read_as.append(f"row {below.pop()[0]} holds the units")
-        for i, heading in enumerate(headings):
-            dimension = (
-                kind.dimension_of(heading.column) if heading.column and heading.column in kind.optional else None
-            )
-            if dimension and heading.unit is None:  # the usual one
-                headings[i] = heading._replace(unit=preferred(dimension)[1])
+        below = list(islice(source.rows, _UNITS_BELOW))
+        headings = table_header.headings_of(source.header, source.row, kind, given, [cells for _, cells in below])
+        for i, (row, cells) in enumerate(below):
+            if with_units := table_header.with_units_below(headings, row, cells, kind):
+                between = " and ".join(f"row {at}" for at, _ in below[:i])
+                unused = f"; between them and the header, not used: {between}" if between else ""
+                source.read_as.append(f"row {row} holds the units{unused}")
+                headings, below = with_units, below[i + 1 :]
+                break
         table_header.check_headings(headings, source.row, kind)
-        names = {text for heading in headings for text in (heading.text, heading.name)}
-        return _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
+        names = {heading.text if heading.text in given else heading.name for heading in headings}
+        table = _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
+        return table._replace(unused=tuple(one for one in table.unused if not set(given) & {one.head, one.name}))
 
 
 def columns_in(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -> set[str]:
@@ -74,7 +89,7 @@ def _opened(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]
 
     def recognised(cells: Sequence[str]) -> int:
         found = (table_header.heading_of(cell, kind, given).column for cell in cells)
-        return sum(column is not None and column not in kind.optional for column in found)
+        return sum(column is not None and not _is_time(column, kind) for column in found)  # loggers write it above
 
     return open_table(path, recognised, empty), given
 
@@ -101,40 +116,51 @@ def _read(
         raise InputError(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
         )
-    headings = [
-        h._replace(column=None)
-        if h.column in kind.optional and not all(is_number(text.strip().replace(",", ".")) for text in own)
-        else h
-        for h, own in zip(headings, cells, strict=True)
-    ]
     unit_of = {heading.column: heading.unit for heading in headings}
     used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
+    for column, own in used.items():
+        if formulas := [i for i, text in enumerate(own) if text.startswith("=")]:
+            table_header.check_computed(own[formulas[0]], f"row {at[formulas[0]]}, column {column}")
     words_read: dict[str, str] = {}
     texts = {column: _replace_words(own, kind.words(column), words_read) for column, own in used.items()}
+    times = {column for column in texts if _is_time(column, kind)}
     if source.decimal_commas:
-        texts |= _replace_commas({column: own for column, own in texts.items() if column not in kind.labels}, at)
-    columns = {
-        column: _labels(column, at, own) if column in kind.labels else _numbers(column, at, own, unit_of[column], kind)
-        for column, own in texts.items()
-    }
+        plain = {column: own for column, own in texts.items() if column not in kind.labels and column not in times}
+        texts |= _replace_commas(plain, at)
+        texts |= {column: [re.sub(r"(?<=\d),(?=\d)", ".", text) for text in texts[column]] for column in times}
+    columns = {}
+    for column, own in texts.items():
+        if column in times:
+            columns[column], said = seconds_in(column, at, own, unit_of[column] or "s")
+            source.read_as.extend([said] if said else [])
+        elif column in kind.labels:
+            columns[column] = _labels(column, at, own)
+        else:
+            columns[column] = _numbers(column, at, own, unit_of[column], kind)
     unused = tuple(
-        heading.text or f"column {i} without a name"
+        Unused(heading.text, own, heading.unit)
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
-        if heading.column is None and (heading.text or any(text.strip() for text in own))
+        if heading.column is None and (heading.text != table_header.nameless(i) or any(text.strip() for text in own))
     )
     read_as = (*source.read_as, *_reading_notes(headings, unused, words_read))
-    return Table(columns, at, source.notes, read_as, unused, missing)
+    return Table(columns, source.row, at, source.notes, read_as, unused, missing)
 
 
-def _reading_notes(headings: Sequence[Heading], unused: Sequence[str], words_read: Mapping[str, str]) -> Iterator[str]:
+def _reading_notes(
+    headings: Sequence[Heading], unused: Sequence[Unused], words_read: Mapping[str, str]
+) -> Iterator[str]:
     """How header and rows were read, where that is not obvious: renamed and unused columns, words read as numbers."""
     renamed = [h for h in headings if h.column is not None and h.name != h.column]
     if renamed:
         yield "read as: " + ", ".join(f"{h.text!r} {h.column}" + (f" [{h.unit}]" if h.unit else "") for h in renamed)
     if unused:
-        yield f"columns that are not used: {', '.join(map(short, unused))}"
+        yield f"columns that are not used: {', '.join(short(column.head) for column in unused)}"
     if words_read:
         yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in words_read.items())
+
+
+def _is_time(column: str, kind: Kind) -> bool:
+    return kind.dimension_of(column) == "time"
 
 
 def _cells_by_column(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[list[int], list[list[str]]]:

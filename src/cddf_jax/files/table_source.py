@@ -10,18 +10,21 @@ import csv
 import io
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 from ..errors import InputError, needed
+from .table_header import is_like_number
 
 Recognised = Callable[[Sequence[str]], int]  # how many cells are heads of columns
 Row = tuple[int, list[str]]  # its line in the file, or its number in the sheet, and its cells
 
 _BLANK = ' \t\r\n,;"'
 _LOOKED_AT = 200  # rows, for the header
-_ENOUGH = 2  # known columns that are enough to recognise a header
+_ENOUGH = 2  # columns that are enough to recognise a header
 _COMMENT = re.compile(r'[ \t"]*#(?!N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!)', re.I)  # not an error of a spreadsheet
 _CONTROL = re.compile("[\x00-\x08\x0e-\x1f]")  # characters that no text holds
 _ZIP, _OLD_SPREADSHEET = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
@@ -100,23 +103,66 @@ def _decoded(content: bytes) -> tuple[str, list[str]]:
 def _find_header(
     lines: Sequence[str], plain: Sequence[int], separators: str, recognised: Recognised
 ) -> tuple[int, str]:
-    """Line and separator: a line with two known columns, or with one; else a comment above numbers; else the widest."""
-    known: tuple[int, int, str] = (0, 0, "")
-    widest = (0, plain[0], separators[0])
-    for i in plain:
-        for mark in [mark for mark in separators if mark in lines[i]] or [","]:
-            cells = _header_cells(lines, i, mark)
-            known = max(known, (recognised(cells), i, mark), key=lambda found: found[0])
-            widest = max(widest, (sum(map(bool, cells)), i, mark), key=lambda found: found[0])
-        if known[0] >= _ENOUGH:
-            break
-    if known[0]:
-        return known[1:]
+    """Line and separator: the line with most known columns; else a comment above numbers; else the words above them."""
+    marks = [mark for mark in separators if any(mark in lines[i] for i in plain)] or [","]
+    tables = {mark: [(i + 1, _header_cells(lines, i, mark)) for i in plain] for mark in marks}
+    known = {mark: _known_header(rows, recognised) for mark, rows in tables.items()}
+    mark = max(marks, key=lambda mark: (known[mark][0], mark in lines[plain[known[mark][1]]]))
+    if known[mark][0]:
+        return plain[known[mark][1]], mark
+    blocks = {mark: _above_numbers(rows) for mark, rows in tables.items()}
+    mark = max(marks, key=lambda mark: blocks[mark][0])
     above = max((i for i in range(plain[0]) if lines[i].strip(_BLANK)), default=-1)  # as NumPy's savetxt writes it
-    for mark in separators if above >= 0 else "":
-        if recognised([cell.lstrip(" #") for cell in _header_cells(lines, above, mark)]) >= _ENOUGH:
-            return above, mark
-    return widest[1:]
+    width = len(tables[mark][0][1])
+    if above >= 0 and blocks[mark][1] == 0 and width == len(_header_cells(lines, above, mark)) >= _ENOUGH:
+        return above, mark
+    return plain[blocks[mark][1]], mark
+
+
+def _known_header(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int]:
+    """The largest number of known columns in a row, and the index of this row; of equal rows the last above numbers."""
+    most, at, numbers_below = 0, 0, False
+    for i, (row, cells) in enumerate(rows):
+        numbers, words = _numbers_and_words(cells)
+        known = recognised(cells) if words else 0
+        if numbers_below and known >= most >= _ENOUGH:
+            remedy = "remove one of them, or save each table in a file of its own"
+            raise InputError(f"row {row} is a second header, below numbers under that of row {rows[at][0]}; {remedy}")
+        if known > most or (known == most and known and not numbers_below):
+            most, at, numbers_below = known, i, False
+        numbers_below = numbers_below or (known < most and numbers > 0)
+    return most, at
+
+
+def _above_numbers(rows: Sequence[Row]) -> tuple[float, int]:
+    """How many numbers the largest block of numbers holds, and the index of the header above it, or of its first row.
+
+    The header is the fullest of the rows with words directly above, the uppermost of equal ones: units stand below it.
+    """
+    if not rows:
+        return 0, 0
+    most, first, held, start = 0.0, 0, 0.0, 0
+    for i, (_, cells) in enumerate(rows):
+        numbers, words = _numbers_and_words(cells)
+        held, start = (held + numbers - words / 2, start) if numbers > words / 2 else (0.0, i + 1)
+        most, first = max((most, first), (held, start), key=lambda block: block[0])
+    filled = [sum(map(bool, cells)) for _, cells in rows]
+    if not most:  # no numbers at all
+        return 0, filled.index(max(filled))
+    above = []
+    while (
+        (i := first - len(above) - 1) >= 0
+        and filled[i] >= max(min(2, filled[first]), filled[first] / 2)
+        and (not above or rows[i][0] == rows[i + 1][0] - 1)
+    ):
+        above.append(i)
+    return most, max(reversed(above), key=lambda i: filled[i], default=first)
+
+
+def _numbers_and_words(cells: Sequence[str]) -> tuple[int, int]:
+    """How many cells are numbers, or dates and the like, and how many are words."""
+    numbers = sum(is_like_number(cell) for cell in cells)
+    return numbers, sum(map(bool, cells)) - numbers
 
 
 def _header_cells(lines: Sequence[str], at: int, separator: str) -> list[str]:
@@ -160,14 +206,15 @@ def _cells(lines: Sequence[str], at: int, separator: str) -> tuple[list[str], in
 def _of_sheets(content: bytes, recognised: Recognised) -> Source | None:
     """The one sheet that holds a table."""
     sheets = {name: rows for name, rows in _sheets(content).items() if rows}
-    found = {name: _header_of(rows, recognised) for name, rows in sheets.items()}
+    found = {name: _known_header(rows[:_LOOKED_AT], recognised) for name, rows in sheets.items()}
     tables = [name for name, (count, _) in found.items() if count] or list(sheets)[:1]
     if len(tables) > 1:
         raise InputError(f"holds tables in the sheets {', '.join(map(repr, tables))}; save each in a file of its own")
     if not tables:
         return None
     name, read_as = tables[0], []
-    at = found[name][1]
+    known, at = found[name]
+    at = at if known else _above_numbers(sheets[name][:_LOOKED_AT])[1]
     if others := [repr(other) for other in sheets if other != name]:
         read_as.append(f"the sheet {name!r} is read; not used: {', '.join(others)}")
     above, (row, header), below = sheets[name][:at], sheets[name][at], sheets[name][at + 1 :]
@@ -178,22 +225,12 @@ def _of_sheets(content: bytes, recognised: Recognised) -> Source | None:
     return Source(row, header, rows, notes, True, read_as)
 
 
-def _header_of(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int]:
-    """The largest number of known columns in a row, and the index of this row; 0 without any."""
-    best = (0, 0)
-    for i, (_, cells) in enumerate(rows[:_LOOKED_AT]):
-        best = max(best, (recognised(cells), i), key=lambda found: found[0])
-        if best[0] >= _ENOUGH:
-            break
-    return best
-
-
 def _sheets(content: bytes) -> dict[str, list[Row]]:
     """The rows of each sheet that are not blank, all of one width, as text that gives every number exactly."""
     openpyxl = needed("openpyxl", "excel")
     try:
-        book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
-        sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
+        sheets = {name: list(rows) for name, rows in _loaded(openpyxl, content, values_only=True)}
+        _put_formulas(openpyxl, content, sheets)
     except Exception as error:  # many kinds: a zip archive may hold anything
         raise InputError(
             f"is not a spreadsheet in the format .xlsx ({error}); save it as .xlsx or as CSV UTF-8"
@@ -204,6 +241,35 @@ def _sheets(content: bytes) -> dict[str, list[Row]]:
         texts = ((i, [_text(value) for value in cells[:width]]) for i, cells in enumerate(rows, 1))
         found[name] = [(i, cells + [""] * (width - len(cells))) for i, cells in texts if any(cells)]
     return found
+
+
+def _loaded(
+    openpyxl: ModuleType, content: bytes, *, values_only: bool = False, computed: bool = True
+) -> Iterator[tuple[str, Iterator[Sequence[Any]]]]:
+    """Name and rows of each sheet, of cells or their values: as last computed, or else the formulas."""
+    for sheet in openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=computed).worksheets:
+        sheet.reset_dimensions()  # the size in the file may be wrong
+        yield sheet.title, sheet.iter_rows(values_only=values_only)
+
+
+def _put_formulas(openpyxl: ModuleType, content: bytes, sheets: Mapping[str, list[Sequence[Any]]]) -> None:
+    """Put the text of a formula into each cell whose formula was never computed; it is empty, or 0 in some files."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        parts = [archive.read(name) for name in archive.namelist() if name.startswith("xl/worksheets/")]
+        nothing = (None, 0) if b'fullCalcOnLoad="1"' in archive.read("xl/workbook.xml") else (None,)
+    if not any(re.search(rb"<(\w+:)?f[ />]", part) for part in parts):
+        return
+    for (name, rows), (_, formulas) in zip(
+        _loaded(openpyxl, content), _loaded(openpyxl, content, computed=False), strict=True
+    ):
+        for i, (cells, own) in enumerate(zip(rows, formulas, strict=True)):
+            never = {
+                j: str(getattr(formula.value, "text", formula.value))
+                for j, (cell, formula) in enumerate(zip(cells, own, strict=True))
+                if formula.data_type == "f" and cell.value in nothing and cell.data_type != "str"  # an empty text
+            }
+            if never:
+                sheets[name][i] = [never.get(j, value) for j, value in enumerate(sheets[name][i])]
 
 
 def _text(value: object) -> str:

@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..batch.store import in_one_step
-from ..errors import InputError
+from ..batch.drafts import in_one_step
+from ..errors import in_utf8
 
 # a value of JSON; a recursive type cannot be checked at run time
 JsonValue: TypeAlias = dict[str, Any] | list[Any] | str | bool | int | float | None
@@ -22,15 +22,10 @@ def write_all(folder: str | Path, contents: Mapping[str, str | bytes]) -> None:
     The files take their places only when all are complete, each in one step. If something fails before, the old files
     stay. Text is written as UTF-8.
     """
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror}; choose another place") from None
     with ExitStack() as files:
         for name, content in contents.items():
-            draft = files.enter_context(in_one_step(folder / name))
-            draft.write_bytes(content.encode() if isinstance(content, str) else content)
+            draft = files.enter_context(in_one_step(Path(folder, name)))
+            draft.write_bytes(in_utf8(content).encode() if isinstance(content, str) else content)
 
 
 def as_json(value: object) -> str:
@@ -41,12 +36,14 @@ def as_json(value: object) -> str:
 def plain(value: object) -> JsonValue:
     """The same result in the types of JSON; a named tuple becomes a dictionary of its fields."""
     match value:
-        case str() | bool() | int() | None:
+        case str():
+            return in_utf8(value)
+        case bool() | int() | None:
             return value
         case float():
             return float(value) if math.isfinite(value) else None
         case Mapping():
-            return {str(key): plain(item) for key, item in value.items()}
+            return {in_utf8(key): plain(item) for key, item in value.items()}
         case tuple() if (as_dict := getattr(value, "_asdict", None)) is not None:
             return plain(as_dict())
         case list() | tuple():
@@ -62,4 +59,5 @@ def picked(what: object, names: Iterable[str]) -> dict[str, object]:
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]], right: Collection[str] = ()) -> list[str]:
     """The lines of a table in Markdown; the columns named in `right` are aligned to the right."""
     rules = ["---:" if name in right else "---" for name in head]
-    return [f"| {' | '.join(cells)} |" for cells in (head, rules, *rows)]
+    escaped = ([cell.replace("|", "\\|") for cell in cells] for cells in (head, rules, *rows))
+    return [f"| {' | '.join(cells)} |" for cells in escaped]

@@ -6,11 +6,11 @@ from difflib import get_close_matches
 from ..errors import InputError
 from ..files.table_header import short
 from ..quantities import QUANTITIES
-from ..units import Dimension, preferred
+from ..units import Dimension
 from .markers import marker_column
+from .order import ORDER
 from .readings import NAMED, kind_of
 
-ORDER = ("step", "time")  # the order in which rows were measured
 _WITHOUT_UNIT = ("trial", "direction", "step")
 COLUMNS = (
     *("trial", *ORDER, "direction", "base_tension", *NAMED, "tip_force_x", "tip_force_y", "tip_force_z"),
@@ -39,6 +39,7 @@ _SPELLINGS = {
     "stepnr": "step",
     "stepnumber": "step",
 } | {name.replace("_", ""): name for name in COLUMNS}
+_TIMES = re.compile(r"t|.*(time|zeit|elapsed|clock|date|second|[\[(](ms|s|sec|min|h|h+:m+\S*)[\])]).*", re.I)
 _LIKENESS = 0.85  # of a name to a known one, above which it counts as misspelt
 
 _IN = ("loading", "load", "pulling", "pull", "in", "up", "+")
@@ -68,6 +69,11 @@ def column_resembled(name: str) -> str | None:
         return None
     other_component = re.fullmatch(".*_[a-z]", written) and written[:-1] == close[0][:-1]  # tip_force_n
     return None if other_component else close[0]
+
+
+def may_be_time(name: str) -> bool:
+    """Whether an unknown column is perhaps the time of the rows, by its name or its unit."""
+    return bool(_TIMES.fullmatch(name.strip()))
 
 
 def _parts(name: str) -> tuple[str, str]:
@@ -105,19 +111,3 @@ def is_reading(column: str) -> bool:
 def is_direction(column: str) -> bool:
     """Whether a column holds directions, `direction` of tendon 1 or `direction_2`, ... of another."""
     return column.startswith("direction")
-
-
-def misspelt(name: str) -> str:
-    """The error for a column whose name is similar to a known one; "" for any other name."""
-    meant = column_resembled(name)
-    if meant is None:
-        return ""
-    remedy = f'Rename it or give {as_column_option(name, meant)}, or leave it out by --column "{name}="'
-    return f"unknown column {short(name)}; did you mean {meant}? {remedy}"
-
-
-def as_column_option(name: str, column: str) -> str:
-    """The option of the command line that says which column a name means."""
-    dimension = column_dimension(column)
-    unit = f" [{preferred(dimension)[1]}]" if dimension else ""
-    return f'--column "{name}={column}{unit}"'

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .columns import ORDER, is_reading
+from .columns import is_reading
+from .order import ORDER
 from .table import Measurements
 
 SAME_LEVEL = 0.01  # of the largest of a column: levels that differ by less are one, if the data show no other noise

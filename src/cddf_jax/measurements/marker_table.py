@@ -27,8 +27,10 @@ import numpy as np
 
 from ..errors import InputError, within
 from ..files.csv_table import Table, columns_in, read_table
-from ..files.table_header import Kind
+from ..files.table_header import Kind, name_and_unit
 from ..units import Dimension, shown
+from .column_guesses import advice, guess_markers, hint
+from .columns import column_dimension, column_meant
 from .markers import Marker
 
 _AXES, _OFFSETS = ("x", "y", "z"), ("offset_x", "offset_y", "offset_z")
@@ -41,7 +43,7 @@ class MarkerTable(NamedTuple):
     columns: dict[str, np.ndarray]  # "x@head", ..., one number for each row of the measurements, m; NaN: not there
     places: dict[str, Marker]  # of the markers whose positions it gives
     read_as: tuple[str, ...]  # how the file was understood
-    missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
+    missing: tuple[str, ...]  # names of columns that the caller described, and that are empty or not in the file
 
 
 NO_MARKERS = MarkerTable({}, {}, (), ())
@@ -49,15 +51,15 @@ NO_MARKERS = MarkerTable({}, {}, (), ())
 
 def of_markers(columns: Mapping[str, str]) -> dict[str, str]:
     """The descriptions of columns, such as "arc_length [mm]", that are for a table of markers."""
-    return {
-        name: meant for name, meant in columns.items() if _meant(re.sub(r"[\[(].*", "", meant)) or not meant.strip()
-    }
+    return {name: meant for name, meant in columns.items() if _meant(name_and_unit(meant)[0]) or not meant.strip()}
 
 
 def is_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str]) -> bool:
-    """Whether the header of a file has a column `marker` and a position."""
-    named = columns_in(path, _KIND, columns)
-    return "marker" in named and any(axis in named for axis in _AXES)
+    """Whether the header of a file has a column `marker`, and a position or a row but no measurement."""
+    named = columns_in(path, _KIND, of_markers(columns))
+    if "marker" not in named or any(axis in named for axis in _AXES):
+        return "marker" in named
+    return "row" in named and not columns_in(path, Kind(column_dimension, "", "", meant=column_meant), columns)
 
 
 def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], num_rows: int) -> MarkerTable:
@@ -73,8 +75,12 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
     """
     found = read_table(path, _KIND, columns)
     with within(path):
+        guesses = guess_markers(found.unused, found.columns)
+        missing = "the columns x and y are missing; add them"
         if "row" not in found.columns:
-            raise InputError("the column row is missing; add it: 1 for the first row of the measurements, 2, ...")
+            missing = "the column row is missing; add it: 1 for the first row of the measurements, 2, ..."
+        if "row" not in found.columns or not any(axis in found.columns for axis in _AXES):
+            raise InputError(missing, where=f"row {found.header}", remedy=advice(found.unused, guesses))
         names = ["".join(str(label).split()) for label in found.columns["marker"]]
         at = _rows(found, num_rows)
         for (row, name), count in Counter(zip(at.tolist(), names, strict=True)).items():
@@ -88,9 +94,11 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
                 read[f"{axis}@{name}"][at[own]] = found.columns[axis][own]
         places = dict(_places(found, names))
     file = Path(path).name
-    said = [f"{file}: {line}" for line in found.read_as]
+    said = [f"{file}: {line}" for line in (*found.read_as, *hint(guesses))]
     said.append(f"markers of {file}: {', '.join(dict.fromkeys(names))}, in {len(set(at.tolist()))} of {num_rows} rows")
-    return MarkerTable(read, places, tuple(said), found.missing)
+    empty = [axis for axis in _AXES if axis in found.columns and np.all(np.isnan(found.columns[axis]))]
+    unread = (name for name, meant in columns.items() if _meant(name_and_unit(meant)[0]) in empty)
+    return MarkerTable(read, places, tuple(said), (*found.missing, *unread))
 
 
 def _rows(found: Table, num_rows: int) -> np.ndarray:

@@ -1,16 +1,20 @@
 """A path in a file: the tensions, displacements or angles that a bench went through, in their order in time."""
 
 import os
+import re
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import InputError, within
 from ..files.csv_table import Table, read_table
-from ..files.table_header import Kind
+from ..files.table_header import Kind, name_and_unit
 from ..quantities import dimension_of
 from ..units import Dimension, written
-from .columns import ORDER, column_dimension, column_meant, is_reading
+from .column_guesses import advice, guess_path
+from .columns import column_dimension, column_meant, is_reading
+from .order import ORDER, check_order, order_of
 
 DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that the file has is the path
 
@@ -21,38 +25,49 @@ class PathFile(NamedTuple):
     values: list[float]  # SI
     dimension: Dimension
     read_as: tuple[str, ...]  # how the file was read
+    missing: tuple[str, ...]  # names of columns that the caller described, and that are not there or not the path
 
 
-def read_path_file(path: str | os.PathLike[str]) -> PathFile:
+def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> PathFile:
     """The column `base_tension` of a file with the unit in its header, or else `tendon_displacement` or `tip_angle`.
 
-    The order is that of the columns `step` and `time`, or without them that of the rows.
+    The order is that of the column `step`, or without it that of the rows, in which a column `time` may not go back.
 
     Args:
         path: CSV or .xlsx; other columns are not used.
+        columns: by the head of a column in the file, what it is; the file need not have all of them.
 
     Raises:
         InputError: names the file, row (line), column, value and remedy; also for several trials.
     """
-    table = read_table(path, _KIND)
+    table = read_table(path, _KIND, columns)
     with within(path):
-        driven = next((name for name in DRIVEN if name in table.columns), None)
-        if driven is None:
-            raise InputError(f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit")
+        named = [name for name in DRIVEN if name in table.columns]
+        if not named:
+            what = f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit"
+            hint = advice(table.unused, guess_path(table.unused, table.columns))
+            raise InputError(what, where=f"row {table.header}", remedy=hint)
+        driven, *others = named
         trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
         if len(trials) > 1:
             raise InputError(
                 f"holds {len(trials)} trials, but a path is one trial; keep the rows of one, such as {trials[0]}"
             )
         _check(table, driven)
-    keys = [table.columns[name] for name in reversed(ORDER) if name in table.columns]
-    values = table.columns[driven]
-    return PathFile((values[np.lexsort(keys)] if keys else values).tolist(), dimension_of(driven), table.read_as)
+        said = check_order(table.columns, table.rows)
+        said += [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
+    values = table.columns[driven][order_of(table.columns)]
+    unused = (name for name, meant in (columns or {}).items() if _meant(name_and_unit(meant)[0]) in others)
+    return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said), (*table.missing, *unused))
 
 
 def _check(table: Table, driven: str) -> None:
     """Every value a number, and no tension negative."""
     values, is_tension = table.columns[driven], driven == "base_tension"
+    for column in (column for column in ORDER if column in table.columns):
+        if not np.all(known := np.isfinite(table.columns[column])):
+            where = f"row {table.rows[int(np.argmin(known))]}, column {column}"
+            raise InputError(f"{where}: must be finite; give a number")
     bad = np.flatnonzero(~np.isfinite(values) | (is_tension & (values < 0)))
     if bad.size:
         got, rule = float(values[bad[0]]), "must be 0 or more" if is_tension else "must be finite"
@@ -63,16 +78,20 @@ def _check(table: Table, driven: str) -> None:
 
 def _dimension_of(column: str) -> Dimension | None:
     if column not in (*DRIVEN, *ORDER, "trial"):
-        raise InputError(f"unknown column {column}")
-    return column_dimension(column)
+        raise InputError(f"unknown column {column}; known are {', '.join((*DRIVEN, *ORDER, 'trial'))}")
+    return dimension_of(column) if column in DRIVEN else column_dimension(column)
+
+
+def _meant(name: str) -> str | None:
+    displacement = re.sub(r"[\s_-]+", "_", name.strip().lower()) == DRIVEN[1]
+    return DRIVEN[1] if displacement else column_meant(name)
 
 
 _KIND = Kind(
     _dimension_of,
     "steps",
     "base_tension [N]",
-    meant=column_meant,
+    meant=_meant,
     labels=("trial",),
-    optional=ORDER,
     gaps=is_reading,
 )

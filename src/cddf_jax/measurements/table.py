@@ -16,17 +16,22 @@
 | wrap_angle | angle | pulley test: angle of contact |
 | weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |
 | trial | none | any label |
-| step, time | none, time | the order in which rows were measured: the rows of a trial are then a path with a history |
+| step | none | gives the order in which the rows of a trial were measured, which are then a path with a history |
+| time | time | says that the order of the file is that order |
+
+Time may not go back in a trial, unless a column step gives the order. Its cells are numbers, clock times such as
+10:00:18, or dates (`files.times`). A step may be repeated in rows one after another, which keep the order of the file.
+A step that comes again later is refused.
 
 A pulley test has its three columns, and may have trial, step and time;
 pulling_tension = weight exp(mu wrap_angle), Liu et al. (2020), eq. (5).
 
 Files of instruments and spreadsheets are read too; `Measurements.read_as` says how they were understood:
 
-- Names in capitals or with spaces, `T_base` and `T_tip`; units in parentheses, behind the name or in a row below the
-  header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
-- Other columns are not used. A name that resembles a known one is refused.
-- Text above the header, such as that of LabVIEW, is taken as notes.
+- Names in capitals or with spaces, `T_base` and `T_tip`; units in parentheses, behind the name or at most three rows
+  below the header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
+- Other columns are not used. A name that resembles a known one is refused. Messages guess what unknown columns are.
+- Text above the header, such as that of LabVIEW or a table of channels, is taken as notes.
 - A cell of an instrument without a number (empty, nan, n/a, -): that reading is left out, and the others of its row
   stay. What was set (tensions at the base, forces, directions) must be there.
 - `loading`, `in`, `up`, `pull` are direction 1; `unloading`, `out`, `down`, `release` are -1.
@@ -38,7 +43,7 @@ marks and encodings that can be read; .xlsx needs the extra `excel`.
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -46,25 +51,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, within
-from ..files.csv_table import read_table
-from ..files.table_header import Kind, short
+from ..errors import InputError, in_utf8, within
+from ..files.csv_table import Table, read_table
+from ..files.table_header import Kind, heading_of, short
+from ..files.times import seconds_of
 from ..numerics.given_numbers import check_numbers
 from ..units import written
+from .column_guesses import advice, guess_measurements, hint, option
 from .columns import (
     DIRECTIONS,
-    ORDER,
     PER_TENDON,
     PULLEY,
-    as_column_option,
     column_dimension,
     column_meant,
+    column_resembled,
     is_direction,
     is_reading,
-    misspelt,
+    may_be_time,
 )
 from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
+from .order import ORDER, check_order, order_of
 from .readings import kind_of
 from .table_warnings import warnings_of
 
@@ -118,7 +125,8 @@ class Measurements:
         Args:
             name: of the table, for messages.
             notes: free text.
-            columns: as in the table at the head of the module; `trial` holds any labels. NaN: a missing reading.
+            columns: as in the table at the head of the module; `trial` holds any labels. NaN: a missing reading. `time`
+                holds seconds, dates, durations, or text as in a file.
 
         Raises:
             InputError: names table, row, column, value and remedy.
@@ -153,12 +161,11 @@ class Measurements:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """The rows, 0, 1, ..., in the order in which they were measured, trial by trial: by step, then by time.
+        """The rows, 0, 1, ..., in the order in which they were measured, trial by trial.
 
-        Without these columns they were measured in the order of the file.
+        It is the order of the column `step`, and for rows of one step or without this column that of the file.
         """
-        keys = [self.columns[column] for column in (*reversed(ORDER), "trial") if column in self]
-        return np.lexsort(keys) if keys else np.arange(len(self))
+        return order_of(self.columns)
 
     @cached_property
     def trial(self) -> np.ndarray:
@@ -219,31 +226,41 @@ def read_measurements(path: str | os.PathLike[str], columns: Mapping[str, str] |
     """
     table, missing = read_file(path, columns or {})
     if missing:
-        raise InputError(f"{path}: has no column {missing[0]!r}; use the heads of its header row")
+        raise InputError(f"{path}: has no column {missing[0]!r}, or nothing in it; use the heads of its header row")
     return table
 
 
 def read_file(
     path: str | os.PathLike[str], columns: Mapping[str, str], markers: str | os.PathLike[str] | None = None
 ) -> tuple[Measurements, tuple[str, ...]]:
-    """The measurements in a file and its table of markers in another, and which of `columns` neither of them has."""
+    """The measurements in a file and its table of markers in another, and which of `columns` are empty or not there."""
     theirs = {} if markers is None else of_markers(columns)
     own = {name: meant for name, meant in columns.items() if name not in theirs or not meant.strip()}
     found = read_table(path, _KIND, own)
     with within(path):
-        _check_columns(found.columns, found.unused)
+        further = _check_heads(found)
     more = NO_MARKERS if markers is None else read_marker_table(markers, theirs, len(found.rows))
     with within(path):
         if twice := [column for column in more.columns if column in found.columns]:
             raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
-        every, said = found.columns | more.columns, (*found.read_as, *more.read_as)
-        table = _table(Path(path).name, every, notes=found.notes, rows=found.rows, read_as=said)
+        every = found.columns | more.columns
+        said = (*found.read_as, *further, *more.read_as, *_unused_times(found))
+        table = _table(in_utf8(Path(path).name), every, notes=found.notes, rows=found.rows, read_as=said)
+    unread = [name for name, meant in own.items() if heading_of(meant, _KIND, {}).column in table.unread]
     missing = tuple(
         name
         for name in columns
-        if (name not in own or name in found.missing) and (name not in theirs or name in more.missing)
+        if (name not in own or name in (*found.missing, *unread)) and (name not in theirs or name in more.missing)
     )
     return replace(table, markers=more.places), missing
+
+
+def _unused_times(found: Table) -> Iterator[str]:
+    """Unused columns that may be the time, where a base tension falls and no column gives the order."""
+    pulls = [values for column, values in found.columns.items() if column.startswith("base_tension")]
+    if not any(column in found.columns for column in ORDER) and any(np.any(np.diff(values) < 0) for values in pulls):
+        for head in (one.head for one in found.unused if may_be_time(one.head)):
+            yield f"if {short(head)} is the time of the rows, {option(head, 'time')} gives them a history"
 
 
 _KIND = Kind(
@@ -252,10 +269,8 @@ _KIND = Kind(
     "base_tension [N], tip_tension [N]",
     meant=column_meant,
     labels=("trial",),
-    optional=("time",),
     gaps=is_reading,
     words=lambda column: DIRECTIONS if is_direction(column) else {},
-    objection=misspelt,
 )
 
 
@@ -290,7 +305,7 @@ def _table(
     if labels:
         arrays["trial"] = np.array([codes[label] for label in labels], float)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
-    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
+    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out, *check_order(arrays, at[kept])))
     return Measurements(
         *(name, arrays, at[kept], tuple(codes), notes, simulated),
         read_as=lines,
@@ -327,6 +342,8 @@ def _counted(which: np.ndarray, rows: np.ndarray) -> str:
 def _array(column: str, values: ArrayLike) -> np.ndarray:
     if column == "trial":
         return np.array([str(label) for label in np.asarray(values, object)])
+    if column == "time":
+        values = seconds_of(values)
     check_numbers(f"column {column}", values)
     try:
         array = np.array(values, dtype=np.float64)
@@ -337,24 +354,44 @@ def _array(column: str, values: ArrayLike) -> np.ndarray:
     return array
 
 
-def _check_columns(columns: Iterable[str], unused: Sequence[str] = ()) -> None:
-    """Refuse unknown columns, and columns whose base tension is missing; `unused` are unknown columns of a file."""
+def _check_heads(found: Table) -> list[str]:
+    """Refuse a file that lacks a column, or has a misspelt one; else a hint on further readings, if there are any."""
+    unused, where = found.unused, f"row {found.header}"
+    guesses = guess_measurements(unused, found.columns)
+    misspelt = {one.name: meant for one in unused if (meant := column_resembled(one.name))}
+    if misspelt:
+        give = " ".join(option(*guess) for guess in guesses.items())
+        leave = " ".join(option(name, "") for name in misspelt)
+        remedy = f"Rename it{f' or give {give}' if give else ''}, or leave it out by {leave}"
+        what = f"unknown column {', '.join(map(short, misspelt))}; did you mean {', '.join(misspelt.values())}?"
+        raise InputError(f"{what} {remedy}", where=where)
+    if unused and (missing := _missing(found.columns)):
+        what = f"the column {' and '.join(missing)} is missing; say what the columns are, or add it"
+        guessed = {meant.partition(" ")[0] for meant in guesses.values()}
+        remedy = advice(unused, guesses, _missing(guessed.union(found.columns)))
+        raise InputError(what, where=where, remedy=remedy)
+    _check_columns(found.columns)
+    return hint({head: meant for head, meant in guesses.items() if is_reading(meant.partition(" ")[0])})
+
+
+def _missing(columns: Iterable[str]) -> list[str]:
+    """The columns that a table with these columns needs and does not have."""
+    names = set(columns)
+    tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
+    needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
+    return sorted((set(PULLEY) if names & set(PULLEY) else needed) - names)
+
+
+def _check_columns(columns: Iterable[str]) -> None:
+    """Refuse unknown columns, and columns whose base tension is missing."""
     names = set(columns)
     for column in columns:
         column_dimension(column)
-    if names & set(PULLEY):
-        needed = set(PULLEY)
-        if other := sorted(names - needed - {"trial", *ORDER}):
-            raise InputError(f"the column {other[0]} does not belong to a pulley test; put it into a table of its own")
-    else:
-        tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
-        needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
-    if missing := sorted(needed - names):
-        remedy = f"add it (a pulley test has {', '.join(PULLEY)})"
-        if unused:
-            there = ", ".join(map(short, unused[:6])) + (", ..." if len(unused) > 6 else "")
-            remedy = f"say which of {there} it is, by {as_column_option(unused[0], missing[0])}, or add it"
-        raise InputError(f"the column {missing[0]} is missing; {remedy}")
+    others = sorted(names - {*PULLEY, "trial", *ORDER})
+    if names & set(PULLEY) and others:
+        raise InputError(f"the column {others[0]} does not belong to a pulley test; put it into a table of its own")
+    if missing := _missing(names):
+        raise InputError(f"the column {missing[0]} is missing; add it (a pulley test has {', '.join(PULLEY)})")
 
 
 def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapping[str, np.ndarray]) -> None:

@@ -29,8 +29,9 @@ def read_tables(
     """
     found = [read_file(path, columns or {}, markers) for path, markers in _with_markers(paths, columns or {})]
     for name in columns or {}:
-        if found and all(name in missing for _, missing in found):
-            raise InputError(f"{', '.join(table.name for table, _ in found)}: no column {name!r}; check the name")
+        if all(name in missing for _, missing in found):
+            where = ", ".join(table.name for table, _ in found) or "no file of data"
+            raise InputError(f"{where}: no column {name!r}, or nothing in it; check the name")
     return trials_together([table for table, _ in found])
 
 

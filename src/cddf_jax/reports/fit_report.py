@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..batch.drafts import check_folder
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..files.writing import as_json, markdown_table, write_all
@@ -31,7 +32,11 @@ def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] =
         fit: of `fit`.
         folder: made if it is missing.
         bootstraps: of `fit.bootstrap`, to be reported with it.
+
+    Raises:
+        InputError: if the folder cannot be written, before the profiles are computed.
     """
+    check_folder(Path(folder))
     write_report(make_report(fit, bootstraps=bootstraps), folder)
 
 

@@ -1,7 +1,6 @@
 """The figures and numbers of Liu et al. (2020), section IV, computed here, beside those that the paper prints."""
 
 import itertools
-from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -16,7 +15,7 @@ from ..figures.along import draw_along
 from ..figures.body import draw_force_arrows
 from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
 from ..figures.geometry import planar_fields_along, stations
-from ..files.writing import as_json, markdown_table, picked, plain, write_all
+from ..files.writing import as_json, markdown_table, picked, plain
 from ..measurements.table import Measurements
 from ..programs.kept import kept_program
 from ..progress import each, stage
@@ -55,16 +54,24 @@ class PaperResults(NamedTuple):
         return jax.tree.map(lambda x: x[np.searchsorted(HISTORY_PULLS, PULL)], self.history)
 
 
-def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Path) -> dict[str, object]:
-    """Write the paper's Fig. 3, 4, 5, 6 and 8 (PDF and PNG) and a table of its numbers beside ours.
+class Reproduction(NamedTuple):
+    """What `reproduce` computes.
+
+    Attributes:
+        answer: content of reproduction.json: `table`, a list of rows in SI units, and `files`, the names of the files.
+        files: content by name: the figures, reproduction.md and reproduction.json.
+    """
+
+    answer: dict[str, object]
+    files: dict[str, str | bytes]
+
+
+def reproduce(manipulator: Manipulator, load_cells: Measurements) -> Reproduction:
+    """The paper's Fig. 3, 4, 5, 6 and 8 (PDF and PNG), and a table of its numbers beside ours.
 
     Args:
         manipulator: the paper's, with one tendon, in the plane.
         load_cells: trials with the columns base_tension and tip_tension; simulated ones are labelled as simulated.
-        out: folder for the figures, reproduction.md and reproduction.json; all are written or none.
-
-    Returns:
-        The content of reproduction.json: `table`, a list of rows in SI units, and `files`, the names of the files.
     """
     if manipulator.num_tendons != 1:
         raise InputError(f"the paper's manipulator has one tendon, this one has {manipulator.num_tendons}; keep one")
@@ -90,8 +97,7 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements, out: str | Pat
     lines = markdown_table(("quantity", *numbers, "note"), [row.cells() for row in rows], right=numbers)
     contents["reproduction.md"] = "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"
     answer = {"table": plain([row.as_dict() for row in rows]), "files": [*contents, "reproduction.json"]}
-    write_all(out, contents | {"reproduction.json": as_json(answer)})
-    return answer
+    return Reproduction(answer, contents | {"reproduction.json": as_json(answer)})
 
 
 @stage("solving")

@@ -13,9 +13,10 @@ import jax
 import numpy as np
 from rich import filesize
 
+from ..batch.drafts import check_folder
 from ..batch.store import ZarrStore
 from ..batch.work import COPIES
-from ..errors import InputError
+from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..robot.loads import loads_as_dict
 from ..statics.equilibrium import RESULTS
@@ -60,7 +61,12 @@ def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Plac
 
 def _check_places(places: Places, work: Sweep) -> None:
     """Refuse, before anything is computed, what could not be written afterwards."""
-    layout, csv, netcdf = work.layout, places.csv, places.netcdf
+    csv, netcdf = places.csv, places.netcdf
+    for option, path in (("--out", places.store), ("--netcdf", netcdf), ("--csv", csv)):
+        if path is not None:
+            with within(option):
+                check_folder(path.parent)
+    layout = work.layout
     if netcdf is not None:
         largest = max(int(np.prod(v.shape)) * v.dtype.itemsize for v in layout.variables.values())
         if largest > NETCDF_MOST:
@@ -72,8 +78,6 @@ def _check_places(places: Places, work: Sweep) -> None:
             raise InputError(f"--netcdf {netcdf}: takes {size} of memory, {allowed} are allowed; raise --memory")
     if csv is not None and not any(name not in VERDICTS and is_short(layout, name) for name in layout.variables):
         raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
-    for path in filter(None, (netcdf, csv)):
-        path.parent.mkdir(parents=True, exist_ok=True)
 
 
 # --- running -------------------------------------------------------------------------------------
@@ -84,10 +88,10 @@ def is_first_process() -> bool:
     return jax.process_index() == 0
 
 
-def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Json | None:
-    """Run the sweep, write the files beside the store, and return the summary that the command prints.
+def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tuple[xarray.Dataset, Json] | None":
+    """Run the sweep, and return its answer and the summary that the command prints.
 
-    The options of the command line go into the JSON. All processes but the first return None.
+    The options of the command line go into the summary. All processes but the first return None.
     """
     _check_places(places, work)
     before, _ = _there_already(work, places.store)
@@ -96,7 +100,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Jso
     seconds = time.perf_counter() - start
     if not is_first_process():
         return None
-    summary = {
+    summary: Json = {
         "solves": work.layout.size,
         "solves_there_before": before,
         "seconds": seconds,
@@ -106,8 +110,9 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> Jso
         "options": {name: str(value) if isinstance(value, Path) else value for name, value in options.items()},
         "identity": work.identity,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "paths": {"store": in_utf8(places.store)},
     }
-    return summary | {"paths": _write(work, answer, places, summary)}
+    return answer, summary
 
 
 def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
@@ -120,8 +125,8 @@ def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
 
 
 @stage("writing")
-def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> Json:
-    """Write exports, figures and the JSON; return their paths, and what they leave out."""
+def write_results(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> None:
+    """Write exports, figures and the JSON; their paths, and what they leave out, go into the summary."""
     from ..figures.style import render
     from ..figures.sweep_labels import name_in_words
     from ..figures.sweeps import left_out_of_figure, sweep_figure
@@ -145,17 +150,17 @@ def _write(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json)
         files |= render(cloud, f"{stem}_workspace")
     name = f"{stem}.json"
     paths: Json = {
-        "store": str(places.store),
-        "json": str(folder / name),
-        "figures": [str(folder / file) for file in files],
+        "store": in_utf8(places.store),
+        "json": in_utf8(folder / name),
+        "figures": [in_utf8(folder / file) for file in files],
         "no_figure": figure if isinstance(figure, str) else None,
         "left_out": left_out_of_figure(answer, work.outputs) if files else [],
         "not_in_csv": [name for name in work.outputs if not is_short(work.layout, name)] if places.csv else [],
-        "netcdf": places.netcdf and str(places.netcdf),
-        "csv": places.csv and str(places.csv),
+        "netcdf": places.netcdf and in_utf8(places.netcdf),
+        "csv": places.csv and in_utf8(places.csv),
     }
     write_all(folder, {**files, name: as_json(summary | {"paths": paths})})
-    return paths
+    summary["paths"] = paths
 
 
 def _target(work: Sweep, name: str) -> str:
@@ -207,7 +212,7 @@ def rehearse(work: Sweep, places: Places | None) -> Json:
     layout, store = work.layout, None
     if places is not None:
         solves, chunks = _there_already(work, places.store)
-        store = {"path": str(places.store), "solves_there": solves, "chunks_there": chunks}
+        store = {"path": in_utf8(places.store), "solves_there": solves, "chunks_there": chunks}
     return {
         "solves": layout.size,
         "axes": _axes(work),
@@ -236,12 +241,12 @@ def summary_in_words(summary: Json) -> str:
     lines += [f"{name.replace('_', ' ')}: {RESULTS[getattr(RESULTS, name)]}" for name in failed]
     lines += _ranges(summary["outputs"])
     for what, entries in (
-        ("no figure", paths["no_figure"]),
-        ("not in the table, as they run along the body", ", ".join(paths["not_in_csv"])),
-        ("not in the figure", "; ".join(paths["left_out"])),
+        ("no figure", paths.get("no_figure")),
+        ("not in the table, as they run along the body", ", ".join(paths.get("not_in_csv", ()))),
+        ("not in the figure", "; ".join(paths.get("left_out", ()))),
     ):
         lines += [f"{what}: {entries}"] if entries else []
-    written = [paths["store"], *paths["figures"], paths["json"], paths["netcdf"], paths["csv"]]
+    written = [paths["store"], *paths.get("figures", ()), *(paths.get(kind) for kind in ("json", "netcdf", "csv"))]
     return "\n".join([*lines, f"written: {', '.join(path for path in written if path)}"])
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..batch.chunks import Layout, even_chunks
-from ..batch.store import in_one_step
+from ..batch.drafts import in_one_step
 from ..errors import needed
 from ..robot.named_numbers import of_tendon
 from .one_solve import AXES, COMPONENTS, RESULT, RESULT_NAMES, VERDICTS

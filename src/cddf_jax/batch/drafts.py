@@ -1,0 +1,63 @@
+"""Files that take their places complete or not at all, and folders that are tried before the work begins."""
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryFile
+
+from ..errors import InputError
+
+REMEDY = "choose another place"
+TRIAL = 2**20  # bytes, about the size of a report
+
+
+@contextmanager
+def in_one_step(path: Path) -> Iterator[Path]:
+    """A draft of a file or folder, which takes the place of the path when it is complete.
+
+    The folder around it is made if it is missing, and removed again if nothing came into it.
+    """
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    missing = _missing(draft)[1:]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield draft
+        os.replace(draft, path)
+    except OSError as error:
+        raise InputError(error.strerror or str(error), where=str(path), remedy=REMEDY) from None
+    finally:
+        with suppress(OSError):
+            shutil.rmtree(draft) if draft.is_dir() else draft.unlink(missing_ok=True)
+        for folder in missing:
+            with suppress(OSError):  # it is not empty
+                folder.rmdir()
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder into which nothing can be written, before long work whose result goes there.
+
+    A file without a name is written in it, or where it would be made; nothing is left of it.
+    """
+    there = (folder, *folder.parents)[len(_missing(folder))]
+    try:
+        with TemporaryFile(dir=there) as trial:
+            trial.write(bytes(TRIAL))
+    except OSError as error:
+        raise InputError(error.strerror or str(error), where=str(there), remedy=REMEDY) from None
+
+
+def _missing(path: Path) -> list[Path]:
+    """What is not there of a path and the folders above it, the innermost first."""
+    try:
+        os.fsencode(path)
+    except UnicodeEncodeError:
+        raise InputError("no file can have this name here", where=str(path), remedy="set a locale of UTF-8") from None
+    chain = (path, *path.parents)
+    missing = [each for each in chain if not os.path.lexists(each)]
+    for folder in chain[len(missing) :]:
+        if not os.path.isdir(folder):
+            raise InputError("is a file, and a folder is needed there", where=str(folder), remedy=REMEDY)
+    return missing
