@@ -1,22 +1,29 @@
 """The minimum of the squares of the residuals by Levenberg-Marquardt over dimensionless unknowns."""
 
-from dataclasses import replace
+import time
+from collections.abc import Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..programs.kept import kept_program
+from ..progress import stage
 from .parameter_space import Numbers
 from .residuals import Data, LeastSquaresProblem
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
 BATCH_TOLERANCE = 1e-6  # of a lane of many: far below any standard error
 MAX_STEPS = 500
+BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is shorter
+GOOD, POOR = 0.99, 0.01  # actual over predicted reduction from which a step is good, and below which it is not taken
+LONGER, SHORTER = 3.5, 0.25  # factors on the reach after a good step, and after one that was not taken
 
 
 class Outcome(NamedTuple):
@@ -43,6 +50,22 @@ class Minimum(NamedTuple):
     problem: LeastSquaresProblem
     outcome: Outcome
 
+    def cost_with(self, noise: Sequence[Numbers]) -> float:
+        """The cost with other noise; infinite if the model gives no number."""
+        problem, residual = self.problem, self.outcome.residual.copy()
+        pairs = zip(problem.data.noise, noise, strict=True)
+        residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
+        cost = float(np.sum(problem.softened(residual) ** 2))
+        return cost if np.isfinite(cost) else np.inf
+
+    @property
+    def in_words(self) -> str:
+        """The step, the root mean square of the residuals over their noise, and the parameters in SI units."""
+        problem, outcome = self
+        misfit = np.sqrt(outcome.cost / max(problem.num_data, 1))
+        numbers = (f"{name} {value:.4g}" for name, value in zip(problem.space.names, outcome.parameters, strict=True))
+        return f"step {outcome.num_steps}, misfit {misfit:.3g}, {', '.join(numbers)}"
+
     def refit(self, held: np.ndarray, z: np.ndarray | None = None) -> tuple[Outcome, float]:
         """Hold some parameters (`held` is NaN for the others), and fit the others, from z or from here.
 
@@ -52,30 +75,42 @@ class Minimum(NamedTuple):
         return moved, float(moved.cost - self.outcome.cost)
 
 
-class _Acceptance(optx.ClassicalTrustRegion):
-    """Also accepts a step whose predicted and actual reductions are rounding errors of the cost, so that searches end.
+@dataclass
+class Watch:
+    """The searches of one fit as they go on."""
 
-    The remedy of Conn, Gould and Toint (2000), Trust Region Methods, section 17.4.2. The next step is made shorter:
-    else rounding errors would lead the search along a flat valley without end.
-    """
+    portion: int = 1  # steps between two looks
+    best: Minimum | None = None  # so far, of those that hold no parameter
+    noise: tuple[Numbers, ...] = ()  # with which searches are compared
 
-    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
-        _, accept, result, new = super().step(first_step, y, y_eval, f_info, f_eval_info, state)
-        cost = f_info.as_min()
-        least = 10 * jnp.finfo(cost.dtype).eps * cost
-        changes = self.predict_reduction(y_eval - y, f_info), f_eval_info.as_min() - cost
-        noise = jnp.maximum(*map(jnp.abs, changes)) < least
-        size = jnp.where(noise, self.low_constant * state.step_size, new.step_size)
-        return size, accept | noise, result, eqx.tree_at(lambda state: state.step_size, new, size)
+    def saw(self, minimum: Minimum, seconds: float, *, free: bool) -> None:
+        """Where a search is after a portion that took some seconds."""
+        self.portion = 2 * self.portion if seconds < BRIEF else max(self.portion // 2, 1)
+        self.noise = self.noise or minimum.problem.data.noise
+        if free and (self.best is None or minimum.cost_with(self.noise) < self.best.cost_with(self.noise)):
+            self.best = minimum
+
+
+WATCHED: ContextVar[Watch | None] = ContextVar("WATCHED", default=None)
 
 
 def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | None = None) -> Outcome:
     """Search for the minimum from the dimensionless unknowns z.
 
-    `held` are values at which parameters are held, NaN for those that are free.
+    `held` are values at which parameters are held, NaN for those that are free. The steps are done in portions, so that
+    progress can be shown, and the search can be interrupted.
     """
-    held = np.full(len(z), np.nan) if held is None else held
-    return _outcome(_descend(problem, z, held, TOLERANCE))
+    watch, ended = WATCHED.get() or Watch(), False
+    at, state = np.full(len(z), np.nan) if held is None else held, _first(problem, z)
+    with stage("step 1") as here:
+        while not ended:
+            begun, last = time.monotonic(), min(int(state.num_steps) + watch.portion, problem.max_steps)
+            state, outcome = _descend(problem, state, at, np.asarray(TOLERANCE), np.asarray(last))
+            state, minimum = State(*map(np.asarray, state)), Minimum(problem, _outcome(outcome))
+            watch.saw(minimum, time.monotonic() - begun, free=held is None)
+            here.what = minimum.in_words
+            ended = bool(state.solved | state.failed) or last == problem.max_steps
+    return minimum.outcome
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:
@@ -92,28 +127,111 @@ def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Out
 
 def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     """Cost, residuals and derivatives at z, as if a search had ended there."""
-    return _outcome((*_at(problem, z, np.full(len(z), np.nan)), 0, True))
+    free = np.full(len(z), np.nan)
+    _, there = _descend(problem, _first(problem, z), free, np.asarray(TOLERANCE), np.asarray(1))
+    return _outcome(there)._replace(num_steps=np.asarray(0), solved=np.asarray(True))
 
 
-def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
-    """An outcome from the arrays of a program."""
+def _outcome(found: Outcome) -> Outcome:
+    """An outcome in arrays of NumPy."""
     return Outcome(*map(np.asarray, found))
+
+
+# --- the steps -----------------------------------------------------------------------------------
+
+
+class State(NamedTuple):
+    """A search under way."""
+
+    z: Float[Numbers, " n"]  # the best place so far
+    residual: Float[Numbers, " m"]  # there, and its Jacobian by z
+    slope: Float[Numbers, "m n"]
+    trial: Float[Numbers, " n"]  # the next place
+    reach: Float[Numbers, ""]  # 1 / damping
+    num_steps: Int[Numbers, ""]
+    solved: Bool[Numbers, ""]
+    failed: Bool[Numbers, ""]  # there is no next place
+
+
+def _first(problem: LeastSquaresProblem, z: Numbers) -> State:
+    """A search that has not begun."""
+    rows = problem.num_data + len(problem.data.prior)
+    none = np.zeros(rows), np.zeros((rows, len(z)))
+    return State(z, *none, z, np.asarray(1.0), np.asarray(0), np.asarray(False), np.asarray(False))
 
 
 @kept_program
 @eqx.filter_jit
-def _at(
-    problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"]
-) -> tuple[Float[Numbers, "..."], ...]:
-    """The first entries of an outcome at a place, from z to the cost."""
-    residual, by_z = _residual_and_slope(problem, held, z)
-    parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))
+def _descend(
+    problem: LeastSquaresProblem,
+    state: State,
+    held: Float[Numbers, " n"],
+    tolerance: Float[Numbers, ""],
+    last: Int[Numbers, ""],
+) -> tuple[State, Outcome]:
+    """Go on with a search up to its step number `last`."""
+
+    def goes_on(state: State) -> Array:
+        return (state.num_steps < last) & ~state.solved & ~state.failed
+
+    state = jax.lax.while_loop(goes_on, partial(_step, problem, held, tolerance), jax.tree.map(jnp.asarray, state))
+    parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (state.z,), (jnp.ones_like(state.z),))
     size = problem.space.size(parameters)
-    slope = by_z / jnp.where(stretch == 0, 1.0, stretch)
-    return z, parameters, size, residual, slope * size, jnp.sum(problem.softened(residual) ** 2)
+    jacobian = state.slope / jnp.where(stretch == 0, 1.0, stretch) * size
+    cost = jnp.sum(problem.softened(state.residual) ** 2)
+    there = state.z, parameters, size, state.residual, jacobian, cost, state.num_steps, state.solved
+    return state, Outcome(*there)
 
 
-@eqx.filter_jit
+def _step(problem: LeastSquaresProblem, held: Float[Array, " n"], tolerance: Float[Array, ""], state: State) -> State:
+    """Evaluate the next place, take it or not, and find the one after it.
+
+    A trust region in the form of Conn, Gould and Toint (2000), Trust Region Methods. A step whose predicted and actual
+    reductions are rounding errors of the cost is taken, so that searches end (section 17.4.2); the next one is shorter:
+    else rounding errors would lead the search along a flat valley without end.
+    """
+    begins, moved = state.num_steps == 0, state.trial - state.z
+    residual, slope = _residual_and_slope(problem, held, state.trial)
+    (old, old_slope), (new, new_slope) = (_softened(problem, *of) for of in (state[1:3], (residual, slope)))
+    cost = jnp.sum(old**2)
+    predicted, actual = jnp.sum((old + old_slope @ moved) ** 2) - cost, jnp.sum(new**2) - cost
+    rounding = jnp.maximum(jnp.abs(predicted), jnp.abs(actual)) < 10 * jnp.finfo(cost.dtype).eps * cost
+    good = (actual < GOOD * predicted) & (predicted < 0) & ~begins
+    taken = (actual <= POOR * predicted) | begins
+    reach = state.reach * jnp.where(taken & ~rounding, jnp.where(good, LONGER, 1.0), SHORTER)
+    taken = taken | rounding
+
+    def is_near(change: Array, value: Array) -> Array:
+        return jnp.all(jnp.abs(change) < tolerance * (1 + jnp.abs(value)))
+
+    solved = taken & is_near(moved, state.trial) & is_near(new - old, new)
+    z, kept, kept_slope = (
+        jnp.where(taken, *pair) for pair in ((state.trial, state.z), (residual, state.residual), (slope, state.slope))
+    )
+    step = _damped_step(jnp.where(taken, new, old), jnp.where(taken, new_slope, old_slope), reach)
+    return State(z, kept, kept_slope, z + step, reach, state.num_steps + 1, solved, ~jnp.all(jnp.isfinite(step)))
+
+
+def _damped_step(residual: Float[Array, " m"], slope: Float[Array, "m n"], reach: Float[Array, ""]) -> Array:
+    """The step that minimises |residual + slope step|^2 + |step|^2 / reach."""
+    known = reach > jnp.finfo(reach.dtype).eps
+    damping = jnp.where(known, 1 / jnp.where(known, reach, 1.0), jnp.finfo(reach.dtype).max)
+    count = slope.shape[1]
+    q, r = jnp.linalg.qr(jnp.concatenate([slope, jnp.sqrt(damping) * jnp.eye(count)]))
+    return -jax.scipy.linalg.solve_triangular(r, q.T @ jnp.concatenate([residual, jnp.zeros(count)]))
+
+
+def _softened(
+    problem: LeastSquaresProblem, residual: Float[Array, " m"], slope: Float[Array, "m n"]
+) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
+    """The residual as the loss transforms it, and its Jacobian."""
+
+    def push(tangent: Array) -> tuple[Array, Array]:
+        return jax.jvp(problem.softened, (residual,), (tangent,))
+
+    return jax.vmap(push, in_axes=1, out_axes=(None, 1))(slope)
+
+
 def _residual_and_slope(
     problem: LeastSquaresProblem, held: Float[Numbers, " n"], z: Float[Numbers, " n"]
 ) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
@@ -127,41 +245,11 @@ def _residual_and_slope(
 
 @kept_program
 @eqx.filter_jit
-def _descend(
-    problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"], tolerance: float
-) -> tuple[ArrayLike, ...]:
-    # With an explicit Jacobian, the optimiser need not differentiate the model for every product with it. It is
-    # computed in one place, so that it is traced once.
-    @jax.custom_jvp
-    def residual(z):
-        return problem.softened(_residual_and_slope(problem, held, z)[0])
-
-    @residual.defjvp
-    def _(primals, tangents):
-        value, slope = _residual_and_slope(problem, held, *primals)
-        return jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
-
-    optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), _Acceptance())
-    # The optimiser calls it within and without `vmap`. For JAX these are different contexts, and it would trace twice.
-    with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
-        solution = optx.least_squares(
-            lambda z, _: residual(z),
-            optimiser,
-            jnp.asarray(z),
-            options={"jac": "fwd"},
-            max_steps=problem.max_steps,
-            throw=False,
-        )
-        found = _at(problem, solution.value, held)
-    return *found, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
-
-
-@kept_program
-@eqx.filter_jit
-def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> tuple[ArrayLike, ...]:
+def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> Outcome:
     free = jnp.full(z.shape[1], jnp.nan)
 
     def one(data, z):
-        return _descend(replace(problem, data=data), z, free, BATCH_TOLERANCE)
+        own = replace(problem, data=data)
+        return _descend(own, _first(own, z), free, np.asarray(BATCH_TOLERANCE), np.asarray(problem.max_steps))[1]
 
     return jax.vmap(one)(data, z)
