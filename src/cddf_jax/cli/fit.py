@@ -46,6 +46,15 @@ BeforeOption = Annotated[
         show_default="rest",
     ),
 ]
+LeaveOutOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Rows whose readings do not count, by their numbers in the file: "8, 14, 20-23", of several files '
+        '"run_2.csv=8, 14". With a history they stay as steps of the path. "contradicted": all rows that the fit '
+        "contradicts.",
+        show_default="none",
+    ),
+]
 
 
 def fit(
@@ -67,6 +76,7 @@ def fit(
         int,
         typer.Option(help="Short steps for each row of a history, with several tendons or loads.", min=2),
     ] = 4,
+    leave_out: LeaveOutOption = None,
     loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[
         int | None,
@@ -92,7 +102,7 @@ def fit(
         from ..identification.fit import fit
         from ..reports.fit_report import fit_in_words, write_report
         from ..reports.fit_results import fit_as_dict, make_report
-        from .fit_options import read_before, read_bounds, read_noise, read_priors, read_setting
+        from .fit_options import read_before, read_bounds, read_leave_out, read_noise, read_priors, read_setting
 
     found = fit(
         read.manipulator,
@@ -105,6 +115,7 @@ def fit(
         history=history,
         before=read_before(before),
         short_steps=short_steps,
+        leave_out=read_leave_out(leave_out),
         per_trial=per_trial,
         loss=loss,
         starts=starts,

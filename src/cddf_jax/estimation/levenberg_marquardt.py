@@ -100,17 +100,17 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
     `held` are values at which parameters are held, NaN for those that are free. The steps are done in portions, so that
     progress can be shown, and the search can be interrupted.
     """
-    watch, ended = WATCHED.get() or Watch(), False
-    at, state = np.full(len(z), np.nan) if held is None else held, _first(problem, z)
+    watch, state = WATCHED.get() or Watch(), _first(problem, z)
+    at = np.full(len(z), np.nan) if held is None else held
     with stage("step 1") as here:
-        while not ended:
+        while True:
             begun, last = time.monotonic(), min(int(state.num_steps) + watch.portion, problem.max_steps)
             state, outcome = _descend(problem, state, at, np.asarray(TOLERANCE), np.asarray(last))
             state, minimum = State(*map(np.asarray, state)), Minimum(problem, _outcome(outcome))
             watch.saw(minimum, time.monotonic() - begun, free=held is None)
             here.what = minimum.in_words
-            ended = bool(state.solved | state.failed) or last == problem.max_steps
-    return minimum.outcome
+            if state.solved or state.failed or last == problem.max_steps:
+                return minimum.outcome
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:
@@ -132,8 +132,8 @@ def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     return _outcome(there)._replace(num_steps=np.asarray(0), solved=np.asarray(True))
 
 
-def _outcome(found: Outcome) -> Outcome:
-    """An outcome in arrays of NumPy."""
+def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
+    """An outcome from the arrays of a program."""
     return Outcome(*map(np.asarray, found))
 
 
@@ -168,10 +168,10 @@ def _descend(
     held: Float[Numbers, " n"],
     tolerance: Float[Numbers, ""],
     last: Int[Numbers, ""],
-) -> tuple[State, Outcome]:
+) -> tuple[State, tuple[ArrayLike, ...]]:
     """Go on with a search up to its step number `last`."""
 
-    def goes_on(state: State) -> Array:
+    def goes_on(state: State) -> Bool[Numbers, ""]:
         return (state.num_steps < last) & ~state.solved & ~state.failed
 
     state = jax.lax.while_loop(goes_on, partial(_step, problem, held, tolerance), jax.tree.map(jnp.asarray, state))
@@ -179,11 +179,12 @@ def _descend(
     size = problem.space.size(parameters)
     jacobian = state.slope / jnp.where(stretch == 0, 1.0, stretch) * size
     cost = jnp.sum(problem.softened(state.residual) ** 2)
-    there = state.z, parameters, size, state.residual, jacobian, cost, state.num_steps, state.solved
-    return state, Outcome(*there)
+    return state, (state.z, parameters, size, state.residual, jacobian, cost, state.num_steps, state.solved)
 
 
-def _step(problem: LeastSquaresProblem, held: Float[Array, " n"], tolerance: Float[Array, ""], state: State) -> State:
+def _step(
+    problem: LeastSquaresProblem, held: Float[Numbers, " n"], tolerance: Float[Numbers, ""], state: State
+) -> State:
     """Evaluate the next place, take it or not, and find the one after it.
 
     A trust region in the form of Conn, Gould and Toint (2000), Trust Region Methods. A step whose predicted and actual
@@ -201,7 +202,7 @@ def _step(problem: LeastSquaresProblem, held: Float[Array, " n"], tolerance: Flo
     reach = state.reach * jnp.where(taken & ~rounding, jnp.where(good, LONGER, 1.0), SHORTER)
     taken = taken | rounding
 
-    def is_near(change: Array, value: Array) -> Array:
+    def is_near(change: Numbers, value: Numbers) -> Array:
         return jnp.all(jnp.abs(change) < tolerance * (1 + jnp.abs(value)))
 
     solved = taken & is_near(moved, state.trial) & is_near(new - old, new)
@@ -212,7 +213,7 @@ def _step(problem: LeastSquaresProblem, held: Float[Array, " n"], tolerance: Flo
     return State(z, kept, kept_slope, z + step, reach, state.num_steps + 1, solved, ~jnp.all(jnp.isfinite(step)))
 
 
-def _damped_step(residual: Float[Array, " m"], slope: Float[Array, "m n"], reach: Float[Array, ""]) -> Array:
+def _damped_step(residual: Float[Numbers, " m"], slope: Float[Numbers, "m n"], reach: Float[Numbers, ""]) -> Array:
     """The step that minimises |residual + slope step|^2 + |step|^2 / reach."""
     known = reach > jnp.finfo(reach.dtype).eps
     damping = jnp.where(known, 1 / jnp.where(known, reach, 1.0), jnp.finfo(reach.dtype).max)
@@ -222,11 +223,11 @@ def _damped_step(residual: Float[Array, " m"], slope: Float[Array, "m n"], reach
 
 
 def _softened(
-    problem: LeastSquaresProblem, residual: Float[Array, " m"], slope: Float[Array, "m n"]
+    problem: LeastSquaresProblem, residual: Float[Numbers, " m"], slope: Float[Numbers, "m n"]
 ) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
     """The residual as the loss transforms it, and its Jacobian."""
 
-    def push(tangent: Array) -> tuple[Array, Array]:
+    def push(tangent):
         return jax.jvp(problem.softened, (residual,), (tangent,))
 
     return jax.vmap(push, in_axes=1, out_axes=(None, 1))(slope)
@@ -245,7 +246,7 @@ def _residual_and_slope(
 
 @kept_program
 @eqx.filter_jit
-def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> Outcome:
+def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> tuple[ArrayLike, ...]:
     free = jnp.full(z.shape[1], jnp.nan)
 
     def one(data, z):

@@ -276,8 +276,12 @@ class BenchModel(eqx.Module):
     @property
     def names(self) -> list[str]:
         """The names of the tables, with a number where two have the same name."""
-        names = [experiment.name for experiment in self.experiments]
-        return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
+        return numbered([experiment.name for experiment in self.experiments])
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """Names of tables, with a number where two have the same name."""
+    return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
 class Group(NamedTuple):
@@ -332,7 +336,8 @@ def experiment_of(
         InputError: for columns that are missing, too many, or observe nothing.
     """
     if "pulling_tension" in table:
-        return Pulley(table["weight"], table["wrap_angle"], table.name)
+        there = table.has("pulling_tension")
+        return Pulley(table["weight"][there], table["wrap_angle"][there], table.name)
     with within(table.name):
         columns = _observed(table, manipulator.num_tendons)
         if twice := [name for name in setting.markers if name in table.markers]:

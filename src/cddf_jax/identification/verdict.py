@@ -14,6 +14,7 @@ from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS, code_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel
+from .left_out import CONTRADICTED, as_option, in_words, named_rows, sources
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
 from .tension_before import is_past
 
@@ -42,10 +43,11 @@ class SolveResults(NamedTuple):
     table: Measurements
     results: RESULTS
     contradicted: np.ndarray  # (rows,), whether a tendon travels against its direction, which the table did not state
+    read: np.ndarray  # (rows,), whether there is a reading; the other rows do not count
 
-    def rows(self, *codes: RESULTS) -> np.ndarray:
-        """The rows, from 0, whose solve ended with one of these results; `table.place` gives their rows in the file."""
-        return np.flatnonzero(np.isin(np.asarray(code_of(self.results)), [int(code_of(code)) for code in codes]))
+    def ended(self, *codes: RESULTS) -> np.ndarray:
+        """(rows,), whether there is a reading, and the solve ended with one of these results."""
+        return np.isin(np.asarray(code_of(self.results)), [int(code_of(code)) for code in codes]) & self.read
 
 
 def solve_results(parameters: Parameters, tables: Sequence[Measurements], model: BenchModel) -> Iterator[SolveResults]:
@@ -56,28 +58,33 @@ def solve_results(parameters: Parameters, tables: Sequence[Measurements], model:
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
             against = np.any(np.asarray(shown.against)[:, found], axis=1)
             contradicted = np.asarray(code_of(shown.results)) == int(code_of(RESULTS.direction_contradicted))
-            yield SolveResults(name, table, shown.results, contradicted & against)
+            read = np.any([table.has(column) for column in experiment.columns], axis=0)
+            yield SolveResults(name, table, shown.results, contradicted & against & read, read)
 
 
-def doubt(solves: SolveResults) -> str:
-    """Why these rows cannot determine parameters; "" where they can."""
-    if len(solves.rows(RESULTS.successful)) == len(solves.table):
+def doubt(ends: Sequence[SolveResults]) -> str:
+    """Why the rows of the tables cannot determine parameters; "" where they can."""
+    for solves in ends:
+        outside, count = solves.ended(*OUTSIDE.values()), np.count_nonzero(solves.read)
+        if np.count_nonzero(outside) > MOST * count:
+            kinds = ", ".join(words for words, code in OUTSIDE.items() if np.any(solves.ended(code)))
+            return (
+                f"most rows of {solves.name} have no solution in the model ({np.count_nonzero(outside)} of {count}, "
+                f"{in_words(named_rows([solves.table], [outside]))}: {kinds}); check the units of the table and the "
+                "dimensions of the body"
+            )
+    tables = [solves.table for solves in ends]
+    rows = named_rows(tables, [solves.contradicted for solves in ends])
+    if not rows:
         return ""
-    rows, count = solves.rows(*OUTSIDE.values()), len(solves.table)
-    if len(rows) > MOST * count:
-        kinds = ", ".join(words for words, code in OUTSIDE.items() if len(solves.rows(code)))
-        return (
-            f"most rows of {solves.name} have no solution in the model ({len(rows)} of {count}, the first is "
-            f"{solves.table.place(rows[0])}: {kinds}); check the units of the table and the dimensions of the body"
-        )
-    rows = np.flatnonzero(solves.contradicted)
-    if len(rows):
-        return (
-            f"tendons travel against the direction that was found for them in {len(rows)} of {count} rows of "
-            f"{solves.name} (the first is {solves.table.place(rows[0])}); state it in columns direction, "
-            "direction_2, ..., or leave these rows out"
-        )
-    return ""
+    alone = len({file for own in sources(tables) for file in own}) == 1
+    found, count = sum(map(len, rows.values())), sum(np.count_nonzero(solves.read) for solves in ends)
+    return (
+        f"tendons travel against the direction that was found for them in {found} of {count} rows: {in_words(rows)}; "
+        f"parts of them stick there. Leave these rows out: {as_option(rows, alone=alone)}, or --leave-out "
+        f"{CONTRADICTED} for these and for those that the next fits contradict (leave_out in Python). Or state the "
+        "directions in columns direction and direction_2"
+    )
 
 
 def fit_warnings(fit: "Fit") -> list[str]:
@@ -116,10 +123,10 @@ def fit_warnings(fit: "Fit") -> list[str]:
     for solves in fit.solve_results:
         for code in NOTEWORTHY:
             contradicted = code is RESULTS.direction_contradicted
-            rows = np.flatnonzero(solves.contradicted) if contradicted else solves.rows(code)
-            if len(rows):
-                where = f"{len(rows)} of {len(solves.table)} rows (the first is {solves.table.place(rows[0])})"
-                found.append(f"{solves.name}: {where}: {RESULTS[code]}")
+            which = solves.contradicted if contradicted else solves.ended(code)
+            if np.any(which):
+                where = f"{np.count_nonzero(which)} of {np.count_nonzero(solves.read)} rows"
+                found.append(f"{where}, {in_words(named_rows([solves.table], [which]))}: {RESULTS[code]}")
     return found
 
 
@@ -189,6 +196,7 @@ def error_in_words(known: Determination, name: str) -> str:
 def verdict_of(fit: "Fit") -> list[str]:
     """What the data determine, what they do not determine, and what measurement would help."""
     lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
+    lines += [f"Left out: {in_words(fit.left_out)}."] if fit.left_out else []
     lines += estimates_in_words(fit, fit.bounded_above)
     if TRIALS in fit.parameters:
         lines.append(f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)")
