@@ -33,7 +33,7 @@ def main() -> None:
         stop(f"{error.filename or 'file'}: {error.strerror}; choose another place", BAD_INPUT)
     except SolveError as error:
         stop(str(error), FAILED)
-    except KeyboardInterrupt:
+    if code == INTERRUPTED:  # what Typer makes of Ctrl-C
         stop("interrupted; nothing was written", INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
 

@@ -99,6 +99,7 @@ def fit(
     # code that is compiled quickly makes refits slow
     read = options.read_robot(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
     with stage("loading"):
+        from ..estimation.whole_search import INTERRUPTED
         from ..identification.fit import fit
         from ..reports.fit_report import fit_in_words, write_report
         from ..reports.fit_results import fit_as_dict, make_report
@@ -128,7 +129,8 @@ def fit(
         write_report(report, out)
     options.print_answer(fit_in_words(report), fit_as_dict(report), as_json=as_json)
     if not found.success:
-        options.stop(f"the fit failed: {found.result}", options.FAILED)
+        interrupted = found.result == INTERRUPTED
+        options.stop(f"the fit failed: {found.result}", options.INTERRUPTED if interrupted else options.FAILED)
 
 
 def _bootstraps(found: "Fit", replicates: int, seed: int) -> "list[Bootstrap]":

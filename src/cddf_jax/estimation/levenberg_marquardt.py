@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -15,13 +15,15 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..programs.kept import kept_program
 from ..progress import stage
-from .parameter_space import Numbers
+from .parameter_space import TINY, Numbers
 from .residuals import Data, LeastSquaresProblem
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
 BATCH_TOLERANCE = 1e-6  # of a lane of many: far below any standard error
 MAX_STEPS = 500
 BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is shorter
+LONG = 20.0  # s: a search that took longer says how to stop it
+UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
 GOOD, POOR = 0.99, 0.01  # actual over predicted reduction from which a step is good, and below which it is not taken
 LONGER, SHORTER = 3.5, 0.25  # factors on the reach after a good step, and after one that was not taken
 
@@ -59,12 +61,23 @@ class Minimum(NamedTuple):
         return cost if np.isfinite(cost) else np.inf
 
     @property
+    def misfit(self) -> tuple[float, str]:
+        """The largest ratio of residuals to the scatter of the data, root mean squares, of a group; and its name."""
+        data = zip(self.problem.data.values, self.problem.data.noise, strict=True)
+        residuals = self.problem.by_group(self.outcome.residual)
+        ratios = [
+            np.sqrt(np.mean((r * np.ravel(s)) ** 2)) / max(float(np.std(v) or np.sqrt(np.mean(v**2))), TINY)
+            for (v, s), r in zip(data, residuals, strict=True)
+        ]
+        return max(zip(ratios, self.problem.groups, strict=True))
+
+    @property
     def in_words(self) -> str:
-        """The step, the root mean square of the residuals over their noise, and the parameters in SI units."""
-        problem, outcome = self
-        misfit = np.sqrt(outcome.cost / max(problem.num_data, 1))
-        numbers = (f"{name} {value:.4g}" for name, value in zip(problem.space.names, outcome.parameters, strict=True))
-        return f"step {outcome.num_steps}, misfit {misfit:.3g}, {', '.join(numbers)}"
+        """The step, the misfit, and the parameters in SI units."""
+        values = zip(self.problem.space.names, self.outcome.parameters, strict=True)
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in values)
+        ratio, group = self.misfit
+        return f"step {self.outcome.num_steps}, misfit {100 * ratio:.3g} % ({group}), {numbers}"
 
     def refit(self, held: np.ndarray, z: np.ndarray | None = None) -> tuple[Outcome, float]:
         """Hold some parameters (`held` is NaN for the others), and fit the others, from z or from here.
@@ -80,15 +93,23 @@ class Watch:
     """The searches of one fit as they go on."""
 
     portion: int = 1  # steps between two looks
-    best: Minimum | None = None  # so far, of those that hold no parameter
+    best: Minimum | None = None  # so far, of the searches that hold no parameter
     noise: tuple[Numbers, ...] = ()  # with which searches are compared
+    begun: float = field(default_factory=time.monotonic)  # s, of the clock
+    deadline: float = np.inf  # s, of the clock, when searches end wherever they are
 
-    def saw(self, minimum: Minimum, seconds: float, *, free: bool) -> None:
-        """Where a search is after a portion that took some seconds."""
+    def saw(self, minimum: Minimum, seconds: float, *, free: bool) -> str:
+        """Where a search is after a portion that took some seconds; returns it in words."""
         self.portion = 2 * self.portion if seconds < BRIEF else max(self.portion // 2, 1)
         self.noise = self.noise or minimum.problem.data.noise
         if free and (self.best is None or minimum.cost_with(self.noise) < self.best.cost_with(self.noise)):
             self.best = minimum
+        words = minimum.in_words
+        if time.monotonic() - self.begun > LONG:
+            hopeless = free and not minimum.misfit[0] < UNEXPLAINED
+            words += "; hardly anything is explained: check units, signs and frames" if hopeless else ""
+            words += "; Ctrl-C ends it with the best so far"
+        return words
 
 
 WATCHED: ContextVar[Watch | None] = ContextVar("WATCHED", default=None)
@@ -105,12 +126,12 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
     with stage("step 1") as here:
         while True:
             begun, last = time.monotonic(), min(int(state.num_steps) + watch.portion, problem.max_steps)
-            state, outcome = _descend(problem, state, at, np.asarray(TOLERANCE), np.asarray(last))
-            state, minimum = State(*map(np.asarray, state)), Minimum(problem, _outcome(outcome))
-            watch.saw(minimum, time.monotonic() - begun, free=held is None)
-            here.what = minimum.in_words
-            if state.solved or state.failed or last == problem.max_steps:
-                return minimum.outcome
+            state, found = _descend(problem, state, at, np.asarray(TOLERANCE), np.asarray(last))
+            state, outcome = State(*map(np.asarray, state)), _outcome(found)
+            now = time.monotonic()
+            here.what = watch.saw(Minimum(problem, outcome), now - begun, free=held is None)
+            if state.solved or state.failed or last == problem.max_steps or now > watch.deadline:
+                return outcome
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:

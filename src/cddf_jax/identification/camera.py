@@ -1,15 +1,19 @@
 """The frame in which a camera sees tip and markers: where the search for its pose starts, and when it must be wrong."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..errors import InputError
+from ..estimation.levenberg_marquardt import UNEXPLAINED
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds
 from .bench import Bench, BenchModel, Group
 from .parameters import CAMERA, camera_parameters, stiffness_parameter
+
+if TYPE_CHECKING:
+    from .fit import Fit
 
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the stiffness at the start, for which the pose is found
 LEAST_POINTS = 3  # to find a pose
@@ -90,6 +94,15 @@ def check_reach(
             where=(f"{table.name}", f"{table.place(i)}, {', '.join(group.column for group in point.axes.values())}"),
             remedy=f"check the unit, {single}{REMEDY}",
         )
+
+
+def frame_hint(fit: "Fit") -> str:
+    """What to do where positions are hardly explained, and the pose of their frame was not fitted; else ""."""
+    ratio, group = fit.minimum.misfit
+    positions = [one.label for point in _points(fit.groups) for one in point.axes.values()]
+    if ratio < UNEXPLAINED or group not in positions or set(camera_parameters(fit.manipulator)) <= set(fit.names):
+        return ""
+    return f"{group} is hardly explained: where positions are not measured in the frame of the base, {REMEDY}."
 
 
 def _gap(

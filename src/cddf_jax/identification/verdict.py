@@ -7,6 +7,7 @@ import numpy as np
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
+from ..estimation.whole_search import INTERRUPTED
 from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
@@ -14,6 +15,7 @@ from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS, code_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel
+from .camera import frame_hint
 from .left_out import CONTRADICTED, as_option, in_words, named_rows, sources
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
 from .tension_before import is_past
@@ -196,12 +198,22 @@ def error_in_words(known: Determination, name: str) -> str:
 def verdict_of(fit: "Fit") -> list[str]:
     """What the data determine, what they do not determine, and what measurement would help."""
     lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
+    lines += [hint] if not fit.success and (hint := frame_hint(fit)) else []
     lines += [f"Left out: {in_words(fit.left_out)}."] if fit.left_out else []
-    lines += estimates_in_words(fit, fit.bounded_above)
+    lines += so_far_in_words(fit) if fit.result == INTERRUPTED else estimates_in_words(fit, fit.bounded_above)
     if TRIALS in fit.parameters:
         lines.append(f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)")
     lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
     return lines + [_advice(fit, lost)] * bool(lost and fit.success)
+
+
+def so_far_in_words(fit: "Fit") -> list[str]:
+    """A line for each fitted parameter of a search that was interrupted."""
+    own = [name for name in fit.names if not name.startswith(TRIALS)]
+    shown = [(name, *shown_unit(name)) for name in own]
+    misfit, group = fit.minimum.misfit
+    lines = [f"{name} = {scale * fit.value[name]:.4g}{unit} so far: not identified" for name, scale, unit in shown]
+    return [*lines, f"misfit {100 * misfit:.3g} % of the scatter of {group}"]
 
 
 def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) -> list[str]:
