@@ -127,7 +127,7 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
         while True:
             begun, last = time.monotonic(), min(int(state.num_steps) + watch.portion, problem.max_steps)
             state, found = _descend(problem, state, at, np.asarray(TOLERANCE), np.asarray(last))
-            state, outcome = State(*map(np.asarray, state)), _outcome(found)
+            state, outcome = Search(*map(np.asarray, state)), _outcome(found)
             now = time.monotonic()
             here.what = watch.saw(Minimum(problem, outcome), now - begun, free=held is None)
             if state.solved or state.failed or last == problem.max_steps or now > watch.deadline:
@@ -161,7 +161,7 @@ def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
 # --- the steps -----------------------------------------------------------------------------------
 
 
-class State(NamedTuple):
+class Search(NamedTuple):
     """A search under way."""
 
     z: Float[Numbers, " n"]  # the best place so far
@@ -174,25 +174,25 @@ class State(NamedTuple):
     failed: Bool[Numbers, ""]  # there is no next place
 
 
-def _first(problem: LeastSquaresProblem, z: Numbers) -> State:
+def _first(problem: LeastSquaresProblem, z: Numbers) -> Search:
     """A search that has not begun."""
     rows = problem.num_data + len(problem.data.prior)
     none = np.zeros(rows), np.zeros((rows, len(z)))
-    return State(z, *none, z, np.asarray(1.0), np.asarray(0), np.asarray(False), np.asarray(False))
+    return Search(z, *none, z, np.asarray(1.0), np.asarray(0), np.asarray(False), np.asarray(False))
 
 
 @kept_program
 @eqx.filter_jit
 def _descend(
     problem: LeastSquaresProblem,
-    state: State,
+    state: Search,
     held: Float[Numbers, " n"],
     tolerance: Float[Numbers, ""],
     last: Int[Numbers, ""],
-) -> tuple[State, tuple[ArrayLike, ...]]:
+) -> tuple[Search, tuple[ArrayLike, ...]]:
     """Go on with a search up to its step number `last`."""
 
-    def goes_on(state: State) -> Bool[Numbers, ""]:
+    def goes_on(state: Search) -> Bool[Numbers, ""]:
         return (state.num_steps < last) & ~state.solved & ~state.failed
 
     state = jax.lax.while_loop(goes_on, partial(_step, problem, held, tolerance), jax.tree.map(jnp.asarray, state))
@@ -204,8 +204,8 @@ def _descend(
 
 
 def _step(
-    problem: LeastSquaresProblem, held: Float[Numbers, " n"], tolerance: Float[Numbers, ""], state: State
-) -> State:
+    problem: LeastSquaresProblem, held: Float[Numbers, " n"], tolerance: Float[Numbers, ""], state: Search
+) -> Search:
     """Evaluate the next place, take it or not, and find the one after it.
 
     A trust region in the form of Conn, Gould and Toint (2000), Trust Region Methods. A step whose predicted and actual
@@ -231,7 +231,7 @@ def _step(
         jnp.where(taken, *pair) for pair in ((state.trial, state.z), (residual, state.residual), (slope, state.slope))
     )
     step = _damped_step(jnp.where(taken, new, old), jnp.where(taken, new_slope, old_slope), reach)
-    return State(z, kept, kept_slope, z + step, reach, state.num_steps + 1, solved, ~jnp.all(jnp.isfinite(step)))
+    return Search(z, kept, kept_slope, z + step, reach, state.num_steps + 1, solved, ~jnp.all(jnp.isfinite(step)))
 
 
 def _damped_step(residual: Float[Numbers, " m"], slope: Float[Numbers, "m n"], reach: Float[Numbers, ""]) -> Array:

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from ..errors import InputError, within
 from ..history.history import History
+from ..measurements.left_out import numbered
 from ..measurements.markers import Marker, marker_column, marker_positions, markers_of, seen
 from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
@@ -277,11 +278,6 @@ class BenchModel(eqx.Module):
     def names(self) -> list[str]:
         """The names of the tables, with a number where two have the same name."""
         return numbered([experiment.name for experiment in self.experiments])
-
-
-def numbered(names: Sequence[str]) -> list[str]:
-    """Names of tables, with a number where two have the same name."""
-    return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
 class Group(NamedTuple):

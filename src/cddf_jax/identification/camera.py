@@ -1,6 +1,6 @@
 """The frame in which a camera sees tip and markers: where the search for its pose starts, and when it must be wrong."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -9,8 +9,9 @@ from ..errors import InputError
 from ..estimation.levenberg_marquardt import UNEXPLAINED
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds
+from ..measurements.markers import registered
 from .bench import Bench, BenchModel, Group
-from .parameters import CAMERA, camera_parameters, stiffness_parameter
+from .parameters import CAMERA, TRIALS, camera_parameters, stiffness_parameter
 
 if TYPE_CHECKING:
     from .fit import Fit
@@ -21,10 +22,9 @@ SPARE = 0.1  # of a length: it may be measured badly, and what is tracked may si
 STRETCHED = 2.0  # times the length, which a body that stretches does not reach
 SURE = 6.0  # standard deviations of the noise
 MOST = 0.5  # of the rows; with more out of reach, the frame is unknown
-REMEDY = f'fit the pose of its frame (free=[..., "{CAMERA}"], --free {CAMERA})'
 
 
-class Point(NamedTuple):
+class Tracked(NamedTuple):
     """The tip, or a marker, in one table."""
 
     what: str  # "the tip" or "the marker head"
@@ -32,7 +32,7 @@ class Point(NamedTuple):
     axes: dict[str, Group]  # by "x", "y", "z": the readings
 
 
-def _points(groups: Sequence[Group]) -> Iterator[Point]:
+def _points(groups: Sequence[Group]) -> Iterator[Tracked]:
     """Every point of every table whose coordinates were read."""
     for name in dict.fromkeys(group.name for group in groups):
         own = {group.column: group for group in groups if group.name == name}
@@ -40,11 +40,11 @@ def _points(groups: Sequence[Group]) -> Iterator[Point]:
         if not isinstance(bench, Bench):
             continue
         tip = {axis: own[f"tip_{axis}"] for axis in "xyz" if f"tip_{axis}" in own}
-        found = [Point("the tip", np.nan, tip)]
+        found = [Tracked("the tip", np.nan, tip)]
         places = zip(bench.setting.marker_names, bench.setting.arc_length, bench.setting.offset, strict=True)
         for marker, place, offset in places:
             axes = {axis: own[f"{axis}@{marker}"] for axis in "xyz" if f"{axis}@{marker}" in own}
-            found.append(Point(f"the marker {marker}", float(place + np.linalg.norm(offset)), axes))
+            found.append(Tracked(f"the marker {marker}", float(place + np.linalg.norm(offset)), axes))
         yield from (point for point in found if point.axes)
 
 
@@ -87,13 +87,19 @@ def check_reach(
         if not len(far) or (outliers and len(far) <= MOST * len(table)):
             continue
         i = int(far[0])
-        single = "" if len(far) > MOST * len(table) else "leave the row out (leave_out, --leave-out), or "
+        single = "" if len(far) > MOST * len(table) else "leave the row out (leave_out, --leave-out), "
         raise InputError(
             f"{point.what} is {1e3 * distance[i]:.0f} mm or more from the base, but a body of {1e3 * longest:.0f} mm "
             f"reaches {1e3 * reach:.0f} mm ({len(far)} of {len(table)} rows)",
             where=(f"{table.name}", f"{table.place(i)}, {', '.join(group.column for group in point.axes.values())}"),
-            remedy=f"check the unit, {single}{REMEDY}",
+            remedy=f"check the unit, {single}or {_with_pose(start)}",
         )
+
+
+def _with_pose(free: Iterable[str]) -> str:
+    """How to fit the pose of the camera with the parameters that are fitted already."""
+    own = sorted({name for name in free if not name.startswith((TRIALS, CAMERA))})
+    return f"fit the pose of its frame too: free = {', '.join([*own, CAMERA])} (one --free for each)"
 
 
 def frame_hint(fit: "Fit") -> str:
@@ -102,7 +108,7 @@ def frame_hint(fit: "Fit") -> str:
     positions = [one.label for point in _points(fit.groups) for one in point.axes.values()]
     if ratio < UNEXPLAINED or group not in positions or set(camera_parameters(fit.manipulator)) <= set(fit.names):
         return ""
-    return f"{group} is hardly explained: where positions are not measured in the frame of the base, {REMEDY}."
+    return f"{group} is hardly explained: if it is not measured in the frame of the base, {_with_pose(fit.names)}."
 
 
 def _gap(
@@ -148,13 +154,13 @@ def camera_start(model: BenchModel, groups: Sequence[Group], start: Mapping[str,
         pairs = [_pairs(point, model, at) for point in points]
         if sum(map(len, pairs)) < LEAST_POINTS:
             continue
-        rest, pose = _registered(*np.moveaxis(np.concatenate(pairs), 1, 0))
+        rest, pose = registered(*np.moveaxis(np.concatenate(pairs), 1, 0))
         own = {stiffness: at[stiffness]} if stiffness in start else {}
         found.append((rest, own | dict(zip(names, pose, strict=True))))
     return min(found, key=lambda one: one[0])[1] if found else {}
 
 
-def _pairs(point: Point, model: BenchModel, parameters: Mapping[str, float]) -> np.ndarray:
+def _pairs(point: Tracked, model: BenchModel, parameters: Mapping[str, float]) -> np.ndarray:
     """(points, 2, axes), m: the positions in the model, and those that were read."""
     groups = list(point.axes.values())
     bench = groups[0].experiment
@@ -163,18 +169,3 @@ def _pairs(point: Point, model: BenchModel, parameters: Mapping[str, float]) -> 
     both = [[shown[group.column], group.table[group.column]] for group in groups]
     pairs = np.moveaxis(np.array(both), 0, 2).swapaxes(0, 1)
     return pairs[np.all(np.isfinite(pairs), axis=(1, 2))]
-
-
-def _registered(model: np.ndarray, read: np.ndarray) -> tuple[float, list[float]]:
-    """The mean square of what remains, m^2, and the pose: shift and turn as parameters; points first."""
-    from scipy.spatial.transform import Rotation
-
-    own, theirs = model - model.mean(axis=0), read - read.mean(axis=0)
-    left, _, right = np.linalg.svd(theirs.T @ own)
-    signs = np.ones(len(left))
-    signs[-1] = np.linalg.det(left @ right)
-    turn = left * signs @ right
-    rest = float(np.mean(np.sum((theirs - own @ turn.T) ** 2, axis=1)))
-    shift = read.mean(axis=0) - turn @ model.mean(axis=0)
-    angles = [np.arctan2(turn[1, 0], turn[0, 0])] if len(turn) == 2 else Rotation.from_matrix(turn).as_rotvec()
-    return rest, [*map(float, shift), *map(float, angles)]

@@ -14,13 +14,13 @@ from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
+from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without, without_contradicted
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from . import bench
 from .camera import camera_start, check_reach
 from .course import SHORT_STEPS, Course, course_of, has_history
-from .left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without, without_contradicted
 from .order_checks import order_remarks
 from .parameters import (
     PLAIN,

@@ -8,6 +8,8 @@ import numpy as np
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
 from ..estimation.whole_search import INTERRUPTED
+from ..measurements.columns import is_reading
+from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
 from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
@@ -16,7 +18,6 @@ from ..statics.equilibrium import NOTEWORTHY, RESULTS, code_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel
 from .camera import frame_hint
-from .left_out import CONTRADICTED, as_option, in_words, named_rows, sources
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
 from .tension_before import is_past
 
@@ -60,7 +61,7 @@ def solve_results(parameters: Parameters, tables: Sequence[Measurements], model:
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
             against = np.any(np.asarray(shown.against)[:, found], axis=1)
             contradicted = np.asarray(code_of(shown.results)) == int(code_of(RESULTS.direction_contradicted))
-            read = np.any([table.has(column) for column in experiment.columns], axis=0)
+            read = np.any([table.has(column) for column in table.columns if is_reading(column)], axis=0)
             yield SolveResults(name, table, shown.results, contradicted & against & read, read)
 
 
@@ -68,12 +69,12 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     """Why the rows of the tables cannot determine parameters; "" where they can."""
     for solves in ends:
         outside, count = solves.ended(*OUTSIDE.values()), np.count_nonzero(solves.read)
+        where = rows_in_words(named_rows([solves.table], [outside]))
         if np.count_nonzero(outside) > MOST * count:
             kinds = ", ".join(words for words, code in OUTSIDE.items() if np.any(solves.ended(code)))
             return (
                 f"most rows of {solves.name} have no solution in the model ({np.count_nonzero(outside)} of {count}, "
-                f"{in_words(named_rows([solves.table], [outside]))}: {kinds}); check the units of the table and the "
-                "dimensions of the body"
+                f"{where}: {kinds}); check the units of the table and the dimensions of the body"
             )
     tables = [solves.table for solves in ends]
     rows = named_rows(tables, [solves.contradicted for solves in ends])
@@ -82,10 +83,10 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     alone = len({file for own in sources(tables) for file in own}) == 1
     found, count = sum(map(len, rows.values())), sum(np.count_nonzero(solves.read) for solves in ends)
     return (
-        f"tendons travel against the direction that was found for them in {found} of {count} rows: {in_words(rows)}; "
-        f"parts of them stick there. Leave these rows out: {as_option(rows, alone=alone)}, or --leave-out "
-        f"{CONTRADICTED} for these and for those that the next fits contradict (leave_out in Python). Or state the "
-        "directions in columns direction and direction_2"
+        f"tendons travel against the direction that was found for them in {found} of {count} rows: "
+        f"{rows_in_words(rows)}; parts of them stick there. Leave these rows out: "
+        f"{as_leave_out(rows, alone=alone)}, or --leave-out {CONTRADICTED} for these and for those that the next fits "
+        "contradict (leave_out in Python). Or state the directions in columns direction and direction_2"
     )
 
 
@@ -128,7 +129,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
             which = solves.contradicted if contradicted else solves.ended(code)
             if np.any(which):
                 where = f"{np.count_nonzero(which)} of {np.count_nonzero(solves.read)} rows"
-                found.append(f"{where}, {in_words(named_rows([solves.table], [which]))}: {RESULTS[code]}")
+                found.append(f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {RESULTS[code]}")
     return found
 
 
@@ -199,7 +200,7 @@ def verdict_of(fit: "Fit") -> list[str]:
     """What the data determine, what they do not determine, and what measurement would help."""
     lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
     lines += [hint] if not fit.success and (hint := frame_hint(fit)) else []
-    lines += [f"Left out: {in_words(fit.left_out)}."] if fit.left_out else []
+    lines += [f"Left out: {rows_in_words(fit.left_out)}."] if fit.left_out else []
     lines += so_far_in_words(fit) if fit.result == INTERRUPTED else estimates_in_words(fit, fit.bounded_above)
     if TRIALS in fit.parameters:
         lines.append(f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)")

@@ -8,17 +8,13 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
 from ..errors import InputError
-from ..measurements.columns import is_reading
-from ..measurements.table import Measurements
-from .bench import numbered
-
-if TYPE_CHECKING:
-    from .fit import Fit
+from .columns import is_reading
+from .table import Measurements
 
 CONTRADICTED: Literal["contradicted"] = "contradicted"
 ROUNDS = 5  # of fits, each without the rows that the fits before contradict
@@ -27,6 +23,21 @@ FORM = 'rows such as "8, 14, 20-23"'
 Rows = str | Sequence[int]
 LeaveOut = Rows | Mapping[str, Rows]
 LeftOut = dict[str, list[int]]  # by file, the numbers of rows
+
+
+class Fitted(Protocol):
+    """A fit that knows which rows it contradicts."""
+
+    @property
+    def contradicted(self) -> LeftOut: ...
+
+
+F = TypeVar("F", bound=Fitted)
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """Names of tables, with a number where two have the same name."""
+    return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
 def sources(tables: Sequence[Measurements]) -> list[list[str]]:
@@ -44,12 +55,12 @@ def named_rows(tables: Sequence[Measurements], which: Sequence[np.ndarray]) -> L
     return found
 
 
-def in_words(rows: LeftOut) -> str:
+def rows_in_words(rows: LeftOut) -> str:
     """ "rows 8, 14, 20-23 of poses.csv"; several files are joined by "and"."""
     return " and ".join(f"row{'s' * (len(own) > 1)} {_ranges(own)} of {file}" for file, own in rows.items())
 
 
-def as_option(rows: LeftOut, *, alone: bool) -> str:
+def as_leave_out(rows: LeftOut, *, alone: bool) -> str:
     """The options of the command line that leave these rows out; `alone`: there is only one file."""
     return " ".join(f'--leave-out "{"" if alone else file + "="}{_ranges(own)}"' for file, own in rows.items())
 
@@ -115,7 +126,7 @@ def _table_without(table: Measurements, marked: np.ndarray) -> Measurements:
     return replace(table, columns={name: values for name, values in kept.items() if name not in empty})
 
 
-def without_contradicted(fit: "Callable[..., Fit]", tables: Sequence[Measurements]) -> "Fit":
+def without_contradicted(fit: Callable[..., F], tables: Sequence[Measurements]) -> F:
     """Fit, leave out the rows that the fit contradicts, and fit again, until it contradicts none."""
     found, left = fit(tables, leave_out={}), LeftOut()
     for _ in range(ROUNDS):
