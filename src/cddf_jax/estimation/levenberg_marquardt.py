@@ -25,7 +25,7 @@ BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is sho
 LONG = 20.0  # s: a search that took longer says how to stop it
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
 GOOD, POOR = 0.99, 0.01  # actual over predicted reduction from which a step is good, and below which it is not taken
-LONGER, SHORTER = 3.5, 0.25  # factors on the reach after a good step, and after one that was not taken
+LONGER, SHORTER = 3.5, 0.25  # factors on the reach after a good step, and after the first in a row that was not taken
 
 
 class Outcome(NamedTuple):
@@ -57,7 +57,8 @@ class Minimum(NamedTuple):
         problem, residual = self.problem, self.outcome.residual.copy()
         pairs = zip(problem.data.noise, noise, strict=True)
         residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
-        cost = float(np.sum(problem.softened(residual) ** 2))
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = float(np.sum(problem.softened(residual) ** 2))
         return cost if np.isfinite(cost) else np.inf
 
     @property
@@ -65,10 +66,11 @@ class Minimum(NamedTuple):
         """The largest ratio of residuals to the scatter of the data, root mean squares, of a group; and its name."""
         data = zip(self.problem.data.values, self.problem.data.noise, strict=True)
         residuals = self.problem.by_group(self.outcome.residual)
-        ratios = [
-            np.sqrt(np.mean((r * np.ravel(s)) ** 2)) / max(float(np.std(v) or np.sqrt(np.mean(v**2))), TINY)
-            for (v, s), r in zip(data, residuals, strict=True)
-        ]
+        with np.errstate(over="ignore", invalid="ignore"):
+            ratios = [
+                np.linalg.norm(r * np.ravel(s)) / max(float(np.linalg.norm(v - np.mean(v)) or np.linalg.norm(v)), TINY)
+                for (v, s), r in zip(data, residuals, strict=True)
+            ]
         return max(zip(ratios, self.problem.groups, strict=True))
 
     @property
@@ -169,6 +171,7 @@ class Search(NamedTuple):
     slope: Float[Numbers, "m n"]
     trial: Float[Numbers, " n"]  # the next place
     reach: Float[Numbers, ""]  # 1 / damping
+    shrink: Float[Numbers, ""]  # factor on the reach after the next step that is not taken
     num_steps: Int[Numbers, ""]
     solved: Bool[Numbers, ""]
     failed: Bool[Numbers, ""]  # there is no next place
@@ -178,7 +181,9 @@ def _first(problem: LeastSquaresProblem, z: Numbers) -> Search:
     """A search that has not begun."""
     rows = problem.num_data + len(problem.data.prior)
     none = np.zeros(rows), np.zeros((rows, len(z)))
-    return Search(z, *none, z, np.asarray(1.0), np.asarray(0), np.asarray(False), np.asarray(False))
+    return Search(
+        z, *none, z, np.asarray(1.0), np.asarray(SHORTER), np.asarray(0), np.asarray(False), np.asarray(False)
+    )
 
 
 @kept_program
@@ -210,7 +215,9 @@ def _step(
 
     A trust region in the form of Conn, Gould and Toint (2000), Trust Region Methods. A step whose predicted and actual
     reductions are rounding errors of the cost is taken, so that searches end (section 17.4.2); the next one is shorter:
-    else rounding errors would lead the search along a flat valley without end.
+    else rounding errors would lead the search along a flat valley without end. After one step in a row that was not
+    taken the next ones shrink faster (Nielsen 1999, Damping parameter in Marquardt's method): near a kink of the model
+    only tiny steps help.
     """
     begins, moved = state.num_steps == 0, state.trial - state.z
     residual, slope = _residual_and_slope(problem, held, state.trial)
@@ -220,18 +227,22 @@ def _step(
     rounding = jnp.maximum(jnp.abs(predicted), jnp.abs(actual)) < 10 * jnp.finfo(cost.dtype).eps * cost
     good = (actual < GOOD * predicted) & (predicted < 0) & ~begins
     taken = (actual <= POOR * predicted) | begins
-    reach = state.reach * jnp.where(taken & ~rounding, jnp.where(good, LONGER, 1.0), SHORTER)
+    useful = taken & ~rounding
+    reach = state.reach * jnp.where(useful, jnp.where(good, LONGER, 1.0), state.shrink)
+    shrink = jnp.where(useful, SHORTER, state.shrink / 2)
     taken = taken | rounding
 
     def is_near(change: Numbers, value: Numbers) -> Array:
         return jnp.all(jnp.abs(change) < tolerance * (1 + jnp.abs(value)))
 
-    solved = taken & is_near(moved, state.trial) & is_near(new - old, new)
+    solved = is_near(moved, state.trial) & jnp.where(taken, is_near(new - old, new), True)
     z, kept, kept_slope = (
         jnp.where(taken, *pair) for pair in ((state.trial, state.z), (residual, state.residual), (slope, state.slope))
     )
     step = _damped_step(jnp.where(taken, new, old), jnp.where(taken, new_slope, old_slope), reach)
-    return Search(z, kept, kept_slope, z + step, reach, state.num_steps + 1, solved, ~jnp.all(jnp.isfinite(step)))
+    return Search(
+        z, kept, kept_slope, z + step, reach, shrink, state.num_steps + 1, solved, ~jnp.all(jnp.isfinite(step))
+    )
 
 
 def _damped_step(residual: Float[Numbers, " m"], slope: Float[Numbers, "m n"], reach: Float[Numbers, ""]) -> Array:
