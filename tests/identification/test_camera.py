@@ -1,6 +1,7 @@
 """The frame of measured positions: its pose as one word, the start of the search, and readings out of reach."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,3 +110,26 @@ def test_what_length_noise_and_camera_can_explain(monkeypatch, x, options, refus
     if refused:
         assert "bench: row 3, tip_x" in told
         assert "leave the row out (leave_out, --leave-out)" in told
+
+
+@pytest.mark.slow
+def test_poses_of_three_tendons_in_the_frame_of_a_tracker():
+    """Simulated by an independent rod code with the history of friction; its truth, with the pose of the tracker."""
+    truth = {"friction_coefficient": 0.186, "youngs_modulus": 1.06e6}
+    pose = (-0.2807693513475604, -0.22909189252061398, -0.2374283143243745)
+    turn = (0.39462696471760217, -0.9885746201441636, -0.9218689334883712)
+    truth |= {f"camera_{axis}": value for axis, value in zip("xyz", pose, strict=True)}
+    truth |= {f"camera_turn_{axis}": value for axis, value in zip("xyz", turn, strict=True)}
+    tendons = tuple(cddf.Tendon(8.6e-3, angle=cddf.Constant(np.radians(6.302536 + 120 * i))) for i in range(3))
+    numbers = {"youngs_modulus": 1e6, "friction_coefficient": 0.2, "poissons_ratio": 0.45}
+    body = cddf.Manipulator(0.201, 11.4e-3, 3e-3, tendons, **numbers)
+    table = cddf.read_measurements(Path(__file__).with_name("three_tendon_poses_simulated.csv"))
+    plain = cddf.fit(body, table, FREE, history=False)
+    assert not plain.success
+    assert '--leave-out "27"' in plain.result
+    fit = cddf.fit(body, table, FREE, history=False, leave_out="contradicted")
+    assert fit.success
+    assert fit.left_out == {table.name: [27, 33]}
+    for name, value in truth.items():
+        assert fit.status[name] == "identified"
+        assert abs(fit.value[name] - value) < 3 * fit.standard_error[name]
