@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..programs.kept import kept_program
-from ..progress import stage
+from ..progress import SHOWN, stage
 from .parameter_space import TINY, Numbers
 from .residuals import Data, LeastSquaresProblem
 
@@ -68,7 +68,8 @@ class Minimum(NamedTuple):
         residuals = self.problem.by_group(self.outcome.residual)
         with np.errstate(over="ignore", invalid="ignore"):
             ratios = [
-                np.linalg.norm(r * np.ravel(s)) / max(float(np.linalg.norm(v - np.mean(v)) or np.linalg.norm(v)), TINY)
+                float(np.linalg.norm(r * np.ravel(s)))
+                / max(float(np.linalg.norm(v - np.mean(v)) or np.linalg.norm(v)), TINY)
                 for (v, s), r in zip(data, residuals, strict=True)
             ]
         return max(zip(ratios, self.problem.groups, strict=True))
@@ -94,24 +95,28 @@ class Minimum(NamedTuple):
 class Watch:
     """The searches of one fit as they go on."""
 
-    portion: int = 1  # steps between two looks
-    best: Minimum | None = None  # so far, of the searches that hold no parameter
-    noise: tuple[Numbers, ...] = ()  # with which searches are compared
+    portion: int = 2  # steps between two looks
+    ends: list[Minimum] = field(default_factory=list)  # of the searches that hold no parameter, so far
     begun: float = field(default_factory=time.monotonic)  # s, of the clock
     deadline: float = np.inf  # s, of the clock, when searches end wherever they are
 
-    def saw(self, minimum: Minimum, seconds: float, *, free: bool) -> str:
-        """Where a search is after a portion that took some seconds; returns it in words."""
+    def saw(self, minimum: Minimum, seconds: float, *, first: bool, free: bool) -> None:
+        """Where a search is after a portion that took some seconds; `first`: its first one."""
         self.portion = 2 * self.portion if seconds < BRIEF else max(self.portion // 2, 1)
-        self.noise = self.noise or minimum.problem.data.noise
-        if free and (self.best is None or minimum.cost_with(self.noise) < self.best.cost_with(self.noise)):
-            self.best = minimum
-        words = minimum.in_words
-        if time.monotonic() - self.begun > LONG:
-            hopeless = free and not minimum.misfit[0] < UNEXPLAINED
-            words += "; hardly anything is explained: check units, signs and frames" if hopeless else ""
-            words += "; Ctrl-C ends it with the best so far"
-        return words
+        if free:
+            self.ends[len(self.ends) - (not first) :] = [minimum]
+
+    def best(self, noise: Sequence[Numbers]) -> Minimum | None:
+        """The best place so far, with some noise."""
+        return min(self.ends, key=lambda end: end.cost_with(noise), default=None)
+
+    def in_words(self, minimum: Minimum) -> str:
+        """Where a search is, and after a while how to end it."""
+        if time.monotonic() - self.begun < LONG:
+            return minimum.in_words
+        hopeless = not minimum.misfit[0] < UNEXPLAINED
+        warning = "; hardly anything is explained: check units, signs and frames" if hopeless else ""
+        return f"{minimum.in_words}{warning}; Ctrl-C ends it with the best so far"
 
 
 WATCHED: ContextVar[Watch | None] = ContextVar("WATCHED", default=None)
@@ -127,13 +132,16 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
     at = np.full(len(z), np.nan) if held is None else held
     with stage("step 1") as here:
         while True:
-            begun, last = time.monotonic(), min(int(state.num_steps) + watch.portion, problem.max_steps)
+            first, begun = state.num_steps == 0, time.monotonic()
+            last = min(int(state.num_steps) + watch.portion, problem.max_steps)
             state, found = _descend(problem, state, at, np.asarray(TOLERANCE), np.asarray(last))
-            state, outcome = Search(*map(np.asarray, state)), _outcome(found)
+            state, minimum = Search(*map(np.asarray, state)), Minimum(problem, _outcome(found))
             now = time.monotonic()
-            here.what = watch.saw(Minimum(problem, outcome), now - begun, free=held is None)
+            watch.saw(minimum, now - begun, first=bool(first), free=held is None)
             if state.solved or state.failed or last == problem.max_steps or now > watch.deadline:
-                return outcome
+                return minimum.outcome
+            if SHOWN.get():
+                here.what = watch.in_words(minimum) if held is None else minimum.in_words
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:

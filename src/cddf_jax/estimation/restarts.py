@@ -57,9 +57,10 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
     try:
         return _search(task, starts, seed, watch)
     except KeyboardInterrupt:
-        if watch.best is None:
+        best = watch.best(task.problem.data.noise)
+        if best is None:
             raise
-        return Searched(interrupted_at(task, watch.best), np.empty(0))
+        return Searched(interrupted_at(task, best), np.empty(0))
     finally:
         WATCHED.reset(before)
 
