@@ -96,7 +96,8 @@ def _search(task: FitTask, starts: int | None, seed: int, watch: Watch) -> Searc
             break
     costs.sort()
     if ending is first:
-        remark = f"the search {reason}; {len(costs) - 1} searches from other starts found nothing better"
+        others = f"{len(costs) - 1} search{'es' * (len(costs) > 2)} from other starts"
+        remark = f"the search {reason}; {others} found nothing better"
     else:
         same = f"{np.sum(costs <= (1 + LOWER) * costs[0] + EXACT)} of {len(costs)} starts"
         remark = f"the search from the given start {reason}; {same} led to the result, the best found"
