@@ -67,7 +67,7 @@ class Bar:
             from rich.progress import BarColumn, Progress, TextColumn
             from rich.table import Column
 
-            text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
+            text = TextColumn("{task.description}", markup=False, table_column=Column())  # wraps
             columns, console = (BarColumn(20), text), Console(stderr=True)
             self.bar = Progress(*columns, console=console, transient=True, auto_refresh=False, redirect_stdout=False)
             self.bar.start()
