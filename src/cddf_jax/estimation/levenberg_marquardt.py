@@ -99,6 +99,7 @@ class Watch:
     ends: list[Minimum] = field(default_factory=list)  # of the searches that hold no parameter, so far
     begun: float = field(default_factory=time.monotonic)  # s, of the clock
     deadline: float = np.inf  # s, of the clock, when searches end wherever they are
+    words: str = "step 1"  # where the last search was
 
     def saw(self, minimum: Minimum, seconds: float, *, first: bool, free: bool) -> None:
         """Where a search is after a portion that took some seconds; `first`: its first one."""
@@ -130,7 +131,7 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
     """
     watch, state = WATCHED.get() or Watch(), _first(problem, z)
     at = np.full(len(z), np.nan) if held is None else held
-    with stage("step 1") as here:
+    with stage(watch.words) as here:
         while True:
             first, begun = state.num_steps == 0, time.monotonic()
             last = min(int(state.num_steps) + watch.portion, problem.max_steps)
@@ -138,10 +139,10 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
             state, minimum = Search(*map(np.asarray, state)), Minimum(problem, _outcome(found))
             now = time.monotonic()
             watch.saw(minimum, now - begun, first=bool(first), free=held is None)
+            if SHOWN.get():
+                here.what = watch.words = watch.in_words(minimum) if held is None else minimum.in_words
             if state.solved or state.failed or last == problem.max_steps or now > watch.deadline:
                 return minimum.outcome
-            if SHOWN.get():
-                here.what = watch.in_words(minimum) if held is None else minimum.in_words
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:

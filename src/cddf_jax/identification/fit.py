@@ -36,7 +36,7 @@ from .parameters import (
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import fit_trials
 from .tension_before import Before, first_guesses, starts_of
-from .verdict import SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
+from .verdict import AGAINST, SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)
 
@@ -157,9 +157,10 @@ class Fit(LeastSquaresFit):
     @property
     def contradicted(self) -> LeftOut:
         """By file, the rows that made the fit fail, because tendons travel against the direction found for them."""
+        if not self.result.startswith(AGAINST):
+            return {}
         ends = self.solve_results
-        rows = named_rows([end.table for end in ends], [end.contradicted for end in ends])
-        return rows if self.result == doubt(ends) else {}
+        return named_rows([end.table for end in ends], [end.contradicted for end in ends])
 
     @property
     def _short_steps(self) -> int:

@@ -28,6 +28,7 @@ LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 INCOMPRESSIBLE = 0.5  # Poisson's ratio of an isotropic material that keeps its volume, the largest possible one
 CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
 LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
+AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
 OUTSIDE = {  # results of rows without a solution, by their names in messages
     "not physical": RESULTS.unphysical,
@@ -83,7 +84,7 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     alone = len({file for own in sources(tables) for file in own}) == 1
     found, count = sum(map(len, rows.values())), sum(np.count_nonzero(solves.read) for solves in ends)
     return (
-        f"tendons travel against the direction that was found for them in {found} of {count} rows: "
+        f"{AGAINST} in {found} of {count} rows: "
         f"{rows_in_words(rows)}; parts of them stick there. Leave these rows out: "
         f"{as_leave_out(rows, alone=alone)}, or --leave-out {CONTRADICTED} for these and for those that the next fits "
         "contradict (leave_out in Python). Or state the directions in columns direction and direction_2"
