@@ -36,7 +36,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 RUNS = 5
 PATIENCE = 120_000  # ms
 OUT = "OUT"  # stands for an empty folder
-PACKAGES = "import jax, equinox, scipy.optimize"
+PACKAGES = "import jax, optimistix, scipy.optimize"
 OVER = ["--over", "friction_coefficient=0.2:0.6:20", "--over", "base_tension=10N:80N:50"]
 
 Wait = Callable[[dict[str, str], str], None]  # until something is done, with an environment and an empty folder
@@ -118,7 +118,7 @@ def kept_and_not(wait: Wait) -> tuple[float, float]:
 
 LINES = {
     PACKAGES: python(PACKAGES),
-    "import jax, equinox": python("import jax, equinox"),
+    "import jax, optimistix": python("import jax, optimistix"),
     "import cddf_jax": python("import cddf_jax"),
     "import cddf_jax, its fit loaded": python("import cddf_jax; cddf_jax.fit"),
     "cddf fit --help": cddf("fit", "--help"),

@@ -42,7 +42,7 @@ ON_DEMAND = {
     ("designing/pareto", "designing/report"),
 }
 SEARCH = "numerics/constrained"  # SciPy's, of which designs alone make use
-HEAVY = {"matplotlib", "typer", "rich", "pint", "pandas", "xarray", "zarr", "scipy"}
+HEAVY = {"matplotlib", "typer", "rich", "pint", "pandas", "xarray", "zarr", "scipy", "optimistix"}
 
 
 FILES = sorted(path.relative_to(SOURCE).with_suffix("").as_posix() for path in SOURCE.rglob("*.py"))
@@ -200,7 +200,7 @@ import cddf_jax.explorer.server, cddf_jax.reports.fit_report
 print(*sys.modules)
 """
     loaded = set(run(program))
-    assert {"jax", "equinox"} <= loaded
+    assert {"jax", "optimistix"} <= loaded
     assert not loaded & {"matplotlib", "pandas", "xarray", "zarr", "pint", "rich"}
     assert not loaded & {"scipy.stats", "scipy.interpolate", "scipy.optimize"}
 

@@ -54,7 +54,7 @@ def test_help_imports_nothing_heavy(command):
         "from cddf_jax.cli.app import main\n"
         "try: main()\n"
         "except SystemExit as ended: assert ended.code == 0\n"
-        "heavy = {'jax', 'jaxlib', 'equinox', 'scipy', 'numpy', 'matplotlib', 'pint', 'xarray'}\n"
+        "heavy = {'jax', 'jaxlib', 'equinox', 'optimistix', 'scipy', 'numpy', 'matplotlib', 'pint', 'xarray'}\n"
         "heavy |= {'zarr', 'pandas'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
     )

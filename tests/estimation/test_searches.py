@@ -1,4 +1,4 @@
-"""How searches go on: the damped step, portions of steps, Ctrl-C, the misfit that progress shows, the time limit."""
+"""How searches go on: portions of steps, Ctrl-C, the misfit that progress shows, the time limit."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 
 from cddf_jax.estimation import levenberg_marquardt, restarts
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.levenberg_marquardt import WATCHED, Watch, _damped_step, minimise
+from cddf_jax.estimation.levenberg_marquardt import WATCHED, Watch, minimise
 from cddf_jax.estimation.whole_search import INTERRUPTED
 from cddf_jax.progress import SHOWN, Log, Stages
 
@@ -20,16 +20,7 @@ def decay(p):
     return p["height"] * jnp.exp(-p["rate"] * X)
 
 
-def test_a_damped_step_solves_the_damped_normal_equations():
-    """(J^T J + 1 / reach) step = -J^T r, by NumPy."""
-    rng = np.random.default_rng(1)
-    slope, residual = rng.normal(size=(9, 3)), rng.normal(size=9)
-    step = _damped_step(jnp.asarray(residual), jnp.asarray(slope), jnp.asarray(0.3))
-    expected = np.linalg.solve(slope.T @ slope + np.eye(3) / 0.3, -slope.T @ residual)
-    np.testing.assert_allclose(step, expected, rtol=1e-12)
-
-
-def test_portions_of_steps_change_nothing():
+def test_portions_of_steps_find_the_same():
     """One step at a time, and all at once."""
     problem = least_squares_fit(decay, START, DATA, sigma=0.01).minimum.problem
     found = []
@@ -37,9 +28,8 @@ def test_portions_of_steps_change_nothing():
         before = WATCHED.set(Watch(portion=portion))
         found.append(minimise(problem, np.array([0.3, -0.4])))
         WATCHED.reset(before)
-    assert found[0].num_steps == found[1].num_steps > 3
-    for one, other in zip(*found, strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert all(one.solved and one.num_steps > 3 for one in found)
+    np.testing.assert_allclose(found[0].parameters, found[1].parameters, rtol=1e-8)
 
 
 @pytest.mark.parametrize("looks", [1, 3])

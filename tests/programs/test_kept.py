@@ -147,7 +147,7 @@ def test_small_and_large_arrays_of_all_types_come_out_as_they_went_in(first):
 
 def test_the_key_knows_versions_source_machine_and_flags(monkeypatch):
     parts = environment.machine_and_versions()
-    packages = ("cddf_jax", "jax", "jaxlib", "equinox", "numpy")
+    packages = ("cddf_jax", "jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
     assert {text.split()[0] for text in parts if text} >= set(packages)
     assert {os.environ["XLA_FLAGS"], sys.version} <= set(parts)
     for i, text in enumerate(parts):

@@ -493,7 +493,7 @@ def test_the_files_of_a_report(drum, drum_report, tmp_path):
 
 def test_a_fit_is_repeated_from_its_results(drum_report, drum, tmp_path):
     results = json.loads(writing.as_json(fit_results.fit_as_dict(drum_report)))
-    assert set(results["versions"]) == {"python", "cddf-jax", "jax", "numpy", "scipy", "equinox"}
+    assert set(results["versions"]) == {"python", "cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox"}
     assert results["bootstraps"][0]["replicates"] == 40
     again = repeated(results, tmp_path)
     assert again.value == pytest.approx(drum.value, rel=1e-12)

@@ -4,14 +4,14 @@ import time
 from collections.abc import Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+import optimistix as optx
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..programs.kept import kept_program
 from ..progress import SHOWN, stage
@@ -24,8 +24,7 @@ MAX_STEPS = 500
 BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is shorter
 LONG = 20.0  # s: a search that took longer says how to stop it
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
-GOOD, POOR = 0.99, 0.01  # actual over predicted reduction from which a step is good, and below which it is not taken
-LONGER, SHORTER = 3.5, 0.25  # factors on the reach after a good step, and after the first in a row that was not taken
+SHORTER = 0.25  # factor on the reach after the first step in a row that was not taken
 
 
 class Outcome(NamedTuple):
@@ -129,20 +128,21 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
     `held` are values at which parameters are held, NaN for those that are free. The steps are done in portions, so that
     progress can be shown, and the search can be interrupted.
     """
-    watch, state = WATCHED.get() or Watch(), _first(problem, z)
+    watch, reach, steps = WATCHED.get() or Watch(), np.asarray(1.0), 0
     at = np.full(len(z), np.nan) if held is None else held
-    with stage(watch.words) as here:
+    with stage("step 1") as here:
         while True:
-            first, begun = state.num_steps == 0, time.monotonic()
-            last = min(int(state.num_steps) + watch.portion, problem.max_steps)
-            state, found = _descend(problem, state, at, np.asarray(TOLERANCE), np.asarray(last))
-            state, minimum = Search(*map(np.asarray, state)), Minimum(problem, _outcome(found))
+            begun, portion = time.monotonic(), min(watch.portion, problem.max_steps - steps)
+            *found, reach, ended = _descend(problem, z, at, reach, np.asarray(portion), TOLERANCE)
+            outcome = _outcome(found)
+            first, steps, z = steps == 0, steps + int(outcome.num_steps), outcome.z
+            minimum = Minimum(problem, outcome._replace(num_steps=np.asarray(steps)))
             now = time.monotonic()
-            watch.saw(minimum, now - begun, first=bool(first), free=held is None)
-            if SHOWN.get():
-                here.what = watch.words = watch.in_words(minimum) if held is None else minimum.in_words
-            if state.solved or state.failed or last == problem.max_steps or now > watch.deadline:
+            watch.saw(minimum, now - begun, first=first, free=held is None)
+            if ended or steps >= problem.max_steps or now > watch.deadline:
                 return minimum.outcome
+            if SHOWN.get():
+                here.what = watch.in_words(minimum) if held is None else minimum.in_words
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:
@@ -159,121 +159,70 @@ def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Out
 
 def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     """Cost, residuals and derivatives at z, as if a search had ended there."""
-    free = np.full(len(z), np.nan)
-    _, there = _descend(problem, _first(problem, z), free, np.asarray(TOLERANCE), np.asarray(1))
-    return _outcome(there)._replace(num_steps=np.asarray(0), solved=np.asarray(True))
+    return _outcome((*_at(problem, z, np.full(len(z), np.nan)), 0, True))
 
 
-def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
+def _outcome(found: Sequence[ArrayLike]) -> Outcome:
     """An outcome from the arrays of a program."""
     return Outcome(*map(np.asarray, found))
 
 
-# --- the steps -----------------------------------------------------------------------------------
+# --- the steps, by optimistix --------------------------------------------------------------------
 
 
-class Search(NamedTuple):
-    """A search under way."""
+class _Reach(NamedTuple):
+    """How far the steps of a search may go."""
 
-    z: Float[Numbers, " n"]  # the best place so far
-    residual: Float[Numbers, " m"]  # there, and its Jacobian by z
-    slope: Float[Numbers, "m n"]
-    trial: Float[Numbers, " n"]  # the next place
-    reach: Float[Numbers, ""]  # 1 / damping
-    shrink: Float[Numbers, ""]  # factor on the reach after the next step that is not taken
-    num_steps: Int[Numbers, ""]
-    solved: Bool[Numbers, ""]
-    failed: Bool[Numbers, ""]  # there is no next place
+    size: Float[Array, ""]  # 1 / damping
+    shrink: Float[Array, ""]  # factor on it after the next step that is not taken
+    num_steps: Int[Array, ""]
 
 
-def _first(problem: LeastSquaresProblem, z: Numbers) -> Search:
-    """A search that has not begun."""
-    rows = problem.num_data + len(problem.data.prior)
-    none = np.zeros(rows), np.zeros((rows, len(z)))
-    return Search(
-        z, *none, z, np.asarray(1.0), np.asarray(SHORTER), np.asarray(0), np.asarray(False), np.asarray(False)
-    )
+class _TrustRegion(optx.ClassicalTrustRegion):
+    """The trust region of optimistix, whose searches can be continued, and end where only rounding errors are left.
+
+    A step whose predicted and actual reductions are rounding errors of the cost is taken, so that searches end (Conn,
+    Gould and Toint 2000, Trust Region Methods, section 17.4.2); so is one that is too short to matter. The next one is
+    shorter: else rounding errors would lead the search along a flat valley without end. After one step in a row that
+    was not taken the next ones shrink faster (Nielsen 1999, Damping parameter in Marquardt's method): near a kink of
+    the model only tiny steps help.
+    """
+
+    reach: ArrayLike = 1.0  # of the first step
+    portion: ArrayLike = MAX_STEPS  # steps after which the search pauses
+    tolerance: float = TOLERANCE
+
+    def init(self, y, f_info_struct):
+        return _Reach(jnp.asarray(self.reach), jnp.asarray(SHORTER), jnp.asarray(0))
+
+    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
+        unit = super().init(y, f_info)
+        factor, accept, result, _ = super().step(first_step, y, y_eval, f_info, f_eval_info, unit)
+        cost, moved = f_info.as_min(), y_eval - y
+        changes = self.predict_reduction(moved, f_info), f_eval_info.as_min() - cost
+        rounding = jnp.maximum(*map(jnp.abs, changes)) < 10 * jnp.finfo(cost.dtype).eps * cost
+        short = jnp.all(jnp.abs(moved) < self.tolerance * (1 + jnp.abs(y_eval)))
+        useful = accept & ~rounding
+        size = state.size * jnp.where(useful, factor, state.shrink)
+        new = _Reach(size, jnp.where(useful, SHORTER, state.shrink / 2), state.num_steps + 1)
+        paused = optx.RESULTS.where(new.num_steps < self.portion, result, optx.RESULTS.nonlinear_max_steps_reached)
+        return size, accept | rounding | short, paused, new
 
 
 @kept_program
 @eqx.filter_jit
-def _descend(
-    problem: LeastSquaresProblem,
-    state: Search,
-    held: Float[Numbers, " n"],
-    tolerance: Float[Numbers, ""],
-    last: Int[Numbers, ""],
-) -> tuple[Search, tuple[ArrayLike, ...]]:
-    """Go on with a search up to its step number `last`."""
-
-    def goes_on(state: Search) -> Bool[Numbers, ""]:
-        return (state.num_steps < last) & ~state.solved & ~state.failed
-
-    state = jax.lax.while_loop(goes_on, partial(_step, problem, held, tolerance), jax.tree.map(jnp.asarray, state))
-    parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (state.z,), (jnp.ones_like(state.z),))
+def _at(
+    problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"]
+) -> tuple[Float[Numbers, "..."], ...]:
+    """The first entries of an outcome at a place, from z to the cost."""
+    residual, by_z = _residual_and_slope(problem, held, z)
+    parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))
     size = problem.space.size(parameters)
-    jacobian = state.slope / jnp.where(stretch == 0, 1.0, stretch) * size
-    cost = jnp.sum(problem.softened(state.residual) ** 2)
-    return state, (state.z, parameters, size, state.residual, jacobian, cost, state.num_steps, state.solved)
+    slope = by_z / jnp.where(stretch == 0, 1.0, stretch)
+    return z, parameters, size, residual, slope * size, jnp.sum(problem.softened(residual) ** 2)
 
 
-def _step(
-    problem: LeastSquaresProblem, held: Float[Numbers, " n"], tolerance: Float[Numbers, ""], state: Search
-) -> Search:
-    """Evaluate the next place, take it or not, and find the one after it.
-
-    A trust region in the form of Conn, Gould and Toint (2000), Trust Region Methods. A step whose predicted and actual
-    reductions are rounding errors of the cost is taken, so that searches end (section 17.4.2); the next one is shorter:
-    else rounding errors would lead the search along a flat valley without end. After one step in a row that was not
-    taken the next ones shrink faster (Nielsen 1999, Damping parameter in Marquardt's method): near a kink of the model
-    only tiny steps help.
-    """
-    begins, moved = state.num_steps == 0, state.trial - state.z
-    residual, slope = _residual_and_slope(problem, held, state.trial)
-    (old, old_slope), (new, new_slope) = (_softened(problem, *of) for of in (state[1:3], (residual, slope)))
-    cost = jnp.sum(old**2)
-    predicted, actual = jnp.sum((old + old_slope @ moved) ** 2) - cost, jnp.sum(new**2) - cost
-    rounding = jnp.maximum(jnp.abs(predicted), jnp.abs(actual)) < 10 * jnp.finfo(cost.dtype).eps * cost
-    good = (actual < GOOD * predicted) & (predicted < 0) & ~begins
-    taken = (actual <= POOR * predicted) | begins
-    useful = taken & ~rounding
-    reach = state.reach * jnp.where(useful, jnp.where(good, LONGER, 1.0), state.shrink)
-    shrink = jnp.where(useful, SHORTER, state.shrink / 2)
-    taken = taken | rounding
-
-    def is_near(change: Numbers, value: Numbers) -> Array:
-        return jnp.all(jnp.abs(change) < tolerance * (1 + jnp.abs(value)))
-
-    solved = is_near(moved, state.trial) & jnp.where(taken, is_near(new - old, new), True)
-    z, kept, kept_slope = (
-        jnp.where(taken, *pair) for pair in ((state.trial, state.z), (residual, state.residual), (slope, state.slope))
-    )
-    step = _damped_step(jnp.where(taken, new, old), jnp.where(taken, new_slope, old_slope), reach)
-    return Search(
-        z, kept, kept_slope, z + step, reach, shrink, state.num_steps + 1, solved, ~jnp.all(jnp.isfinite(step))
-    )
-
-
-def _damped_step(residual: Float[Numbers, " m"], slope: Float[Numbers, "m n"], reach: Float[Numbers, ""]) -> Array:
-    """The step that minimises |residual + slope step|^2 + |step|^2 / reach."""
-    known = reach > jnp.finfo(reach.dtype).eps
-    damping = jnp.where(known, 1 / jnp.where(known, reach, 1.0), jnp.finfo(reach.dtype).max)
-    count = slope.shape[1]
-    q, r = jnp.linalg.qr(jnp.concatenate([slope, jnp.sqrt(damping) * jnp.eye(count)]))
-    return -jax.scipy.linalg.solve_triangular(r, q.T @ jnp.concatenate([residual, jnp.zeros(count)]))
-
-
-def _softened(
-    problem: LeastSquaresProblem, residual: Float[Numbers, " m"], slope: Float[Numbers, "m n"]
-) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
-    """The residual as the loss transforms it, and its Jacobian."""
-
-    def push(tangent):
-        return jax.jvp(problem.softened, (residual,), (tangent,))
-
-    return jax.vmap(push, in_axes=1, out_axes=(None, 1))(slope)
-
-
+@eqx.filter_jit
 def _residual_and_slope(
     problem: LeastSquaresProblem, held: Float[Numbers, " n"], z: Float[Numbers, " n"]
 ) -> tuple[Float[Array, " m"], Float[Array, "m n"]]:
@@ -287,11 +236,54 @@ def _residual_and_slope(
 
 @kept_program
 @eqx.filter_jit
+def _descend(
+    problem: LeastSquaresProblem,
+    z: Float[Numbers, " n"],
+    held: Float[Numbers, " n"],
+    reach: Float[Numbers, ""],
+    portion: Int[Numbers, ""],
+    tolerance: float,
+) -> tuple[ArrayLike, ...]:
+    """A portion of steps from z: the entries of an outcome, the reach of the next step, and whether the search ended.
+
+    With an explicit Jacobian, the optimiser need not differentiate the model for every product with it. It is computed
+    in one place, so that it is traced once.
+    """
+
+    @jax.custom_jvp
+    def residual(z):
+        return problem.softened(_residual_and_slope(problem, held, z)[0])
+
+    @residual.defjvp
+    def _(primals, tangents):
+        value, slope = _residual_and_slope(problem, held, *primals)
+        return jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
+
+    region = _TrustRegion(reach=reach, portion=portion, tolerance=tolerance)
+    optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), region)
+    # The optimiser calls it within and without `vmap`. For JAX these are different contexts, and it would trace twice.
+    with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
+        solution = optx.least_squares(
+            lambda z, _: residual(z),
+            optimiser,
+            jnp.asarray(z),
+            options={"jac": "fwd"},
+            max_steps=problem.max_steps,
+            throw=False,
+        )
+        found = _at(problem, solution.value, held)
+    solved = solution.result == optx.RESULTS.successful
+    ended = solution.result != optx.RESULTS.nonlinear_max_steps_reached
+    return *found, solution.stats["num_steps"], solved, solution.state.search_state.size, ended
+
+
+@kept_program
+@eqx.filter_jit
 def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> tuple[ArrayLike, ...]:
     free = jnp.full(z.shape[1], jnp.nan)
 
     def one(data, z):
-        own = replace(problem, data=data)
-        return _descend(own, _first(own, z), free, np.asarray(BATCH_TOLERANCE), np.asarray(problem.max_steps))[1]
+        whole = np.asarray(1.0), np.asarray(problem.max_steps)
+        return _descend(replace(problem, data=data), z, free, *whole, BATCH_TOLERANCE)[:-2]
 
     return jax.vmap(one)(data, z)

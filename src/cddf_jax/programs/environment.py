@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 from jaxlib import xla_client
 
-PACKAGES = ("cddf_jax", "jax", "jaxlib", "equinox", "numpy", "scipy", "jaxtyping")
+PACKAGES = ("cddf_jax", "jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy", "scipy", "jaxtyping")
 SOURCE = Path(__file__).parents[1]
 # settings of JAX that change neither what is traced nor what is compiled
 WITHOUT_EFFECT = ("jax_compilation_cache", "jax_persistent_cache", "jax_log", "jax_debug_log", "jax_pprint", "jax_pgle")

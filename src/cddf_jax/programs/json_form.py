@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-PACKAGES = ("cddf_jax", "equinox", "jax", "numpy", "builtins")
+PACKAGES = ("cddf_jax", "equinox", "jax", "optimistix", "lineax", "numpy", "builtins")
 
 
 class NotDescribedError(Exception):

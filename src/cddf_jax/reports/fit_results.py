@@ -26,7 +26,7 @@ from ..statics.solve import solve
 if TYPE_CHECKING:
     from ..identification.model_free import Disagreement, ModelFreeFriction, ModelFreeLoop
 
-PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "equinox")
+PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
 LEAST_ROWS = 3  # for friction without a model
 # of results.json
 OF_FIT = (
