@@ -181,6 +181,17 @@ def test_a_fit_that_fails(cddf_command, tmp_path):
     assert json.loads((tmp_path / "folder" / "results.json").read_text())["success"] is False
 
 
+def test_ctrl_c_after_the_search_keeps_the_fit(cddf_command, tmp_path, monkeypatch):
+    def interrupted(fit, name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cddf.Fit, "profile", interrupted)
+    code, out, err = cddf_command("fit", PAPER, PULLEY, "--free", "friction_coefficient", "--out", tmp_path / "folder")
+    assert (code, err) == (130, "error: interrupted; the fit is complete, but without profiles and bootstrap\n")
+    assert out.startswith("friction_coefficient = 0.41")  # data/README.md: 0.42, with noise
+    assert (tmp_path / "folder" / "report.md").exists()
+
+
 @pytest.mark.slow
 def test_reproduce_in_its_own_folder(cddf_command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -123,14 +123,19 @@ def fit(
         seed=seed,
         nodes=nodes,
     )
-    bootstraps = _bootstraps(found, bootstrap, seed)
-    report = make_report(found, bootstraps=bootstraps, with_profiles=out is not None)
+    interrupted = found.result == INTERRUPTED
+    try:
+        bootstraps = _bootstraps(found, bootstrap, seed)
+        report = make_report(found, bootstraps=bootstraps, with_profiles=out is not None)
+    except KeyboardInterrupt:
+        interrupted, report = True, make_report(found, with_profiles=False)
     if out is not None:
         write_report(report, out)
     options.print_answer(fit_in_words(report), fit_as_dict(report), as_json=as_json)
     if not found.success:
-        interrupted = found.result == INTERRUPTED
         options.stop(f"the fit failed: {found.result}", options.INTERRUPTED if interrupted else options.FAILED)
+    if interrupted:
+        options.stop("interrupted; the fit is complete, but without profiles and bootstrap", options.INTERRUPTED)
 
 
 def _bootstraps(found: "Fit", replicates: int, seed: int) -> "list[Bootstrap]":
