@@ -129,10 +129,13 @@ def test_a_bar_on_a_terminal(capfd, clock, monkeypatch):
         at(shown, 3.0)
         out, err = capfd.readouterr()
         assert out == ""
-        assert "solving 4 of 10, 0:00:07 left, 3 s" in err
+        assert "3 s: solving 4 of 10, 0:00:07 left" in err
         with stage("compiling"):
             at(shown, 4.0)
             assert "compiling" in capfd.readouterr().err
+        with stage("word " * 60):
+            at(shown, 5.0)
+            assert capfd.readouterr().err.count("word") == 60  # what is too long goes on in the next line
     SHOWN.reset(before)
     assert shown.screen.bar is None
     out, err = capfd.readouterr()

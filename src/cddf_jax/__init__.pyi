@@ -36,10 +36,8 @@ from .identification.experiment_design import (
 from .identification.fit import Fit as Fit, fit as fit
 from .identification.model_free import (
     ModelFreeFriction as ModelFreeFriction,
-    model_free_friction as model_free_friction,
-)
-from .identification.model_free_loop import (
     ModelFreeLoop as ModelFreeLoop,
+    model_free_friction as model_free_friction,
     model_free_loop as model_free_loop,
 )
 from .identification.parameters import BenchSetting as BenchSetting

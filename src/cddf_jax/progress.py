@@ -65,13 +65,15 @@ class Bar:
         if self.bar is None:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn
+            from rich.table import Column
 
-            columns, console = (BarColumn(20), TextColumn("{task.description}", markup=False)), Console(stderr=True)
+            text = TextColumn("{task.description}", markup=False, table_column=Column())  # wraps
+            columns, console = (BarColumn(20), text), Console(stderr=True)
             self.bar = Progress(*columns, console=console, transient=True, auto_refresh=False, redirect_stdout=False)
             self.bar.start()
             self.bar.add_task("")
         total = None if part is None else 1.0
-        self.bar.update(0, description=f"{words}, {seconds:.0f} s", total=total, completed=part or 0.0, refresh=True)
+        self.bar.update(0, description=f"{seconds:.0f} s: {words}", total=total, completed=part or 0.0, refresh=True)
 
     def hide(self) -> None:
         if self.bar is not None:

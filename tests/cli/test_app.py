@@ -223,6 +223,14 @@ def test_an_interruption_is_said(fails, monkeypatch):
     assert fails("solve", PAPER, *PULL, "--out", "new/below", code=130) == "interrupted; nothing was written"
 
 
+def test_ctrl_c_is_one_line(fails, monkeypatch):
+    def interrupted(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cddf_jax.files.manipulator_file.read_robot_file", interrupted)
+    assert fails("solve", PAPER, *PULL, code=130) == "interrupted; nothing was written"
+
+
 def test_a_bug_of_ours_is_not_hidden(monkeypatch):
     def broken(path):
         raise ZeroDivisionError("a bug")

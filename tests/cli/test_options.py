@@ -6,7 +6,7 @@ from bodies import paper_body
 from refusals import refused
 
 import cddf_jax as cddf
-from cddf_jax.cli.fit_options import read_before, read_bounds, read_noise, read_priors, read_setting
+from cddf_jax.cli.fit_options import read_before, read_bounds, read_leave_out, read_noise, read_priors, read_setting
 from cddf_jax.cli.options import read_data
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.observations import Noise
@@ -35,6 +35,13 @@ def test_tensions_and_targets():
         (target,) = read_actuation([text], ONE)
         assert type(target) is kind
         assert float(target.value) == pytest.approx(value, rel=1e-15)
+
+
+def test_rows_to_leave_out():
+    assert read_leave_out(None) == ""
+    assert read_leave_out(["8, 14", "20-23"]) == "8, 14, 20-23"
+    assert read_leave_out(["contradicted"]) == "contradicted"
+    assert read_leave_out(["run_1.csv=8, 14", "run_2.csv = 3"]) == {"run_1.csv": "8, 14", "run_2.csv": "3"}
 
 
 def test_a_place_of_the_tip_with_limits():

@@ -430,7 +430,7 @@ def test_rows_whose_fibres_cross_are_reported():
     fit = cddf.fit(paper_body("exact"), bench(base))
     assert fit.combinations[RATIO].value == pytest.approx(MU / E, rel=1e-6)
     (warning,) = [warning for warning in fit.warnings if "reaches 1" in warning]
-    assert warning.startswith("bench: 2 of 17 rows (the first is row 16): ")
+    assert warning.startswith("2 of 17 rows, rows 16, 17 of bench: ")
 
 
 def test_what_most_rows_contradict_is_not_identified(tip_angle):

@@ -46,6 +46,15 @@ BeforeOption = Annotated[
         show_default="rest",
     ),
 ]
+LeaveOutOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Rows whose readings do not count, by their numbers in the file: "8, 14, 20-23", of several files '
+        '"run_2.csv=8, 14". With a history they stay as steps of the path. "contradicted": all rows that the fit '
+        "contradicts.",
+        show_default="none",
+    ),
+]
 
 
 def fit(
@@ -67,6 +76,7 @@ def fit(
         int,
         typer.Option(help="Short steps for each row of a history, with several tendons or loads.", min=2),
     ] = 4,
+    leave_out: LeaveOutOption = None,
     loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[
         int | None,
@@ -89,10 +99,11 @@ def fit(
     # code that is compiled quickly makes refits slow
     read = options.read_robot(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
     with stage("loading"):
+        from ..estimation.whole_search import INTERRUPTED
         from ..identification.fit import fit
         from ..reports.fit_report import fit_in_words, write_report
         from ..reports.fit_results import fit_as_dict, make_report
-        from .fit_options import read_before, read_bounds, read_noise, read_priors, read_setting
+        from .fit_options import read_before, read_bounds, read_leave_out, read_noise, read_priors, read_setting
 
     found = fit(
         read.manipulator,
@@ -105,19 +116,26 @@ def fit(
         history=history,
         before=read_before(before),
         short_steps=short_steps,
+        leave_out=read_leave_out(leave_out),
         per_trial=per_trial,
         loss=loss,
         starts=starts,
         seed=seed,
         nodes=nodes,
     )
-    bootstraps = _bootstraps(found, bootstrap, seed)
-    report = make_report(found, bootstraps=bootstraps, with_profiles=out is not None)
+    interrupted = found.result == INTERRUPTED
+    try:
+        bootstraps = _bootstraps(found, bootstrap, seed)
+        report = make_report(found, bootstraps=bootstraps, with_profiles=out is not None)
+    except KeyboardInterrupt:
+        interrupted, report = True, make_report(found, with_profiles=False)
     with options.printed(lambda: fit_in_words(report), fit_as_dict(report), as_json=as_json):
         if out is not None:
             write_report(report, out)
     if not found.success:
-        options.stop(f"the fit failed: {found.result}", options.FAILED)
+        options.stop(f"the fit failed: {found.result}", options.INTERRUPTED if interrupted else options.FAILED)
+    if interrupted:
+        options.stop("interrupted; the fit is complete, but without profiles and bootstrap", options.INTERRUPTED)
 
 
 def _bootstraps(found: "Fit", replicates: int, seed: int) -> "list[Bootstrap]":

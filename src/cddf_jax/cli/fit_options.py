@@ -22,6 +22,7 @@ from .options import read_all
 PRIOR = '"youngs_modulus=1.4 MPa +- 0.1 MPa" or "friction_coefficient=0.1..0.6"'
 BOUND = '"pretension=0 N:2 N"'
 GIVEN = '"tip_gain=1.03" or "camera_turn_z=3 deg"'
+LEAVE_OUT = '"run_2.csv=8, 14"'
 MARKER = '"head=0, 11, 0 mm at 80 mm"'
 NOISE = '"tip_tension=0.5 N" or "tip_tension=0.2 N + 1 %"'
 
@@ -68,6 +69,13 @@ def _tensions(text: str) -> One:
         return REST
     found = [quantity(part.strip(), "force", "--before") for part in text.split("/")]
     return tuple(found) if len(found) > 1 else found[0]
+
+
+def read_leave_out(texts: Sequence[str] | None) -> str | dict[str, str]:
+    """ "8, 14, 20-23" or "contradicted"; of several files "run_2.csv=8, 14"."""
+    if any("=" in text for text in texts or ()):
+        return read_all(texts, "--leave-out", LEAVE_OUT, lambda _, rows: rows)
+    return ", ".join(texts or ())
 
 
 def read_setting(loads: Loads | None, marker: Sequence[str] | None, given: Sequence[str] | None) -> BenchSetting:

@@ -91,7 +91,8 @@ Data = Annotated[
 Free = Annotated[
     list[str] | None,
     typer.Option(
-        help='A parameter to fit, such as "friction_coefficient". Repeat the option for more parameters.',
+        help='A parameter to fit, such as "friction_coefficient". Repeat the option for more parameters. "camera" is '
+        "the whole pose of the frame of measured positions.",
         show_default="friction and modulus",
     ),
 ]

@@ -1,6 +1,9 @@
 """The minimum of the squares of the residuals by Levenberg-Marquardt over dimensionless unknowns."""
 
-from dataclasses import replace
+import time
+from collections.abc import Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,15 +11,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..programs.kept import kept_program
-from .parameter_space import Numbers
+from ..progress import SHOWN, stage
+from .parameter_space import TINY, Numbers
 from .residuals import Data, LeastSquaresProblem
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
 BATCH_TOLERANCE = 1e-6  # of a lane of many: far below any standard error
 MAX_STEPS = 500
+BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is shorter
+LONG = 20.0  # s: a search that took longer says how to stop it
+UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
+SHORTER = 0.25  # factor on the reach after the first step in a row that was not taken
 
 
 class Outcome(NamedTuple):
@@ -43,6 +51,36 @@ class Minimum(NamedTuple):
     problem: LeastSquaresProblem
     outcome: Outcome
 
+    def cost_with(self, noise: Sequence[Numbers]) -> float:
+        """The cost with other noise; infinite if the model gives no number."""
+        problem, residual = self.problem, self.outcome.residual.copy()
+        pairs = zip(problem.data.noise, noise, strict=True)
+        residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = float(np.sum(problem.softened(residual) ** 2))
+        return cost if np.isfinite(cost) else np.inf
+
+    @property
+    def misfit(self) -> tuple[float, str]:
+        """The largest ratio of residuals to the scatter of the data, root mean squares, of a group; and its name."""
+        data = zip(self.problem.data.values, self.problem.data.noise, strict=True)
+        residuals = self.problem.by_group(self.outcome.residual)
+        with np.errstate(over="ignore", invalid="ignore"):
+            ratios = [
+                float(np.linalg.norm(r * np.ravel(s)))
+                / max(float(np.linalg.norm(v - np.mean(v)) or np.linalg.norm(v)), TINY)
+                for (v, s), r in zip(data, residuals, strict=True)
+            ]
+        return max(zip(ratios, self.problem.groups, strict=True))
+
+    @property
+    def in_words(self) -> str:
+        """The step, the misfit, and the parameters in SI units."""
+        values = zip(self.problem.space.names, self.outcome.parameters, strict=True)
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in values)
+        ratio, group = self.misfit
+        return f"step {self.outcome.num_steps}, misfit {100 * ratio:.3g} % ({group}), {numbers}"
+
     def refit(self, held: np.ndarray, z: np.ndarray | None = None) -> tuple[Outcome, float]:
         """Hold some parameters (`held` is NaN for the others), and fit the others, from z or from here.
 
@@ -52,30 +90,59 @@ class Minimum(NamedTuple):
         return moved, float(moved.cost - self.outcome.cost)
 
 
-class _Acceptance(optx.ClassicalTrustRegion):
-    """Also accepts a step whose predicted and actual reductions are rounding errors of the cost, so that searches end.
+@dataclass
+class Watch:
+    """The searches of one fit as they go on."""
 
-    The remedy of Conn, Gould and Toint (2000), Trust Region Methods, section 17.4.2. The next step is made shorter:
-    else rounding errors would lead the search along a flat valley without end.
-    """
+    portion: int = 2  # steps between two looks
+    ends: list[Minimum] = field(default_factory=list)  # of the searches that hold no parameter, so far
+    begun: float = field(default_factory=time.monotonic)  # s, of the clock
+    deadline: float = np.inf  # s, of the clock, when searches end wherever they are
+    words: str = "step 1"  # where the last search was
 
-    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
-        _, accept, result, new = super().step(first_step, y, y_eval, f_info, f_eval_info, state)
-        cost = f_info.as_min()
-        least = 10 * jnp.finfo(cost.dtype).eps * cost
-        changes = self.predict_reduction(y_eval - y, f_info), f_eval_info.as_min() - cost
-        noise = jnp.maximum(*map(jnp.abs, changes)) < least
-        size = jnp.where(noise, self.low_constant * state.step_size, new.step_size)
-        return size, accept | noise, result, eqx.tree_at(lambda state: state.step_size, new, size)
+    def saw(self, minimum: Minimum, seconds: float, *, first: bool, free: bool) -> None:
+        """Where a search is after a portion that took some seconds; `first`: its first one."""
+        self.portion = 2 * self.portion if seconds < BRIEF else max(self.portion // 2, 1)
+        if free:
+            self.ends[len(self.ends) - (not first) :] = [minimum]
+
+    def best(self, noise: Sequence[Numbers]) -> Minimum | None:
+        """The best place so far, with some noise."""
+        return min(self.ends, key=lambda end: end.cost_with(noise), default=None)
+
+    def in_words(self, minimum: Minimum) -> str:
+        """Where a search is, and after a while how to end it."""
+        if time.monotonic() - self.begun < LONG:
+            return minimum.in_words
+        hopeless = not minimum.misfit[0] < UNEXPLAINED
+        warning = "; hardly anything is explained: check units, signs and frames" if hopeless else ""
+        return f"{minimum.in_words}{warning}; Ctrl-C ends it with the best so far"
+
+
+WATCHED: ContextVar[Watch | None] = ContextVar("WATCHED", default=None)
 
 
 def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | None = None) -> Outcome:
     """Search for the minimum from the dimensionless unknowns z.
 
-    `held` are values at which parameters are held, NaN for those that are free.
+    `held` are values at which parameters are held, NaN for those that are free. The steps are done in portions, so that
+    progress can be shown, and the search can be interrupted.
     """
-    held = np.full(len(z), np.nan) if held is None else held
-    return _outcome(_descend(problem, z, held, TOLERANCE))
+    watch, reach, steps = WATCHED.get() or Watch(), np.asarray(1.0), 0
+    at = np.full(len(z), np.nan) if held is None else held
+    with stage("step 1") as here:
+        while True:
+            begun, portion = time.monotonic(), min(watch.portion, problem.max_steps - steps)
+            *found, reach, ended = _descend(problem, z, at, reach, np.asarray(portion), TOLERANCE)
+            outcome = _outcome(found)
+            first, steps, z = steps == 0, steps + int(outcome.num_steps), outcome.z
+            minimum = Minimum(problem, outcome._replace(num_steps=np.asarray(steps)))
+            now = time.monotonic()
+            watch.saw(minimum, now - begun, first=first, free=held is None)
+            if ended or steps >= problem.max_steps or now > watch.deadline:
+                return minimum.outcome
+            if SHOWN.get():
+                here.what = watch.in_words(minimum) if held is None else minimum.in_words
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:
@@ -95,9 +162,51 @@ def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     return _outcome((*_at(problem, z, np.full(len(z), np.nan)), 0, True))
 
 
-def _outcome(found: tuple[ArrayLike, ...]) -> Outcome:
+def _outcome(found: Sequence[ArrayLike]) -> Outcome:
     """An outcome from the arrays of a program."""
     return Outcome(*map(np.asarray, found))
+
+
+# --- the steps, by optimistix --------------------------------------------------------------------
+
+
+class _Reach(NamedTuple):
+    """How far the steps of a search may go."""
+
+    size: Float[Array, ""]  # 1 / damping
+    shrink: Float[Array, ""]  # factor on it after the next step that is not taken
+    num_steps: Int[Array, ""]
+
+
+class _TrustRegion(optx.ClassicalTrustRegion):
+    """The trust region of optimistix, whose searches can be continued, and end where only rounding errors are left.
+
+    A step whose predicted and actual reductions are rounding errors of the cost is taken, so that searches end (Conn,
+    Gould and Toint 2000, Trust Region Methods, section 17.4.2); so is one that is too short to matter. The next one is
+    shorter: else rounding errors would lead the search along a flat valley without end. After one step in a row that
+    was not taken the next ones shrink faster (Nielsen 1999, Damping parameter in Marquardt's method): near a kink of
+    the model only tiny steps help.
+    """
+
+    reach: ArrayLike = 1.0  # of the first step
+    portion: ArrayLike = MAX_STEPS  # steps after which the search pauses
+    tolerance: float = TOLERANCE
+
+    def init(self, y, f_info_struct):
+        return _Reach(jnp.asarray(self.reach), jnp.asarray(SHORTER), jnp.asarray(0))
+
+    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
+        unit = super().init(y, f_info)
+        factor, accept, result, _ = super().step(first_step, y, y_eval, f_info, f_eval_info, unit)
+        cost, moved = f_info.as_min(), y_eval - y
+        changes = self.predict_reduction(moved, f_info), f_eval_info.as_min() - cost
+        rounding = jnp.maximum(*map(jnp.abs, changes)) < 10 * jnp.finfo(cost.dtype).eps * cost
+        short = jnp.all(jnp.abs(moved) < self.tolerance * (1 + jnp.abs(y_eval)))
+        useful = accept & ~rounding
+        size = state.size * jnp.where(useful, factor, state.shrink)
+        new = _Reach(size, jnp.where(useful, SHORTER, state.shrink / 2), state.num_steps + 1)
+        paused = optx.RESULTS.where(new.num_steps < self.portion, result, optx.RESULTS.nonlinear_max_steps_reached)
+        return size, accept | rounding | short, paused, new
 
 
 @kept_program
@@ -128,10 +237,19 @@ def _residual_and_slope(
 @kept_program
 @eqx.filter_jit
 def _descend(
-    problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"], tolerance: float
+    problem: LeastSquaresProblem,
+    z: Float[Numbers, " n"],
+    held: Float[Numbers, " n"],
+    reach: Float[Numbers, ""],
+    portion: Int[Numbers, ""],
+    tolerance: float,
 ) -> tuple[ArrayLike, ...]:
-    # With an explicit Jacobian, the optimiser need not differentiate the model for every product with it. It is
-    # computed in one place, so that it is traced once.
+    """A portion of steps from z: the entries of an outcome, the reach of the next step, and whether the search ended.
+
+    With an explicit Jacobian, the optimiser need not differentiate the model for every product with it. It is computed
+    in one place, so that it is traced once.
+    """
+
     @jax.custom_jvp
     def residual(z):
         return problem.softened(_residual_and_slope(problem, held, z)[0])
@@ -141,7 +259,8 @@ def _descend(
         value, slope = _residual_and_slope(problem, held, *primals)
         return jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
 
-    optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), _Acceptance())
+    region = _TrustRegion(reach=reach, portion=portion, tolerance=tolerance)
+    optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), region)
     # The optimiser calls it within and without `vmap`. For JAX these are different contexts, and it would trace twice.
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
         solution = optx.least_squares(
@@ -153,7 +272,9 @@ def _descend(
             throw=False,
         )
         found = _at(problem, solution.value, held)
-    return *found, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
+    solved = solution.result == optx.RESULTS.successful
+    ended = solution.result != optx.RESULTS.nonlinear_max_steps_reached
+    return *found, solution.stats["num_steps"], solved, solution.state.search_state.size, ended
 
 
 @kept_program
@@ -162,6 +283,7 @@ def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "se
     free = jnp.full(z.shape[1], jnp.nan)
 
     def one(data, z):
-        return _descend(replace(problem, data=data), z, free, BATCH_TOLERANCE)
+        whole = np.asarray(1.0), np.asarray(problem.max_steps)
+        return _descend(replace(problem, data=data), z, free, *whole, BATCH_TOLERANCE)[:-2]
 
     return jax.vmap(one)(data, z)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr, stdtr
 
 from .evidence import Evidence, spectrum_of, without_nan
-from .levenberg_marquardt import MAX_STEPS, Minimum, minimise
+from .levenberg_marquardt import MAX_STEPS, UNEXPLAINED, Minimum, minimise
 from .parameter_space import TINY
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 OUTLIER_CHANCE = 0.01
 NOISE_ROUNDS = 20
-UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals
 WITHIN = 3.0  # standard deviations: data farther away do not decide whether a model explains the others
 AS_GIVEN = 4.0  # mean square of residuals over the given noise, below which the noise explains them
 EXACT = 1e-7  # noise over data, below which it counts as 0

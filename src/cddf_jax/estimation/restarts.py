@@ -1,5 +1,6 @@
 """Fits from several starts: where further ones lie, when one is not enough, and which search is taken."""
 
+import time
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -7,10 +8,18 @@ import numpy as np
 
 from ..progress import each, stage
 from .determination import NOT_IDENTIFIED
-from .levenberg_marquardt import Outcome, minimise
-from .remarks import UNEXPLAINED
+from .levenberg_marquardt import UNEXPLAINED, WATCHED, Minimum, Outcome, Watch, minimise
 from .residuals import LeastSquaresProblem
-from .whole_search import BETTER_ELSEWHERE, NO_NUMBER, NOT_SETTLED, STOPPED_SHORT, Ending, FitTask, search_from
+from .whole_search import (
+    BETTER_ELSEWHERE,
+    NO_NUMBER,
+    NOT_SETTLED,
+    STOPPED_SHORT,
+    Ending,
+    FitTask,
+    interrupted_at,
+    search_from,
+)
 
 ROUNDS = (8, 8, 16)  # further searches; after each round the best one is judged
 DECADES = (1.0, 2.0, 3.0)  # powers of ten, up and down, over which the starts of each round spread
@@ -19,6 +28,7 @@ SAME = 1e-6  # relative difference of costs below which two searches have the sa
 LOWER = 1e-3  # relative difference of costs from which one search is better
 ONE_DATUM = 0.99  # share of one datum in the squared derivatives, above which it counts as the only one
 EXACT = 1e-9  # a cost that is as good as 0: a residual of nothing but rounding
+LONGEST = 30.0  # s: searches from other starts that nobody asked for end then
 FAILURES = {
     NO_NUMBER: "ended where the model gives no number",
     STOPPED_SHORT: "stopped short of a minimum",
@@ -37,10 +47,25 @@ class Searched(NamedTuple):
 
 @stage("searching")
 def search(task: FitTask, starts: int | None, seed: int) -> Searched:
-    """The best of some searches, the first from the given start.
+    """The best of some searches, the first from the given start; after Ctrl-C the best place so far.
 
-    With `starts` None there is one search; if it is in trouble, rounds of others follow until the best is in none.
+    With `starts` None there is one search; if it is in trouble, rounds of others follow until the best is in none, or
+    they take too long.
     """
+    watch = Watch()
+    before = WATCHED.set(watch)
+    try:
+        return _search(task, starts, seed, watch)
+    except KeyboardInterrupt:
+        best = watch.best(task.problem.data.noise)
+        if best is None:
+            raise
+        return Searched(interrupted_at(task, best), np.empty(0))
+    finally:
+        WATCHED.reset(before)
+
+
+def _search(task: FitTask, starts: int | None, seed: int, watch: Watch) -> Searched:
     problem = task.problem
     if starts is not None and starts > 1:
         found = [minimise(problem, problem.space.first()), *_elsewhere(problem, slice(0, starts - 1), seed)]
@@ -52,18 +77,27 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
     reason = trouble(task, first)
     if not reason:
         return Searched(first, np.empty(0))
-    known = [] if first.lower is None else [minimise(problem, first.lower)]
+    known, late = [] if first.lower is None else [minimise(problem, first.lower)], time.monotonic() + LONGEST
     for last, count in zip(np.cumsum(ROUNDS), ROUNDS, strict=True):
-        found = [*known, *_elsewhere(problem, slice(last - count, last), seed)]
-        ending, known = _better(task, ending, found), []
+        watch.deadline = late
+        found = [*known, *_elsewhere(problem, slice(last - count, last), seed, late)]
+        watch.deadline, is_late = np.inf, time.monotonic() > late
         costs = np.append(costs, _costs(found))
+        if is_late:
+            reason += f" (other searches ended after {LONGEST:.0f} s; give starts to allow more)"
+            if Minimum(problem, min(found, key=_height)).misfit[0] > UNEXPLAINED:
+                break
+        ending, known = _better(task, ending, found), []
         if _is_enough(task, ending, found):
             if ending is first and ending.success:  # all have the same result: the data determine no more anywhere
                 return Searched(first, np.empty(0))
             break
+        if is_late:
+            break
     costs.sort()
     if ending is first:
-        remark = f"the search {reason}; {len(costs) - 1} searches from other starts found nothing better"
+        others = f"{len(costs) - 1} search{'es' * (len(costs) > 2)} from other starts"
+        remark = f"the search {reason}; {others} found nothing better"
     else:
         same = f"{np.sum(costs <= (1 + LOWER) * costs[0] + EXACT)} of {len(costs)} starts"
         remark = f"the search from the given start {reason}; {same} led to the result, the best found"
@@ -126,8 +160,11 @@ def _ran_away(task: FitTask, ending: Ending) -> bool:
 # --- searches -------------------------------------------------------------------------------------
 
 
-def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int) -> list[Outcome]:
-    """Searches from some of the further starts, which a scrambled Sobol sequence spreads; they share one program."""
+def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int, late: float = np.inf) -> list[Outcome]:
+    """Searches from some of the further starts, which a scrambled Sobol sequence spreads; they share one program.
+
+    When the clock shows `late` there are no more, but there is one at least.
+    """
     space = problem.space
     count = max(which.stop, sum(ROUNDS))
     from scipy.stats import qmc
@@ -139,6 +176,8 @@ def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int) -> list[Ou
         moved, z = space.elsewhere(np.clip(draw, 1e-6, 1 - 1e-6), reach)
         end = minimise(replace(problem, space=moved), z)
         found.append(end._replace(z=space.seen_from(moved, end.z)))
+        if time.monotonic() > late:
+            break
     return found
 
 
@@ -153,8 +192,4 @@ def _costs(found: list[Outcome]) -> np.ndarray:
 
 def _cost(task: FitTask, ending: Ending) -> float:
     """The cost of an ending, with the first guess of the noise."""
-    problem, outcome = ending.minimum
-    pairs = zip(problem.data.noise, task.problem.data.noise, strict=True)
-    residual = outcome.residual.copy()
-    residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
-    return _height(outcome._replace(cost=np.sum(problem.softened(residual) ** 2)))
+    return ending.minimum.cost_with(task.problem.data.noise)

@@ -31,6 +31,7 @@ NO_NUMBER = "the model gave no number at the estimate; start closer, or leave ou
 NOT_SETTLED = "the noise estimates did not settle; give the noise of some data"
 STOPPED_SHORT = "the optimiser stopped short of a minimum; start closer, search from more starts, or allow more steps"
 BETTER_ELSEWHERE = "a better minimum lies elsewhere; start closer, or search from more starts"
+INTERRUPTED = "interrupted before the search had ended; the parameters are the best so far"
 NOISE_ROUNDS = 50
 NOTEWORTHY_FALL = 0.01  # of the sum of squares beside the minimum
 CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
@@ -88,6 +89,12 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
         evidence = replace(evidence, products=False)
         determination = determine(evidence)
     return Ending(minimum, evidence, determination, result, lower)
+
+
+def interrupted_at(task: FitTask, best: Minimum) -> Ending:
+    """The ending of a search that was interrupted."""
+    evidence = replace(_evidence(task, best), failed=True)
+    return Ending(best, evidence, determine(evidence), INTERRUPTED, None)
 
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:

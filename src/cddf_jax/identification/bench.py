@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from ..errors import InputError, within
 from ..history.history import History
+from ..measurements.left_out import numbered
 from ..measurements.markers import Marker, marker_column, marker_positions, markers_of, seen
 from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
@@ -280,8 +281,7 @@ class BenchModel(eqx.Module):
     @property
     def names(self) -> list[str]:
         """The names of the tables, with a number where two have the same name."""
-        names = [experiment.name for experiment in self.experiments]
-        return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
+        return numbered([experiment.name for experiment in self.experiments])
 
 
 class Group(NamedTuple):
@@ -339,7 +339,8 @@ def experiment_of(
         InputError: for columns that are missing, too many, or observe nothing, and readings that the body cannot have.
     """
     if "pulling_tension" in table:
-        return Pulley(table["weight"], table["wrap_angle"], table.name)
+        there = table.has("pulling_tension")
+        return Pulley(table["weight"][there], table["wrap_angle"][there], table.name)
     with within(table.name):
         columns = _observed(table, manipulator.num_tendons)
         if twice := [name for name in setting.markers if name in table.markers]:

@@ -14,17 +14,20 @@ from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
+from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without, without_contradicted
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from . import bench
+from .camera import camera_start, check_reach
 from .course import SHORT_STEPS, Course, course_of, has_history
 from .order_checks import order_remarks
 from .parameters import (
     PLAIN,
     TRIALS,
     BenchSetting,
+    camera_parameters,
     free_parameters,
     parameter_named,
     starting_value,
@@ -34,7 +37,7 @@ from .parameters import (
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import fit_trials
 from .tension_before import Before, first_guesses, starts_of
-from .verdict import SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
+from .verdict import AGAINST, SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)
 
@@ -58,6 +61,7 @@ class Fit(LeastSquaresFit):
     solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
     without_jitter: dict[str, Steady]  # by table with a history, the base tensions without the jitter of their cell
     setting: BenchSetting  # what all rows share
+    left_out: LeftOut  # by file, the rows whose readings were left out
     options: dict[str, object]  # the arguments of `fit` besides body and data, and the names of the free parameters
 
     @property
@@ -152,6 +156,14 @@ class Fit(LeastSquaresFit):
         return next((one.setting for one in with_it or found), bench.AllRows())
 
     @property
+    def contradicted(self) -> LeftOut:
+        """By file, the rows that made the fit fail, because tendons travel against the direction found for them."""
+        if not self.result.startswith(AGAINST):
+            return {}
+        ends = self.solve_results
+        return named_rows([end.table for end in ends], [end.contradicted for end in ends])
+
+    @property
     def _short_steps(self) -> int:
         courses = (one.course for one in self.model.experiments if isinstance(one, bench.Bench))
         return next((one.short_steps for one in courses if one is not None and one.short_steps), SHORT_STEPS)
@@ -223,6 +235,7 @@ def fit(
     history: bool | None = None,
     before: Before = "rest",
     short_steps: int = SHORT_STEPS,
+    leave_out: LeaveOut = (),
     per_trial: bool = False,
     loss: str = "linear",
     starts: int | None = None,
@@ -247,10 +260,11 @@ def fit(
             modulus friction and `stiffness_factor`. It may also be the constant drag per length,
             gain and zero of the cells (`tip_gain`, `base_zero`, `tip_gain_2` for the cell of tendon 2),
             `pretension`, `angle_zero`, the pose of the camera that sees tip and markers (`camera_x`, ...,
-            `camera_turn_z`), the direction of gravity (`gravity_turn_x`, ...), and errors of dimensions
-            (`outer_radius_error`, `tendon_angle_error`), best with priors. With a
-            history it may be `before` (`before_2` for trial 2), the largest base tension before the first row, N; of
-            several tendons that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for trial 3).
+            `camera_turn_z`; "camera" for all of it: its start is found from the readings), the direction of gravity
+            (`gravity_turn_x`, ...), and errors of dimensions (`outer_radius_error`, `tendon_angle_error`), best with
+            priors. With a history it may be `before` (`before_2` for trial 2), the largest base tension before the
+            first row, N; of several tendons that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for
+            trial 3).
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
@@ -267,6 +281,9 @@ def fit(
             first row.
         short_steps: into how many short steps each step of a history is divided with several tendons or loads, 2 or
             more; the report states the error that they leave.
+        leave_out: rows whose readings do not count, by their numbers in the file: [8, 14] or "8, 14, 20-23", and of
+            several files by name, {"run_2.csv": [8, 14]}. With a history such a row stays as a step of the path.
+            "contradicted": fit, leave out the rows that the fit contradicts, and fit again, until there is none.
         per_trial: let friction differ from trial to trial: ln(mu) has a normal distribution whose spread is estimated.
         loss, starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
@@ -283,6 +300,12 @@ def fit(
         free = free_parameters(manipulator, free)
     if not all(isinstance(table, Measurements) for table in tables):
         raise InputError("fit: data must be tables as read_measurements gives them, one or several")
+    if isinstance(leave_out, str) and leave_out.strip() == CONTRADICTED:
+        once = partial(fit, manipulator, free=free, priors=priors, bounds=bounds, noise=noise, setting=setting)
+        once = partial(once, history=history, before=before, short_steps=short_steps, per_trial=per_trial, loss=loss)
+        return without_contradicted(partial(once, starts=starts, seed=seed, nodes=nodes), tables)
+    with within("fit"):
+        tables, left_out = without(tables, leave_out)
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
     if "friction_coefficient" in free and all(own):
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
@@ -293,7 +316,8 @@ def fit(
     options: dict[str, object] = {
         **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
         **{"setting": setting.as_dict(), "history": history, "before": before, "short_steps": short_steps},
-        **{"per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed, "nodes": nodes},
+        **{"leave_out": left_out, "per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed},
+        **{"nodes": nodes},
     }
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
@@ -315,17 +339,23 @@ def fit(
     start |= {name: guess for name, (guess, _) in guesses.items()}
     own_bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive}
     bounds = own_bounds | {name: (low, None) for name, (_, low) in guesses.items()} | dict(bounds or {})
+    sigma = noise_of(groups, noise)
+    with within("fit"):
+        check_reach(model, groups, start, setting.given, bounds, sigma, outliers=loss != "linear")
+    pose = camera_parameters(manipulator)
+    if set(pose) <= set(free) and not any(name in setting.given or name in bounds for name in pose):
+        start |= camera_start(model, groups, start)
     scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
-    data_of = {"observed": {group.label: group.observed for group in groups}, "sigma": noise_of(groups, noise)}
+    data_of = {"observed": {group.label: group.observed for group in groups}, "sigma": sigma}
     search = partial(least_squares_fit, model, **data_of, bounds=bounds, loss=loss, seed=seed, prefer_start=True)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        return _conclude(statistics, tables, model, setting, without_jitter, float("nan"), options)
+        return _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)
     if "friction_coefficient" not in free or earlier[-1] < 2:
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
-    return _conclude(statistics, tables, model, setting, without_jitter, spread, options)
+    return _conclude(statistics, tables, model, setting, without_jitter, spread, left_out, options)
 
 
 def _courses(
@@ -393,12 +423,13 @@ def _conclude(
     setting: BenchSetting,
     without_jitter: dict[str, Steady],
     trial_spread: float,
+    left_out: LeftOut,
     options: dict[str, object],
 ) -> Fit:
     """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
     body = model.manipulator
     ends = tuple(solve_results(statistics.parameters, tables, model))
-    if statistics.success and (reason := next(filter(None, map(doubt, ends)), "")):
+    if statistics.success and (reason := doubt(ends)):
         statistics = statistics.doubted(reason)
     both = "friction_coefficient", stiffness_parameter(body)
     fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
@@ -423,5 +454,6 @@ def _conclude(
         solve_results=ends,
         without_jitter=without_jitter,
         setting=setting,
+        left_out=left_out,
         options=options,
     )

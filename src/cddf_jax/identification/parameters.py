@@ -25,6 +25,7 @@ from ..units import Dimension, shown, si_unit
 from .tension_before import PARAMETER, is_past
 
 TRIALS = "trial_deviation"  # ln(mu of a trial / mu), one each
+CAMERA = "camera"  # all parameters of the pose of the camera together
 
 Parameters = Mapping[str, ArrayLike]  # numbers by name; TRIALS has one for each trial
 
@@ -80,14 +81,22 @@ def stiffness_parameter(manipulator: Manipulator) -> str:
     return "stiffness_factor" if modulus is None or callable(modulus) else "youngs_modulus"
 
 
+def camera_parameters(manipulator: Manipulator) -> tuple[str, ...]:
+    """The pose of the camera: shift and turn, of six numbers in space and three in the plane."""
+    axes, turns = ("xyz", "xyz") if manipulator.in_space else ("xy", "z")
+    return (*(f"{CAMERA}_{axis}" for axis in axes), *(f"{CAMERA}_turn_{axis}" for axis in turns))
+
+
 def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) -> tuple[str, ...]:
-    """The names of the free parameters; those of friction and stiffness for None.
+    """The names of the free parameters; those of friction and stiffness for None, and of its pose for "camera".
 
     Raises:
         InputError: for an unknown name, or a parameter that this body does not have.
     """
     names = ("friction_coefficient", stiffness_parameter(manipulator)) if free is None else free
-    names = (names,) if isinstance(names, str) else tuple(names)
+    names = (names,) if isinstance(names, str) else names
+    pose = camera_parameters(manipulator)
+    names = tuple(dict.fromkeys(one for name in names for one in (pose if name == CAMERA else (name,))))
     for name in names:
         parameter_named(name)
     if "youngs_modulus" in names and stiffness_parameter(manipulator) != "youngs_modulus":
@@ -227,5 +236,7 @@ def parameter_named(name: str) -> Parameter:
         name = stem
     name = PARAMETER if is_past(name) else name
     if name not in PARAMETERS:
-        raise InputError(f"{name!r} is not a parameter that can be fitted; there are {', '.join(PARAMETERS)}")
+        raise InputError(
+            f"{name!r} is not a parameter that can be fitted; there are {', '.join((*PARAMETERS, CAMERA))}"
+        )
     return PARAMETERS[name]

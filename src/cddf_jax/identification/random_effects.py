@@ -8,6 +8,7 @@ import numpy as np
 from ..estimation.determination import determine
 from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.parameter_space import Priors
+from ..estimation.whole_search import INTERRUPTED
 from .parameters import TRIALS, Parameters
 
 SPREAD_ROUNDS = 20
@@ -42,6 +43,8 @@ def fit_trials(
         return search(start, priors={**priors, **of_trials[0]}, scales={**scales, **of_trials[1]}, starts=starts)
 
     statistics = first = fitted(start, spread, starts)
+    if statistics.result == INTERRUPTED:
+        return statistics, spread
     random = tuple(i for i, name in enumerate(statistics.names) if name in names)
     for _ in range(SPREAD_ROUNDS):
         last, spread = spread, _likeliest_spread(statistics, random)

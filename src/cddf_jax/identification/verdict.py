@@ -7,6 +7,9 @@ import numpy as np
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
+from ..estimation.whole_search import INTERRUPTED
+from ..measurements.columns import is_reading
+from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
 from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
@@ -14,6 +17,7 @@ from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS, code_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel
+from .camera import frame_hint
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
 from .tension_before import is_past
 
@@ -24,6 +28,7 @@ LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 INCOMPRESSIBLE = 0.5  # Poisson's ratio of an isotropic material that keeps its volume, the largest possible one
 CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
 LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
+AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
 OUTSIDE = {  # results of rows without a solution, by their names in messages
     "not physical": RESULTS.unphysical,
@@ -42,10 +47,11 @@ class SolveResults(NamedTuple):
     table: Measurements
     results: RESULTS
     contradicted: np.ndarray  # (rows,), whether a tendon travels against its direction, which the table did not state
+    read: np.ndarray  # (rows,), whether there is a reading; the other rows do not count
 
-    def rows(self, *codes: RESULTS) -> np.ndarray:
-        """The rows, from 0, whose solve ended with one of these results; `table.place` gives their rows in the file."""
-        return np.flatnonzero(np.isin(np.asarray(code_of(self.results)), [int(code_of(code)) for code in codes]))
+    def ended(self, *codes: RESULTS) -> np.ndarray:
+        """(rows,), whether there is a reading, and the solve ended with one of these results."""
+        return np.isin(np.asarray(code_of(self.results)), [int(code_of(code)) for code in codes]) & self.read
 
 
 def solve_results(parameters: Parameters, tables: Sequence[Measurements], model: BenchModel) -> Iterator[SolveResults]:
@@ -56,28 +62,33 @@ def solve_results(parameters: Parameters, tables: Sequence[Measurements], model:
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
             against = np.any(np.asarray(shown.against)[:, found], axis=1)
             contradicted = np.asarray(code_of(shown.results)) == int(code_of(RESULTS.direction_contradicted))
-            yield SolveResults(name, table, shown.results, contradicted & against)
+            read = np.any([table.has(column) for column in table.columns if is_reading(column)], axis=0)
+            yield SolveResults(name, table, shown.results, contradicted & against & read, read)
 
 
-def doubt(solves: SolveResults) -> str:
-    """Why these rows cannot determine parameters; "" where they can."""
-    if len(solves.rows(RESULTS.successful)) == len(solves.table):
+def doubt(ends: Sequence[SolveResults]) -> str:
+    """Why the rows of the tables cannot determine parameters; "" where they can."""
+    for solves in ends:
+        outside, count = solves.ended(*OUTSIDE.values()), np.count_nonzero(solves.read)
+        where = rows_in_words(named_rows([solves.table], [outside]))
+        if np.count_nonzero(outside) > MOST * count:
+            kinds = ", ".join(words for words, code in OUTSIDE.items() if np.any(solves.ended(code)))
+            return (
+                f"most rows of {solves.name} have no solution in the model ({np.count_nonzero(outside)} of {count}, "
+                f"{where}: {kinds}); check the units of the table and the dimensions of the body"
+            )
+    tables = [solves.table for solves in ends]
+    rows = named_rows(tables, [solves.contradicted for solves in ends])
+    if not rows:
         return ""
-    rows, count = solves.rows(*OUTSIDE.values()), len(solves.table)
-    if len(rows) > MOST * count:
-        kinds = ", ".join(words for words, code in OUTSIDE.items() if len(solves.rows(code)))
-        return (
-            f"most rows of {solves.name} have no solution in the model ({len(rows)} of {count}, the first is "
-            f"{solves.table.place(rows[0])}: {kinds}); check the units of the table and the dimensions of the body"
-        )
-    rows = np.flatnonzero(solves.contradicted)
-    if len(rows):
-        return (
-            f"tendons travel against the direction that was found for them in {len(rows)} of {count} rows of "
-            f"{solves.name} (the first is {solves.table.place(rows[0])}); state it in columns direction, "
-            "direction_2, ..., or leave these rows out"
-        )
-    return ""
+    alone = len({file for own in sources(tables) for file in own}) == 1
+    found, count = sum(map(len, rows.values())), sum(np.count_nonzero(solves.read) for solves in ends)
+    return (
+        f"{AGAINST} in {found} of {count} rows: "
+        f"{rows_in_words(rows)}; parts of them stick there. Leave these rows out: "
+        f"{as_leave_out(rows, alone=alone)}, or --leave-out {CONTRADICTED} for these and for those that the next fits "
+        "contradict (leave_out in Python). Or state the directions in columns direction and direction_2"
+    )
 
 
 def fit_warnings(fit: "Fit") -> list[str]:
@@ -116,10 +127,10 @@ def fit_warnings(fit: "Fit") -> list[str]:
     for solves in fit.solve_results:
         for code in NOTEWORTHY:
             contradicted = code is RESULTS.direction_contradicted
-            rows = np.flatnonzero(solves.contradicted) if contradicted else solves.rows(code)
-            if len(rows):
-                where = f"{len(rows)} of {len(solves.table)} rows (the first is {solves.table.place(rows[0])})"
-                found.append(f"{solves.name}: {where}: {RESULTS[code]}")
+            which = solves.contradicted if contradicted else solves.ended(code)
+            if np.any(which):
+                where = f"{np.count_nonzero(which)} of {np.count_nonzero(solves.read)} rows"
+                found.append(f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {RESULTS[code]}")
     return found
 
 
@@ -191,11 +202,22 @@ def error_in_words(known: Determination, name: str) -> str:
 def verdict_of(fit: "Fit") -> list[str]:
     """What the data determine, what they do not determine, and what measurement would help."""
     lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
-    lines += estimates_in_words(fit, fit.bounded_above)
+    lines += [hint] if not fit.success and (hint := frame_hint(fit)) else []
+    lines += [f"Left out: {rows_in_words(fit.left_out)}."] if fit.left_out else []
+    lines += so_far_in_words(fit) if fit.result == INTERRUPTED else estimates_in_words(fit, fit.bounded_above)
     if TRIALS in fit.parameters:
         lines.append(f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)")
     lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
     return lines + [_advice(fit, lost)] * bool(lost and fit.success)
+
+
+def so_far_in_words(fit: "Fit") -> list[str]:
+    """A line for each fitted parameter of a search that was interrupted."""
+    own = [name for name in fit.names if not name.startswith(TRIALS)]
+    shown = [(name, *shown_unit(name)) for name in own]
+    misfit, group = fit.minimum.misfit
+    lines = [f"{name} = {scale * fit.value[name]:.4g}{unit} so far: not identified" for name, scale, unit in shown]
+    return [*lines, f"misfit {100 * misfit:.3g} % of the scatter of {group}"]
 
 
 def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) -> list[str]:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..errors import InputError
@@ -106,3 +107,24 @@ def seen(
         x, y = position[..., 0], position[..., 1]
         return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + shift[:2]
     return in_fixed_frame(of_turn(turn), position) + shift
+
+
+def registered(
+    positions: Float[np.ndarray, "points components"], read: Float[np.ndarray, "points components"]
+) -> tuple[float, list[float]]:
+    """The pose in which a camera sees positions as they were read: the inverse of `seen`, by Kabsch (1976).
+
+    Returns:
+        The mean square of what remains, m^2, and shift and turn: six numbers in space, three in the plane.
+    """
+    from scipy.spatial.transform import Rotation
+
+    own, theirs = positions - positions.mean(axis=0), read - read.mean(axis=0)
+    left, _, right = np.linalg.svd(theirs.T @ own)
+    signs = np.ones(len(left))
+    signs[-1] = np.linalg.det(left @ right)
+    turn = left * signs @ right
+    rest = float(np.mean(np.sum((theirs - own @ turn.T) ** 2, axis=1)))
+    shift = read.mean(axis=0) - turn @ positions.mean(axis=0)
+    angles = [np.arctan2(turn[1, 0], turn[0, 0])] if len(turn) == 2 else Rotation.from_matrix(turn).as_rotvec()
+    return rest, [*map(float, shift), *map(float, angles)]

@@ -193,11 +193,16 @@ class Measurements:
         Args:
             row: 0, 1, ... as in the columns.
         """
+        file = self.file_of(row)
+        return f"row {self.rows[row]} of {file}" if file else f"row {self.rows[row]}"
+
+    def file_of(self, row: int) -> str:
+        """The file that a row is from, where trials are files; else ""."""
         if not self.files:
-            return f"row {self.rows[row]}"
+            return ""
         trial = int(self.trial[row])
         file = self.files[trial]
-        return f"row {self.rows[row]} of {file if self.files.count(file) == 1 else self.trial_labels[trial]}"
+        return file if self.files.count(file) == 1 else self.trial_labels[trial]
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:

@@ -24,8 +24,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 
 if TYPE_CHECKING:
-    from ..identification.model_free import Disagreement, ModelFreeFriction
-    from ..identification.model_free_loop import ModelFreeLoop
+    from ..identification.model_free import Disagreement, ModelFreeFriction, ModelFreeLoop
 
 PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
 LEAST_ROWS = 3  # for friction without a model
@@ -120,7 +119,7 @@ def _loops(fit: Fit) -> dict[str, LoopCompared]:
     body = fit.manipulator
     if not fit.success or body.tendon_drag is not None or body.slanted or fit.setting.loads is not None:
         return {}
-    from ..identification.model_free_loop import model_free_loop
+    from ..identification.model_free import model_free_loop
 
     found = {}
     for name, table in _from_rest(fit, ("tip_tension",)):

@@ -1,0 +1,171 @@
+"""The frame in which a camera sees tip and markers: where the search for its pose starts, and when it must be wrong."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..errors import InputError
+from ..estimation.levenberg_marquardt import UNEXPLAINED
+from ..estimation.observations import Noise
+from ..estimation.parameter_space import Bounds
+from ..measurements.markers import registered
+from .bench import Bench, BenchModel, Group
+from .parameters import CAMERA, TRIALS, camera_parameters, stiffness_parameter
+
+if TYPE_CHECKING:
+    from .fit import Fit
+
+FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the stiffness at the start, for which the pose is found
+LEAST_POINTS = 3  # to find a pose
+SPARE = 0.1  # of a length: it may be measured badly, and what is tracked may sit beyond the tip
+STRETCHED = 2.0  # times the length, which a body that stretches does not reach
+SURE = 6.0  # standard deviations of the noise
+MOST = 0.5  # of the rows; with more out of reach, the frame is unknown
+
+
+class Tracked(NamedTuple):
+    """The tip, or a marker, in one table."""
+
+    what: str  # "the tip" or "the marker head"
+    reach: float  # m, its largest distance from the base along the body
+    axes: dict[str, Group]  # by "x", "y", "z": the readings
+
+
+def _points(groups: Sequence[Group]) -> Iterator[Tracked]:
+    """Every point of every table whose coordinates were read."""
+    for name in dict.fromkeys(group.name for group in groups):
+        own = {group.column: group for group in groups if group.name == name}
+        bench = next(iter(own.values())).experiment
+        if not isinstance(bench, Bench):
+            continue
+        tip = {axis: own[f"tip_{axis}"] for axis in "xyz" if f"tip_{axis}" in own}
+        found = [Tracked("the tip", np.nan, tip)]
+        places = zip(bench.setting.marker_names, bench.setting.arc_length, bench.setting.offset, strict=True)
+        for marker, place, offset in places:
+            axes = {axis: own[f"{axis}@{marker}"] for axis in "xyz" if f"{axis}@{marker}" in own}
+            found.append(Tracked(f"the marker {marker}", float(place + np.linalg.norm(offset)), axes))
+        yield from (point for point in found if point.axes)
+
+
+# --- readings out of reach -------------------------------------------------------------------------
+
+
+def check_reach(
+    model: BenchModel,
+    groups: Sequence[Group],
+    start: Mapping[str, float],
+    given: Mapping[str, float],
+    bounds: Bounds,
+    noise: Mapping[str, object],
+    *,
+    outliers: bool,
+) -> None:
+    """Refuse positions that are farther from the base than the body is long, whatever the parameters are.
+
+    Args:
+        model, groups: the bench and its data.
+        start: the parameters that are fitted.
+        given: known parameters.
+        bounds: of the fitted parameters.
+        noise: by label of a group.
+        outliers: whether single rows may be out of reach.
+
+    Raises:
+        InputError: names table, row and remedy.
+    """
+    body, longest = model.manipulator, float(np.asarray(model.manipulator.length))
+    if "length" in start:
+        longest = bounds.get("length", (None, None))[1] or np.inf
+    spare = STRETCHED if body.extensible else 1 + SPARE
+    for point in _points(groups):
+        reach = spare * (point.reach if np.isfinite(point.reach) and "length" not in start else longest)
+        table = next(iter(point.axes.values())).table
+        gaps = [_gap(axis, group, start, given, bounds, noise) for axis, group in point.axes.items()]
+        distance = np.linalg.norm(gaps, axis=0)
+        far = np.flatnonzero(distance > reach)
+        if not len(far) or (outliers and len(far) <= MOST * len(table)):
+            continue
+        i = int(far[0])
+        single = "" if len(far) > MOST * len(table) else "leave the row out (leave_out, --leave-out), "
+        raise InputError(
+            f"{point.what} is {1e3 * distance[i]:.0f} mm or more from the base, but a body of {1e3 * longest:.0f} mm "
+            f"reaches {1e3 * reach:.0f} mm ({len(far)} of {len(table)} rows)",
+            where=(f"{table.name}", f"{table.place(i)}, {', '.join(group.column for group in point.axes.values())}"),
+            remedy=f"check the unit, {single}or {_with_pose(start)}",
+        )
+
+
+def _with_pose(free: Iterable[str]) -> str:
+    """How to fit the pose of the camera with the parameters that are fitted already."""
+    own = sorted({name for name in free if not name.startswith((TRIALS, CAMERA))})
+    return f"fit the pose of its frame too: free = {', '.join([*own, CAMERA])} (one --free for each)"
+
+
+def frame_hint(fit: "Fit") -> str:
+    """What to do where positions are hardly explained, and the pose of their frame was not fitted; else ""."""
+    ratio, group = fit.minimum.misfit
+    positions = [one.label for point in _points(fit.groups) for one in point.axes.values()]
+    if ratio < UNEXPLAINED or group not in positions or set(camera_parameters(fit.manipulator)) <= set(fit.names):
+        return ""
+    return f"{group} is hardly explained: if it is not measured in the frame of the base, {_with_pose(fit.names)}."
+
+
+def _gap(
+    axis: str,
+    group: Group,
+    start: Mapping[str, float],
+    given: Mapping[str, float],
+    bounds: Bounds,
+    noise: Mapping[str, object],
+) -> np.ndarray:
+    """(rows,), the least distance along an axis of the camera from the base to the reading, m; 0 where none was read.
+
+    The base is anywhere within the bounds of a camera that is fitted.
+    """
+    name = f"{CAMERA}_{axis}"
+    low, high = bounds.get(name, (None, None)) if name in start else (given.get(name, 0.0),) * 2
+    low, high = -np.inf if low is None else low, np.inf if high is None else high
+    read = group.table[group.column]
+    sigma = noise.get(group.label)
+    if isinstance(sigma, Noise):
+        sigma = np.hypot(sigma.floor or 0.0, (sigma.fraction or 0.0) * group.observed)
+    found = np.zeros(len(read))
+    own = np.maximum(group.observed - high, low - group.observed) - SURE * np.asarray(0.0 if sigma is None else sigma)
+    found[group.there] = np.maximum(own, 0.0)
+    return found
+
+
+# --- where the search starts -----------------------------------------------------------------------
+
+
+def camera_start(model: BenchModel, groups: Sequence[Group], start: Mapping[str, float]) -> dict[str, float]:
+    """The start of the whole pose of the camera, and of the stiffness where it is fitted; {} where none is found.
+
+    The positions that the model shows at the start are turned and shifted onto the readings (Kabsch 1976, Acta
+    Crystallographica A 32, 922), for several stiffnesses; the one whose rest is smallest is taken.
+    """
+    names, stiffness = camera_parameters(model.manipulator), stiffness_parameter(model.manipulator)
+    found: list[tuple[float, dict[str, float]]] = []
+    points = [point for point in _points(groups) if len(point.axes) == (3 if model.manipulator.in_space else 2)]
+    for factor in FACTORS if stiffness in start else (1.0,):
+        at = {**start, **dict.fromkeys(names, 0.0)}
+        at |= {stiffness: factor * start[stiffness]} if stiffness in start else {}
+        pairs = [_pairs(point, model, at) for point in points]
+        if sum(map(len, pairs)) < LEAST_POINTS:
+            continue
+        rest, pose = registered(*np.moveaxis(np.concatenate(pairs), 1, 0))
+        own = {stiffness: at[stiffness]} if stiffness in start else {}
+        found.append((rest, own | dict(zip(names, pose, strict=True))))
+    return min(found, key=lambda one: one[0])[1] if found else {}
+
+
+def _pairs(point: Tracked, model: BenchModel, parameters: Mapping[str, float]) -> np.ndarray:
+    """(points, 2, axes), m: the positions in the model, and those that were read."""
+    groups = list(point.axes.values())
+    bench = groups[0].experiment
+    assert isinstance(bench, Bench)
+    shown = bench.evaluate(model.manipulator, parameters, model.nodes).readings
+    both = [[shown[group.column], group.table[group.column]] for group in groups]
+    pairs = np.moveaxis(np.array(both), 0, 2).swapaxes(0, 1)
+    return pairs[np.all(np.isfinite(pairs), axis=(1, 2))]

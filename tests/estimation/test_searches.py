@@ -1,0 +1,85 @@
+"""How searches go on: portions of steps, Ctrl-C, the misfit that progress shows, the time limit."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cddf_jax.estimation import levenberg_marquardt, restarts
+from cddf_jax.estimation.least_squares import least_squares_fit
+from cddf_jax.estimation.levenberg_marquardt import WATCHED, Watch, minimise
+from cddf_jax.estimation.whole_search import INTERRUPTED
+from cddf_jax.progress import SHOWN, Log, Stages
+
+X = np.linspace(0.0, 3.0, 12)
+TRUE = {"height": 2.0, "rate": 0.7}
+DATA = TRUE["height"] * np.exp(-TRUE["rate"] * X) + 0.01 * np.sin(7 * X)
+START = {"height": 20.0, "rate": 3.0}
+
+
+def decay(p):
+    return p["height"] * jnp.exp(-p["rate"] * X)
+
+
+def test_portions_of_steps_find_the_same():
+    """One step at a time, and all at once."""
+    problem = least_squares_fit(decay, START, DATA, sigma=0.01).minimum.problem
+    found = []
+    for portion in 1, 500:
+        before = WATCHED.set(Watch(portion=portion))
+        found.append(minimise(problem, np.array([0.3, -0.4])))
+        WATCHED.reset(before)
+    assert all(one.solved and one.num_steps > 3 for one in found)
+    np.testing.assert_allclose(found[0].parameters, found[1].parameters, rtol=1e-8)
+
+
+@pytest.mark.parametrize("looks", [1, 3])
+def test_ctrl_c_gives_the_best_so_far(monkeypatch, looks):
+    """Interrupted after some looks at the search: better than the start, and nothing is called identified."""
+    seen, saw = [], Watch.saw
+
+    def look(watch, minimum, seconds, **how):
+        saw(watch, minimum, seconds, **how)
+        seen.append(float(minimum.outcome.cost))
+        if len(seen) == looks:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Watch, "saw", look)
+    fit = least_squares_fit(decay, START, DATA, sigma=0.01)
+    assert (fit.success, fit.result) == (False, INTERRUPTED)
+    assert set(fit.status.values()) == {"not identified"}
+    assert set(fit.standard_error.values()) == {np.inf}
+    assert np.sum((decay(fit.value) - DATA) ** 2) / 0.01**2 == pytest.approx(min(seen))
+
+
+def test_an_interruption_before_the_first_step_is_raised(monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(levenberg_marquardt, "_descend", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        least_squares_fit(decay, START, DATA, sigma=0.01)
+
+
+def test_progress_tells_step_misfit_and_estimates():
+    """The misfit is the root mean square of the residuals over that of the data about their mean, by NumPy."""
+    fit = least_squares_fit(decay, START, DATA, sigma=0.01)
+    ratio = np.linalg.norm(fit.residuals) / np.linalg.norm(DATA - DATA.mean())
+    found = f"misfit {100 * ratio:.3g} % (data), height {fit.value['height']:.4g}, rate {fit.value['rate']:.4g}"
+    assert fit.minimum.in_words == f"step {fit.num_steps}, {found}"
+    said, shown = [], Stages(Log(lambda _: None))
+    before = SHOWN.set(shown)
+    shown.look = lambda: said.append(shown.now[-1].what)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Watch, "saw", lambda watch, *_, **__: shown.look())
+        least_squares_fit(decay, START, DATA, sigma=0.01)
+    SHOWN.reset(before)
+    assert said[0] == "step 1"
+    assert said[1].startswith("step 2, misfit ")
+
+
+def test_other_searches_end_in_time(monkeypatch):
+    """No place explains a parabola by a line through 0; without time there is one more search, and the fit says so."""
+    monkeypatch.setattr(restarts, "LONGEST", 0.0)
+    fit = least_squares_fit(lambda p: p["a"] * X, {"a": 1.0}, 5 + (X - 1.5) ** 2, bounds={"a": (0.0, 1e-3 + 1.0)})
+    assert not fit.success
+    assert "other searches ended after 0 s; give starts to allow more" in fit.restarted

@@ -1,0 +1,79 @@
+"""Rows that a fit leaves out: how they are named, what is left of a table, and the rounds of `contradicted`."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+from cddf_jax.measurements.left_out import as_leave_out, rows_in_words, without, without_contradicted
+from cddf_jax.measurements.trials import read_tables
+
+TENSION = np.linspace(5.0, 40.0, 8)
+
+
+def table(name="bench", **columns):
+    readings = columns or {"tip_tension": 0.8 * TENSION, "tip_angle": 0.02 * TENSION}
+    return cddf.Measurements.from_columns(name, base_tension=TENSION, **readings)
+
+
+@pytest.mark.parametrize("rows", ["2, 4-6", "2 4 - 6", "2;4,5-6", [2, 4, 5, 6], {"bench": "2, 4-6"}], ids=str)
+def test_ways_to_name_rows(rows):
+    (found,), left_out = without([table()], rows)
+    assert left_out == {"bench": [2, 4, 5, 6]}
+    assert np.flatnonzero(np.isnan(found["tip_tension"])).tolist() == [1, 3, 4, 5]  # rows are counted from 1
+    assert np.flatnonzero(np.isnan(found["tip_angle"])).tolist() == [1, 3, 4, 5]
+    np.testing.assert_array_equal(found["base_tension"], TENSION)  # they stay as steps of a path
+    assert rows_in_words(left_out) == "rows 2, 4-6 of bench"
+    assert as_leave_out(left_out, alone=True) == '--leave-out "2, 4-6"'  # as it is read again above
+
+
+def test_rows_of_files(tmp_path):
+    """Two files with the same columns are the trials of one table, and a row is counted in its own file."""
+    paths = [tmp_path / "run_1.csv", tmp_path / "run_2.csv"]
+    for path in paths:
+        path.write_text("base_tension [N], tip_tension [N]\n10, 8\n20, 15\n30, 21\n")
+    tables = read_tables(paths, {})
+    (*_, found), left_out = without(tables, {"run_2.csv": "3"})
+    assert left_out == {"run_2.csv": [3]}  # the second row of data is line 3
+    assert np.flatnonzero(np.isnan(found["tip_tension"])).tolist() == [len(found) - 2]
+    assert as_leave_out(left_out, alone=False) == '--leave-out "run_2.csv=3"'
+    with pytest.raises(InputError, match="say of which file, such as"):
+        without(tables, "3")
+
+
+def test_a_column_without_a_reading_is_gone():
+    once = table(tip_tension=0.8 * TENSION, tip_angle=np.where(np.arange(8) == 2, 0.1, np.nan))
+    (found,), _ = without([once], [3])
+    assert "tip_angle" not in found
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("9", "leave_out: bench has no row 9; rows are counted as in the file"),
+        ("two", "leave_out 'two': 'two' is not a row; write rows such as"),
+        ([1.5], "leave_out: needs the numbers of rows, got"),
+        ({"other": [1]}, "leave_out: there is no file 'other'; there are bench"),
+        ("1-8", "leave_out: no reading of bench is left; leave out fewer rows, or the whole table"),
+    ],
+    ids=str,
+)
+def test_refusals(rows, words):
+    with pytest.raises(InputError) as error:
+        without([table()], rows)
+    assert words in str(error.value)
+
+
+def test_rows_are_left_out_until_the_fit_contradicts_none():
+    """A stand-in for a fit contradicts rows 3 and 5, then 2, then none."""
+    asked = []
+
+    def fit(tables, leave_out):
+        asked.append(leave_out)
+        rows = [[3, 5], [2], []][len(asked) - 1]
+        return SimpleNamespace(contradicted={"bench": rows} if rows else {}, number=len(asked))
+
+    assert without_contradicted(fit, [table()]).number == 3
+    assert asked == [{}, {"bench": [3, 5]}, {"bench": [3, 5, 2]}]
