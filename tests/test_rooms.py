@@ -133,9 +133,7 @@ def test_what_is_imported_on_demand_is_not_imported_at_once(name, imported):
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_a_room_is_small_and_says_what_it_is_for(room):
-    files = list((SOURCE / room).glob("*.py"))
-    assert 3 <= len(files) <= 14
+def test_a_room_says_what_it_is_for(room):
     assert (ast.get_docstring(tree_of(f"{room}/__init__")) or "").splitlines()[0].endswith((".", "`"))
     assert not [path for path in (SOURCE / room).iterdir() if path.is_dir() and path.name != "__pycache__"]
 
