@@ -277,7 +277,7 @@ def course_of(
             "of base tensions; give one tension for each column"
         )
     for own, start in zip(table.trials, starts, strict=True):
-        steadied = [without_jitter(table[column][own], noise) for column in pulled]
+        steadied = [_of_table(without_jitter(table[column][own], noise), own) for column in pulled]
         if exact:
             _check_directions(table, own, steadied[0], start)
         given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
@@ -300,7 +300,19 @@ def course_of(
 def _together(found: list[Steady], tension: np.ndarray) -> Steady:
     """The base tensions of the table, with the noise and the ignored turns of all trials."""
     largest = max(found, key=lambda steady: steady.noise)
-    return Steady(tension, largest.noise, largest.least_turn, sum(steady.num_ignored for steady in found))
+    ignored, merged = (
+        sum(steady.num_ignored for steady in found),
+        (level for steady in found for level in steady.merged),
+    )
+    return largest._replace(tension=tension, num_ignored=ignored, merged=tuple(merged))
+
+
+def _of_table(steady: Steady, rows: np.ndarray) -> Steady:
+    """The same with the levels by the rows of the table, from 0."""
+    own = rows.tolist()
+    return steady._replace(
+        merged=tuple(run._replace(first=own[run.first], last=own[run.last]) for run in steady.merged)
+    )
 
 
 def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, start: Start) -> None:

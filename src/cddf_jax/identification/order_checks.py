@@ -84,7 +84,12 @@ def _mixed_up(fit: "Fit", table: Measurements, bench: Bench, groups: list[Group]
     squares = np.zeros(len(table))
     for group in groups:
         squares[group.there] += fit.standardised_residuals[group.label] ** 2
-    if not np.all(np.isfinite(squares)) or course.readings.size > MOST_STEPS or course.short_steps is not None:
+    if (
+        not np.all(np.isfinite(squares))
+        or not np.any(squares)
+        or course.readings.size > MOST_STEPS
+        or course.short_steps is not None
+    ):
         return []
     found, now = [], float(np.sum(squares))
     pairs = _suspects(course, squares)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
+from ..measurements.jitter import Steady
 from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 INCOMPRESSIBLE = 0.5  # Poisson's ratio of an isotropic material that keeps its volume, the largest possible one
 CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
+SHOWN = 4  # levels that a warning names
 LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
 OUTSIDE = {  # results of rows without a solution, by their names in messages
@@ -83,10 +85,14 @@ def doubt(solves: SolveResults) -> str:
 def fit_warnings(fit: "Fit") -> list[str]:
     """Warnings about the tables, the statistics and the solver, at the estimate."""
     found = [f"{table.name}: {warning}" for table, own in _warnings_of_tables(fit) for warning in own]
+    with_history = [
+        table for name, table in zip(fit.model.names, fit.tables, strict=True) if name in fit.without_jitter
+    ]
     found += [
         f"{name}: base_tension jitters by {one.noise:.2g} N (standard deviation), and {one.num_ignored} of its turns "
-        f"of {one.least_turn:.2g} N or less are taken for noise; if they are real, give the noise of base_tension"
-        for name, one in fit.without_jitter.items()
+        f"of {one.least_turn:.2g} N or less are taken for noise{_merged_in_words(one, table)}; if they are real, give "
+        "the noise of base_tension"
+        for (name, one), table in zip(fit.without_jitter.items(), with_history, strict=True)
         if one.num_ignored
     ]
     found += [
@@ -121,6 +127,15 @@ def fit_warnings(fit: "Fit") -> list[str]:
                 where = f"{len(rows)} of {len(solves.table)} rows (the first is {solves.table.place(rows[0])})"
                 found.append(f"{solves.name}: {where}: {RESULTS[code]}")
     return found
+
+
+def _merged_in_words(steady: Steady, table: Measurements) -> str:
+    """Which rows became one level of base tension."""
+    levels = [
+        f"{table.place(one.first)} to {table.place(one.last)} are {one.tension:.5g} N" for one in steady.merged[:SHOWN]
+    ]
+    more = len(steady.merged) - SHOWN
+    return f" ({'; '.join(levels)}{f'; and {more} more levels' if more > 0 else ''})" if levels else ""
 
 
 def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, ...]]]:
