@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, PyTree
 from ..errors import InputError
 from .parameter_space import Numbers, ParameterSpace, Prior, Structure
 from .robust_loss import LOSSES
+from .shared_errors import Shared
 
 
 class Data(NamedTuple):
@@ -32,12 +33,16 @@ class LeastSquaresProblem:
     unravel: Structure = field(metadata={"static": True})
     groups: tuple[str, ...] = field(metadata={"static": True})  # of the data
     data: Data
+    shared: Shared  # errors of inputs in the data
     space: ParameterSpace
     loss: str = field(metadata={"static": True})
     max_steps: int = field(metadata={"static": True})  # of a search
 
     def residual(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " m"]:
-        """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors."""
+        """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors.
+
+        Where inputs have errors, the data are whitened, see `Shared`.
+        """
         parameters = self.parameters(z, held)
         predicted = jax.tree.leaves(self.predict(self.unravel(parameters)))
         values, noise, _, prior = self.data
@@ -45,9 +50,10 @@ class LeastSquaresProblem:
         if sizes != wanted:
             raise InputError(f"predict gives arrays of {sizes} numbers where the data have {wanted}")
         groups = zip(predicted, values, noise, strict=True)
-        rows = [jnp.ravel((jnp.reshape(p, jnp.shape(v)) - v) / s) for p, v, s in groups]
+        rows = jnp.concatenate([jnp.ravel((jnp.reshape(p, jnp.shape(v)) - v) / s) for p, v, s in groups])
+        rows = self.shared.whitened(rows)
         pulls = [(parameters[i] - one.mean) / one.standard_deviation for i, one in prior.items()]
-        return jnp.concatenate([*rows, jnp.stack(pulls)] if pulls else rows)
+        return jnp.concatenate([rows, jnp.stack(pulls)]) if pulls else rows
 
     def parameters(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " n"]:
         """The parameters at z; `held` is NaN where they are free."""
@@ -69,6 +75,10 @@ class LeastSquaresProblem:
         """Half the derivative of the cost by each residual."""
         data, prior = np.split(residual, [self.num_data])
         return np.append(LOSSES[self.loss].influence(data), prior)
+
+    def unwhitened(self, rows: np.ndarray) -> np.ndarray:
+        """The rows of the data as they are without errors of inputs, and then those of the priors."""
+        return np.concatenate([self.shared.unwhitened(rows[: self.num_data]), rows[self.num_data :]])
 
     def by_group(self, rows: np.ndarray) -> list[np.ndarray]:
         """An array with a row for each residual, split by group of data, without the rows of the priors."""

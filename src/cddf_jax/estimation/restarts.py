@@ -155,6 +155,6 @@ def _cost(task: FitTask, ending: Ending) -> float:
     """The cost of an ending, with the first guess of the noise."""
     problem, outcome = ending.minimum
     pairs = zip(problem.data.noise, task.problem.data.noise, strict=True)
-    residual = outcome.residual.copy()
+    residual = problem.unwhitened(outcome.residual)
     residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
     return _height(outcome._replace(cost=np.sum(problem.softened(residual) ** 2)))

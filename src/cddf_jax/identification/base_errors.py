@@ -1,0 +1,92 @@
+"""Errors of the base cells: the noise of a base tension moves all readings of its row, and with a history later rows."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import jax
+import numpy as np
+
+from ..estimation.shared_errors import Inputs
+from ..measurements.jitter import LARGEST_JITTER
+from ..measurements.readings import of_tendons
+from ..measurements.table import Measurements
+from .bench import Bench, BenchModel
+from .parameters import Parameters
+
+Slopes = Mapping[str, Mapping[str, np.ndarray]]
+
+
+def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, float]) -> Inputs | None:
+    """The base tensions as inputs with errors; None where none has any.
+
+    A noise that is not stated is estimated for tables with more readings than base tensions: else it cannot be told
+    from the noise of the readings, which then includes it.
+
+    Args:
+        model: the bench.
+        tables: its data.
+        noise: by column, the stated standard deviation, N.
+    """
+    sigma, largest, found = {}, {}, []
+    for name, table, bench in zip(model.names, tables, model.experiments, strict=True):
+        if not isinstance(bench, Bench):
+            continue
+        levels = _levels(table, bench)
+        count = sum(int(np.sum(table.has(column))) for column in bench.columns)
+        tendons = bench.base_tension.shape[1]
+        for tendon, column in enumerate(of_tendons("base_tension", tendons)):
+            stated = noise.get(column, noise.get("base_tension"))
+            most = LARGEST_JITTER * float(np.max(table[column]))
+            if stated == 0 or not most > 0 or (stated is None and count <= tendons * (np.max(levels) + 1)):
+                continue
+            sigma[label := f"{name}: {column}"] = stated
+            largest[label] = most
+            found.append((label, partial(_slopes, name, table, bench, model, levels, tendon)))
+    return Inputs(partial(_all_slopes, found), sigma, largest) if found else None
+
+
+def _all_slopes(
+    found: Sequence[tuple[str, Callable[[Parameters], Mapping[str, np.ndarray]]]], at: Parameters
+) -> Slopes:
+    return {label: slopes(at) for label, slopes in found}
+
+
+def _levels(table: Measurements, bench: Bench) -> np.ndarray:
+    """(rows,), the level of each row, counted through all trials: rows of a level share the errors of their cells."""
+    if bench.course is not None:
+        trial, step = np.asarray(bench.course.trial), np.asarray(bench.course.step)
+        return np.unique(np.stack([trial, step]), axis=1, return_inverse=True)[1].ravel()
+    level, count = np.zeros(len(table), int), 0
+    for own in table.trials:
+        moved = np.any(np.diff(bench.base_tension[own], axis=0) != 0, axis=1)
+        level[own] = count + np.cumsum(np.append(False, moved))
+        count = int(np.max(level[own])) + 1
+    return level
+
+
+def _slopes(
+    name: str, table: Measurements, bench: Bench, model: BenchModel, levels: np.ndarray, tendon: int, at: Parameters
+) -> dict[str, np.ndarray]:
+    """By group of data, (readings, levels), the derivatives by the base tensions of a tendon.
+
+    They are over the root of the number of different readings of a level. Equal ones are one: the noise of a cell makes
+    no equal readings.
+    """
+    by_base = bench.evaluate(model.manipulator, jax.tree.map(np.asarray, at), model.nodes).by_base
+    tendons, rows = bench.base_tension.shape[1], np.arange(len(table))
+    different = np.unique(np.stack([levels, bench.base_tension[:, tendon]]), axis=1)[0].astype(int)
+    size = np.sqrt(np.bincount(different))
+    found = {}
+    for column in bench.columns:
+        slope = np.asarray(by_base[column]).reshape(len(table), -1, tendons)[:, :, tendon]
+        whole = np.zeros((len(table), size.size))
+        whole[rows, levels] = slope[:, 0]
+        course = bench.course
+        for trial, steps in enumerate([] if course is None else course.turn_steps):
+            own = np.flatnonzero(np.asarray(course.trial) == trial)
+            for turn, step in enumerate(steps.tolist()):
+                (at_turn,) = np.nonzero(np.asarray(course.step)[own] == step)
+                if at_turn.size:
+                    whole[own, levels[own[at_turn[0]]]] = slope[own, 1 + turn]
+        found[f"{name}: {column}"] = (whole / size)[table.has(column)]
+    return found
