@@ -216,8 +216,6 @@ def test_a_history_that_cannot_be_followed():
         InputError, match="1 rows without a reading are left out, but the path from row to row needs them"
     ):
         cddf.fit(BODY, Measurements.from_columns("bench", **gap), history=True)
-    with pytest.raises(InputError, match="noise of base_tension is used with a history only"):
-        cddf.fit(BODY, table(), history=False, noise={"base_tension": 0.1})
     with pytest.raises(InputError, match="noise of base_tension must be one standard deviation"):
         cddf.fit(BODY, table(), noise={"base_tension": -1.0})
 

@@ -1,8 +1,8 @@
 """Errors of the inputs of a model, such as tensions that a cell reads: each of them moves several data at once.
 
-To first order the data have the covariance S (1 + A A^T) S. S is diagonal, the noise of the data. A is what one standard
-deviation of each input does to the data, over S. Residuals and derivatives are multiplied by the symmetric inverse
-square root of 1 + A A^T. Then they are independent, and each still belongs to its datum.
+To first order the data have the covariance S (1 + A A^T) S. S is diagonal, the noise of the data. A is what one
+standard deviation of each input does to the data, over S. Residuals and derivatives are multiplied by the symmetric
+inverse square root of 1 + A A^T. Then they are independent, and each still belongs to its datum.
 """
 
 from collections.abc import Callable, Mapping

@@ -116,7 +116,7 @@ def _alike(one: Shared, other: Shared) -> bool:
     """Whether the errors of inputs have the same effect."""
     own = [np.concatenate([*columns.values()], axis=1) for columns in (one.columns, other.columns) if columns]
     if len(own) == 2:
-        return bool(np.allclose(*own, rtol=0, atol=1e-3 * max(1.0, float(np.max(np.abs(own[0]), initial=0.0)))))
+        return bool(np.allclose(*own, rtol=0, atol=1e-4 * max(1.0, float(np.max(np.abs(own[0]), initial=0.0)))))
     return not own or not np.any(own[0])
 
 

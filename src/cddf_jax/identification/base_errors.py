@@ -1,4 +1,4 @@
-"""Errors of the base cells: the noise of a base tension moves all readings of its row, and with a history later rows."""
+"""Errors of the base cells: that of a base tension moves all readings of its row, and with a history later rows."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -19,8 +19,8 @@ Slopes = Mapping[str, Mapping[str, np.ndarray]]
 def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, float]) -> Inputs | None:
     """The base tensions as inputs with errors; None where none has any.
 
-    A noise that is not stated is estimated for tables with more readings than base tensions: else it cannot be told
-    from the noise of the readings, which then includes it.
+    A noise that is not stated is estimated where one base tension moves several readings: those of its row, or later
+    ones after a turn. Elsewhere it cannot be told from the noise of the readings, which then includes it.
 
     Args:
         model: the bench.
@@ -37,7 +37,8 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
         for tendon, column in enumerate(of_tendons("base_tension", tendons)):
             stated = noise.get(column, noise.get("base_tension"))
             most = LARGEST_JITTER * float(np.max(table[column]))
-            if stated == 0 or not most > 0 or (stated is None and count <= tendons * (np.max(levels) + 1)):
+            shared = count > tendons * (np.max(levels) + 1) or (bench.course is not None and bench.course.turns)
+            if stated == 0 or not most > 0 or (stated is None and not shared):
                 continue
             sigma[label := f"{name}: {column}"] = stated
             largest[label] = most

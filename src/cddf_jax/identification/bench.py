@@ -42,9 +42,9 @@ class Evaluation(NamedTuple):
 
     readings: dict[str, np.ndarray]  # by column, (rows,), SI
     derivatives: dict[str, np.ndarray]  # by column, (rows, parameters), in the flat order of the parameters
-    by_base: dict[str, np.ndarray]  # by column, (rows, directions), by the readings of base tension; `Bench.along`
     results: RESULTS  # how the solves ended
     against: np.ndarray  # (rows, tendons), whether a tendon travels against its direction
+    by_base: dict[str, np.ndarray]  # by column, (rows, directions), by the readings of base tension; `Bench.along`
 
 
 class Pulley(eqx.Module):
@@ -281,7 +281,7 @@ def _evaluate(
         {column: slope[:, part] for column, slope in derivatives.items()}
         for part in (slice(flat.size - len(along)), slice(flat.size - len(along), None))
     )
-    return Evaluation(readings, by_parameter, by_base, results, against)
+    return Evaluation(readings, by_parameter, results, against, by_base)
 
 
 class BenchModel(eqx.Module):

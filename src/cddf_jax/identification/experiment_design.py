@@ -225,7 +225,8 @@ def _rows(
         values = {"pulling_tension": np.asarray(read(flat))}
         slopes = {"pulling_tension": np.asarray(jax.jacfwd(read)(flat))}
     else:
-        values, slopes, codes, _ = experiment.evaluate(body, parameters, nodes)
+        shown = experiment.evaluate(body, parameters, nodes)
+        values, slopes, codes = shown.readings, shown.derivatives, shown.results
         for code in NOTEWORTHY:
             count = int(np.sum(codes == code))
             warnings += [f"{count} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if count else []

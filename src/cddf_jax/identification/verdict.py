@@ -96,6 +96,11 @@ def fit_warnings(fit: "Fit") -> list[str]:
         if one.num_ignored
     ]
     found += [
+        f"{label} was not given a noise; the readings go together as {fit.input_noise[label]:.2g} N of noise make them "
+        "(standard deviation), and the intervals contain it; give it if you know it"
+        for label in fit.evidence.estimated_inputs
+    ]
+    found += [
         f"the short steps of the history move {name} by {part:.2g} of its standard error; give more short_steps"
         for name, part in fit.moved_by_steps.items()
         if not part <= LARGEST_MOVE

@@ -1,8 +1,8 @@
 """The base tension without the jitter of its cell: in a history every jitter would count as a turn.
 
 Readings of one hold become their mean. A turn counts if the tension then comes back by more than the noise of the cell.
-Between two turns the tension only rises or only falls: the readings are replaced by the nearest such values. Where every
-turn counts, the readings stay as they are.
+Between two turns the tension only rises or only falls: the readings are replaced by the nearest such values. Where
+every turn counts, the readings stay as they are.
 """
 
 from itertools import pairwise

@@ -31,7 +31,8 @@ PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
 LEAST_ROWS = 3  # for friction without a model
 # of results.json
 OF_FIT = (
-    *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "serial_correlation"),
+    *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
+    "serial_correlation",
     *("trial_effects", "trial_spread", "moved_by_steps", "mean_relative_error", "reduced_chi_square"),
     *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
 )
