@@ -15,14 +15,14 @@ from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
 from .determination import Determination, determine
 from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
-from .observations import Noise, Observed, group_observations
+from .observations import Noise, Observed, effects_of, group_observations
 from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
 from .residuals import Data, LeastSquaresProblem
 from .restarts import Searched, search
 from .robust_loss import LOSSES
-from .shared_errors import Inputs, no_inputs
+from .shared_errors import Inputs, Shared, no_inputs
 from .whole_search import FitTask
 
 
@@ -242,6 +242,12 @@ def least_squares_fit(
     )
     labels = tuple(group.name for group in groups)
     shared = no_inputs(sum(group.values.size for group in groups))
+    if inputs is not None:  # without an effect yet, in the shapes of later, so that programs are shared
+        shared = Shared.of(
+            {k: 0 * own for k, own in effects_of(inputs, groups, start).items()},
+            dict.fromkeys(inputs.sigma, 0.0),
+            len(shared.basis),
+        )
     problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, loss, max_steps)
     task = FitTask(problem, groups, prefer_start, inputs)
     return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed), seed)

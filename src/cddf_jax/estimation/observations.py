@@ -124,12 +124,8 @@ def estimate_noise(
         return tuple(group.estimate(noise, r, h, problem.loss) for group, noise, r, h in found), problem.shared
     if not np.all(np.isfinite(outcome.residual)):
         return given, problem.shared
-    slopes = inputs.slopes(problem.unravel(outcome.parameters))
-    wide = {
-        name: np.concatenate([own.get(group.name, np.zeros((group.values.size, 0))) for group in groups])
-        for name, own in slopes.items()
-    }
-    linear = _Linear(groups, problem, outcome, wide, inputs)
+    effects = effects_of(inputs, groups, problem.unravel(outcome.parameters))
+    linear = _Linear(groups, problem, outcome, effects, inputs)
     free = [name for name, sigma in inputs.sigma.items() if sigma is None]
     none = {name: sigma or 0.0 for name, sigma in inputs.sigma.items()}
     without = linear.settled(given, none, ())
@@ -139,13 +135,23 @@ def estimate_noise(
     return (found if found[0] < without[0] - LEAST_FALL else without)[1:]
 
 
+def effects_of(inputs: Inputs, groups: Sequence[Observed], parameters: PyTree) -> dict[str, np.ndarray]:
+    """By input group, (data, inputs), the derivatives of all data by the inputs."""
+
+    def whole(own: Mapping[str, np.ndarray]) -> np.ndarray:
+        count = next(iter(own.values())).shape[1]
+        return np.concatenate([own.get(group.name, np.zeros((group.values.size, count))) for group in groups])
+
+    return {name: whole(own) for name, own in inputs.slopes(parameters).items()}
+
+
 class _Linear(NamedTuple):
     """The model, linear about a minimum, with errors of inputs."""
 
     groups: Sequence[Observed]
     problem: LeastSquaresProblem
     outcome: Outcome
-    slopes: dict[str, np.ndarray]  # by input group, (data, inputs)
+    effects: dict[str, np.ndarray]  # as of `effects_of`
     inputs: Inputs
 
     def settled(
@@ -176,7 +182,7 @@ class _Linear(NamedTuple):
         return float(height), noise, shared
 
     def _shared(self, deviation: dict[str, float], noise: np.ndarray) -> Shared:
-        columns = {name: deviation[name] * own / noise[:, None] for name, own in self.slopes.items()}
+        columns = {name: deviation[name] * own / noise[:, None] for name, own in self.effects.items()}
         return Shared.of(columns, deviation, noise.size)
 
     def _basis(self, shared: Shared, rows: np.ndarray) -> np.ndarray:
@@ -192,8 +198,8 @@ class _Linear(NamedTuple):
 
         others = self._shared(deviation | {name: 0.0}, noise)
         basis, count = self._basis(others, rows), self.problem.num_data
-        effect = np.zeros((len(rows), self.slopes[name].shape[1]))
-        effect[:count] = others.whitened(self.slopes[name] / noise[:, None])
+        effect = np.zeros((len(rows), self.effects[name].shape[1]))
+        effect[:count] = others.whitened(self.effects[name] / noise[:, None])
         effect -= basis @ (basis.T @ effect)
         square, directions = np.linalg.eigh(effect.T @ effect)
         pull = (directions.T @ (effect.T @ _whitened(others, errors, count))) ** 2

@@ -90,7 +90,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
     ]
     found += [
         f"{name}: base_tension jitters by {one.noise:.2g} N (standard deviation), and {one.num_ignored} of its turns "
-        f"of {one.least_turn:.2g} N or less are taken for noise{_merged_in_words(one, table)}; if they are real, give "
+        f"of {one.least_turn:.2g} N or less are taken for noise{merged_in_words(one, table)}; if they are real, give "
         "the noise of base_tension"
         for (name, one), table in zip(fit.without_jitter.items(), with_history, strict=True)
         if one.num_ignored
@@ -134,7 +134,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
     return found
 
 
-def _merged_in_words(steady: Steady, table: Measurements) -> str:
+def merged_in_words(steady: Steady, table: Measurements) -> str:
     """Which rows became one level of base tension."""
     levels = [
         f"{table.place(one.first)} to {table.place(one.last)} are {one.tension:.5g} N" for one in steady.merged[:SHOWN]
