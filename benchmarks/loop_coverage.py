@@ -82,7 +82,15 @@ def body_of(scenario: Scenario, **truth: float) -> cddf.Manipulator:
     """The paper's body, or a finger that is thicker up to 40 of its 100 mm."""
     if scenario.base_noise is None:
         return paper_body(**truth, num_tendons=scenario.path.shape[1])
-    finger = cddf.conical(length=0.1, outer_radius=0.004, inner_radius=0.001, tendon_offset=0.003, **truth)
+    mu, modulus = truth["friction_coefficient"], truth["youngs_modulus"]
+    finger = cddf.conical(
+        length=0.1,
+        outer_radius=0.004,
+        inner_radius=0.001,
+        tendon_offset=0.003,
+        youngs_modulus=modulus,
+        friction_coefficient=mu,
+    )
     return replace(finger, outer_radius=cddf.Piecewise(ends=[0.04], pieces=[0.005, 0.004]))
 
 

@@ -208,14 +208,16 @@ class Evidence:
         root, shared, count = self.spectrum.root, self.shared, len(self.shared.basis)
         rows = np.concatenate([*self.rows.values(), *(self.prior_rows[k] for k in self.random)])
         rows = without_nan(rows) @ root.T
-        weight = block_diag(*self.noise_slopes.values(), *[np.ones((len(self.random), 1))] * bool(self.random))
+        weight = np.asarray(
+            block_diag(*self.noise_slopes.values(), *[np.ones((len(self.random), 1))] * bool(self.random))
+        )
 
         def whitened(some: np.ndarray) -> np.ndarray:
             return np.concatenate([shared.whitened(some[:count]), some[count:]])
 
         inner = whitened(rows)
         moved = [whitened(own[:, None] * inner) for own in weight.T]  # each part of the variance, times the rows
-        inputs = [own for name in self.estimated_inputs if np.any(own := shared.columns[name])]
+        inputs = [own for name in self.estimated_inputs if np.any(own := np.asarray(shared.columns[name]))]
         for own in inputs:
             effect = np.zeros((len(rows), own.shape[1]))
             effect[:count] = shared.whitened(own)

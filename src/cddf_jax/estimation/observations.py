@@ -21,7 +21,7 @@ LARGEST_LEVERAGE = 0.9
 NEGLIGIBLE = 1e-3  # of the noise: a smaller part of it is set to 0
 EXACTLY = {"ftol": 1e-15, "gtol": 1e-12, "maxiter": 500, "maxls": 60}  # of the likelihood of floor and fraction
 LEAST_FALL = 1.0  # of minus twice the logarithm of the likelihood, by the noise of inputs that was not given
-LINEAR_ROUNDS, LIKELY_ENOUGH = 200, 1e-9
+LINEAR_ROUNDS, LIKELY_ENOUGH = 200, 1e-7
 DECADES = 12.0  # logarithm of the largest noise of an input over the smallest
 WINSOR = 1.0  # squares of residuals count up to this under a robust loss: Huber (1981), proposal 2
 WINSORED_SQUARE = 0.5160585  # their mean for a Gaussian: E min(Z^2, 1)
@@ -161,7 +161,7 @@ class _Linear(NamedTuple):
         problem, count, old = self.problem, self.problem.num_data, np.concatenate(list(map(np.ravel, noise)))
         jacobian = problem.unwhitened(without_nan(self.outcome.jacobian))
         residual = problem.unwhitened(self.outcome.residual)
-        height = np.inf
+        height, shared = np.inf, problem.shared
         for _ in range(LINEAR_ROUNDS):
             now = np.concatenate(list(map(np.ravel, noise)))
             factor = np.append(old / now, np.ones(len(residual) - count))
@@ -175,7 +175,7 @@ class _Linear(NamedTuple):
             height += 2 * np.sum(np.log(np.maximum(values, TINY))) - np.sum((basis.T @ pulls) ** 2)
             if abs(last - height) < LIKELY_ENOUGH:
                 break
-            error = shared.whitened(pulls[:count])
+            error = np.asarray(shared.whitened(pulls[:count]))
             leverage = 1 - shared.kept + np.sum(shared.whitened(basis[:count]) ** 2, axis=1)
             each = zip(self.groups, noise, problem.by_group(error), problem.by_group(leverage), strict=True)
             noise = tuple(group.estimate(sigma, r, h, problem.loss) for group, sigma, r, h in each)

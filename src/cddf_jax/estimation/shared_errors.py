@@ -6,10 +6,10 @@ inverse square root of 1 + A A^T. Then they are independent, and each still belo
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Float, PyTree
 
 from .parameter_space import Numbers
 
@@ -34,26 +34,27 @@ class Shared(NamedTuple):
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray], deviation: Mapping[str, float], data: int) -> "Shared":
         """From A by input group."""
-        whole = np.concatenate([np.zeros((data, 0)), *columns.values()], axis=1)
-        square, directions = np.linalg.eigh(whole.T @ whole)
-        left = 1 / np.sqrt(1 + np.maximum(square, 0.0))
-        basis = whole @ directions * (left / np.sqrt(1 + left))
+        basis = np.concatenate([np.zeros((data, 0)), *columns.values()], axis=1)
+        if np.any(basis):
+            square, directions = np.linalg.eigh(basis.T @ basis)
+            left = 1 / np.sqrt(1 + np.maximum(square, 0.0))
+            basis = basis @ directions * (left / np.sqrt(1 + left))
         return cls(basis, dict(columns), {name: np.asarray(value, float) for name, value in deviation.items()})
 
-    def whitened(self, rows: Float[Numbers, "data ..."]) -> Float[Array, "data ..."]:
-        """The rows, over the noise of the data, without what the data have in common."""
+    def whitened(self, rows: Any) -> Any:
+        """The rows, (data, ...), over the noise of the data, without what the data have in common."""
         return rows - self.basis @ (self.basis.T @ rows) if self.basis.shape[1] else rows
 
     def unwhitened(self, rows: np.ndarray) -> np.ndarray:
         """The rows from whitened ones."""
         if not self.basis.shape[1]:
             return rows
-        return rows + (self.basis / (1 - np.sum(self.basis**2, axis=0))) @ (self.basis.T @ rows)
+        return rows + np.asarray(self.basis / (1 - np.sum(self.basis**2, axis=0))) @ (self.basis.T @ rows)
 
     def at(self, kept: np.ndarray) -> "Shared":
         """Of some of the data."""
-        columns = {name: own[kept] for name, own in self.columns.items()}
-        return Shared.of(columns, self.deviation, int(np.sum(kept)))  # pyright: ignore[reportArgumentType]
+        columns = {name: np.asarray(own)[kept] for name, own in self.columns.items()}
+        return Shared.of(columns, {name: float(own) for name, own in self.deviation.items()}, int(np.sum(kept)))
 
     @property
     def inverse(self) -> np.ndarray:
@@ -63,13 +64,13 @@ class Shared(NamedTuple):
     @property
     def kept(self) -> np.ndarray:
         """(data,), the diagonal of the inverse of 1 + A A^T."""
-        square = np.sum(self.basis**2, axis=0)
-        return 1 - self.basis**2 @ (2 - square)
+        square = np.asarray(self.basis) ** 2
+        return 1 - square @ (2 - np.sum(square, axis=0))
 
     @property
     def log_determinant(self) -> float:
         """Of 1 + A A^T."""
-        return -2 * float(np.sum(np.log1p(-np.sum(self.basis**2, axis=0))))
+        return -2 * float(np.sum(np.log1p(-np.sum(np.asarray(self.basis) ** 2, axis=0))))
 
 
 def no_inputs(data: int) -> Shared:

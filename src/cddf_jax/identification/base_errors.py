@@ -13,6 +13,8 @@ from ..measurements.table import Measurements
 from .bench import Bench, BenchModel
 from .parameters import Parameters
 
+MOST_LEVELS = 400  # of a table; for more the noise of base tensions is not estimated
+
 Slopes = Mapping[str, Mapping[str, np.ndarray]]
 
 
@@ -20,7 +22,8 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
     """The base tensions as inputs with errors; None where none has any.
 
     A noise that is not stated is estimated where one base tension moves several readings: those of its row, or later
-    ones after a turn. Elsewhere it cannot be told from the noise of the readings, which then includes it.
+    ones after a turn. Elsewhere it cannot be told from the noise of the readings, which then includes it. With
+    more than `MOST_LEVELS` different levels it is not estimated either, as that takes long; see `many_levels`.
 
     Args:
         model: the bench.
@@ -32,18 +35,35 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
         if not isinstance(bench, Bench):
             continue
         levels = _levels(table, bench)
-        count = sum(int(np.sum(table.has(column))) for column in bench.columns)
+        estimable = _is_shared(table, bench, levels) and np.max(levels) < MOST_LEVELS
         tendons = bench.base_tension.shape[1]
         for tendon, column in enumerate(of_tendons("base_tension", tendons)):
             stated = noise.get(column, noise.get("base_tension"))
             most = LARGEST_JITTER * float(np.max(table[column]))
-            shared = count > tendons * (np.max(levels) + 1) or (bench.course is not None and bench.course.turns)
-            if stated == 0 or not most > 0 or (stated is None and not shared):
+            if stated == 0 or not most > 0 or (stated is None and not estimable):
                 continue
             sigma[label := f"{name}: {column}"] = stated
             largest[label] = most
             found.append((label, partial(_slopes, name, table, bench, model, levels, tendon)))
     return Inputs(partial(_all_slopes, found), sigma, largest) if found else None
+
+
+def many_levels(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, object]) -> list[str]:
+    """The names of the tables whose noise of base tension is neither stated nor estimated, as there are many levels."""
+    every = zip(model.names, tables, model.experiments, strict=True)
+    benches = [(name, table, bench, _levels(table, bench)) for name, table, bench in every if isinstance(bench, Bench)]
+    return [
+        name
+        for name, table, bench, levels in benches
+        if "base_tension" not in noise and np.max(levels) >= MOST_LEVELS and _is_shared(table, bench, levels)
+    ]
+
+
+def _is_shared(table: Measurements, bench: Bench, levels: np.ndarray) -> bool:
+    """Whether a base tension moves several readings."""
+    count = sum(int(np.sum(table.has(column))) for column in bench.columns)
+    turns = bench.course is not None and bench.course.turns
+    return turns or count > bench.base_tension.shape[1] * (int(np.max(levels)) + 1)
 
 
 def _all_slopes(
@@ -82,12 +102,12 @@ def _slopes(
         slope = np.asarray(by_base[column]).reshape(len(table), -1, tendons)[:, :, tendon]
         whole = np.zeros((len(table), size.size))
         whole[rows, levels] = slope[:, 0]
-        course = bench.course
-        for trial, steps in enumerate([] if course is None else course.turn_steps):
-            own = np.flatnonzero(np.asarray(course.trial) == trial)
-            for turn, step in enumerate(steps.tolist()):
-                (at_turn,) = np.nonzero(np.asarray(course.step)[own] == step)
-                if at_turn.size:
-                    whole[own, levels[own[at_turn[0]]]] = slope[own, 1 + turn]
+        if (course := bench.course) is not None:
+            for trial, steps in enumerate(course.turn_steps):
+                own = np.flatnonzero(np.asarray(course.trial) == trial)
+                for turn, step in enumerate(steps.tolist()):
+                    there = own[np.asarray(course.step)[own] == step]
+                    if there.size:
+                        whole[own, levels[there[0]]] = slope[own, 1 + turn]
         found[f"{name}: {column}"] = (whole / size)[table.has(column)]
     return found

@@ -222,7 +222,7 @@ class Bench(eqx.Module):
             return self.course.along
         return np.eye(self.base_tension.shape[1])[:, None]
 
-    def _shifted(self, shift: Array, along: Array) -> "Bench":
+    def _shifted(self, shift: Array, along: np.ndarray | Array) -> "Bench":
         """With base readings that are larger by `shift` along each direction."""
         more = jnp.tensordot(shift, along, 1)
         if self.course is None:
@@ -264,7 +264,7 @@ def _of_cells(parameters: Parameters, name: str, readings: Array) -> Array:
 @kept_program
 @eqx.filter_jit
 def _evaluate(
-    bench: Bench, manipulator: Manipulator, parameters: dict[str, Array], along: Array, nodes: int
+    bench: Bench, manipulator: Manipulator, parameters: dict[str, Array], along: np.ndarray | Array, nodes: int
 ) -> Evaluation:
     flat, unravel = jax.flatten_util.ravel_pytree((parameters, jnp.zeros(len(along))))
 

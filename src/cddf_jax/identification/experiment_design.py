@@ -252,7 +252,9 @@ def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) 
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
     table = Measurements.from_columns(name, notes=(), **columns)
-    course = course_of(table, 0.0, loaded=setting.loads is not None)[0] if has_history(table, None) else None
+    course = None
+    if has_history(table, None):
+        course = course_of(table, {"base_tension": 0.0}, loaded=setting.loads is not None)[0]
     return experiment_of(table, body, course=course, setting=setting)
 
 

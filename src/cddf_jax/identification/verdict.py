@@ -14,6 +14,7 @@ from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS, code_of
 from ..units import preferred, shown
+from .base_errors import many_levels
 from .bench import Bench, BenchModel
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
 from .tension_before import is_past
@@ -99,6 +100,11 @@ def fit_warnings(fit: "Fit") -> list[str]:
         f"{label} was not given a noise; the readings go together as {fit.input_noise[label]:.2g} N of noise make them "
         "(standard deviation), and the intervals contain it; give it if you know it"
         for label in fit.evidence.estimated_inputs
+    ]
+    found += [
+        f"{name}: base_tension has too many levels for an estimate of its noise, and the intervals do not contain it; "
+        "give it, 0 if the base tensions are exact, or fit one reading for each hold"
+        for name in many_levels(fit.model, fit.tables, dict(fit.options["noise"]))  # pyright: ignore
     ]
     found += [
         f"the short steps of the history move {name} by {part:.2g} of its standard error; give more short_steps"
