@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.shared_errors import Inputs, Shared
+from cddf_jax.estimation.residuals import InputErrors, Shared
 
 ROWS = 12
 X = np.linspace(1.0, 3.0, ROWS)
@@ -30,7 +30,7 @@ def by_input(p):
 
 
 def inputs(sigma):
-    return Inputs(
+    return InputErrors(
         lambda p: {"x": {name: np.asarray(own) for name, own in by_input(p).items()}}, {"x": sigma}, {"x": 0.3}
     )
 
@@ -98,7 +98,7 @@ def test_orthogonal_distance_regression_agrees():
     """Of a curve, with the minimum over parameters and true inputs by SciPy; the errors are small beside the curve."""
     rng, truth, noise, of_input = np.random.default_rng(5), {"a": 1.0, "b": 0.7}, 0.05, 0.02
     read = np.asarray(curve(truth)["one"]) + np.hypot(noise, of_input * 0.7 * np.exp(0.7 * X)) * rng.normal(size=ROWS)
-    own = Inputs(
+    own = InputErrors(
         lambda p: {"x": {"one": np.diag(np.asarray(p["a"] * p["b"] * np.exp(p["b"] * X)))}}, {"x": of_input}, {"x": 1.0}
     )
     found = least_squares_fit(curve, truth, {"one": read}, noise, inputs=own)

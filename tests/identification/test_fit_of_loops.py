@@ -17,10 +17,10 @@ from test_fit import COMPLIANCE, MU, E
 import cddf_jax as cddf
 from cddf_jax import figures
 from cddf_jax.errors import InputError
-from cddf_jax.identification.base_errors import errors_of_base
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
+from cddf_jax.identification.random_effects import errors_of_base
 from cddf_jax.identification.tension_before import Start, first_guesses, starts_of
 from cddf_jax.identification.verdict import merged_in_words
 from cddf_jax.measurements.jitter import turns_of, without_jitter

@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from scipy.special import fdtri, stdtrit
 
 from .parameter_space import TINY, ParameterSpace
-from .shared_errors import Shared
+from .residuals import Shared
 
 RELATIVE_RANK = 1e-9  # singular values below this times the largest are zero
 INSIDE = 1e-12  # difference from 1 below which a parameter lies within the determined directions

@@ -19,10 +19,9 @@ from .observations import Noise, Observed, effects_of, group_observations
 from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
-from .residuals import Data, LeastSquaresProblem
+from .residuals import Data, InputErrors, LeastSquaresProblem, Shared, no_inputs
 from .restarts import Searched, search
 from .robust_loss import LOSSES
-from .shared_errors import Inputs, Shared, no_inputs
 from .whole_search import FitTask
 
 
@@ -185,7 +184,7 @@ def least_squares_fit(
     seed: int = 0,
     prefer_start: bool = False,
     max_steps: int = MAX_STEPS,
-    inputs: Inputs | None = None,
+    inputs: InputErrors | None = None,
 ) -> LeastSquaresFit:
     """Fit parameters by Levenberg-Marquardt and say what the data determine.
 
@@ -211,7 +210,7 @@ def least_squares_fit(
         prefer_start: if the data leave a valley open, end where its first parameter has its start value, and not at the
             shallow minimum that noise makes somewhere in the valley.
         max_steps: of the optimiser.
-        inputs: of the model, where they were read with errors, see `Inputs`.
+        inputs: of the model, where they were read with errors, see `InputErrors`.
 
     Raises:
         InputError: for float32, `starts` below 1, a start outside its bounds, unknown names, data that are not

@@ -12,8 +12,7 @@ from ..errors import InputError
 from .evidence import spectrum_of, without_nan
 from .levenberg_marquardt import Minimum, Outcome
 from .parameter_space import TINY
-from .residuals import LeastSquaresProblem
-from .shared_errors import Inputs, Shared
+from .residuals import InputErrors, LeastSquaresProblem, Shared
 
 MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
 MEDIAN_TO_DEVIATION = 1.4826  # of a Gaussian, from the median of |residual|
@@ -106,7 +105,7 @@ class Observed:
 
 
 def estimate_noise(
-    groups: Sequence[Observed], minimum: Minimum, inputs: Inputs | None = None
+    groups: Sequence[Observed], minimum: Minimum, inputs: InputErrors | None = None
 ) -> tuple[tuple[np.ndarray, ...], Shared]:
     """Standard deviations of each group, and errors of inputs, from the residuals at a minimum.
 
@@ -135,7 +134,7 @@ def estimate_noise(
     return (found if found[0] < without[0] - LEAST_FALL else without)[1:]
 
 
-def effects_of(inputs: Inputs, groups: Sequence[Observed], parameters: PyTree) -> dict[str, np.ndarray]:
+def effects_of(inputs: InputErrors, groups: Sequence[Observed], parameters: PyTree) -> dict[str, np.ndarray]:
     """By input group, (data, inputs), the derivatives of all data by the inputs."""
 
     def whole(own: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -152,7 +151,7 @@ class _Linear(NamedTuple):
     problem: LeastSquaresProblem
     outcome: Outcome
     effects: dict[str, np.ndarray]  # as of `effects_of`
-    inputs: Inputs
+    inputs: InputErrors
 
     def settled(
         self, noise: tuple[np.ndarray, ...], deviation: dict[str, float], free: Sequence[str]

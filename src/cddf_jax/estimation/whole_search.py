@@ -23,9 +23,8 @@ from .levenberg_marquardt import Minimum, Outcome, evaluate, hold_one, minimise
 from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
 from .remarks import unexplained_groups
-from .residuals import LeastSquaresProblem
+from .residuals import InputErrors, LeastSquaresProblem, Shared
 from .robust_loss import LOSSES
-from .shared_errors import Inputs, Shared
 
 SUCCESSFUL = "successful"
 NO_NUMBER = "the model gave no number at the estimate; start closer, or leave out data that it cannot reach"
@@ -49,7 +48,7 @@ class FitTask(NamedTuple):
     problem: LeastSquaresProblem  # with the first guess of the noise
     groups: tuple[Observed, ...]  # of the data
     prefer_start: bool  # to end near the start in a valley that the data leave open
-    inputs: Inputs | None = None  # of the model, that were read with errors
+    inputs: InputErrors | None = None  # of the model, that were read with errors
 
 
 class Ending(NamedTuple):

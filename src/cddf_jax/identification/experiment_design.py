@@ -19,7 +19,7 @@ from ..estimation.determination import Determination, determine
 from ..estimation.evidence import Evidence
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
-from ..estimation.shared_errors import no_inputs
+from ..estimation.residuals import no_inputs
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
 from ..progress import each

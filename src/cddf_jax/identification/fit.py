@@ -18,7 +18,6 @@ from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..robot.manipulator import Manipulator
 from . import bench
-from .base_errors import errors_of_base
 from .course import SHORT_STEPS, Course, course_of, has_history
 from .order_checks import order_remarks
 from .parameters import (
@@ -32,7 +31,7 @@ from .parameters import (
     with_parameters,
 )
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
-from .random_effects import fit_trials
+from .random_effects import errors_of_base, fit_trials
 from .tension_before import Before, first_guesses, starts_of
 from .verdict import SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
 

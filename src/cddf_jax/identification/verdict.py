@@ -14,9 +14,9 @@ from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
 from ..statics.equilibrium import NOTEWORTHY, RESULTS, code_of
 from ..units import preferred, shown
-from .base_errors import many_levels
 from .bench import Bench, BenchModel
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
+from .random_effects import many_levels
 from .tension_before import is_past
 
 if TYPE_CHECKING:
