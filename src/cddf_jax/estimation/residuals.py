@@ -1,9 +1,9 @@
 """The residuals of a fit: what a model predicts less what was observed, and the parameters less what was known.
 
 Inputs of the model that were read with errors, such as tensions, move several data at once. To first order the data
-have the covariance S (1 + A A^T) S. S is diagonal, the noise of the data. A is what one standard deviation of each input
-does to the data, over S. Residuals and derivatives are multiplied by the symmetric inverse square root of 1 + A A^T.
-Then they are independent, and each still belongs to its datum.
+have the covariance S (1 + A A^T) S. S is diagonal, the noise of the data. A is what one standard deviation of each
+input does to the data, over S. Residuals and derivatives are multiplied by the symmetric inverse square root of
+1 + A A^T. Then they are independent, and each still belongs to its datum.
 """
 
 from collections.abc import Callable, Mapping
